@@ -1,0 +1,304 @@
+"""The hub of a local bus: one small process that passes every frame on to all other nodes.
+
+Frames of all nodes are put into one total order, the same for every listener, and none is lost:
+a node that does not read is disconnected once `MAX_BACKLOG_BYTES` wait for it, never skipped.
+Run by `python -m bus.hub CHANNEL`; nodes start it by themselves when nobody listens
+(`bus.launch`). It ends when it has been without nodes for a while.
+"""
+
+import argparse
+import asyncio
+import contextlib
+import itertools
+import os
+import signal
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from bus import wire
+from bus.channel import (
+    SYNTAX,
+    ChannelError,
+    HubChannel,
+    TcpChannel,
+    UnixChannel,
+    parse_channel,
+)
+from bus.dial import dial, serves
+
+if sys.platform != "win32":
+    import fcntl
+
+DEFAULT_LINGER_S = 3.0
+MAX_BACKLOG_BYTES = 8 * 1024 * 1024
+_GREETING_TIMEOUT_S = 5.0
+_LISTEN_BACKLOG = 64
+_LOCK_WAIT_S = 5.0
+
+
+class HubRunningError(Exception):
+    """Another hub serves this channel already."""
+
+
+class Hub:
+    """The nodes connected right now, and the one order of their frames."""
+
+    def __init__(self, linger_s: float) -> None:
+        self._nodes: dict[_Connection, None] = {}  # a dict, because it keeps its order
+        self._linger_s = linger_s
+        self._linger: asyncio.TimerHandle | None = None
+        self.ended = asyncio.Event()
+        # The first node may need a while, whatever it wants of the time after the last.
+        self._start_lingering(max(linger_s, DEFAULT_LINGER_S))
+
+    def join(self, node: "_Connection") -> None:
+        """From here on, `node` gets every frame of the others."""
+        self._nodes[node] = None
+        if self._linger is not None:
+            self._linger.cancel()
+            self._linger = None
+
+    def leave(self, node: "_Connection") -> None:
+        """`node` is gone; a node which had not joined yet may leave, too."""
+        if node in self._nodes:
+            del self._nodes[node]
+            if not self._nodes:
+                self._start_lingering(self._linger_s)
+
+    def pass_on(self, records: bytes, sender: "_Connection") -> None:
+        """Sends whole records to every node but their sender."""
+        for node in self._nodes:
+            if node is not sender:
+                node.send(records)
+
+    def disconnect_all(self) -> None:
+        """Ends every connection."""
+        for node in list(self._nodes):
+            node.close()
+
+    def _start_lingering(self, seconds: float) -> None:
+        self._linger = asyncio.get_running_loop().call_later(seconds, self.ended.set)
+
+
+class _Connection(asyncio.Protocol):
+    """One node at the hub."""
+
+    def __init__(self, hub: Hub, number: int) -> None:
+        self._hub = hub
+        self._number = number
+        self._received = bytearray()
+        self._greeted = False
+        self._transport: asyncio.Transport | None = None
+        self._greeting_timer: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+        transport.set_write_buffer_limits(high=MAX_BACKLOG_BYTES)
+        loop = asyncio.get_running_loop()
+        self._greeting_timer = loop.call_later(
+            _GREETING_TIMEOUT_S, self._drop, "it did not say what it is"
+        )
+
+    def data_received(self, data: bytes) -> None:
+        self._received += data
+        if not self._greeted and not self._take_greeting():
+            return
+        end, error = wire.stamp(self._received, time.time_ns() // 1000)
+        if end:
+            records = bytes(self._received[:end])
+            del self._received[:end]
+            self._hub.pass_on(records, self)
+        if error is not None:
+            self._drop(str(error))
+
+    def send(self, records: bytes) -> None:
+        """Queues records for this node."""
+        if self._transport is not None and not self._transport.is_closing():
+            self._transport.write(records)
+
+    def close(self) -> None:
+        """Ends this connection."""
+        if self._transport is not None:
+            self._transport.close()
+
+    def pause_writing(self) -> None:
+        self._drop(f"it has left more than {MAX_BACKLOG_BYTES} bytes of frames unread")
+
+    def eof_received(self) -> bool:
+        # All it sent has been passed on by now; it does not read any more.
+        self._hub.leave(self)
+        return False
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._greeting_timer is not None:
+            self._greeting_timer.cancel()
+        self._hub.leave(self)
+        self._transport = None
+
+    def _take_greeting(self) -> bool:
+        size = len(wire.GREETING)
+        if self._received[:size] != wire.GREETING[: len(self._received)]:
+            self._drop("it is no meshpoint node")
+            return False
+        if len(self._received) < size:
+            return False
+        del self._received[:size]
+        self._greeted = True
+        assert self._greeting_timer is not None
+        assert self._transport is not None
+        self._greeting_timer.cancel()
+        self._hub.join(self)
+        # The answer comes after joining: a node that has it misses no frame from here on.
+        self._transport.write(wire.GREETING)
+        return True
+
+    def _drop(self, reason: str) -> None:
+        if self._transport is not None and not self._transport.is_closing():
+            print(f"meshpoint hub: node {self._number} disconnected: {reason}", file=sys.stderr)
+            sys.stderr.flush()
+            self._hub.leave(self)
+            self._transport.abort()
+
+
+def listen(channel: HubChannel, allow_remote: bool = False) -> socket.socket:
+    """The listening socket of a hub.
+
+    Raises HubRunningError when a hub serves the channel already, ChannelError or another OSError when the
+    channel cannot be served.
+    """
+    if isinstance(channel, UnixChannel):
+        return _listen_unix(channel)
+    if not channel.is_local and not allow_remote:
+        raise ChannelError(f"{channel} is open to other machines: needs --allow-remote")
+    return _listen_tcp(channel)
+
+
+async def serve(listener: socket.socket, linger_s: float = DEFAULT_LINGER_S) -> None:
+    """Runs a hub on `listener` until it has been without nodes for `linger_s` seconds."""
+    hub = Hub(linger_s)
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        with contextlib.suppress(NotImplementedError):  # Windows: ends by KeyboardInterrupt
+            loop.add_signal_handler(number, hub.ended.set)
+    numbers = itertools.count(1)
+    server = await loop.create_server(lambda: _Connection(hub, next(numbers)), sock=listener)
+    await hub.ended.wait()
+    server.close()
+    hub.disconnect_all()
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """`python -m bus.hub`: returns 0 once done, or when another hub serves; 2 when impossible."""
+    parser = argparse.ArgumentParser(
+        prog="python -m bus.hub", description="Passes CAN frames between the nodes of a local bus."
+    )
+    parser.add_argument("channel", metavar="CHANNEL", help=SYNTAX)
+    parser.add_argument(
+        "--linger",
+        type=float,
+        default=DEFAULT_LINGER_S,
+        metavar="SECONDS",
+        help="end after so long without nodes (default %(default)s)",
+    )
+    parser.add_argument(
+        "--allow-remote", action="store_true", help="serve a TCP address other machines can reach"
+    )
+    options = parser.parse_args(arguments)
+    try:
+        channel = parse_channel(options.channel)
+        listener = listen(channel, options.allow_remote)
+    except HubRunningError:
+        return 0
+    except (ChannelError, OSError) as error:
+        print(f"meshpoint hub: {error}", file=sys.stderr)
+        return 2
+    with contextlib.suppress(KeyboardInterrupt):
+        try:
+            asyncio.run(serve(listener, options.linger))
+        finally:
+            if isinstance(channel, UnixChannel):
+                _remove(channel.path)
+    return 0
+
+
+def _listen_tcp(channel: TcpChannel) -> socket.socket:
+    family = socket.AF_INET6 if ":" in channel.host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        if sys.platform == "win32":
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+        else:  # lets a port be bound again at once; a port somebody listens on stays refused
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((channel.host, channel.port))
+        listener.listen(_LISTEN_BACKLOG)
+    except OSError as error:
+        listener.close()
+        # Whoever else has the port: a hub is what we want, anything else is an error.
+        try:
+            dial(channel, timeout_s=1.0).close()
+        except OSError as refused:
+            raise ChannelError(f"{channel}: {error}; {refused}") from error
+        raise HubRunningError from error
+    return listener
+
+
+def _listen_unix(channel: UnixChannel) -> socket.socket:
+    path = channel.path
+    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        with _locked(path.parent):
+            if serves(channel):
+                raise HubRunningError
+            # A socket without a listener was left by a hub that was killed.
+            if path.is_socket():
+                path.unlink()
+            mask = os.umask(0o177)
+            try:
+                listener.bind(str(path))
+            finally:
+                os.umask(mask)
+            listener.listen(_LISTEN_BACKLOG)
+    except BaseException:
+        listener.close()
+        raise
+    return listener
+
+
+def _remove(path: Path) -> None:
+    """Removes our socket file, unless another hub has taken its place."""
+    with _locked(path.parent):
+        if not serves(UnixChannel(path)):
+            path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _locked(directory: Path) -> Iterator[None]:
+    """Holds the lock of `directory`, so that of several hubs starting at once one wins.
+
+    The lock is on the directory itself: no file stays behind, and a killed holder frees it.
+    """
+    if sys.platform == "win32":  # parse_channel lets no unix channel through
+        raise ChannelError("this system has no unix sockets")
+    handle = os.open(directory, os.O_RDONLY)
+    try:
+        deadline = time.monotonic() + _LOCK_WAIT_S
+        while True:
+            try:
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError as error:
+                if time.monotonic() > deadline:
+                    raise ChannelError(f"{directory} is locked by another process") from error
+                time.sleep(0.005)
+        yield
+    finally:
+        os.close(handle)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

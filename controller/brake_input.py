@@ -1,0 +1,68 @@
+"""When the brake valve was and will be driven, in the sensor clock: u_brake of thesis 4.15b.
+
+Commands carry activation times, so the filter's and the predictor's input is known to the
+microsecond, the future included.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from controller.kernels import Vector
+
+KEPT: Final = 16
+"""Switches kept: a shift makes a handful, and pressure forgets within ten time constants."""
+
+
+class Switch(NamedTuple):
+    """From `time_us` on the valve is driven or not."""
+
+    time_us: int
+    on: bool
+
+
+class BrakeInput:
+    """The valve's switches: those that happened and at most one that is planned."""
+
+    def __init__(self, valve_delay_us: int) -> None:
+        self._delay_us = valve_delay_us
+        self._switches: list[Switch] = []
+        self._arrays: tuple[Vector, Vector] | None = None
+
+    def schedule(self, time_us: int, on: bool, now_us: int) -> None:
+        """The valve will be `on` from `time_us`; replaces what was planned after `now_us`."""
+        kept = [switch for switch in self._switches if switch.time_us <= now_us]
+        if not kept or kept[-1].on != on:
+            if kept or on:
+                kept.append(Switch(time_us, on))
+        if kept != self._switches:
+            self._switches = kept[-KEPT:]
+            self._arrays = None
+
+    def cancel_pending(self, now_us: int) -> None:
+        """Nothing is planned any more."""
+        kept = [switch for switch in self._switches if switch.time_us <= now_us]
+        if kept != self._switches:
+            self._switches, self._arrays = kept, None
+
+    def arrays(self) -> tuple[Vector, Vector]:
+        """Times at which pressure starts to react, and u from then on (for `kernels.propagate`)."""
+        if self._arrays is None:
+            self._arrays = self._with(None)
+        return self._arrays
+
+    def with_release(self, release_us: int) -> tuple[Vector, Vector]:
+        """The same if the brake were released at `release_us`, and left so."""
+        return self._with(release_us)
+
+    def _with(self, release_us: int | None) -> tuple[Vector, Vector]:
+        switches = self._switches
+        if release_us is not None:
+            switches = [s for s in switches if s.time_us < release_us]
+            switches.append(Switch(release_us, False))
+        return (
+            np.array([s.time_us + self._delay_us for s in switches], dtype=np.float64),
+            np.array([float(s.on) for s in switches], dtype=np.float64),
+        )

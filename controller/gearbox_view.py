@@ -1,0 +1,125 @@
+"""What the sensors say of sleeves, clutch and gears: positions turned into gears in mesh."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from dbc.messages import SleevesAux, SleevesMain
+from gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
+from gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN
+
+NEUTRAL_M: Final = 1.0e-3
+"""A sleeve within this of the middle is in neutral."""
+ENGAGED_SHORT_M: Final = 1.0e-3
+"""A sleeve within this of its stroke is in mesh."""
+ENTERED_M: Final = 0.3e-3
+"""A sleeve this far past contact has entered its gear; at contact it may rest on a tooth."""
+SAMPLE_US: Final = 1000
+
+_GEAR_AT: Final = {(side.sleeve, side.direction): g for g, side in SLEEVE_OF_MAIN.items()}
+_NUMBER: Final = {(g.main, g.split, g.range_): n for n, g in DRIVE_GEARS.items()}
+
+
+@dataclass(frozen=True)
+class SleeveTrack:
+    """Ten samples of one sleeve, newest first, 1 ms apart."""
+
+    newest_us: int
+    samples_m: tuple[float, ...]
+
+    @property
+    def position_m(self) -> float:
+        """Where the sleeve is."""
+        return self.samples_m[0]
+
+    def crossing_us(self, level_m: float, direction: int) -> float | None:
+        """When the sleeve passed `level_m` toward `direction` within these samples; interpolated.
+
+        None when it did not, or had before the oldest sample."""
+        for i in range(len(self.samples_m) - 1):
+            after, before = self.samples_m[i] * direction, self.samples_m[i + 1] * direction
+            if before < level_m <= after:
+                return self.newest_us - (i + (after - level_m) / (after - before)) * SAMPLE_US
+        return None
+
+
+class GearboxView:
+    """The mechanical state as the sensors show it."""
+
+    def __init__(self, sheet: GearboxSheet) -> None:
+        self._stroke_m = sheet.sleeve.stroke_m
+        self._contact_m = sheet.sleeve.to_contact_m
+        self.tracks: dict[Sleeve, SleeveTrack] = {}
+        self.clutch_closed: float | None = None
+        """0 open .. 1 closed."""
+        self.brake_pressure_pa: float | None = None
+
+    def sleeves_main(self, message: SleevesMain, time_us: int) -> None:
+        """Takes the positions of the main box."""
+        self._take(Sleeve.FIRST_SECOND, time_us, message.sleeve_first_second_m)
+        self._take(Sleeve.CRAWL_THIRD, time_us, message.sleeve_crawl_third_m)
+
+    def sleeves_aux(self, message: SleevesAux, time_us: int) -> None:
+        """Takes the positions of splitter and range."""
+        self._take(Sleeve.SPLITTER, time_us, message.sleeve_splitter_m)
+        self._take(Sleeve.RANGE, time_us, message.sleeve_range_m)
+
+    def _take(self, sleeve: Sleeve, time_us: int, samples_m: tuple[float, ...]) -> None:
+        self.tracks[sleeve] = SleeveTrack(time_us, samples_m)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every position and the clutch have been seen."""
+        return len(self.tracks) == len(Sleeve) and self.clutch_closed is not None
+
+    def position_m(self, sleeve: Sleeve) -> float:
+        """Where a sleeve is; KeyError before its first frame."""
+        return self.tracks[sleeve].position_m
+
+    def in_neutral(self, sleeve: Sleeve) -> bool:
+        """Whether a sleeve stands in the middle."""
+        return abs(self.position_m(sleeve)) < NEUTRAL_M
+
+    def side(self, sleeve: Sleeve) -> int:
+        """-1 or +1 where the sleeve is in mesh, 0 elsewhere."""
+        position = self.position_m(sleeve)
+        if abs(position) < self._stroke_m - ENGAGED_SHORT_M:
+            return 0
+        return 1 if position > 0.0 else -1
+
+    @property
+    def main_gear(self) -> MainGear | None:
+        """The main gear in mesh, NEUTRAL with both sleeves in the middle, None in between."""
+        if self.in_neutral(Sleeve.FIRST_SECOND) and self.in_neutral(Sleeve.CRAWL_THIRD):
+            return MainGear.NEUTRAL
+        for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD):
+            gear = _GEAR_AT.get((sleeve, self.side(sleeve)))
+            if gear is not None:
+                return gear
+        return None
+
+    @property
+    def split(self) -> Split | None:
+        """The splitter step in mesh."""
+        return {-1: Split.LOW, 1: Split.HIGH}.get(self.side(Sleeve.SPLITTER))
+
+    @property
+    def gear_number(self) -> int:
+        """The gear in mesh: 1..14, 0 neutral, -1 between gears or not known."""
+        main, split = self.main_gear, self.split
+        if main is MainGear.NEUTRAL:
+            return 0
+        range_ = {-1: Range.LOW, 1: Range.HIGH}.get(self.side(Sleeve.RANGE))
+        if main is None or split is None or range_ is None:
+            return -1
+        return _NUMBER.get((main, split, range_), -1)
+
+    @property
+    def main_box_free(self) -> bool:
+        """Whether no main sleeve has entered a gear (one may rest on a tooth)."""
+        limit = self._contact_m + ENTERED_M
+        return all(
+            abs(self.position_m(sleeve)) < limit
+            for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
+        )

@@ -1,0 +1,119 @@
+"""The run header: all a replay needs to build the same controller again.
+
+It is saved beside the log under the name of its hash, and the hash is in every status frame; so a
+log finds its header, and a header that was changed is noticed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+import platform
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from controller.settings import ControllerSettings
+from dbc import DBC_SHA256
+from gearbox import GearboxSheet
+from gearbox.sheet import sheet_from_canonical
+from gearbox.tables import TableError
+
+SIZE_LIMIT_BYTES: Final = 4 * 1024 * 1024
+
+
+class HeaderError(ValueError):
+    """A run header that is missing, torn or of another version; the message says which."""
+
+
+@dataclass(frozen=True)
+class RunHeader:
+    """Version, contract, data sheet and settings of one controller run."""
+
+    version: str
+    architecture: str
+    dbc_sha256: str
+    sheet: GearboxSheet
+    settings: ControllerSettings
+
+    def canonical(self) -> str:
+        """One line of JSON with sorted keys; what is hashed and saved."""
+        fields = {
+            "version": self.version,
+            "architecture": self.architecture,
+            "dbc_sha256": self.dbc_sha256,
+            "sheet": json.loads(self.sheet.canonical()),
+            "settings": dataclasses.asdict(self.settings),
+        }
+        return json.dumps(fields, sort_keys=True, separators=(",", ":"))
+
+    @property
+    def run_hash(self) -> int:
+        """First eight bytes of the SHA-256, low byte first: the status frame's RunHash."""
+        digest = hashlib.sha256(self.canonical().encode()).digest()
+        return int.from_bytes(digest[:8], "little")
+
+    def save(self, folder: Path) -> Path:
+        """Writes the header into `folder` under the name that `load_header` looks for."""
+        folder.mkdir(parents=True, exist_ok=True)
+        path = folder / header_name(self.run_hash)
+        path.write_text(self.canonical() + "\n", encoding="utf-8")
+        return path
+
+
+def new_header(version: str, sheet: GearboxSheet, settings: ControllerSettings) -> RunHeader:
+    """The header of a controller that starts here and now."""
+    return RunHeader(version, architecture(), DBC_SHA256, sheet, settings)
+
+
+def architecture() -> str:
+    """What floating point may depend on: machine and Python's minor version."""
+    major, minor, _ = platform.python_version_tuple()
+    return f"{platform.machine()} python {major}.{minor}"
+
+
+def header_name(run_hash: int) -> str:
+    """File name of a header."""
+    return f"header-{run_hash:016x}.json"
+
+
+def load_header(folder: Path, run_hash: int) -> RunHeader:
+    """The header with this hash from `folder`. HeaderError where it is missing or changed."""
+    path = folder / header_name(run_hash)
+    try:
+        if path.stat().st_size > SIZE_LIMIT_BYTES:
+            raise HeaderError(f"{path}: larger than {SIZE_LIMIT_BYTES} bytes")
+        values = json.loads(path.read_text(encoding="utf-8"))
+        header = _from_values(values)
+    except OSError as error:
+        raise HeaderError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise HeaderError(f"{path}: not a run header of this version: {error}") from error
+    if header.run_hash != run_hash:
+        raise HeaderError(f"{path}: its content has another hash, {header.run_hash:016x}")
+    return header
+
+
+def _from_values(values: dict[str, Any]) -> RunHeader:
+    return RunHeader(
+        values["version"],
+        values["architecture"],
+        values["dbc_sha256"],
+        sheet_from_canonical(values["sheet"]),
+        _settings_from(values["settings"]),
+    )
+
+
+def _settings_from(values: dict[str, Any]) -> ControllerSettings:
+    defaults = ControllerSettings()
+    fields: dict[str, Any] = {}
+    for field in dataclasses.fields(ControllerSettings):
+        value = values[field.name]
+        group = getattr(defaults, field.name)
+        fields[field.name] = (
+            type(group)(**value) if dataclasses.is_dataclass(group) else value
+        )
+    if len(values) != len(fields):
+        raise TableError("settings of another version")
+    return ControllerSettings(**fields)

@@ -1,0 +1,140 @@
+"""What a step says of itself: the frames that make every step visible on the bus."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from controller.header import RunHeader
+from controller.kinematics import slip_rad_s, wrap_to_pitch
+from controller.observer import Observer
+from controller.publish import estimates, etc1, etc2, outcome, prediction
+from controller.sequence import Moment, ShiftSequence
+from dbc.frame import Frame
+from dbc.link import Receiver, Transmitter
+from dbc.messages import ETC1, ControllerEstimates, ControllerState, ControllerStatus, Message
+from gearbox import MainGear
+from gearbox.gears import DRIVE_GEARS
+
+ETC2_EVERY: Final = 10
+LATENESS_TOP_US: Final = 65_535
+WORD: Final = 0xFFFF
+
+
+class Reporter:
+    """Keeps what the status frame needs of the step before."""
+
+    def __init__(self, header: RunHeader, observer: Observer, sequence: ShiftSequence) -> None:
+        self._header = header
+        self._run_hash = header.run_hash
+        self._observer = observer
+        self._sequence = sequence
+        self._steps = 0
+        self._previous = (0, 0, 0)
+
+    def frames(self, transmitter: Transmitter, moment: Moment) -> list[Frame]:
+        """Estimates, J1939 messages, and this step's prediction and outcome where there are any."""
+        sequence, sheet = self._sequence, self._header.sheet
+        messages: list[Message] = [self._estimates(moment), self._etc1(moment)]
+        if self._steps % ETC2_EVERY == 0:
+            current = self._gear_number()
+            target = sequence.target
+            messages.append(etc2(sheet, current, target.number if target else max(current, 0)))
+        shift = sequence.shift or sequence.finished
+        if sequence.decision is not None and shift is not None:
+            messages.append(prediction(moment.now_us, sequence.decision, shift))
+        if sequence.finished is not None:
+            messages.append(outcome(sequence.finished, sheet.dog.pitch_rad))
+        return [transmitter.encode(message) for message in messages]
+
+    def _gear_number(self) -> int:
+        view = self._observer.view
+        return view.gear_number if view.complete else -1
+
+    def _gear_in_focus(self) -> MainGear | None:
+        """The gear that slip and phase are reported for: the target, else the one in mesh."""
+        target = self._sequence.target
+        if target is not None:
+            return target.main
+        current = DRIVE_GEARS.get(self._gear_number())
+        return current.main if current else None
+
+    def _estimates(self, moment: Moment) -> ControllerEstimates:
+        layshaft = self._observer.layshaft_at(moment.now_us)
+        main, gear = moment.main, self._gear_in_focus()
+        slip, phase, phase_sd = 0.0, None, 0.0
+        if layshaft is not None and main is not None and gear is not None:
+            ratio = self._header.sheet.main_mesh(gear).ratio
+            slip = slip_rad_s(ratio, layshaft.omega_rad_s, main.omega_rad_s)
+            references = self._observer.references
+            if references.known(gear):
+                raw = references.phase_rad(gear, layshaft.theta_rad, main.theta_rad)
+                phase = wrap_to_pitch(raw, self._header.sheet.dog.pitch_rad)
+                phase_sd = math.hypot(ratio * layshaft.theta_sd_rad, main.theta_sd_rad)
+        return estimates(
+            moment.now_us,
+            self._observer.layshaft,
+            layshaft,
+            main,
+            self._header.sheet.air.atmosphere_pa,
+            slip,
+            phase,
+            phase_sd,
+        )
+
+    def _etc1(self, moment: Moment) -> ETC1:
+        state = self._sequence.state
+        shifting = state not in (
+            ControllerState.STARTING,
+            ControllerState.IN_GEAR,
+            ControllerState.NEUTRAL,
+        )
+        view, sheet = self._observer.view, self._header.sheet
+        layshaft = self._observer.layshaft_at(moment.now_us)
+        gear = DRIVE_GEARS.get(self._gear_number())
+        output = input_ = None
+        if moment.main is not None and gear is not None:
+            output = moment.main.omega_rad_s * sheet.range_mesh(gear.range_).ratio
+        if layshaft is not None and view.complete and view.split is not None:
+            input_ = layshaft.omega_rad_s / sheet.split_mesh(view.split).ratio
+        return etc1(state is ControllerState.IN_GEAR, shifting, output, input_)
+
+    def status(
+        self,
+        now_us: int,
+        lateness_us: int,
+        count: int,
+        crc: int,
+        receiver: Receiver,
+        guard_blocks: int,
+    ) -> ControllerStatus:
+        """The frame that lets a log repeat this step."""
+        sequence = self._sequence
+        target = sequence.target
+        previous = self._previous
+        status = ControllerStatus(
+            step_number=self._steps,
+            step_time_us=now_us,
+            previous_step_time_us=previous[0],
+            consumed_count=count,
+            previous_consumed_count=previous[1],
+            consumed_crc=crc,
+            previous_consumed_crc=previous[2],
+            run_hash=self._run_hash,
+            state=sequence.state,
+            current_gear=self._gear_number(),
+            target_gear=target.number if target else max(self._gear_number(), 0),
+            strategy=self._header.settings.strategy,
+            estimator=self._header.settings.estimator,
+            reference_known=self._observer.references.mask,
+            active_fault=sequence.fault,
+            e2e_errors=receiver.e2e_errors & WORD,
+            format_errors=receiver.format_errors & WORD,
+            foreign_frames=receiver.foreign_frames & WORD,
+            guard_blocks=guard_blocks & WORD,
+            invalid_channels=receiver.invalid_channels,
+            step_lateness_us=min(lateness_us, LATENESS_TOP_US),
+        )
+        self._previous = (now_us, count, crc)
+        self._steps += 1
+        return status

@@ -1,0 +1,147 @@
+"""Settings of the controller: one frozen dataclass a group, read from TOML, checked on read."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Final
+
+from dbc.messages import Estimator, Strategy
+from gearbox.tables import TableError, count, group, load_toml, quantity, read_group, text
+
+RPM: Final = 2.0 * math.pi / 60.0
+DEG: Final = math.pi / 180.0
+MS_IN_US: Final = 1000
+
+STRATEGY_NAMES: Final = {
+    "speed_window": Strategy.SPEED_WINDOW,
+    "target_phase": Strategy.TARGET_PHASE,
+}
+ESTIMATOR_NAMES: Final = {"window": Estimator.WINDOW, "thesis": Estimator.THESIS}
+
+
+class ValveTiming(StrEnum):
+    """How a valve is switched at a moment between two ticks."""
+
+    SCHEDULED = "scheduled"
+    IMMEDIATE = "immediate"
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The tick and the margins around it."""
+
+    tick_ms: int = count("tick_ms", 1, 100, default=10)
+    lead_ms: int = count("lead_ms", 1, 80, default=18)
+    """How far ahead of the controller's notion of sensor time an activation is placed at least:
+    bus time, one tick of consuming, and the node's own lateness must fit into it."""
+
+    @property
+    def tick_us(self) -> int:
+        """Time between two steps."""
+        return self.tick_ms * MS_IN_US
+
+    @property
+    def lead_us(self) -> int:
+        """The least lead of an activation."""
+        return self.lead_ms * MS_IN_US
+
+
+@dataclass(frozen=True)
+class Window:
+    """Slip at which a sleeve may meet its gear; slip > 0: the gear turns faster (design, signs)."""
+
+    fire_slip_rad_s: float = quantity("fire_slip_rpm", 1.0, 200.0, RPM, default=40.0 * RPM)
+    """`speed_window` fires when the slip has fallen to this."""
+    contact_high_rad_s: float = quantity("contact_high_rpm", 1.0, 200.0, RPM, default=25.0 * RPM)
+    """`target_phase` plans no contact above this slip."""
+    contact_low_rad_s: float = quantity("contact_low_rpm", -50.0, 100.0, RPM, default=4.0 * RPM)
+    """Nor below this one; the sleeve could stay on a tooth face."""
+    release_slip_rad_s: float = quantity("release_slip_rpm", 1.0, 200.0, RPM, default=28.0 * RPM)
+    """The brake is released so that this slip is left when the brake has died away."""
+    settle_time_constants: float = quantity("settle_time_constants", 0.0, 10.0, default=3.0)
+    """When the brake counts as died away, in time constants of its pressure after release."""
+    least_rad_s: float = quantity("least_rpm", -200.0, 50.0, RPM, default=-15.0 * RPM)
+    """Below this slip waiting has no end: the layshaft only gets slower."""
+
+    def __post_init__(self) -> None:
+        if self.contact_low_rad_s >= self.contact_high_rad_s:
+            raise TableError("contact_low_rpm must be less than contact_high_rpm")
+
+
+@dataclass(frozen=True)
+class Aim:
+    """Where in the gap a tooth should meet the sleeve."""
+
+    target_rad_share: float = quantity("target_percent_of_gap", -90.0, 90.0, 0.01, default=0.0)
+    """Signed share of half a gap, 0 its middle."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """When a phase of the shift has taken too long, and how often it is tried."""
+
+    clutch_ms: int = count("clutch_ms", 50, 5000, default=600)
+    disengage_ms: int = count("disengage_ms", 50, 5000, default=400)
+    synchronise_ms: int = count("synchronise_ms", 100, 10000, default=2000)
+    engage_ms: int = count("engage_ms", 100, 5000, default=500)
+    attempts: int = count("attempts", 1, 10, default=3)
+    valve_on_ms: int = count("valve_on_ms", 100, 10000, default=3000)
+    """The guard's limit for any valve."""
+
+
+@dataclass(frozen=True)
+class ThesisFilter:
+    """Tuning of the thesis's Kalman filter: Q_k = (w dt)(w dt)' (5.8) and R."""
+
+    w_angle_rad_s: float = quantity("w_angle_deg_s", 0.0, 1e4, DEG, default=0.5 * DEG)
+    w_speed_rad_s2: float = quantity("w_speed_rad_s2", 0.0, 1e5, default=20.0)
+    w_pressure_pa_s: float = quantity("w_pressure_bar_s", 0.0, 1e3, 1e5, default=1e5)
+    r_angle_rad: float = quantity("r_angle_deg", 1e-4, 5.0, DEG, default=0.02 * DEG)
+
+
+@dataclass(frozen=True)
+class CruiseFilter:
+    """Tuning of the constant-speed filter of main shaft and engaged layshaft."""
+
+    acceleration_rad_s2: float = quantity("acceleration_rad_s2", 0.0, 1e5, default=30.0)
+    edge_time_us: float = quantity("edge_time_us", 0.1, 100.0, default=1.0)
+
+
+@dataclass(frozen=True)
+class ControllerSettings:
+    """All settings of a controller."""
+
+    strategy_name: str = text("strategy", *STRATEGY_NAMES, default="target_phase")
+    estimator_name: str = text("estimator", *ESTIMATOR_NAMES, default="thesis")
+    valve_timing: str = text("valve_timing", *ValveTiming, default="scheduled")
+    timing: Timing = group(Timing, default=Timing())
+    window: Window = group(Window, default=Window())
+    aim: Aim = group(Aim, default=Aim())
+    limits: Limits = group(Limits, default=Limits())
+    thesis_filter: ThesisFilter = group(ThesisFilter, default=ThesisFilter())
+    cruise_filter: CruiseFilter = group(CruiseFilter, default=CruiseFilter())
+
+    @property
+    def strategy(self) -> Strategy:
+        """The engagement strategy asked for."""
+        return STRATEGY_NAMES[self.strategy_name]
+
+    @property
+    def estimator(self) -> Estimator:
+        """The layshaft estimator asked for."""
+        return ESTIMATOR_NAMES[self.estimator_name]
+
+
+def load_settings(path: Path | None, **overrides: Any) -> ControllerSettings:
+    """Settings from a TOML file, or the defaults; overrides that are not None win.
+
+    TableError names file, key, found and allowed."""
+    settings = ControllerSettings()
+    if path is not None:
+        settings = read_group(ControllerSettings, load_toml(path), path.name)
+    given = {key: value for key, value in overrides.items() if value is not None}
+    return dataclasses.replace(settings, **given)

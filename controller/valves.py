@@ -1,0 +1,105 @@
+"""What the controller wants of its valves: one command a valve, resent every step.
+
+Scheduled hardware gets the activation time with the command. Hardware that cannot schedule gets
+plain on and off, and the controller wakes at the moment (`valve_timing = "immediate"`).
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+from controller.clock import wrap
+from controller.settings import ValveTiming
+from dbc.messages import ValveAction, ValveCommand
+
+
+class Valve(IntEnum):
+    """The nine valves, in the order of the command frame."""
+
+    BRAKE = 0
+    SPLIT_LOW = 1
+    SPLIT_HIGH = 2
+    MAIN_FIRST = 3
+    MAIN_SECOND = 4
+    MAIN_CRAWL = 5
+    MAIN_THIRD = 6
+    RANGE_LOW = 7
+    RANGE_HIGH = 8
+
+
+NAMES: Final = tuple(valve.name.lower() for valve in Valve)
+HELD_US: Final = 1_000_000
+"""An `off` this long past needs no time any more; far from where 32-bit times turn ambiguous."""
+
+
+class Command(NamedTuple):
+    """The valve is to be `on` from sensor time `time_us`; `before` is its state until then."""
+
+    time_us: int
+    on: bool
+    before: bool
+
+
+OFF: Final = Command(-(1 << 62), False, False)
+
+
+class ValveBoard:
+    """The commands as they stand."""
+
+    def __init__(self, timing: ValveTiming) -> None:
+        self._timing = timing
+        self._commands: dict[Valve, Command] = dict.fromkeys(Valve, OFF)
+
+    def schedule(self, valve: Valve, on: bool, time_us: int, now_us: int) -> None:
+        """Switch the valve at a sensor time; replaces what was still to come."""
+        before = self.driven(valve, now_us)
+        self._commands[valve] = Command(time_us, on, before)
+
+    def cancel(self, valve: Valve, now_us: int) -> None:
+        """Forget what was still to come."""
+        command = self._commands[valve]
+        if command.time_us > now_us:
+            self._commands[valve] = Command(now_us, command.before, command.before)
+
+    def all_off(self) -> None:
+        """Everything off at once."""
+        self._commands = dict.fromkeys(Valve, OFF)
+
+    def off(self, valve: Valve) -> None:
+        """This valve off at once."""
+        self._commands[valve] = OFF
+
+    def driven(self, valve: Valve, time_us: int) -> bool:
+        """Whether the valve is driven at a sensor time, as commanded."""
+        command = self._commands[valve]
+        return command.on if time_us >= command.time_us else command.before
+
+    def command(self, valve: Valve) -> Command:
+        """The command as it stands."""
+        return self._commands[valve]
+
+    def next_switch_us(self, now_us: int) -> int | None:
+        """The next moment at which something must be sent for hardware that cannot schedule."""
+        if self._timing is ValveTiming.SCHEDULED:
+            return None
+        times = [c.time_us for c in self._commands.values() if c.time_us > now_us]
+        return min(times, default=None)
+
+    def message(self, now_us: int) -> ValveCommand:
+        """The command frame's content at a sensor time."""
+        fields: dict[str, ValveAction | int] = {}
+        for valve, command in self._commands.items():
+            action, time_us = self._action(command, now_us)
+            fields[f"{NAMES[valve]}_action"] = action
+            fields[f"{NAMES[valve]}_time_us"] = time_us
+        return ValveCommand(**fields)  # type: ignore[arg-type]
+
+    def _action(self, command: Command, now_us: int) -> tuple[ValveAction, int]:
+        if self._timing is ValveTiming.IMMEDIATE:
+            on = command.on if now_us >= command.time_us else command.before
+            return (ValveAction.ON_NOW if on else ValveAction.OFF_NOW), 0
+        if not command.on and command.time_us < now_us - HELD_US:
+            return ValveAction.OFF_NOW, 0
+        action = ValveAction.ON_AT if command.on else ValveAction.OFF_AT
+        return action, wrap(command.time_us)

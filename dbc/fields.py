@@ -1,0 +1,185 @@
+"""From signals to typed fields: Python names, SI units, enumerations and the message classes.
+
+A field is one signal, or a numbered row of equal signals (`Angle00`, `Angle01` ...) as one tuple.
+"""
+
+from __future__ import annotations
+
+import math
+import operator
+import re
+from collections import namedtuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import Enum, IntEnum, auto
+from typing import Any, Final, SupportsIndex, cast
+
+from dbc.schema import MessageSpec, Schema, SignalSpec
+from dbc.units import UNITS
+
+BOOLEAN_TABLE: Final = "OffOn"
+"""Signals with this value table are plain `bool`."""
+MODULE: Final = "dbc.messages"
+"""Where the classes made here live, for their names, reprs and pickles."""
+
+_ROW: Final = re.compile(r"(?P<name>.*\D)(?P<number>\d\d)")
+_WORD: Final = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
+
+
+class Kind(Enum):
+    """What a signal's value is in Python."""
+
+    BOOL = auto()
+    ENUM = auto()
+    INT = auto()
+    FLOAT = auto()
+
+
+@dataclass(frozen=True)
+class FieldSpec:
+    """One field: its signals (more than one for a tuple), and SI value = raw * `scale` + `offset`."""
+
+    name: str
+    kind: Kind
+    signals: tuple[SignalSpec, ...]
+    is_tuple: bool
+    is_optional: bool
+    """True for the numbers of unprotected (J1939) messages: None stands for 'not available'."""
+    scale: float
+    offset: float
+
+    def si_value(self, raw: int) -> float | int:
+        """The SI number of a raw value."""
+        return raw * self.scale + self.offset if self.kind is Kind.FLOAT else self.whole(raw)
+
+    def whole(self, raw: int) -> int:
+        """The same for fields of kind INT, in whole numbers throughout."""
+        return raw * int(self.scale) + int(self.offset)
+
+    def accepts(self, signal: SignalSpec, value: object) -> bool:
+        """Whether a value fits one of its signals, by the rules the generated code applies."""
+        if value is None:
+            return self.is_optional
+        try:
+            raw = self.raw_value(value)
+        except (TypeError, ValueError, OverflowError):
+            return False
+        return signal.raw_min <= raw <= signal.raw_max
+
+    def raw_value(self, value: object) -> int:
+        """The raw value of an SI value; raises for what is no finite number, or not whole."""
+        if self.kind is not Kind.FLOAT:
+            return (operator.index(cast(SupportsIndex, value)) - int(self.offset)) // int(self.scale)
+        return round((cast(float, value) - self.offset) / self.scale)
+
+    def allowed(self, signal: SignalSpec) -> str:
+        """The allowed values of one of its signals, for people."""
+        low, high = sorted((self.si_value(signal.raw_min), self.si_value(signal.raw_max)))
+        span = f"{low:.9g}..{high:.9g}" if self.kind is Kind.FLOAT else f"{low}..{high}"
+        return f"{span} or None" if self.is_optional else span
+
+
+def snake_case(name: str) -> str:
+    """`BrakePressure` -> `brake_pressure`."""
+    return _WORD.sub("_", name).lower()
+
+
+def make_enums(schema: Schema) -> dict[str, type[IntEnum]]:
+    """One IntEnum a value table, members in UPPER_CASE; the boolean table needs none."""
+    return {
+        name: IntEnum(  # type: ignore[misc]  # a functional enumeration named at run time
+            name,
+            {snake_case(text).upper(): raw for raw, text in table.items()},
+            module=MODULE,
+        )
+        for name, table in schema.value_tables.items()
+        if name != BOOLEAN_TABLE
+    }
+
+
+def make_fields(message: MessageSpec) -> tuple[FieldSpec, ...]:
+    """The fields of a message in the order of the wire; CRC and counter are the link's, not fields."""
+    signals = message.signals[2:] if message.is_protected else message.signals
+    rows: dict[str, list[SignalSpec]] = {}
+    for signal in signals:
+        match = _ROW.fullmatch(signal.name)
+        continues = match and int(match["number"]) == len(rows.get(match["name"], ()))
+        rows.setdefault(match["name"] if match and continues else signal.name, []).append(signal)
+    return tuple(
+        _field(name, tuple(row), is_tuple=name != row[0].name, is_optional=not message.is_protected)
+        for name, row in rows.items()
+    )
+
+
+def _field(
+    name: str, signals: tuple[SignalSpec, ...], is_tuple: bool, is_optional: bool
+) -> FieldSpec:
+    signal = signals[0]
+    unit = UNITS[signal.unit]
+    kind = _kind(signal)
+    is_plain = unit.is_integer
+    return FieldSpec(
+        name=snake_case(name) + unit.suffix,
+        kind=kind,
+        signals=signals,
+        is_tuple=is_tuple,
+        is_optional=is_optional and kind in (Kind.INT, Kind.FLOAT),
+        scale=signal.scale if is_plain else _product(signal.scale, unit.factor),
+        offset=signal.offset * unit.factor + unit.offset,
+    )
+
+
+def _product(scale: float, factor: float) -> float:
+    """scale * factor, without the rounding error where the result is a short decimal (2e-4 * 1e5)."""
+    product = scale * factor
+    short = float(f"{product:.12g}")
+    return short if math.isclose(product, short, rel_tol=1e-15) else product
+
+
+def _kind(signal: SignalSpec) -> Kind:
+    if signal.value_table == BOOLEAN_TABLE:
+        return Kind.BOOL
+    if signal.value_table is not None:
+        return Kind.ENUM
+    is_whole = signal.scale.is_integer() and signal.offset.is_integer()
+    return Kind.INT if UNITS[signal.unit].is_integer and is_whole else Kind.FLOAT
+
+
+def make_message_type(
+    message: MessageSpec, fields: tuple[FieldSpec, ...], enums: Mapping[str, type[IntEnum]]
+) -> type[Any]:
+    """The NamedTuple class of a message; every field has the DBC's start value as its default."""
+    made = namedtuple(  # type: ignore[misc]  # noqa: PYI024  # names are known at run time only
+        message.name,
+        [field.name for field in fields],
+        defaults=[_start_value(field, enums) for field in fields],
+        module=MODULE,
+    )
+    made.__doc__ = message.comment
+    return made
+
+
+def _start_value(field: FieldSpec, enums: Mapping[str, type[IntEnum]]) -> object:
+    values = tuple(_value(field, signal, enums) for signal in field.signals)
+    return values if field.is_tuple else values[0]
+
+
+def _value(field: FieldSpec, signal: SignalSpec, enums: Mapping[str, type[IntEnum]]) -> object:
+    raw = signal.raw_start
+    if field.kind is Kind.BOOL:
+        return raw == 1
+    if signal.value_table is not None:
+        return enums[signal.value_table](raw)
+    return field.si_value(raw) if signal.raw_min <= raw <= signal.raw_max else None
+
+
+def why_refused(fields: tuple[FieldSpec, ...], message: tuple[object, ...]) -> str:
+    """Which signal of a message has no place on the wire: its name, its value, and what is allowed."""
+    for field, value in zip(fields, message, strict=True):
+        values = value if field.is_tuple else (value,)
+        if not isinstance(values, Sequence) or len(values) != len(field.signals):
+            return f"{field.name} is {value!r}, {len(field.signals)} values are allowed"
+        for signal, item in zip(field.signals, values, strict=True):
+            if not field.accepts(signal, item):
+                return f"{signal.name} ({field.name}) is {item!r}, {field.allowed(signal)} is allowed"
+    raise AssertionError("every field is acceptable")

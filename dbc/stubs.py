@@ -1,0 +1,98 @@
+"""Writes `messages.pyi`, which tells type checkers and readers what `messages` makes from the DBC.
+
+    python -m dbc.stubs            writes the file
+    python -m dbc.stubs --check    says whether it is in step with the DBC; exit 1 if not
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import textwrap
+from enum import IntEnum
+from pathlib import Path
+from typing import Final
+
+from dbc.fields import FieldSpec, Kind
+from dbc.layout import CODECS, ENUMS, Codec
+
+STUB_PATH: Final = Path(__file__).with_name("messages.pyi")
+
+_HEADER: Final = '''\
+# Written by `python -m dbc.stubs` from meshpoint.dbc. Do not edit.
+"""The messages and enumerations of the DBC as Python classes in SI units."""
+
+from enum import IntEnum
+from typing import Final, NamedTuple, TypeAlias
+'''
+_TYPES: Final = {Kind.BOOL: "bool", Kind.INT: "int", Kind.FLOAT: "float"}
+_WIDTH: Final = 100
+
+
+def make_stub() -> str:
+    """The text of the stub."""
+    parts = [_HEADER]
+    parts += [_enum_text(enum) for enum in ENUMS.values()]
+    parts += [_message_text(codec) for codec in CODECS.values()]
+    union = "\n    | ".join(CODECS)
+    parts.append(f"Message: TypeAlias = (\n    {union}\n)\n")
+    parts.append("MESSAGE_TYPES: Final[dict[str, type[Message]]]\n")
+    return "\n".join(parts)
+
+
+def _enum_text(enum: type[IntEnum]) -> str:
+    members = "\n".join(f"    {member.name} = {member.value}" for member in enum)
+    return f"class {enum.__name__}(IntEnum):\n{members}\n"
+
+
+def _message_text(codec: Codec) -> str:
+    spec = codec.spec
+    receivers = ", ".join(sorted(spec.receivers))
+    rhythm = f"every {spec.cycle_time_us // 1000} ms" if spec.is_cyclic else "on events"
+    doc = f'"""{spec.comment}.\n\n{spec.sender} -> {receivers}, {rhythm}.\n"""'
+    lines = [f"class {spec.name}(NamedTuple):", *_wrapped(doc)]
+    for field in codec.fields:
+        lines += ["", f"    {field.name}: {_type_text(field)} = ...", *_wrapped(_field_doc(field))]
+    return "\n".join(lines) + "\n"
+
+
+def _type_text(field: FieldSpec) -> str:
+    table = field.signals[0].value_table
+    text = table if field.kind is Kind.ENUM and table is not None else _TYPES[field.kind]
+    text = f"tuple[{text}, ...]" if field.is_tuple else text
+    return f"{text} | None" if field.is_optional else text
+
+
+def _field_doc(field: FieldSpec) -> str:
+    first = field.signals[0]
+    count = f"{len(field.signals)} values; the first: " if field.is_tuple else ""
+    limits = f" ({field.allowed(first)})" if field.kind in (Kind.INT, Kind.FLOAT) else ""
+    return f'"""{count}{first.comment}{limits}."""'
+
+
+def _wrapped(text: str) -> list[str]:
+    lines: list[str] = []
+    for paragraph in text.splitlines():
+        lines += textwrap.wrap(
+            paragraph, _WIDTH, initial_indent="    ", subsequent_indent="    "
+        ) or [""]
+    return lines
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Write the stub, or compare it."""
+    parser = argparse.ArgumentParser(prog="python -m dbc.stubs", description=__doc__)
+    parser.add_argument("--check", action="store_true", help="compare only; exit 1 on a difference")
+    options = parser.parse_args(arguments)
+    stub = make_stub()
+    if not options.check:
+        STUB_PATH.write_text(stub, encoding="utf-8", newline="\n")
+        return 0
+    if STUB_PATH.exists() and STUB_PATH.read_text(encoding="utf-8") == stub:
+        return 0
+    print(f"{STUB_PATH.name} is not that of the DBC: run python -m dbc.stubs", file=sys.stderr)
+    return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,152 @@
+"""Reading TOML tables into frozen dataclasses: every key known, every number finite and in its range.
+
+A setting group is a frozen dataclass whose fields are made with `quantity`, `count` or `choice`.
+The attribute is in SI; the TOML key carries the unit people use (`valve_delay_ms`).
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+SIZE_LIMIT_BYTES: Final = 256 * 1024
+DEPTH_LIMIT: Final = 6
+T = TypeVar("T")
+
+
+class TableError(ValueError):
+    """A configuration file that cannot be used; the message names file, key, found and allowed."""
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What a key may hold: its name in the file, its range there, and the factor to SI."""
+
+    key: str
+    kind: type
+    low: float
+    high: float
+    si: float = 1.0
+    choices: tuple[str, ...] = ()
+
+    def allowed(self) -> str:
+        """The allowed values in words."""
+        if self.kind is bool:
+            return "true or false"
+        if self.kind is str:
+            return f"one of {', '.join(self.choices)}" if self.choices else "a text"
+        noun = "a whole number" if self.kind is int else "a number"
+        return f"{noun} from {self.low:g} to {self.high:g}"
+
+
+def quantity(key: str, low: float, high: float, si: float = 1.0, **default: Any) -> Any:
+    """A real number; `key` carries the unit, the attribute is key value x `si`.
+
+    `default`, when given, is in SI."""
+    return dataclasses.field(metadata={"rule": Rule(key, float, low, high, si)}, **default)
+
+
+def count(key: str, low: int, high: int, **default: Any) -> Any:
+    """A whole number."""
+    return dataclasses.field(metadata={"rule": Rule(key, int, low, high)}, **default)
+
+
+def text(key: str, *choices: str, **default: Any) -> Any:
+    """A text, free or one of `choices`."""
+    return dataclasses.field(metadata={"rule": Rule(key, str, 0, 0, 1.0, choices)}, **default)
+
+
+def flag(key: str, **default: Any) -> Any:
+    """True or false."""
+    return dataclasses.field(metadata={"rule": Rule(key, bool, 0, 1)}, **default)
+
+
+def load_toml(path: Path) -> dict[str, Any]:
+    """The parsed file. TableError where it is missing, too large, too deep or not TOML."""
+    try:
+        if path.stat().st_size > SIZE_LIMIT_BYTES:
+            raise TableError(
+                f"{path}: {path.stat().st_size} bytes, allowed are {SIZE_LIMIT_BYTES}"
+            )
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise TableError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        raise TableError(f"{path}: not a TOML file: {error}") from error
+    _check_depth(table, path, 1)
+    return table
+
+
+def _check_depth(table: dict[str, Any], path: Path, depth: int) -> None:
+    if depth > DEPTH_LIMIT:
+        raise TableError(f"{path}: tables nested over {DEPTH_LIMIT} deep")
+    for value in table.values():
+        if isinstance(value, dict):
+            _check_depth(value, path, depth + 1)
+
+
+def read_group(cls: type[T], table: Any, where: str) -> T:
+    """Builds the frozen dataclass `cls` from a TOML table.
+
+    `where` names file and table for errors (`truck.toml [brake]`). A field without a rule is a
+    group of its own, read from the sub-table of its name. TableError on an unknown or missing key,
+    a wrong type, or a value out of range.
+    """
+    if not isinstance(table, dict):
+        raise TableError(f"{where}: found {table!r}, allowed is a table")
+    fields = {_key(field): field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    unknown = sorted(set(table) - set(fields))
+    if unknown:
+        raise TableError(f"{where}: unknown key '{unknown[0]}', allowed are {', '.join(fields)}")
+    values: dict[str, Any] = {}
+    for key, field in fields.items():
+        if key in table:
+            values[field.name] = _read(field, table[key], f"{where}: {key}")
+        elif _is_required(field):
+            raise TableError(f"{where}: key '{key}' is missing")
+    try:
+        return cls(**values)
+    except TableError as error:
+        raise TableError(f"{where}: {error}") from error
+
+
+def _key(field: dataclasses.Field[Any]) -> str:
+    rule: Rule | None = field.metadata.get("rule")
+    return rule.key if rule else field.name.rstrip("_")
+
+
+def _is_required(field: dataclasses.Field[Any]) -> bool:
+    return (
+        field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+    )
+
+
+def _read(field: dataclasses.Field[Any], value: Any, where: str) -> Any:
+    rule: Rule | None = field.metadata.get("rule")
+    if rule is None:
+        group = field.metadata["group"]
+        return read_group(group, value, where)
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    fits = {
+        bool: isinstance(value, bool),
+        str: isinstance(value, str) and (not rule.choices or value in rule.choices),
+        int: isinstance(value, int) and is_number and rule.low <= value <= rule.high,
+        float: is_number and math.isfinite(value) and rule.low <= value <= rule.high,
+    }[rule.kind]
+    if not fits:
+        raise TableError(f"{where} = {value!r}, allowed is {rule.allowed()}")
+    return value * rule.si if rule.kind is float else value
+
+
+def group(cls: type, **default: Any) -> Any:
+    """A nested setting group, a sub-table of the field's name."""
+    return dataclasses.field(metadata={"group": cls}, **default)
+
+
+def to_table(values: Any) -> dict[str, Any]:
+    """The dataclass as plain values under its attribute names (SI): for hashing and reports."""
+    return dataclasses.asdict(values)

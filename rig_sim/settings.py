@@ -1,0 +1,56 @@
+"""What a rig is started with."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+from gearbox.gears import DRIVE_GEARS
+
+CLOCK_MODULUS: Final = 1 << 32
+MAX_MAIN_SPEED_RPM: Final = 5000.0
+
+
+class SettingsError(ValueError):
+    """A rig setting that cannot be used; the message names it, what was found and what is allowed."""
+
+
+class Preset(StrEnum):
+    """Which physics the rig has. THESIS: equations 4.1-4.17 to the letter, nothing else."""
+
+    THESIS = "thesis"
+
+
+@dataclass(frozen=True)
+class RigSettings:
+    """Everything a run of the rig depends on, besides the data sheet and the frames it receives.
+
+    seed            draws every start angle, the sleeve delays, and clock_start_us where it is None
+    start_gear      the drive gear the rig stands in at the start, 1..14
+    main_speed_rpm  main shaft speed at the start; the default gives 1,400 rpm at the layshaft in
+                    gear 8 of the sheet `thesis`
+    clock_start_us  sensor clock at power-up, 0..2^32-1; None draws one 0.5-5 s before the wrap
+    """
+
+    preset: Preset = Preset.THESIS
+    seed: int = 1
+    start_gear: int = 8
+    main_speed_rpm: float = 644.0
+    clock_start_us: int | None = None
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.preset, Preset):
+            allowed = ", ".join(Preset)
+            raise SettingsError(f"preset: found {self.preset!r}, allowed: {allowed}")
+        if self.seed < 0:
+            raise SettingsError(f"seed: found {self.seed}, allowed: 0 and above")
+        if self.start_gear not in DRIVE_GEARS:
+            raise SettingsError(f"start_gear: found {self.start_gear}, allowed: 1..14")
+        speed = self.main_speed_rpm
+        if not (math.isfinite(speed) and 0.0 <= speed <= MAX_MAIN_SPEED_RPM):
+            raise SettingsError(f"main_speed_rpm: found {speed}, allowed: 0..{MAX_MAIN_SPEED_RPM}")
+        start = self.clock_start_us
+        if start is not None and not 0 <= start < CLOCK_MODULUS:
+            raise SettingsError(f"clock_start_us: found {start}, allowed: 0..{CLOCK_MODULUS - 1}")

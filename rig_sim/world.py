@@ -1,0 +1,146 @@
+"""The gearbox in its own time: plant, valves, sleeves, bench script and sensors, event by event.
+
+Time is microseconds since power-up; scheduled instants are whole, those solved for are not. What
+happens depends on the commands and their times alone, not on how the time between is cut up: a
+search for the next event always looks as far as the next scheduled one.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final
+
+import numpy as np
+
+from gearbox.gears import SLEEVE_OF_MAIN, Sleeve, drive_gear
+from gearbox.sheet import RPM, GearboxSheet
+from rig_sim.bench_script import BenchScript
+from rig_sim.clutch import ClutchActuator, Engine
+from rig_sim.engagement import MAIN_VALVES, Engagement
+from rig_sim.plant import ThesisPlant
+from rig_sim.sensors import EdgeCapture, Encoder
+from rig_sim.settings import RigSettings
+from rig_sim.shafts import Shafts
+from rig_sim.sleeves import NEVER_US
+from rig_sim.start import Delays, draw_start, seeded
+from rig_sim.valves import Change, Order, Valve, ValveBank
+
+READ_US: Final = 10_000
+SECOND_US: Final = 1e6
+
+
+class World:
+    """Everything physical. Commands act at the instant given, to which the world has been run."""
+
+    def __init__(self, sheet: GearboxSheet, settings: RigSettings) -> None:
+        rng: np.random.Generator = seeded(settings.seed)
+        start = draw_start(rng, sheet, settings)
+        gear = drive_gear(settings.start_gear)
+        self.sheet = sheet
+        self.clock_start_us = start.clock_us
+        self.shafts = Shafts(sheet, start.angles, gear.split, gear.range_)
+        self.plant = ThesisPlant(sheet, self.shafts, settings.main_speed_rpm * RPM)
+        delays = Delays(rng, sheet)
+        self.engagement = Engagement(sheet, self.plant, delays, gear.main)
+        self.script = BenchScript(sheet, self.plant, self.engagement, delays, gear)
+        self.plant.lock(gear.main, start.flank * sheet.dog.backlash_rad / 2.0)
+        self.valves = ValveBank()
+        self.clutch = ClutchActuator(sheet.clutch)
+        self.edges = EdgeCapture(sheet.wheels, self._wheel_angles())
+        self.encoder = Encoder()
+        mesh = self.shafts.input_mesh
+        self.engine = Engine(self.plant.layshaft_rad_s * mesh.ratio)
+        self._brake_inputs: deque[tuple[float, bool]] = deque()
+        self._read_us = 0
+
+    def run_to(self, until_us: int) -> bool:
+        """Go on to this instant, or to the next 10 ms read if that comes first: then True."""
+        while True:
+            event_us, crossed = self._next_event()
+            if event_us > until_us:
+                return False
+            self._move(event_us)
+            if crossed is not None:
+                self.engagement.crossed(*crossed)
+            elif self.plant.time_us == self._stop_us:
+                self.plant.stop()
+            self._do_due(event_us)
+            if event_us == self._read_us:
+                self._read_us += READ_US
+                return True
+
+    def command_valves(self, orders: tuple[Order, ...], now_us: int) -> None:
+        """A valid valve command, consumed now."""
+        self._switched(self.valves.command(orders, now_us + self.clock_start_us))
+
+    def all_valves_off(self, now_us: int) -> None:
+        """Shutdown: no valve is driven from now on."""
+        self._switched(self.valves.all_off(now_us + self.clock_start_us))
+
+    def return_to_gear(self, gear_number: int, main_rad_s: float, now_us: int) -> None:
+        """The bench asks for the script."""
+        self._move(float(now_us))
+        self.script.start(gear_number, main_rad_s)
+
+    @property
+    def next_read_us(self) -> int:
+        """When the sensors are read next."""
+        return self._read_us
+
+    def sleeve_samples_m(self, name: Sleeve, now_us: int) -> tuple[float, ...]:
+        """Ten positions, 1 ms apart, the newest first."""
+        sleeves = {Sleeve.SPLITTER: self.script.splitter, Sleeve.RANGE: self.script.range_}
+        sleeve = sleeves[name] if name in sleeves else self.engagement.sleeves[name]
+        if not sleeve.moves_after(now_us - READ_US):
+            return (sleeve.position_m(now_us),) * 10
+        return tuple(sleeve.position_m(now_us - 1000.0 * back) for back in range(10))
+
+    def _next_event(self) -> tuple[float, tuple[Sleeve, int] | None]:
+        valve_us = self.valves.next_us
+        horizon_us = min(
+            float(self._read_us),
+            NEVER_US if valve_us is None else float(valve_us - self.clock_start_us),
+            self._brake_inputs[0][0] if self._brake_inputs else NEVER_US,
+            self.engagement.next_us,
+            self.script.next_us,
+        )
+        self._stop_us = self.plant.stop_us(horizon_us)
+        if self._stop_us is not None:
+            horizon_us = self._stop_us
+        found = self.engagement.crossing(horizon_us)
+        if found is None:
+            return horizon_us, None
+        crossing, name = found
+        return crossing.time_us, (name, crossing.side)
+
+    def _do_due(self, time_us: float) -> None:
+        valve_us = self.valves.next_us
+        if valve_us is not None and valve_us - self.clock_start_us <= time_us:
+            self._switched(self.valves.run(valve_us))
+        while self._brake_inputs and self._brake_inputs[0][0] <= time_us:
+            self.plant.set_brake(self._brake_inputs.popleft()[1])
+        self.engagement.due(time_us)
+        self.script.due(time_us)
+        self.script.watch()
+
+    def _switched(self, changes: list[Change]) -> None:
+        for valve, on, clock_us in changes:
+            time_us = clock_us - self.clock_start_us
+            if valve is Valve.BRAKE:
+                delay_us = self.sheet.brake.valve_delay_s * SECOND_US
+                self._brake_inputs.append((time_us + delay_us, on))
+                self.engagement.switch(valve, on, time_us)
+            elif valve in MAIN_VALVES:
+                self.engagement.switch(valve, on, time_us)
+            elif on:
+                text = f"valve {valve.name} ignored: splitter and range move with the bench script"
+                self.engagement.lines.append((time_us, text))
+
+    def _move(self, time_us: float) -> None:
+        segment = self.plant.move_to(time_us)
+        self.edges.add(segment)
+        self.encoder.add(segment)
+
+    def _wheel_angles(self) -> tuple[tuple[int, float], ...]:
+        shafts = self.shafts
+        return (shafts.input, shafts.layshaft, shafts.main, shafts.propeller)

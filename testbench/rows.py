@@ -1,0 +1,167 @@
+"""Shift by shift: what the controller reported beside what the rig's truth says.
+
+Fed with messages in bus order, so simulate, demo and replay make the same rows from the same frames.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+from dbc.messages import (
+    EngagementEvent,
+    MainGear,
+    Message,
+    PhaseReference,
+    ReferenceEngagement,
+    ShiftOutcome,
+    ShiftResult,
+)
+from gearbox import GearboxSheet
+from gearbox.gears import DRIVE_GEARS
+
+DEG: Final = math.pi / 180.0
+RPM: Final = math.pi / 30.0
+CONTACTS: Final = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOTH_CONTACT: "tooth"}
+HALF_WRAP_US: Final = 1 << 31
+
+
+@dataclass(frozen=True)
+class ShiftRow:
+    """One shift. Phase error and slip are the rig's truth at first contact; None without contact."""
+
+    from_: int
+    to: int
+    strategy: str
+    reference: str
+    result: str
+    duration_ms: float
+    slip_rpm: float | None
+    phase_error_deg: float | None
+    pitch_deg: float
+    contact: str | None
+    attempts: int
+    predicted_phase_deg: float | None
+    predicted_phase_sd_deg: float | None
+    delay_ms: float | None
+    """From activation to contact, by the rig's truth."""
+    request_us: int
+    contact_us: int | None
+    end_us: int
+    fault: str
+
+    @property
+    def phase_error_pct_of_pitch(self) -> float | None:
+        """The phase error in per cent of a pitch."""
+        return None if self.phase_error_deg is None else 100 * self.phase_error_deg / self.pitch_deg
+
+    def to_json(self) -> dict[str, Any]:
+        """The row as the commands print it; times are the sensor clock's 32-bit microseconds."""
+        fields = {key.rstrip("_"): value for key, value in vars(self).items()}
+        fields["phase_error_pct_of_pitch"] = self.phase_error_pct_of_pitch
+        return {k: round(v, 6) if isinstance(v, float) else v for k, v in fields.items()}
+
+
+def span_us(later: int, earlier: int) -> int:
+    """Signed difference of two 32-bit sensor times."""
+    return ((later - earlier + HALF_WRAP_US) & 0xFFFF_FFFF) - HALF_WRAP_US
+
+
+class RowCollector:
+    """Pairs each outcome with the first contact of the gear it went for."""
+
+    def __init__(self, sheet: GearboxSheet, target_phase_rad: float = 0.0) -> None:
+        self._pitch_deg = sheet.dog.pitch_rad / DEG
+        self._target_rad = target_phase_rad
+        self._contacts: list[ReferenceEngagement] = []
+        self.rows: list[ShiftRow] = []
+
+    def take(self, message: Message) -> None:
+        """One message in bus order."""
+        if isinstance(message, ReferenceEngagement):
+            if message.event is EngagementEvent.READY:
+                self._contacts.clear()
+            elif message.event in CONTACTS:
+                self._contacts.append(message)
+        elif isinstance(message, ShiftOutcome) and message.result is not ShiftResult.REFUSED:
+            self.rows.append(self._row(message))
+
+    def _row(self, outcome: ShiftOutcome) -> ShiftRow:
+        target = DRIVE_GEARS[outcome.to_gear].main
+        contact = next((c for c in self._contacts if c.gear == MainGear(target)), None)
+        self._contacts.clear()
+        known = outcome.reference is PhaseReference.KNOWN
+        phase = slip = delay = None
+        if contact is not None:
+            pitch = self._pitch_deg
+            phase = (contact.phase_rad - self._target_rad) / DEG
+            phase -= pitch * math.floor(phase / pitch + 0.5)
+            slip = contact.slip_rad_s / RPM
+            delay = span_us(contact.event_time_us, outcome.fire_time_us) / 1000
+        return ShiftRow(
+            from_=outcome.from_gear,
+            to=outcome.to_gear,
+            strategy=outcome.strategy.name.lower(),
+            reference=outcome.reference.name.lower(),
+            result=outcome.result.name.lower(),
+            duration_ms=span_us(outcome.end_time_us, outcome.request_time_us) / 1000,
+            slip_rpm=slip,
+            phase_error_deg=phase,
+            pitch_deg=self._pitch_deg,
+            contact=CONTACTS[contact.event] if contact else None,
+            attempts=outcome.attempts,
+            predicted_phase_deg=outcome.predicted_phase_rad / DEG if known else None,
+            predicted_phase_sd_deg=outcome.predicted_phase_sd_rad / DEG if known else None,
+            delay_ms=delay if outcome.attempts == 1 else None,
+            request_us=outcome.request_time_us,
+            contact_us=contact.event_time_us if contact else None,
+            end_us=outcome.end_time_us,
+            fault=outcome.fault.name.lower(),
+        )
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a list of rows comes to, for one strategy as it was asked for."""
+
+    strategy: str
+    shifts: int
+    known: int
+    """Shifts with the phase reference known when the sleeve was fired."""
+    gap: int
+    gap_known: int
+    engaged: int
+    mean_duration_ms: float | None
+    phase_error_rms_deg: float | None
+    """Over the shifts with a known reference; None without any."""
+
+    @property
+    def gap_rate(self) -> float | None:
+        """Share of first contacts in a gap, over the shifts that could aim where it aims at all."""
+        if self.strategy == "target_phase":
+            return self.gap_known / self.known if self.known else None
+        return self.gap / self.shifts if self.shifts else None
+
+    def to_json(self) -> dict[str, Any]:
+        """Counts and figures by name."""
+        return vars(self) | {"gap_rate": self.gap_rate}
+
+
+def summarise(strategy: str, rows: list[ShiftRow]) -> Summary:
+    """The summary of the rows of one run with that strategy."""
+    known = [row for row in rows if row.reference == "known"]
+    errors = [row.phase_error_deg for row in known if row.phase_error_deg is not None]
+    durations = [row.duration_ms for row in rows if row.result == "engaged"]
+    return Summary(
+        strategy=strategy,
+        shifts=len(rows),
+        known=len(known),
+        gap=sum(row.contact == "gap" for row in rows),
+        gap_known=sum(row.contact == "gap" for row in known),
+        engaged=sum(row.result == "engaged" for row in rows),
+        mean_duration_ms=sum(durations) / len(durations) if durations else None,
+        phase_error_rms_deg=(
+            math.sqrt(sum(e * e for e in errors) / len(errors)) if errors else None
+        ),
+    )

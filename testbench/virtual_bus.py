@@ -1,0 +1,87 @@
+"""A CAN bus in virtual time: one frame at a time, the lowest identifier first, each its real length.
+
+Durations are those of a 500 kbit/s arbitration and 2 Mbit/s data phase with average bit stuffing,
+so a burst of eight edge frames takes 2.6 ms here as on the wire.
+"""
+
+from __future__ import annotations
+
+import heapq
+from functools import cache
+from typing import Final, NamedTuple
+
+from dbc.frame import Frame
+
+NOMINAL_BIT_US: Final = 2.0
+DATA_BIT_US: Final = 0.5
+STUFFING: Final = 1.1
+"""Average share of stuff bits; the worst case is 1.25."""
+FD_HEADER_BITS: Final = 32 + 3
+"""Start, 29-bit identifier with its SRR and IDE, and up to the bit rate switch (ISO 11898-1)."""
+FD_TAIL_BITS: Final = 12
+"""CRC delimiter, acknowledge, end of frame and intermission at the nominal rate."""
+FD_DATA_OVERHEAD_BITS: Final = 5 + 4 + 26
+"""ESI and length, stuff count, CRC-21 with its fixed stuff bits."""
+CLASSIC_OVERHEAD_BITS: Final = 54 + 12
+"""Everything of a classic extended frame that is not data."""
+
+
+@cache
+def duration_us(length: int, is_fd: bool) -> int:
+    """How long a frame occupies the bus."""
+    if not is_fd:
+        return round((CLASSIC_OVERHEAD_BITS + 8 * length) * STUFFING * NOMINAL_BIT_US)
+    nominal = (FD_HEADER_BITS * STUFFING + FD_TAIL_BITS) * NOMINAL_BIT_US
+    data = (FD_DATA_OVERHEAD_BITS + 8 * length * STUFFING) * DATA_BIT_US
+    return round(nominal + data)
+
+
+class Delivery(NamedTuple):
+    """A frame that has crossed the bus."""
+
+    time_us: int
+    sender: int
+    frame: Frame
+
+
+class VirtualBus:
+    """Frames waiting for the bus, and the one on it."""
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[int, int, int, Frame]] = []
+        self._sequence = 0
+        self._on_bus: Delivery | None = None
+        self._free_us = 0
+        self.busy_us = 0
+
+    def send(self, sender: int, frames: list[Frame], now_us: int) -> None:
+        """A node hands over frames at `now_us`."""
+        for frame in frames:
+            # Same identifier: in the order given. Standard identifiers win over extended ones.
+            key = frame.can_id if frame.is_extended else frame.can_id << 18
+            heapq.heappush(self._waiting, (key, self._sequence, sender, frame))
+            self._sequence += 1
+        if self._on_bus is None and self._waiting:
+            self._start(max(now_us, self._free_us))
+
+    def _start(self, at_us: int) -> None:
+        _, _, sender, frame = heapq.heappop(self._waiting)
+        took_us = duration_us(len(frame.data), frame.is_fd)
+        self.busy_us += took_us
+        self._free_us = at_us + took_us
+        self._on_bus = Delivery(self._free_us, sender, frame)
+
+    @property
+    def next_us(self) -> int | None:
+        """When the frame on the bus is through; None while the bus is idle."""
+        return self._on_bus.time_us if self._on_bus else None
+
+    def take(self) -> Delivery:
+        """The frame that is through now; the next one starts. Call at `next_us`."""
+        delivery = self._on_bus
+        if delivery is None:
+            raise RuntimeError("take from an idle bus")
+        self._on_bus = None
+        if self._waiting:
+            self._start(delivery.time_us)
+        return delivery
