@@ -32,6 +32,7 @@ _ECHOING = {"UdpMulticastBus"}
 
 OpenBus = Callable[[], can.BusABC]
 OnEvent = Callable[[str], None]
+OnMessage = Callable[[can.Message], None]
 
 
 async def run_node(
@@ -44,6 +45,7 @@ async def run_node(
     name: str,
     own_addresses: frozenset[int] = frozenset(),
     statistics: NodeStatistics | None = None,
+    on_message: OnMessage | None = None,
 ) -> NodeStatistics:
     """Runs `core` until `stop` is set, then sends its last frames and closes the bus.
 
@@ -56,9 +58,17 @@ async def run_node(
         that carry one are not handed to the core: several interfaces return one's own frames, and
         not all mark them (python-can issue 1274).
     statistics: counted in here, so that it can be read meanwhile; also returned.
+    on_message: gets every message as it came, before the core does: error frames, own ones, all.
     """
     node = _Node(
-        core, open_bus, clock, on_event, name, own_addresses, statistics or NodeStatistics()
+        core,
+        open_bus,
+        clock,
+        on_event,
+        name,
+        own_addresses,
+        statistics or NodeStatistics(),
+        on_message,
     )
     await node.run(stop)
     return node.statistics
@@ -74,6 +84,7 @@ class _Node:
         name: str,
         own_addresses: frozenset[int],
         statistics: NodeStatistics,
+        on_message: OnMessage | None,
     ) -> None:
         self.statistics = statistics
         self._core = core
@@ -82,6 +93,7 @@ class _Node:
         self._on_event = on_event
         self._name = name
         self._own_addresses = own_addresses
+        self._on_message = on_message
         self._loop = asyncio.get_running_loop()
         self._bus: can.BusABC | None = None
         self._reception: Reception | None = None
@@ -148,6 +160,8 @@ class _Node:
     def _accept(self, message: can.Message) -> None:
         counts = self.statistics
         self._bus_works()
+        if self._on_message is not None:
+            self._on_message(message)
         if message.is_error_frame:
             counts.error_frames += 1
             if counts.error_frames == 1:

@@ -85,7 +85,7 @@ def bus_config(namespace: argparse.Namespace) -> dict[str, Any]:
         known = ", ".join(sorted(can.VALID_INTERFACES))
         raise BusOpenError(f"{error}; known interfaces are {known}") from error
     except (configparser.Error, ValueError, TypeError) as error:
-        raise BusOpenError(f"bus configuration: {_one_line(error)}") from error
+        raise BusOpenError(f"bus configuration: {_one_line(str(error))}") from error
     wanted_keys = asked.keys() | ({"timing"} if "f_clock" in asked else set())
     result = {key: value for key, value in config.items() if key in wanted_keys}
     if result["interface"] == "socketcan":
@@ -155,18 +155,18 @@ def _can_devices() -> str:
 def _open_error(config: dict[str, Any], error: Exception) -> str:
     interface, channel = config["interface"], config.get("channel")
     asked = f"interface {interface}, channel {'(default)' if channel is None else channel}"
-    hint = ""
-    if isinstance(error, ChannelError):
-        hint = f"; for a device named {channel} add -i with its interface"
+    cause = _one_line(str(error)) or type(error).__name__
+    if channel is None and isinstance(error, TypeError):
+        cause = f"it needs a channel (-c) ({cause})"
+    elif isinstance(error, ChannelError) and ":" not in str(channel):
+        cause += f"; for a device named {channel} add -i with its interface"
     elif interface == "socketcan":
-        hint = f"; {_can_devices()}"
-    elif channel is None and isinstance(error, TypeError | ValueError):
-        hint = "; a channel may be needed (-c)"
-    return f"cannot open {asked}: {_one_line(error)}{hint}"
+        cause += f"; {_can_devices()}"
+    return f"cannot open {asked}: {cause}"
 
 
-def _one_line(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
 
 
 @contextmanager

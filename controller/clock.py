@@ -35,7 +35,8 @@ class SensorClock:
     def __init__(self) -> None:
         self._offsets: deque[int] = deque(maxlen=WINDOW)
         self._least = 0
-        self._latest_us = 0
+        self.latest_us = 0
+        """The newest stamp seen, unwrapped."""
         self.jumps = 0
         """How often the sensor clock was found elsewhere than it should be."""
 
@@ -49,8 +50,8 @@ class SensorClock:
             if abs(time_us - expected_us) > JUMP_US:
                 self.jumps += 1
                 self._offsets.clear()
-                time_us = unwrap(stamp, self._latest_us)
-        self._latest_us = time_us
+                time_us = unwrap(stamp, self.latest_us)
+        self.latest_us = time_us
         self._note(now_us - time_us)
         return time_us
 

@@ -269,12 +269,15 @@ class ShiftSequence:
         release_us = outlook.release_time_us(
             earliest_us, earliest_us + 10**6, window.release_slip_rad_s, self._settle_us
         )
-        if release_us - moment.now_us < RELEASE_HORIZON_US and moment.now_us >= on_us:
+        horizon_us = moment.now_us + RELEASE_HORIZON_US
+        if shift.release_us is not None:
+            # A release once sent is moved, never taken back: its slot holds the newest time.
+            release_us = min(release_us, horizon_us)
+        decision = ShiftDecision.BRAKE
+        if release_us <= horizon_us and moment.now_us >= on_us:
             shift.release_us = release_us
             self._switch_brake(False, release_us, moment)
             decision = ShiftDecision.RELEASE
-        else:
-            shift.release_us, decision = None, ShiftDecision.BRAKE
         contact_us = release_us + round(self._settle_us)
         slip = outlook.slip_rad_s(contact_us, release_us)
         self.decision = Plan(decision, 0, contact_us, 0.0, 0.0, slip)
@@ -316,7 +319,7 @@ class ShiftSequence:
         if not aimed or (plan is None and outlook.slip_rad_s(moment.earliest_us) < low):
             plan = self._strategist.speed_window(outlook, moment.now_us, moment.earliest_us)
         if plan is None:
-            self._board.cancel(valve, moment.now_us)
+            self._board.off(valve)
             waiting = ShiftDecision.WAIT_FOR_GAP if aimed else ShiftDecision.WAIT_FOR_SLIP
             self.decision = self._strategist.plan_at(
                 outlook, moment.earliest_us, waiting

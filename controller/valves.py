@@ -56,12 +56,6 @@ class ValveBoard:
         before = self.driven(valve, now_us)
         self._commands[valve] = Command(time_us, on, before)
 
-    def cancel(self, valve: Valve, now_us: int) -> None:
-        """Forget what was still to come."""
-        command = self._commands[valve]
-        if command.time_us > now_us:
-            self._commands[valve] = Command(now_us, command.before, command.before)
-
     def all_off(self) -> None:
         """Everything off at once."""
         self._commands = dict.fromkeys(Valve, OFF)

@@ -23,6 +23,7 @@ from e2e.p05 import e2e_p05_check as check_crc
 from e2e.p05 import e2e_p05_protect as write_crc
 
 __all__ = [
+    "COUNTER_MODULUS",
     "DEFAULT_LIMITS",
     "ChannelState",
     "Finding",
@@ -30,8 +31,8 @@ __all__ = [
     "Silence",
     "StateMachine",
     "Status",
-    "check_crc",
     "check_counter",
+    "check_crc",
     "write_crc",
 ]
 

@@ -9,12 +9,12 @@ import math
 import operator
 import re
 from collections import namedtuple
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum, IntEnum, auto
 from typing import Any, Final, SupportsIndex, cast
 
-from dbc.schema import MessageSpec, Schema, SignalSpec
+from dbc.specs import MessageSpec, Schema, SignalSpec
 from dbc.units import UNITS
 
 BOOLEAN_TABLE: Final = "OffOn"
@@ -37,7 +37,7 @@ class Kind(Enum):
 
 @dataclass(frozen=True)
 class FieldSpec:
-    """One field: its signals (more than one for a tuple), and SI value = raw * `scale` + `offset`."""
+    """One field: its signals, more than one for a tuple, and SI value = raw * scale + offset."""
 
     name: str
     kind: Kind
@@ -49,31 +49,26 @@ class FieldSpec:
     offset: float
 
     def si_value(self, raw: int) -> float | int:
-        """The SI number of a raw value."""
-        return raw * self.scale + self.offset if self.kind is Kind.FLOAT else self.whole(raw)
+        """The number inside for a raw value."""
+        return raw * self.scale + self.offset if self.kind is Kind.FLOAT else raw + int(self.offset)
 
-    def whole(self, raw: int) -> int:
-        """The same for fields of kind INT, in whole numbers throughout."""
-        return raw * int(self.scale) + int(self.offset)
+    def raw_value(self, value: object) -> int:
+        """The raw value of a number inside; raises for what is not finite, or not whole but should."""
+        if self.kind is Kind.FLOAT:
+            return round((cast(float, value) - self.offset) / self.scale)
+        return operator.index(cast(SupportsIndex, value)) - int(self.offset)
 
     def accepts(self, signal: SignalSpec, value: object) -> bool:
-        """Whether a value fits one of its signals, by the rules the generated code applies."""
+        """Whether a value may be sent as one of its signals."""
         if value is None:
             return self.is_optional
         try:
-            raw = self.raw_value(value)
+            return signal.raw_min <= self.raw_value(value) <= signal.raw_max
         except (TypeError, ValueError, OverflowError):
             return False
-        return signal.raw_min <= raw <= signal.raw_max
-
-    def raw_value(self, value: object) -> int:
-        """The raw value of an SI value; raises for what is no finite number, or not whole."""
-        if self.kind is not Kind.FLOAT:
-            return (operator.index(cast(SupportsIndex, value)) - int(self.offset)) // int(self.scale)
-        return round((cast(float, value) - self.offset) / self.scale)
 
     def allowed(self, signal: SignalSpec) -> str:
-        """The allowed values of one of its signals, for people."""
+        """The values that may be sent as one of its signals, for people."""
         low, high = sorted((self.si_value(signal.raw_min), self.si_value(signal.raw_max)))
         span = f"{low:.9g}..{high:.9g}" if self.kind is Kind.FLOAT else f"{low}..{high}"
         return f"{span} or None" if self.is_optional else span
@@ -117,23 +112,21 @@ def _field(
     signal = signals[0]
     unit = UNITS[signal.unit]
     kind = _kind(signal)
-    is_plain = unit.is_integer
     return FieldSpec(
         name=snake_case(name) + unit.suffix,
         kind=kind,
         signals=signals,
         is_tuple=is_tuple,
         is_optional=is_optional and kind in (Kind.INT, Kind.FLOAT),
-        scale=signal.scale if is_plain else _product(signal.scale, unit.factor),
-        offset=signal.offset * unit.factor + unit.offset,
+        scale=_short(signal.scale * unit.factor),
+        offset=_short(signal.offset * unit.factor + unit.offset),
     )
 
 
-def _product(scale: float, factor: float) -> float:
-    """scale * factor, without the rounding error where the result is a short decimal (2e-4 * 1e5)."""
-    product = scale * factor
-    short = float(f"{product:.12g}")
-    return short if math.isclose(product, short, rel_tol=1e-15) else product
+def _short(value: float) -> float:
+    """The short decimal a product or sum was meant to be: 19.999999999999996 is 20.0."""
+    short = float(f"{value:.12g}")
+    return short if math.isclose(value, short, rel_tol=1e-15) else value
 
 
 def _kind(signal: SignalSpec) -> Kind:
@@ -141,7 +134,7 @@ def _kind(signal: SignalSpec) -> Kind:
         return Kind.BOOL
     if signal.value_table is not None:
         return Kind.ENUM
-    is_whole = signal.scale.is_integer() and signal.offset.is_integer()
+    is_whole = signal.scale == 1.0 and signal.offset.is_integer()
     return Kind.INT if UNITS[signal.unit].is_integer and is_whole else Kind.FLOAT
 
 
@@ -149,12 +142,9 @@ def make_message_type(
     message: MessageSpec, fields: tuple[FieldSpec, ...], enums: Mapping[str, type[IntEnum]]
 ) -> type[Any]:
     """The NamedTuple class of a message; every field has the DBC's start value as its default."""
-    made = namedtuple(  # type: ignore[misc]  # noqa: PYI024  # names are known at run time only
-        message.name,
-        [field.name for field in fields],
-        defaults=[_start_value(field, enums) for field in fields],
-        module=MODULE,
-    )
+    names = [field.name for field in fields]
+    starts = [_start_value(field, enums) for field in fields]
+    made = namedtuple(message.name, names, defaults=starts, module=MODULE)  # type: ignore[misc]
     made.__doc__ = message.comment
     return made
 
@@ -177,9 +167,10 @@ def why_refused(fields: tuple[FieldSpec, ...], message: tuple[object, ...]) -> s
     """Which signal of a message has no place on the wire: its name, its value, and what is allowed."""
     for field, value in zip(fields, message, strict=True):
         values = value if field.is_tuple else (value,)
-        if not isinstance(values, Sequence) or len(values) != len(field.signals):
+        if not isinstance(values, Iterable) or len(items := tuple(values)) != len(field.signals):
             return f"{field.name} is {value!r}, {len(field.signals)} values are allowed"
-        for signal, item in zip(field.signals, values, strict=True):
+        for signal, item in zip(field.signals, items, strict=True):
             if not field.accepts(signal, item):
-                return f"{signal.name} ({field.name}) is {item!r}, {field.allowed(signal)} is allowed"
+                allowed = field.allowed(signal)
+                return f"{signal.name} ({field.name}) is {item!r}, {allowed} is allowed"
     raise AssertionError("every field is acceptable")

@@ -1,7 +1,7 @@
 """The gate in front of the DBC parser: refuses texts that would stall it or exhaust memory.
 
-The parser's work grows with the square of a message's length, and it accepts signals of any size, so
-these limits are checked on the text itself. What only the parsed file can tell is in `dbc.schema`.
+The parser's work grows with the square of a message's length, and it takes signals of any size, so
+these limits are held against the text itself. What only a parsed file can tell is in `dbc.schema`.
 """
 
 from __future__ import annotations
@@ -10,59 +10,61 @@ import math
 import re
 from typing import Final
 
-MAX_TEXT_BYTES: Final = 2_000_000
-MAX_MESSAGES: Final = 2_000
+MAX_TEXT_BYTES: Final = 1_000_000
+MAX_MESSAGES: Final = 1_000
 MAX_DLC_BYTES: Final = 64
 MAX_SIGNAL_BITS: Final = 64
 
-_STRING: Final = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
-_MESSAGE: Final = re.compile(r"\bBO_\s+(\S+)\s+(\S+?)\s*:\s*(\S+)")
+_MAX_DIGITS: Final = 10
+# The closing quote is optional so that an unclosed text is consumed once, not searched for again
+# and again from each quote inside it.
+_TEXT: Final = re.compile(r'"(?:\\.|[^"\\])*"?', re.DOTALL)
+_MESSAGE: Final = re.compile(r"\bBO_\s+\S+\s+(\S+?)\s*:\s*(\S+)")
+_SIGNAL_NAME: Final = re.compile(r"\bSG_\s+\w+(?:\s+\w+)?\s*:")
 _SIGNAL: Final = re.compile(
     r"\bSG_\s+(\w+)(?:\s+\w+)?\s*:\s*([^\s|]+)\s*\|\s*([^\s@]+)\s*@\s*\S+?"
-    r"\s*\(\s*([^\s,]+)\s*,\s*([^\s)]+)\s*\)"
+    r"\s*\(\s*([^\s,]+)\s*,\s*([^\s)]+)\s*\)\s*\[\s*([^\s|]+)\s*\|\s*([^\s\]]+)\s*\]"
 )
-_SIGNAL_START: Final = re.compile(r"\bSG_\s+\w+(?:\s+\w+)?\s*:")
-_MAX_DIGITS: Final = 10
 
 
 class SchemaError(ValueError):
-    """A DBC that is not accepted; the text names file, message or signal, what was found, what is allowed."""
+    """A DBC that is not accepted: names file, message or signal, what was found, what is allowed."""
 
 
 def check_text(text: str, source: str) -> None:
     """Raise `SchemaError` unless `text` is safe to hand to the DBC parser; `source` names the file."""
     if len(text) > MAX_TEXT_BYTES:
-        raise SchemaError(f"{source}: {len(text)} characters, at most {MAX_TEXT_BYTES} are allowed")
-    bare = _STRING.sub('""', text)
+        raise SchemaError(f"{source}: {len(text)} bytes, at most {MAX_TEXT_BYTES} are allowed")
+    bare = _TEXT.sub('""', text)
     messages = _MESSAGE.findall(bare)
     if not 1 <= len(messages) <= MAX_MESSAGES:
         raise SchemaError(f"{source}: {len(messages)} messages, 1..{MAX_MESSAGES} are allowed")
-    for _, name, length in messages:
-        _whole(length, 0, MAX_DLC_BYTES, f"{source}: length of message {name}")
+    for name, length in messages:
+        _check_whole(length, 0, MAX_DLC_BYTES, f"{source}: message {name}: length")
     signals = _SIGNAL.findall(bare)
-    if len(signals) != len(_SIGNAL_START.findall(bare)):
-        raise SchemaError(f"{source}: a signal is not written as 'start|bits@order (scale,offset)'")
-    for name, start, bits, scale, offset in signals:
+    if len(signals) != len(_SIGNAL_NAME.findall(bare)):
+        raise SchemaError(f"{source}: a signal is not start|bits@sign (scale,offset) [min|max]")
+    for name, start, bits, scale, *others in signals:
         where = f"{source}: signal {name}"
-        _whole(start, 0, 8 * MAX_DLC_BYTES - 1, f"{where}: start bit")
-        _whole(bits, 1, MAX_SIGNAL_BITS, f"{where}: size")
-        if _finite(scale, f"{where}: scale") == 0.0:
-            raise SchemaError(f"{where}: scale {scale}, a finite number other than 0 is allowed")
-        _finite(offset, f"{where}: offset")
+        _check_whole(start, 0, 8 * MAX_DLC_BYTES - 1, f"{where}: start bit")
+        _check_whole(bits, 1, MAX_SIGNAL_BITS, f"{where}: size")
+        for number in (scale, *others):
+            _check_finite(number, f"{where}: (scale,offset) [min|max]: a number")
+        if float(scale) == 0.0:
+            raise SchemaError(f"{where}: scale is {scale}, other than 0 is allowed")
 
 
-def _whole(digits: str, lowest: int, highest: int, what: str) -> None:
-    """Check a whole number of the text; the count of digits first, as very long ones are slow to read."""
-    readable = len(digits) <= _MAX_DIGITS and digits.isascii() and digits.isdigit()
-    if not (readable and lowest <= int(digits) <= highest):
+def _check_whole(digits: str, lowest: int, highest: int, what: str) -> None:
+    """Hold a whole number of the text against its limits; very long ones are not even read."""
+    is_number = len(digits) <= _MAX_DIGITS and digits.isascii() and digits.isdigit()
+    if not (is_number and lowest <= int(digits) <= highest):
         raise SchemaError(f"{what} is {digits[:_MAX_DIGITS]}, {lowest}..{highest} is allowed")
 
 
-def _finite(text: str, what: str) -> float:
+def _check_finite(text: str, what: str) -> None:
     try:
-        value = float(text)
+        is_finite = math.isfinite(float(text))
     except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
+        is_finite = False
+    if not is_finite:
         raise SchemaError(f"{what} is {text[:40]}, a finite number is allowed")
-    return value

@@ -11,13 +11,15 @@ from __future__ import annotations
 
 import struct
 import sys
+import textwrap
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final
 
 from dbc.fields import FieldSpec, Kind, make_enums, make_fields, make_message_type
-from dbc.schema import SCHEMA, MessageSpec, SignalSpec
+from dbc.schema import SCHEMA
+from dbc.specs import MessageSpec, SignalSpec
 
 Decode = Callable[[bytes], Any]
 """Payload of the right length -> message, or None where a value is outside the DBC's range."""
@@ -28,6 +30,7 @@ REFUSALS: Final = (ValueError, TypeError, OverflowError, struct.error)
 """What a generated `encode` raises for values that do not fit."""
 
 _CODES: Final = {1: "B", 2: "H", 4: "I", 8: "Q"}
+_WIDTH: Final = 80
 
 
 @dataclass(frozen=True)
@@ -55,9 +58,11 @@ class Slot:
 
     @property
     def code(self) -> str:
-        """The struct code; three shared bytes, say, have none of their own and are read as a text."""
-        code = _CODES.get(self.byte_count, f"{self.byte_count}s")
-        return code.lower() if self.signals and self.signals[0].signed and not self.is_shared else code
+        """The struct code. Unused bytes, and a number of shared bytes without a code, are bytes."""
+        if not self.signals or self.byte_count not in _CODES:
+            return f"{self.byte_count}s"
+        code = _CODES[self.byte_count]
+        return code.lower() if self.signals[0].signed and not self.is_shared else code
 
 
 def make_slots(message: MessageSpec) -> tuple[Slot, ...]:
@@ -104,7 +109,8 @@ def make_codec(message: MessageSpec, enums: Mapping[str, type[IntEnum]]) -> Code
         "_new": tuple.__new__,
         **{f"_{name}": tuple(enum) for name, enum in enums.items()},
     }
-    exec(compile(source, f"<codec of {message.name}>", "exec"), names)  # text made from a checked DBC
+    # All names in the text are plain words: the schema has let no others through.
+    exec(compile(source, f"<codec of {message.name}>", "exec"), names)  # noqa: S102
     return Codec(message, fields, message_type, source, names["decode"], names["encode"])
 
 
@@ -133,7 +139,7 @@ def _decode_lines(
     message: MessageSpec, fields: tuple[FieldSpec, ...], slots: tuple[Slot, ...]
 ) -> list[str]:
     used = [slot for slot in slots if slot.signals]
-    lines = [f"{_listed([slot.variable for slot in used])} = _unpack(_data)"]
+    lines = [f"{_columns([slot.variable for slot in used])} = _unpack(_data)"]
     for slot in used:
         if slot.is_shared:
             lines += _cut_lines(slot)
@@ -152,12 +158,12 @@ def _decode_lines(
 def _encode_lines(
     message: MessageSpec, fields: tuple[FieldSpec, ...], slots: tuple[Slot, ...]
 ) -> list[str]:
-    lines = [f"{_listed([field.name for field in fields])} = _message"]
+    lines = [f"{_columns([field.name for field in fields])} = _message"]
     limits: list[str] = []
     for field in fields:
         names = [signal.name for signal in field.signals]
         if field.is_tuple:
-            lines.append(f"{_listed(names)} = {field.name}")
+            lines.append(f"{_columns(names)} = {field.name}")
         for signal in field.signals:
             source = signal.name if field.is_tuple else field.name
             raw = _raw(field, signal, source)
@@ -192,7 +198,7 @@ def _cut_lines(slot: Slot) -> list[str]:
 def _slot_value(slot: Slot, fill: int) -> str:
     """The expression packed into a slot; bits no signal owns are those of `fill`."""
     if not slot.signals:
-        return str(fill) if slot.byte_count == 1 else repr(bytes([fill]) * slot.byte_count)
+        return repr(bytes([fill]) * slot.byte_count)
     if not slot.is_shared:
         return slot.variable
     free = int.from_bytes(bytes([fill]) * slot.byte_count, "little")
@@ -214,37 +220,40 @@ def _si(field: FieldSpec, signal: SignalSpec) -> str:
         return f"{raw} != 0"
     if field.kind is Kind.ENUM:
         return f"_{signal.value_table}[{raw}]"
-    value = _scaled(raw, field.scale, field.offset, field.kind)
+    if field.kind is Kind.INT:
+        value = _plus(raw, int(field.offset))
+    else:
+        value = _plus(f"{raw} * {field.scale!r}", field.offset)
     if field.is_optional and signal.is_ranged:
         return f"{value} if {signal.raw_min} <= {raw} <= {signal.raw_max} else None"
     return value
-
-
-def _scaled(raw: str, scale: float, offset: float, kind: Kind) -> str:
-    as_number = int if kind is Kind.INT else float
-    value = raw if scale == 1.0 and kind is Kind.INT else f"{raw} * {as_number(scale)!r}"
-    return value if offset == 0.0 else f"{value} + {as_number(offset)!r}"
 
 
 def _raw(field: FieldSpec, signal: SignalSpec, source: str) -> str:
     """Expression of a signal's raw value, from the variable `source` of its value inside."""
     value = source
     if field.kind is Kind.FLOAT:
-        shifted = f"({source} - {field.offset!r})" if field.offset else source
+        shifted = f"({_plus(source, -field.offset)})" if field.offset else source
         value = f"round({shifted} / {field.scale!r})"
     elif field.kind is Kind.INT:
-        shifted = f"{source} - {int(field.offset)}" if field.offset else source
-        value = shifted if field.scale == 1.0 else f"({shifted}) // {int(field.scale)}"
+        value = _plus(source, -int(field.offset))
     return f"{signal.type_max} if {source} is None else {value}" if field.is_optional else value
 
 
-def _listed(names: list[str]) -> str:
-    """Targets of an unpacking; one alone needs the comma too."""
-    return ", ".join(names) + ("," if len(names) == 1 else "")
+def _plus(expression: str, number: float) -> str:
+    if number == 0:
+        return expression
+    return f"{expression} {'+' if number > 0 else '-'} {abs(number)!r}"
+
+
+def _columns(names: list[str]) -> str:
+    """Names in brackets, over several lines where they are many."""
+    lines = textwrap.wrap(", ".join(names) + ",", _WIDTH)
+    return f"({lines[0]})" if len(lines) == 1 else "\n        ".join(["(", *lines]) + "\n    )"
 
 
 def _grouped(field: FieldSpec, values: list[str]) -> str:
-    return f"({_listed(values)})" if field.is_tuple else values[0]
+    return _columns(values) if field.is_tuple else values[0]
 
 
 def _joined(conditions: list[str], word: str) -> list[str]:

@@ -90,7 +90,11 @@ class Transmitter:
         }
 
     def encode(self, message: Message) -> Frame:
-        """The frame of a message, protected where the DBC says so; `EncodeError` if it has no place."""
+        """The frame of a message, protected where the DBC says so.
+
+        Values are rounded to the nearest step of the wire. `EncodeError`, and the counter unchanged,
+        for a message these nodes do not send and a value out of range, not finite or of a wrong kind.
+        """
         sender = self._senders.get(type(message))
         if sender is None:
             raise EncodeError(f"{', '.join(self._nodes)}: does not send {type(message).__name__}")
@@ -110,7 +114,16 @@ class Transmitter:
 class _Channel:
     """One message this node receives, with what is remembered of its frames."""
 
-    __slots__ = ("codec", "counter", "data_id", "is_fd", "length", "machine", "max_delta", "silence")
+    __slots__ = (
+        "codec",
+        "counter",
+        "data_id",
+        "is_fd",
+        "length",
+        "machine",
+        "max_delta",
+        "silence",
+    )
 
     def __init__(self, codec: Codec, limits: Limits) -> None:
         spec = codec.spec
@@ -161,7 +174,7 @@ class Receiver:
         if len(data) != channel.length or is_fd != channel.is_fd:
             return self._refuse_format(channel)
         if channel.data_id is not None:
-            status = self._check(channel, data)
+            status = self._check(channel, data, channel.data_id)
             if status is not Status.OK:
                 self.e2e_errors += 1
                 channel.machine.update(status)
@@ -173,8 +186,8 @@ class Receiver:
         channel.silence.is_heard = True
         return _new(Received, (Verdict.OK, message))
 
-    def _check(self, channel: _Channel, data: bytes) -> Status:
-        if not check_crc(data, channel.data_id):
+    def _check(self, channel: _Channel, data: bytes, data_id: int) -> Status:
+        if not check_crc(data, data_id):
             return Status.ERROR
         counter = data[2]
         status = check_counter(channel.counter, counter, channel.max_delta)

@@ -15,4 +15,5 @@ Message = reduce(or_, MESSAGE_TYPES.values())
 globals().update(ENUMS)
 globals().update(MESSAGE_TYPES)
 
-__all__ = ["Message", "MESSAGE_TYPES", *ENUMS, *MESSAGE_TYPES]
+__all__ = ["MESSAGE_TYPES", "Message"]
+__all__ += [*ENUMS, *MESSAGE_TYPES]

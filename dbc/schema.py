@@ -1,4 +1,4 @@
-"""The DBC as typed, checked data: what is on the wire, who sends it, who may read it.
+"""Reads a DBC with cantools and checks what the codec and the link rely on.
 
 `SCHEMA` is the product's own wire contract, read once at import. `parse_schema` reads any DBC of the
 same dialect (29-bit identifiers, little-endian integer signals, the attributes of meshpoint.dbc) and
@@ -7,8 +7,10 @@ refuses everything else with a `SchemaError`.
 
 from __future__ import annotations
 
+import keyword
 import math
-from dataclasses import dataclass
+import re
+from collections.abc import Iterable, Sequence
 from typing import Final
 
 from cantools.database import load_string
@@ -19,83 +21,25 @@ from cantools.database.can import Signal as ParsedSignal
 from dbc.intake import SchemaError, check_text
 from dbc.node import Node
 from dbc.source import DBC_CONTENT, DBC_PATH
+from dbc.specs import MessageSpec, Schema, SignalSpec
 from dbc.units import UNITS
 
-__all__ = ["SCHEMA", "MessageSpec", "Schema", "SchemaError", "SignalSpec", "parse_schema"]
+__all__ = ["SCHEMA", "SchemaError", "parse_schema"]
 
-FRAME_FORMAT_FD: Final = 15
-FRAME_FORMAT_J1939: Final = 3
-FD_LENGTHS: Final = frozenset({*range(9), 12, 16, 20, 24, 32, 48, 64})
+FRAME_FORMATS: Final = {"ExtendedCAN_FD": True, "J1939PG": False}
+"""The frame formats there are; whether each is CAN FD."""
+PROTECTION: Final = {"P05": True, "None": False}
+SEND_TYPES: Final = {"Cyclic": True, "Event": False}
+FD_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 E2E_HEADER: Final = (("Crc", 0, 16), ("Counter", 16, 8))
+MAX_DATA_ID: Final = 0xFFFF
 MAX_SCALED_BITS: Final = 48
-"""A scaled signal must stay exact in a float of 53 bits, with bits to spare for the conversion."""
+"""A scaled signal must survive a float of 53 bits, with some to spare for the conversion."""
 
+_NAME: Final = re.compile(r"[A-Z][A-Za-z0-9]*")
+"""Names become classes and fields, so they must be plain words that begin with a capital letter."""
 
-@dataclass(frozen=True)
-class SignalSpec:
-    """One signal: value in `unit` = raw * scale + offset, meaningful from `raw_min` to `raw_max`."""
-
-    name: str
-    start_bit: int
-    bits: int
-    signed: bool
-    scale: float
-    offset: float
-    unit: str
-    raw_min: int
-    raw_max: int
-    raw_start: int
-    value_table: str | None
-    comment: str
-
-    @property
-    def type_min(self) -> int:
-        """Smallest raw value the bits can hold."""
-        return -(1 << self.bits - 1) if self.signed else 0
-
-    @property
-    def type_max(self) -> int:
-        """Largest raw value the bits can hold."""
-        return (1 << self.bits - self.signed) - 1
-
-    @property
-    def is_ranged(self) -> bool:
-        """Whether the DBC's range is tighter than what the bits can hold."""
-        return self.raw_min > self.type_min or self.raw_max < self.type_max
-
-
-@dataclass(frozen=True)
-class MessageSpec:
-    """One message. `cycle_time_us` is 0 for event messages, `data_id` None for unprotected ones."""
-
-    name: str
-    can_id: int
-    length: int
-    is_fd: bool
-    sender: Node
-    receivers: frozenset[Node]
-    cycle_time_us: int
-    data_id: int | None
-    signals: tuple[SignalSpec, ...]
-    comment: str
-
-    @property
-    def is_cyclic(self) -> bool:
-        """Whether the message comes by the clock, so that its absence means something."""
-        return self.cycle_time_us > 0
-
-    @property
-    def is_protected(self) -> bool:
-        """Whether the frame starts with an E2E profile 5 header."""
-        return self.data_id is not None
-
-
-@dataclass(frozen=True)
-class Schema:
-    """A whole DBC: messages in the order of the file, value tables as raw value -> name."""
-
-    messages: tuple[MessageSpec, ...]
-    value_tables: dict[str, dict[int, str]]
+Tables = dict[str, dict[int, str]]
 
 
 def parse_schema(content: bytes, source: str) -> Schema:
@@ -103,123 +47,145 @@ def parse_schema(content: bytes, source: str) -> Schema:
     try:
         text = content.decode("cp1252")
     except UnicodeDecodeError as error:
-        raise SchemaError(f"{source}: not a text in the DBC's character set: {error}") from error
+        raise SchemaError(f"{source}: not a text in the character set of a DBC: {error}") from error
     check_text(text, source)
     try:
         database = load_string(text, "dbc", strict=False, sort_signals=None)
-    except Exception as error:  # on broken texts the parser leaks KeyError, ValueError, its own types
-        raise SchemaError(f"{source}: not a DBC file: {error}") from error
-    if not isinstance(database, Database):
-        raise SchemaError(f"{source}: a diagnostics file, a DBC file is allowed")
-    return _schema_of(database, source)
+    except (
+        Exception
+    ) as error:  # broken texts make the parser leak KeyError and others besides its own
+        raise SchemaError(f"{source}: not a DBC file: {error!r}") from error
+    if not isinstance(database, Database) or database.dbc is None:
+        raise SchemaError(f"{source}: not a DBC file")
+    tables = {
+        name: _value_table({int(raw): str(text) for raw, text in choices.items()}, source, name)
+        for name, choices in database.dbc.value_tables.items()
+    }
+    messages = tuple(
+        _message_spec(database, message, tables, source) for message in database.messages
+    )
+    _refuse_twice((*tables, *(m.name for m in messages)), f"{source}: message or value table")
+    _refuse_twice((f"0x{m.can_id:08X}" for m in messages), f"{source}: identifier")
+    _refuse_twice((m.data_id for m in messages if m.is_protected), f"{source}: E2EDataId")
+    return Schema(messages, tables)
 
 
-def _schema_of(database: Database, source: str) -> Schema:
-    tables = {name: _value_table(name, choices, source) for name, choices in _tables(database)}
-    messages = tuple(_message_spec(message, tables, source) for message in database.messages)
-    _refuse_duplicates([message.name for message in messages], f"{source}: message name")
-    _refuse_duplicates([f"0x{m.can_id:08X}" for m in messages], f"{source}: message identifier")
-    data_ids = [str(m.data_id) for m in messages if m.data_id is not None]
-    _refuse_duplicates(data_ids, f"{source}: E2EDataId")
-    return Schema(messages=messages, value_tables=tables)
-
-
-def _tables(database: Database) -> list[tuple[str, dict[int, str]]]:
-    specifics = database.dbc
-    if specifics is None:
-        return []
-    return [
-        (name, {int(raw): str(text) for raw, text in choices.items()})
-        for name, choices in specifics.value_tables.items()
-    ]
-
-
-def _value_table(name: str, choices: dict[int, str], source: str) -> dict[int, str]:
-    """Check one VAL_TABLE_: its raw values must be 0, 1, 2 ... so that it makes an enumeration."""
+def _value_table(choices: dict[int, str], source: str, name: str) -> dict[int, str]:
+    """One VAL_TABLE_; its raw values must be 0, 1, 2 ... so that it makes an enumeration."""
+    where = f"{source}: VAL_TABLE_ {name}"
+    _check_names([name], where)
+    _refuse_twice((text.lower() for text in choices.values()), where)
+    if not all(_NAME.fullmatch(text) for text in choices.values()):
+        raise SchemaError(f"{where}: {list(choices.values())}, words like OnAt are allowed")
     table = dict(sorted(choices.items()))
     if list(table) != list(range(len(table))):
-        raise SchemaError(f"{source}: VAL_TABLE_ {name}: values {list(table)}, 0, 1, 2 ... is allowed")
-    _refuse_duplicates(list(table.values()), f"{source}: VAL_TABLE_ {name}: name")
+        raise SchemaError(f"{where}: values {list(table)}, 0, 1, 2 ... are allowed")
     return table
 
 
 def _message_spec(
-    message: ParsedMessage, tables: dict[str, dict[int, str]], source: str
+    database: Database, message: ParsedMessage, tables: Tables, source: str
 ) -> MessageSpec:
     where = f"{source}: message {message.name}"
-    if not message.is_extended_frame:
-        raise SchemaError(f"{where}: an 11-bit identifier, 29 bits are allowed")
-    frame_format = _attribute(message, "VFrameFormat", where)
-    if frame_format not in (FRAME_FORMAT_FD, FRAME_FORMAT_J1939):
-        raise SchemaError(f"{where}: VFrameFormat {frame_format}, ExtendedCAN_FD or J1939PG is allowed")
-    is_fd = frame_format == FRAME_FORMAT_FD
-    if message.length not in FD_LENGTHS or (not is_fd and message.length > 8):
-        raise SchemaError(f"{where}: {message.length} bytes is no length of its frame format")
-    is_protected = _attribute(message, "E2EProfile", where, default=0) == 1
-    signals = tuple(_signal_spec(signal, tables, where) for signal in message.signals)
+    _check_names((message.name, *(signal.name for signal in message.signals)), where)
+    is_fd = _choice(database, message, "VFrameFormat", FRAME_FORMATS, where)
+    lengths = FD_LENGTHS if is_fd else FD_LENGTHS[:9]
+    if not message.is_extended_frame or message.length not in lengths or not message.signals:
+        raise SchemaError(
+            f"{where}: 29-bit identifier, signals and length of {lengths} are allowed"
+        )
+    is_protected = _choice(database, message, "E2EProfile", PROTECTION, where)
+    signals = tuple(
+        sorted(
+            (_signal_spec(signal, tables, where) for signal in message.signals),
+            key=lambda signal: signal.start_bit,
+        )
+    )
     _check_layout(signals, message.length, is_protected, where)
     return MessageSpec(
         name=message.name,
         can_id=message.frame_id,
         length=message.length,
         is_fd=is_fd,
-        sender=_node(message.senders, where),
-        receivers=_receivers(message, where),
-        cycle_time_us=_cycle_time_us(message, where),
-        data_id=_attribute(message, "E2EDataId", where) if is_protected else None,
-        signals=tuple(sorted(signals, key=lambda signal: signal.start_bit)),
+        sender=_nodes(message.senders[:1], f"{where}: sender")[0],
+        receivers=frozenset(_receivers(message, where)),
+        cycle_time_us=_cycle_time_us(database, message, where),
+        data_id=_data_id(database, message, where) if is_protected else None,
+        signals=signals,
         comment=message.comment or "",
     )
 
 
-def _attribute(
-    message: ParsedMessage, name: str, where: str, default: int | None = None
-) -> int:
-    specifics = message.dbc
-    if specifics is None or name not in specifics.attributes:
-        if default is not None:
-            return default
-        raise SchemaError(f"{where}: attribute {name} is missing")
-    return int(specifics.attributes[name].value)
+def _attribute(database: Database, message: ParsedMessage, name: str, where: str) -> object:
+    """An attribute of a message as a number or a text: its own, or the file's default for all."""
+    definition = database.dbc.attribute_definitions.get(name) if database.dbc else None
+    if definition is None:
+        raise SchemaError(f"{where}: attribute {name} is not defined")
+    own = message.dbc.attributes.get(name) if message.dbc else None
+    value = definition.default_value if own is None else own.value
+    if definition.choices and isinstance(value, int) and 0 <= value < len(definition.choices):
+        return definition.choices[value]
+    return value
 
 
-def _node(names: list[str], where: str) -> Node:
-    if len(names) != 1 or names[0] not in set(Node):
-        raise SchemaError(f"{where}: sender {names}, one of {[str(n) for n in Node]} is allowed")
-    return Node(names[0])
+def _choice(
+    database: Database, message: ParsedMessage, name: str, choices: dict[str, bool], where: str
+) -> bool:
+    value = str(_attribute(database, message, name, where))
+    if value not in choices:
+        raise SchemaError(f"{where}: {name} {value}, one of {list(choices)} is allowed")
+    return choices[value]
 
 
-def _receivers(message: ParsedMessage, where: str) -> frozenset[Node]:
-    """The receivers all signals share: a frame is read as a whole or not at all."""
-    groups = {frozenset(signal.receivers) for signal in message.signals}
-    if len(groups) != 1:
-        raise SchemaError(f"{where}: its signals have differing receivers, equal ones are allowed")
-    return frozenset(_node([name], f"{where}: receiver") for name in groups.pop())
-
-
-def _cycle_time_us(message: ParsedMessage, where: str) -> int:
-    cycle_time_ms = _attribute(message, "GenMsgCycleTime", where)
-    if (message.send_type == "Cyclic") != (cycle_time_ms > 0):
-        raise SchemaError(f"{where}: send type {message.send_type} with GenMsgCycleTime {cycle_time_ms}")
+def _cycle_time_us(database: Database, message: ParsedMessage, where: str) -> int:
+    is_cyclic = _choice(database, message, "GenMsgSendType", SEND_TYPES, where)
+    cycle_time_ms = _attribute(database, message, "GenMsgCycleTime", where)
+    if not isinstance(cycle_time_ms, int) or cycle_time_ms < 0 or is_cyclic != (cycle_time_ms > 0):
+        allowed = "more than 0 when Cyclic, 0 when Event"
+        raise SchemaError(f"{where}: GenMsgCycleTime {cycle_time_ms}, {allowed} is allowed")
     return 1000 * cycle_time_ms
 
 
-def _signal_spec(
-    signal: ParsedSignal, tables: dict[str, dict[int, str]], where: str
-) -> SignalSpec:
+def _data_id(database: Database, message: ParsedMessage, where: str) -> int:
+    data_id = _attribute(database, message, "E2EDataId", where)
+    if not isinstance(data_id, int) or not 0 <= data_id <= MAX_DATA_ID:
+        raise SchemaError(f"{where}: E2EDataId {data_id}, 0..{MAX_DATA_ID} is allowed")
+    return data_id
+
+
+def _nodes(names: Sequence[str], what: str) -> list[Node]:
+    known = {str(node): node for node in Node}
+    if not names or not known.keys() >= set(names):
+        raise SchemaError(f"{what} {list(names)}, of {list(known)} are allowed")
+    return [known[name] for name in names]
+
+
+def _receivers(message: ParsedMessage, where: str) -> list[Node]:
+    """The receivers its signals share: a frame is read as a whole or not at all."""
+    groups = {tuple(signal.receivers) for signal in message.signals}
+    if len(groups) != 1:
+        raise SchemaError(
+            f"{where}: its signals have receivers {sorted(groups)}, equal ones are allowed"
+        )
+    return _nodes(groups.pop(), f"{where}: receivers")
+
+
+def _signal_spec(signal: ParsedSignal, tables: Tables, where: str) -> SignalSpec:
     where = f"{where}: signal {signal.name}"
     if signal.byte_order != "little_endian" or signal.is_float:
         raise SchemaError(f"{where}: little-endian integers are allowed")
     if signal.is_multiplexer or signal.multiplexer_ids:
-        raise SchemaError(f"{where}: multiplexed, plain signals are allowed")
+        raise SchemaError(f"{where}: is multiplexed, plain signals are allowed")
     unit = signal.unit or ""
     if unit not in UNITS:
         raise SchemaError(f"{where}: unit {unit!r}, one of {list(UNITS)} is allowed")
     scale, offset = float(signal.scale), float(signal.offset)
     if scale != 1.0 and signal.length > MAX_SCALED_BITS:
-        raise SchemaError(f"{where}: {signal.length} bits scaled, {MAX_SCALED_BITS} are allowed")
-    if UNITS[unit].suffix == "_us" and (scale != 1.0 or offset != 0.0):
-        raise SchemaError(f"{where}: microseconds with scale {scale}, scale 1 offset 0 is allowed")
+        raise SchemaError(
+            f"{where}: scaled with {signal.length} bits, {MAX_SCALED_BITS} are allowed"
+        )
+    if unit == "us" and (scale, offset) != (1.0, 0.0):
+        raise SchemaError(f"{where}: microseconds with ({scale},{offset}), (1,0) is allowed")
     raw_min, raw_max = _raw_range(signal, scale, offset, where)
     table = _table_name(signal, tables, where)
     if table is not None and (raw_min, raw_max) != (0, len(tables[table]) - 1):
@@ -234,75 +200,81 @@ def _signal_spec(
         unit=unit,
         raw_min=raw_min,
         raw_max=raw_max,
-        raw_start=int(signal.raw_initial or 0),
+        raw_start=_raw_start(signal, where),
         value_table=table,
         comment=signal.comment or "",
     )
 
 
 def _raw_range(signal: ParsedSignal, scale: float, offset: float, where: str) -> tuple[int, int]:
-    """The DBC's physical range in raw values, never wider than the bits."""
+    """The DBC's range in raw values, never wider than the bits; [0|0] says 'as the bits'."""
     lowest = -(1 << signal.length - 1) if signal.is_signed else 0
     highest = lowest + (1 << signal.length) - 1
     if signal.minimum is None or signal.maximum is None:
         return lowest, highest
-    ends = sorted((end - offset) / scale for end in (signal.minimum, signal.maximum))
-    if not (math.isfinite(ends[0]) and math.isfinite(ends[1])):
-        raise SchemaError(f"{where}: range {signal.minimum}..{signal.maximum}, finite is allowed")
+    what = f"{where}: range {signal.minimum}..{signal.maximum}"
+    ends = sorted((float(end) - offset) / scale for end in (signal.minimum, signal.maximum))
     # A decimal end such as 13.107 / 0.0002 misses its whole number by a rounding error.
     slack = 1e-9 * max(1.0, abs(ends[0]), abs(ends[1]))
     raw_min = max(lowest, math.ceil(ends[0] - slack))
     raw_max = min(highest, math.floor(ends[1] + slack))
     if raw_min >= raw_max:
-        raise SchemaError(f"{where}: range {signal.minimum}..{signal.maximum} holds no two values")
+        raise SchemaError(f"{what} holds no two values, raw {lowest}..{highest} is allowed")
     return raw_min, raw_max
 
 
-def _table_name(
-    signal: ParsedSignal, tables: dict[str, dict[int, str]], where: str
-) -> str | None:
+def _raw_start(signal: ParsedSignal, where: str) -> int:
+    start = 0 if signal.raw_initial is None else signal.raw_initial
+    if not math.isfinite(start) or start != int(start):
+        raise SchemaError(f"{where}: GenSigStartValue {start}, a whole raw value is allowed")
+    return int(start)
+
+
+def _table_name(signal: ParsedSignal, tables: Tables, where: str) -> str | None:
     """The value table the signal's attribute names, which must be what its VAL_ says."""
-    specifics = signal.dbc
-    attribute = None if specifics is None else specifics.attributes.get("ValueTable")
+    attribute = signal.dbc.attributes.get("ValueTable") if signal.dbc else None
+    name = str(attribute.value) if attribute else ""
     choices = {int(raw): str(text) for raw, text in (signal.choices or {}).items()}
-    if attribute is None:
-        if choices:
-            raise SchemaError(f"{where}: VAL_ without the attribute ValueTable")
-        return None
-    name = str(attribute.value)
-    if name not in tables:
-        raise SchemaError(f"{where}: ValueTable {name}, one of {list(tables)} is allowed")
-    if choices != tables[name]:
-        raise SchemaError(f"{where}: its VAL_ differs from VAL_TABLE_ {name}")
-    return name
+    if choices != tables.get(name, {}) or bool(name) != bool(choices):
+        raise SchemaError(f"{where}: VAL_ {choices} is not the table ValueTable names, {name!r}")
+    return name or None
 
 
 def _check_layout(
     signals: tuple[SignalSpec, ...], length: int, is_protected: bool, where: str
 ) -> None:
-    """Names unique, every bit inside the frame and used once, the E2E header where profile 5 has it."""
-    _refuse_duplicates([signal.name for signal in signals], f"{where}: signal")
-    owner: dict[int, str] = {}
+    """Names once, each bit inside the frame and used once, the E2E header where profile 5 has it."""
+    _refuse_twice((signal.name.lower() for signal in signals), f"{where}: signal")
+    end, owner = 0, ""
     for signal in signals:
-        for bit in range(signal.start_bit, signal.start_bit + signal.bits):
-            if bit >= 8 * length:
-                raise SchemaError(f"{where}: signal {signal.name} ends beyond its {length} bytes")
-            if bit in owner:
-                raise SchemaError(f"{where}: signals {owner[bit]} and {signal.name} overlap")
-            owner[bit] = signal.name
-        if is_protected and not signal.raw_min <= signal.raw_start <= signal.raw_max:
-            raise SchemaError(f"{where}: signal {signal.name} starts outside its range")
+        if signal.start_bit < end:
+            raise SchemaError(f"{where}: signals {owner} and {signal.name} overlap")
+        end, owner = signal.start_bit + signal.bits, signal.name
+        low = signal.raw_min if is_protected else signal.type_min
+        high = signal.raw_max if is_protected else signal.type_max
+        if not low <= signal.raw_start <= high:
+            start = f"GenSigStartValue {signal.raw_start}, {low}..{high} is allowed"
+            raise SchemaError(f"{where}: signal {signal.name}: {start}")
+    if end > 8 * length:
+        raise SchemaError(f"{where}: signal {owner} ends at bit {end}, {8 * length} is allowed")
     header = tuple((s.name, s.start_bit, s.bits) for s in signals if s.start_bit < 24)
     if is_protected and header != E2E_HEADER:
-        raise SchemaError(f"{where}: bytes 0..2 hold {header}, the E2E header {E2E_HEADER} is allowed")
+        raise SchemaError(f"{where}: starts with {header}, the header {E2E_HEADER} is allowed")
 
 
-def _refuse_duplicates(names: list[str], what: str) -> None:
-    seen: set[str] = set()
+def _check_names(names: Iterable[str], where: str) -> None:
     for name in names:
-        if name in seen:
-            raise SchemaError(f"{what} {name} twice")
-        seen.add(name)
+        is_taken = keyword.iskeyword(name) or keyword.iskeyword(name.lower())
+        if is_taken or not _NAME.fullmatch(name):
+            raise SchemaError(f"{where}: name {name!r}, words like BrakePressure are allowed")
+
+
+def _refuse_twice(items: Iterable[object], what: str) -> None:
+    seen: set[object] = set()
+    for item in items:
+        if item in seen:
+            raise SchemaError(f"{what} {item} is there twice")
+        seen.add(item)
 
 
 SCHEMA: Final = parse_schema(DBC_CONTENT, DBC_PATH.name)

@@ -1,7 +1,7 @@
 """Writes `messages.pyi`, which tells type checkers and readers what `messages` makes from the DBC.
 
-    python -m dbc.stubs            writes the file
-    python -m dbc.stubs --check    says whether it is in step with the DBC; exit 1 if not
+`python -m dbc.stubs` writes the file; `python -m dbc.stubs --check` compares it with the DBC and ends
+with 1 if they differ.
 """
 
 from __future__ import annotations

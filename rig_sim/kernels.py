@@ -30,6 +30,7 @@ import numpy.typing as npt
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+Turned = tuple[int, float]
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 KIND: Final = 0
@@ -270,40 +271,47 @@ def wrapped(angle: float, pitch: float) -> float:
 
 @compiled
 def capture_edges(
-    motion: Floats,
+    motions: tuple[Floats, Floats, Floats, Floats],
     start_us: float,
     duration_s: float,
-    share: float,
-    before: tuple[int, float],
-    after: tuple[int, float],
-    teeth: int,
-    offset: float,
-    channel: int,
+    shares: tuple[float, float, float, float],
+    before: tuple[Turned, Turned, Turned, Turned],
+    after: tuple[Turned, Turned, Turned, Turned],
+    teeth: Integers,
+    offsets: Floats,
     seen: Integers,
     ring: Integers,
 ) -> None:
-    """Put the edges of one polarity of one wheel into its capture ring.
+    """Put all edges of a piece of motion into the capture rings; two channels a wheel.
 
-    motion      of the shaft that drives the wheel; the wheel turns `share` of its angle (teeth/teeth)
-    before      wheel angle at the start (turns, rest); after: at the end, duration_s later
-    offset      where in the pitch the edge lies: 0 for rising edges, the duty for falling ones
+    motions     of the shaft that drives each wheel; the wheel turns `shares` of its angle
+    before      wheel angles at the start (turns, rest); after: at the end, duration_s later
+    teeth       (wheels,) of each wheel
+    offsets     (channels,) where in the pitch the edge lies: 0 rising, the duty for falling
     seen        (channels, 2): tooth number of the newest edge, edges since power-up
-    ring        (channels, RING) capture times, us since power-up, rounded down (1 us timer)
+    ring        (channels, size) capture times, us since power-up, rounded down (1 us timer)
     """
-    pitch = TAU / teeth
-    newest = after[0] * teeth + int(math.floor(after[1] / pitch - offset))
-    low = 0.0
-    reached, speed = motion_at(motion, 0.0)
     size = ring.shape[1]
-    while seen[channel, 0] < newest:
-        seen[channel, 0] += 1
-        tooth = seen[channel, 0] - before[0] * teeth
-        angle = ((tooth + offset) * pitch - before[1]) / share
-        guess = low + (angle - reached) / speed if speed > 0.0 else duration_s
-        low = time_to_turn(motion, angle, low, duration_s, guess)
-        reached, speed = motion_at(motion, low)
-        ring[channel, seen[channel, 1] % size] = int(math.floor(start_us + low * 1e6))
-        seen[channel, 1] += 1
+    for channel in range(ring.shape[0]):
+        wheel = channel // 2
+        motion = motions[wheel]
+        offset = offsets[channel]
+        pitch = TAU / teeth[wheel]
+        newest = after[wheel][0] * teeth[wheel] + int(
+            math.floor(after[wheel][1] / pitch - offset)
+        )
+        low = 0.0
+        reached = 0.0
+        speed = motion[OMEGA]
+        while seen[channel, 0] < newest:
+            seen[channel, 0] += 1
+            tooth = seen[channel, 0] - before[wheel][0] * teeth[wheel]
+            angle = ((tooth + offset) * pitch - before[wheel][1]) / shares[wheel]
+            guess = low + (angle - reached) / speed if speed > 0.0 else duration_s
+            low = time_to_turn(motion, angle, low, duration_s, guess)
+            reached, speed = motion_at(motion, low)
+            ring[channel, seen[channel, 1] % size] = int(math.floor(start_us + low * 1e6))
+            seen[channel, 1] += 1
 
 
 @compiled

@@ -6,6 +6,7 @@ number of pitches and a falling one a duty later; the capture timer counts micro
 
 from __future__ import annotations
 
+import math
 from enum import IntEnum
 from typing import Final, NamedTuple
 
@@ -47,41 +48,39 @@ class EdgeCapture:
 
     def __init__(self, wheels: Wheels, angles: tuple[Angle, ...]) -> None:
         order = (wheels.input_, wheels.layshaft, wheels.main, wheels.propeller)
-        self._channels = [
-            (shaft, order[shaft].teeth, offset)
-            for shaft in Shaft
-            for offset in (0.0, order[shaft].duty_share)
-        ]
-        self._seen = np.zeros((len(self._channels), 2), dtype=np.int64)
-        self._ring = np.zeros((len(self._channels), RING), dtype=np.int64)
-        self._stamps = np.zeros((len(self._channels), STAMPS), dtype=np.int64)
-        self._heads = np.zeros((len(self._channels), 4), dtype=np.int64)
-        for channel, (shaft, teeth, offset) in enumerate(self._channels):
-            turns, rest = angles[shaft]
-            self._seen[channel, 0] = turns * teeth + int((rest * teeth / TAU - offset) // 1)
+        channels = 2 * len(order)
+        self._teeth = np.array([wheel.teeth for wheel in order], dtype=np.int64)
+        self._offsets = np.array([offset for wheel in order for offset in (0.0, wheel.duty_share)])
+        self._seen = np.zeros((channels, 2), dtype=np.int64)
+        self._ring = np.zeros((channels, RING), dtype=np.int64)
+        self._stamps = np.zeros((channels, STAMPS), dtype=np.int64)
+        self._heads = np.zeros((channels, 4), dtype=np.int64)
+        for channel in range(channels):
+            turns, rest = angles[channel // 2]
+            teeth = order[channel // 2].teeth
+            tooth = math.floor(rest * teeth / TAU - self._offsets[channel])
+            self._seen[channel, 0] = turns * teeth + tooth
 
     def add(self, segment: Segment) -> None:
         """Find all edges of a segment."""
-        for channel, (shaft, teeth, offset) in enumerate(self._channels):
-            capture_edges(
-                segment.layshaft if shaft <= Shaft.LAYSHAFT else segment.main,
-                segment.start_us,
-                segment.duration_s,
-                segment.shares[shaft],
-                segment.before[shaft],
-                segment.after[shaft],
-                teeth,
-                offset,
-                channel,
-                self._seen,
-                self._ring,
-            )
+        capture_edges(
+            (segment.layshaft, segment.layshaft, segment.main, segment.main),
+            segment.start_us,
+            segment.duration_s,
+            segment.shares,
+            segment.before,
+            segment.after,
+            self._teeth,
+            self._offsets,
+            self._seen,
+            self._ring,
+        )
 
     def read(self, now_us: int, clock_start_us: int) -> list[EdgeRead]:
         """The read of all channels now, in the order of the wire contract."""
         read_ring(now_us, clock_start_us, self._seen, self._ring, self._stamps, self._heads)
         return [
-            EdgeRead(index, valid, bool(long), bool(stopped), tuple(stamps))
+            EdgeRead(index, valid, long == 1, stopped == 1, tuple(stamps))
             for (index, valid, long, stopped), stamps in zip(
                 self._heads.tolist(), self._stamps.tolist(), strict=True
             )

@@ -1,0 +1,121 @@
+"""The rig as a node: frames in, frames out, the gearbox in between. No clock and no I/O."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from bus.core import Step
+from dbc.frame import Frame
+from dbc.link import Receiver, Transmitter, Verdict
+from dbc.messages import (
+    BenchAction,
+    BenchCommand,
+    ClutchAction,
+    ClutchCommand,
+    Message,
+    ValveCommand,
+)
+from dbc.node import Node
+from gearbox.sheet import GearboxSheet
+from rig_sim.frames import engagement_message, read_messages, valve_status
+from rig_sim.settings import RigSettings
+from rig_sim.truth import Truth
+from rig_sim.valves import Order
+from rig_sim.world import World
+
+NODES: Final = (Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE)
+
+
+class RigCore:
+    """Plays GearboxIo, Engine and Reference. Power-up, time zero, is the first step.
+
+    A frame takes effect at the step that consumes it, after everything that was due by then. What
+    the receiver does not pass is counted there and changes nothing.
+    """
+
+    def __init__(self, sheet: GearboxSheet, settings: RigSettings) -> None:
+        self._world = World(sheet, settings)
+        self._transmitter = Transmitter(*NODES)
+        self.receiver = Receiver(*NODES)
+        self._inbox: list[Frame] = []
+        self._start_us: int | None = None
+        self._last_sequence: int | None = None
+        self.truth = Truth(self._world)
+
+    @property
+    def next_step_us(self) -> int:
+        """The next read; at once where frames wait or nothing has been stepped yet."""
+        if self._inbox or self._start_us is None:
+            return 0
+        return self._start_us + self._world.next_read_us
+
+    def receive(self, frame: Frame) -> None:
+        """Keep a frame for the next step."""
+        self._inbox.append(frame)
+
+    def step(self, now_us: int) -> Step:
+        """Go on to now, sending every read that was due; then obey the frames received."""
+        if self._start_us is None:
+            self._start_us = now_us
+        time_us = now_us - self._start_us
+        frames: list[Frame] = []
+        read_us = self._world.next_read_us
+        while self._world.run_to(time_us):
+            self._send_records(frames)
+            frames.extend(map(self._transmitter.encode, read_messages(self._world, read_us)))
+            read_us = self._world.next_read_us
+        self.receiver.tick(now_us)
+        inbox, self._inbox = self._inbox, []
+        for frame in inbox:
+            received = self.receiver.receive(frame)
+            if received.verdict is Verdict.OK and received.message is not None:
+                self._obey(received.message, time_us)
+        self._send_records(frames)
+        return Step(frames, self._take_lines())
+
+    def shutdown(self, now_us: int) -> Step:
+        """Go on to now, switch all valves off and say so."""
+        frames, events = self.step(now_us)
+        time_us = now_us - (self._start_us or 0)
+        self._world.all_valves_off(time_us)
+        frames.append(self._transmitter.encode(valve_status(self._world, time_us)))
+        return Step(frames, events + self._take_lines())
+
+    def _obey(self, message: Message, time_us: int) -> None:
+        if isinstance(message, ValveCommand):
+            if self.receiver.valid(ValveCommand):
+                self._world.command_valves(_orders(message), time_us)
+        elif isinstance(message, ClutchCommand):
+            if self.receiver.valid(ClutchCommand):
+                self._world.clutch.command(message.action is ClutchAction.CLOSE, time_us)
+        elif isinstance(message, BenchCommand) and message.action is BenchAction.RETURN_TO_GEAR:
+            if message.sequence != self._last_sequence:
+                self._last_sequence = message.sequence
+                self._world.return_to_gear(message.gear, message.main_speed_rad_s, time_us)
+
+    def _send_records(self, frames: list[Frame]) -> None:
+        engagement = self._world.engagement
+        for record in engagement.records:
+            message = engagement_message(record, self._world.clock_start_us)
+            frames.append(self._transmitter.encode(message))
+        engagement.records.clear()
+
+    def _take_lines(self) -> list[str]:
+        engagement = self._world.engagement
+        lines = [f"{time_us / 1e6:.6f} s {text}" for time_us, text in engagement.lines]
+        engagement.lines.clear()
+        return lines
+
+
+def _orders(command: ValveCommand) -> tuple[Order, ...]:
+    return (
+        Order(command.brake_action, command.brake_time_us),
+        Order(command.split_low_action, command.split_low_time_us),
+        Order(command.split_high_action, command.split_high_time_us),
+        Order(command.main_first_action, command.main_first_time_us),
+        Order(command.main_second_action, command.main_second_time_us),
+        Order(command.main_crawl_action, command.main_crawl_time_us),
+        Order(command.main_third_action, command.main_third_time_us),
+        Order(command.range_low_action, command.range_low_time_us),
+        Order(command.range_high_action, command.range_high_time_us),
+    )

@@ -1,0 +1,117 @@
+"""Shifts in virtual time: controller, rig and bench in one process, through encoded frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from controller.core import ControllerCore
+from controller.header import RunHeader, new_header
+from controller.settings import ControllerSettings
+from dbc.frame import Frame
+from gearbox import GearboxSheet
+from rig_sim.core import RigCore
+from rig_sim.settings import Preset, RigSettings
+from testbench.bench import BenchCore, plan_shifts
+from testbench.monitor import Monitor
+from testbench.provenance import product_version, provenance
+from testbench.rows import ShiftRow, summarise
+from testbench.virtual_time import VirtualTime
+
+DEFAULT_PAIRS: Final = ((8, 10), (10, 12))
+LAYSHAFT_RAD_S: Final = 1400.0 * math.pi / 30.0
+"""Layshaft speed in the old gear: shifts from here shed 400 to 600 rpm, as in the thesis."""
+LIMIT_US_PER_SHIFT: Final = 30_000_000
+TICK_US: Final = 10_000
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One simulated run."""
+
+    sheet: GearboxSheet
+    settings: ControllerSettings
+    preset: Preset = Preset.THESIS
+    seed: int = 1
+    shifts: int = 20
+    pairs: tuple[tuple[int, int], ...] = DEFAULT_PAIRS
+
+    @property
+    def header(self) -> RunHeader:
+        """The controller's run header."""
+        return new_header(product_version(), self.sheet, self.settings)
+
+
+@dataclass
+class Result:
+    """What came of it."""
+
+    rows: list[ShiftRow]
+    estimation: dict[str, Any]
+    provenance: dict[str, Any]
+    simulated_s: float
+    bus_load: float
+    stuck: list[int] = field(default_factory=list)
+
+    def to_json(self, strategy: str) -> dict[str, Any]:
+        """As `simulate --json` prints it."""
+        return {
+            "shifts": [row.to_json() for row in self.rows],
+            "summary": summarise(strategy, self.rows).to_json(),
+            "estimation": self.estimation,
+            "simulated_s": self.simulated_s,
+            "bus_load": round(self.bus_load, 4),
+            "provenance": self.provenance,
+        }
+
+
+def tick_phases(seed: int) -> list[int]:
+    """First step times of controller, rig and bench: real nodes do not tick together."""
+    rng = np.random.Generator(np.random.PCG64([seed, 0x7_1C]))
+    return [int(phase) for phase in rng.integers(0, TICK_US, 3)]
+
+
+def simulate(
+    setup: Setup,
+    on_frame: Callable[[int, Frame], None] | None = None,
+    on_row: Callable[[ShiftRow], None] | None = None,
+    on_event: Callable[[int, int, str], None] | None = None,
+) -> Result:
+    """Runs all shifts. A function of `setup`: same setup, same frames, same rows."""
+    monitor = Monitor(setup.sheet, setup.settings)
+    plan = plan_shifts(setup.sheet, list(setup.pairs), setup.shifts, LAYSHAFT_RAD_S)
+    bench = BenchCore(plan)
+    rig_settings = RigSettings(
+        preset=setup.preset,
+        seed=setup.seed,
+        start_gear=plan[0].from_ if plan else DEFAULT_PAIRS[0][0],
+        main_speed_rpm=plan[0].main_rad_s * 30.0 / math.pi if plan else 600.0,
+    )
+    reported = 0
+
+    def take(time_us: int, frame: Frame) -> None:
+        nonlocal reported
+        monitor.take(frame)
+        if on_frame is not None:
+            on_frame(time_us, frame)
+        if on_row is not None:
+            for row in monitor.rows.rows[reported:]:
+                on_row(row)
+        reported = len(monitor.rows.rows)
+
+    cores = [ControllerCore(setup.header), RigCore(setup.sheet, rig_settings), bench]
+    driver = VirtualTime(cores, tick_phases(setup.seed), take, on_event)
+    if plan:
+        driver.run(lambda: bench.done, LIMIT_US_PER_SHIFT * len(plan))
+    return Result(
+        rows=monitor.rows.rows,
+        estimation=monitor.estimation.figures(),
+        provenance=provenance(setup.sheet, setup.seed, setup.preset),
+        simulated_s=driver.now_us / 1e6,
+        bus_load=driver.bus.busy_us / max(1, driver.now_us),
+        stuck=bench.gave_up,
+    )
