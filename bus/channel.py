@@ -94,6 +94,13 @@ def private_directory() -> Path:
     return directory
 
 
+def hub_log(channel: HubChannel) -> Path:
+    """Where a hub in the background leaves its messages."""
+    if isinstance(channel, UnixChannel):
+        return channel.path.with_name(channel.path.name + ".log")
+    return private_directory() / f"tcp-{channel.host.replace(':', '_')}-{channel.port}.log"
+
+
 def _parse_unix(text: str, rest: str) -> UnixChannel:
     if sys.platform == "win32":
         raise ChannelError(

@@ -5,7 +5,7 @@ import sys
 import time
 
 from bus import wire
-from bus.channel import HubChannel, UnixChannel
+from bus.channel import HubChannel, TcpChannel, UnixChannel
 
 _SEND_BUFFER_BYTES = 1024 * 1024
 
@@ -50,26 +50,38 @@ def serves(channel: UnixChannel) -> bool:
 def _connect(channel: HubChannel, timeout_s: float) -> socket.socket:
     try:
         if isinstance(channel, UnixChannel):
-            if sys.platform == "win32":  # parse_channel lets no such channel through
-                raise NoHubError(f"{channel}: this system has no unix sockets")
-            connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            connection.settimeout(timeout_s)
-            try:
-                connection.connect(str(channel.path))
-            except BaseException:
-                connection.close()
-                raise
+            connection = _connect_unix(channel, timeout_s)
         else:
-            connection = socket.create_connection((channel.host, channel.port), timeout_s)
-            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            if connection.getsockname() == connection.getpeername():
-                # TCP may connect a socket to itself where nobody listens.
-                connection.close()
-                raise NoHubError(f"{channel}: nobody listens")
+            connection = _connect_tcp(channel, timeout_s)
     except (FileNotFoundError, ConnectionRefusedError, ConnectionResetError, TimeoutError) as error:
         raise NoHubError(f"{channel}: {error}") from error
+    except OSError as error:
+        raise OSError(error.errno, f"{channel}: {error.strerror}") from error
     # Frames wait here while the hub is not scheduled for a while.
     connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
+    return connection
+
+
+def _connect_unix(channel: UnixChannel, timeout_s: float) -> socket.socket:
+    if sys.platform == "win32":  # parse_channel lets no such channel through
+        raise FileNotFoundError("this system has no unix sockets")
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    try:
+        connection.settimeout(timeout_s)
+        connection.connect(str(channel.path))
+    except BaseException:
+        connection.close()
+        raise
+    return connection
+
+
+def _connect_tcp(channel: TcpChannel, timeout_s: float) -> socket.socket:
+    connection = socket.create_connection((channel.host, channel.port), timeout_s)
+    if connection.getsockname() == connection.getpeername():
+        # TCP may connect a socket to itself where nobody listens.
+        connection.close()
+        raise ConnectionRefusedError("nobody listens")
+    connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return connection
 
 

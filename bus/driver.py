@@ -123,7 +123,8 @@ class _Node:
             return
         try:
             self._receive_and_step()
-        except Exception as error:  # raised again by run(): of a callback it would only be logged
+        # Raised again by run(): from a callback it would only be logged.
+        except Exception as error:  # noqa: BLE001
             self._failure.set_exception(error)
 
     def _receive_and_step(self) -> None:
@@ -245,18 +246,20 @@ class _Node:
             self._say(f"bus lost: {error}; trying again every {RETRY_S:g} s")
         self._reopening = self._loop.create_task(self._reopen(bus, reception))
 
-    async def _reopen(self, bus: can.BusABC, reception: Reception) -> None:
+    async def _reopen(self, lost: can.BusABC, reception: Reception) -> None:
         """Opens anew instead of using the same bus again, so that nothing stale is in a queue."""
-        await _close(bus, reception)
+        await _close(lost, reception)
         complaint = ""
         while not await self._ends_within(RETRY_S):
             try:
-                self._attach(await asyncio.to_thread(self._open_bus))
-                return
-            except Exception as error:  # whatever a vendor's driver raises: we go on trying
+                bus = await asyncio.to_thread(self._open_bus)
+            except Exception as error:  # noqa: BLE001 (a vendor's driver may raise anything)
                 if str(error) != complaint:
                     complaint = str(error)
                     self._say(f"bus still away: {complaint}")
+            else:
+                self._attach(bus)
+                return
 
     async def _ends_within(self, seconds: float) -> bool:
         try:

@@ -13,10 +13,12 @@ import itertools
 import os
 import signal
 import socket
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import cast
 
 from bus import wire
 from bus.channel import (
@@ -25,9 +27,10 @@ from bus.channel import (
     HubChannel,
     TcpChannel,
     UnixChannel,
+    hub_log,
     parse_channel,
 )
-from bus.dial import dial, serves
+from bus.dial import NoHubError, dial, serves
 
 if sys.platform != "win32":
     import fcntl
@@ -35,7 +38,7 @@ if sys.platform != "win32":
 DEFAULT_LINGER_S = 3.0
 MAX_BACKLOG_BYTES = 8 * 1024 * 1024
 _GREETING_TIMEOUT_S = 5.0
-_LISTEN_BACKLOG = 64
+_LISTEN_BACKLOG = 1024
 _LOCK_WAIT_S = 5.0
 
 
@@ -70,7 +73,7 @@ class Hub:
 
     def pass_on(self, records: bytes, sender: "_Connection") -> None:
         """Sends whole records to every node but their sender."""
-        for node in self._nodes:
+        for node in tuple(self._nodes):  # one that reads too little leaves in between
             if node is not sender:
                 node.send(records)
 
@@ -91,13 +94,10 @@ class _Connection(asyncio.Protocol):
         self._number = number
         self._received = bytearray()
         self._greeted = False
-        self._transport: asyncio.Transport | None = None
-        self._greeting_timer: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
-        self._transport = transport
-        transport.set_write_buffer_limits(high=MAX_BACKLOG_BYTES)
+        self._transport = cast(asyncio.Transport, transport)
+        self._transport.set_write_buffer_limits(high=MAX_BACKLOG_BYTES)
         loop = asyncio.get_running_loop()
         self._greeting_timer = loop.call_later(
             _GREETING_TIMEOUT_S, self._drop, "it did not say what it is"
@@ -117,13 +117,12 @@ class _Connection(asyncio.Protocol):
 
     def send(self, records: bytes) -> None:
         """Queues records for this node."""
-        if self._transport is not None and not self._transport.is_closing():
+        if not self._transport.is_closing():
             self._transport.write(records)
 
     def close(self) -> None:
         """Ends this connection."""
-        if self._transport is not None:
-            self._transport.close()
+        self._transport.close()
 
     def pause_writing(self) -> None:
         self._drop(f"it has left more than {MAX_BACKLOG_BYTES} bytes of frames unread")
@@ -133,11 +132,9 @@ class _Connection(asyncio.Protocol):
         self._hub.leave(self)
         return False
 
-    def connection_lost(self, exc: Exception | None) -> None:
-        if self._greeting_timer is not None:
-            self._greeting_timer.cancel()
+    def connection_lost(self, exc: Exception | None) -> None:  # noqa: ARG002 (asyncio's name)
+        self._greeting_timer.cancel()
         self._hub.leave(self)
-        self._transport = None
 
     def _take_greeting(self) -> bool:
         size = len(wire.GREETING)
@@ -148,8 +145,6 @@ class _Connection(asyncio.Protocol):
             return False
         del self._received[:size]
         self._greeted = True
-        assert self._greeting_timer is not None
-        assert self._transport is not None
         self._greeting_timer.cancel()
         self._hub.join(self)
         # The answer comes after joining: a node that has it misses no frame from here on.
@@ -157,9 +152,8 @@ class _Connection(asyncio.Protocol):
         return True
 
     def _drop(self, reason: str) -> None:
-        if self._transport is not None and not self._transport.is_closing():
-            print(f"meshpoint hub: node {self._number} disconnected: {reason}", file=sys.stderr)
-            sys.stderr.flush()
+        if not self._transport.is_closing():
+            _say(f"node {self._number} disconnected: {reason}")
             self._hub.leave(self)
             self._transport.abort()
 
@@ -167,8 +161,8 @@ class _Connection(asyncio.Protocol):
 def listen(channel: HubChannel, allow_remote: bool = False) -> socket.socket:
     """The listening socket of a hub.
 
-    Raises HubRunningError when a hub serves the channel already, ChannelError or another OSError when the
-    channel cannot be served.
+    Raises HubRunningError when a hub serves the channel already, ChannelError or another OSError
+    when it cannot be served.
     """
     if isinstance(channel, UnixChannel):
         return _listen_unix(channel)
@@ -207,22 +201,70 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--allow-remote", action="store_true", help="serve a TCP address other machines can reach"
     )
+    parser.add_argument(
+        "--detach",
+        action="store_true",
+        help="go on in the background as soon as the channel is served, with messages to a file",
+    )
     options = parser.parse_args(arguments)
     try:
         channel = parse_channel(options.channel)
+        if options.detach and sys.platform == "win32":
+            return _start_in_background(channel)
         listener = listen(channel, options.allow_remote)
     except HubRunningError:
         return 0
-    except (ChannelError, OSError) as error:
-        print(f"meshpoint hub: {error}", file=sys.stderr)
+    except ChannelError as error:
+        _say(str(error))
         return 2
+    except OSError as error:
+        _say(f"{options.channel}: {error}")
+        return 2
+    if options.detach and sys.platform != "win32":
+        if os.fork() > 0:
+            return 0
+        _leave_terminal(hub_log(channel))
     with contextlib.suppress(KeyboardInterrupt):
         try:
             asyncio.run(serve(listener, options.linger))
         finally:
-            if isinstance(channel, UnixChannel):
-                _remove(channel.path)
+            _clean_up(channel)
     return 0
+
+
+def _start_in_background(channel: HubChannel) -> int:
+    """Where a process cannot fork: starts another one and waits until that serves."""
+    with hub_log(channel).open("ab") as messages:
+        hub = subprocess.Popen(  # noqa: S603 (our own module)
+            [sys.executable, "-m", "bus.hub", str(channel)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=messages,
+            creationflags=getattr(subprocess, "DETACHED_PROCESS", 0),
+        )
+    while hub.poll() is None:
+        try:
+            dial(channel, timeout_s=1.0).close()
+        except NoHubError:
+            time.sleep(0.02)
+        else:
+            return 0
+    return hub.returncode
+
+
+def _leave_terminal(log: Path) -> None:
+    """Nothing of this process is tied to those of its starter from here on: whoever waits for the
+    end of the starter's output does not wait for the hub's end."""
+    os.setsid()
+    nothing = os.open(os.devnull, os.O_RDWR)
+    messages = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+    for number, target in enumerate((nothing, nothing, messages)):
+        os.dup2(target, number)
+
+
+def _say(line: str) -> None:
+    sys.stderr.write(f"meshpoint hub: {line}\n")
+    sys.stderr.flush()
 
 
 def _listen_tcp(channel: TcpChannel) -> socket.socket:
@@ -253,7 +295,7 @@ def _listen_unix(channel: UnixChannel) -> socket.socket:
     try:
         with _locked(path.parent):
             if serves(channel):
-                raise HubRunningError
+                raise HubRunningError  # noqa: TRY301
             # A socket without a listener was left by a hub that was killed.
             if path.is_socket():
                 path.unlink()
@@ -269,11 +311,17 @@ def _listen_unix(channel: UnixChannel) -> socket.socket:
     return listener
 
 
-def _remove(path: Path) -> None:
-    """Removes our socket file, unless another hub has taken its place."""
-    with _locked(path.parent):
-        if not serves(UnixChannel(path)):
-            path.unlink(missing_ok=True)
+def _clean_up(channel: HubChannel) -> None:
+    """Removes our files: an empty log, and the socket unless another hub has taken its place."""
+    log = hub_log(channel)
+    # FileNotFoundError: there is no log, or somebody has removed the whole directory.
+    with contextlib.suppress(FileNotFoundError):
+        if log.stat().st_size == 0:
+            log.unlink()
+    if isinstance(channel, UnixChannel):
+        with contextlib.suppress(FileNotFoundError), _locked(channel.path.parent):
+            if not serves(channel):
+                channel.path.unlink()
 
 
 @contextlib.contextmanager

@@ -10,11 +10,12 @@ from datetime import UTC, datetime
 from struct import Struct
 from typing import BinaryIO, NamedTuple
 
-from bus.log_entry import Defect, Entries, Skipped, checked
+from bus.log_entry import DefectError, Entries, Skipped, checked
 from dbc.frame import Frame
 
 # Writers put 128 KiB into a container.
 MAX_CONTAINER_BYTES = 16 * 1024 * 1024
+_CONTAINER_LIMIT = f"the limit is {MAX_CONTAINER_BYTES}"
 
 # signature, header size, application and format versions, file size, unpacked size, objects,
 # objects read, start and end as SYSTEMTIME
@@ -61,14 +62,14 @@ class _Object(NamedTuple):
 
 def blf_entries(file: BinaryIO, file_bytes: int) -> Entries:
     """Every frame of a BLF log of `file_bytes` bytes; time in seconds since the epoch, or since
-    the start when the log does not tell its start. Raises Defect.
+    the start when the log does not tell its start. Raises DefectError.
     """
     header = file.read(_FILE_HEADER.size)
     if len(header) < _FILE_HEADER.size or not header.startswith(b"LOGG"):
-        raise Defect("offset 0", "not a BLF log: it does not begin with a LOGG header")
+        raise DefectError("offset 0", "not a BLF log: it does not begin with a LOGG header")
     _, header_bytes, declared_bytes, _, _, _, *times = _FILE_HEADER.unpack(header)
     if not _FILE_HEADER.size <= header_bytes <= file_bytes:
-        raise Defect("offset 4", f"the header cannot have {header_bytes} bytes")
+        raise DefectError("offset 4", f"the header cannot have {header_bytes} bytes")
     file.seek(header_bytes)
     start_s = _epoch_s(times[:8])
     for item in _objects(file, file_bytes):
@@ -77,7 +78,7 @@ def blf_entries(file: BinaryIO, file_bytes: int) -> Entries:
             yield entry
     if declared_bytes > file_bytes:
         cause = f"cut off: {file_bytes} bytes are left of {declared_bytes}"
-        raise Defect(f"offset {file_bytes}", cause)
+        raise DefectError(f"offset {file_bytes}", cause)
 
 
 def _objects(file: BinaryIO, file_bytes: int) -> Iterator[_Object]:
@@ -90,12 +91,14 @@ def _objects(file: BinaryIO, file_bytes: int) -> Iterator[_Object]:
         while True:
             found = buffer.find(_SIGNATURE, start, start + _MAX_PADDING + len(_SIGNATURE))
             if found < 0 and len(buffer) >= start + _MAX_PADDING + len(_SIGNATURE):
-                raise Defect(position, "no object where one should begin")
+                raise DefectError(position, "no object where one should begin")
             if found < 0 or found + _OBJECT_HEADER.size > len(buffer):
                 break
             _, header_bytes, _, size, kind = _OBJECT_HEADER.unpack_from(buffer, found)
             if not _MIN_HEADER_BYTES <= header_bytes <= size <= MAX_CONTAINER_BYTES:
-                raise Defect(position, f"no object has {size} bytes, {header_bytes} in its header")
+                raise DefectError(
+                    position, f"no object has {size} bytes, {header_bytes} in its header"
+                )
             if found + size > len(buffer):
                 break
             time = bytes(buffer[found + _OBJECT_HEADER.size : found + header_bytes])
@@ -103,7 +106,7 @@ def _objects(file: BinaryIO, file_bytes: int) -> Iterator[_Object]:
             start = found + size
         del buffer[:start]
     if buffer.strip(b"\0"):
-        raise Defect(position, "the log ends inside an object (interrupted or cut off)")
+        raise DefectError(position, "the log ends inside an object (interrupted or cut off)")
 
 
 def _containers(file: BinaryIO, file_bytes: int) -> Iterator[tuple[bytes, str]]:
@@ -115,40 +118,44 @@ def _containers(file: BinaryIO, file_bytes: int) -> Iterator[tuple[bytes, str]]:
         if not header.strip(b"\0"):
             return
         if len(header) < _OBJECT_HEADER.size:
-            raise Defect(position, "the log ends inside a container (interrupted or cut off)")
+            raise DefectError(position, "the log ends inside a container (interrupted or cut off)")
         signature, _, _, size, kind = _OBJECT_HEADER.unpack(header)
         if signature != _SIGNATURE or size < _OBJECT_HEADER.size:
-            raise Defect(position, "no container where one should begin")
+            raise DefectError(position, "no container where one should begin")
         if offset + size > file_bytes:
-            raise Defect(position, "the log ends inside a container (interrupted or cut off)")
+            raise DefectError(position, "the log ends inside a container (interrupted or cut off)")
         if kind == _CONTAINER_TYPE:
             if size > MAX_CONTAINER_BYTES:
-                raise Defect(position, f"container of {size} bytes, limit {MAX_CONTAINER_BYTES}")
+                raise DefectError(
+                    position, f"container of {size} bytes, limit {MAX_CONTAINER_BYTES}"
+                )
             yield _unpacked(file.read(size - _OBJECT_HEADER.size), position), position
         file.seek(offset + size + size % _ALIGNMENT)
 
 
 def _unpacked(container: bytes, position: str) -> bytes:
     if len(container) < _CONTAINER.size:
-        raise Defect(position, "container without a header")
+        raise DefectError(position, "container without a header")
     method, unpacked_bytes = _CONTAINER.unpack_from(container)
     content = container[_CONTAINER.size :]
     if unpacked_bytes > MAX_CONTAINER_BYTES:
-        raise Defect(
-            position, f"container unpacks to {unpacked_bytes}, limit {MAX_CONTAINER_BYTES}"
-        )
+        raise DefectError(position, f"container of {unpacked_bytes} bytes, {_CONTAINER_LIMIT}")
     if method == _ZLIB:
         unpacker = zlib.decompressobj()
         try:
             content = unpacker.decompress(content, MAX_CONTAINER_BYTES)
         except zlib.error as error:
-            raise Defect(position, f"container cannot be unpacked: {error}") from error
+            raise DefectError(position, f"container cannot be unpacked: {error}") from error
         if not unpacker.eof:
-            raise Defect(position, "packed data go on behind the container's end")
+            raise DefectError(position, "packed data go on behind the container's end")
     elif method != _UNCOMPRESSED:
-        raise Defect(position, f"unknown compression {method}; known are 0 (none) and 2 (zlib)")
+        raise DefectError(
+            position, f"unknown compression {method}; known are 0 (none) and 2 (zlib)"
+        )
     if len(content) != unpacked_bytes:
-        raise Defect(position, f"container holds {len(content)} bytes, told are {unpacked_bytes}")
+        raise DefectError(
+            position, f"container holds {len(content)} bytes, told are {unpacked_bytes}"
+        )
     return content
 
 
@@ -160,7 +167,9 @@ def _entry(item: _Object, start_s: float) -> tuple[float, Frame] | Skipped | Non
     if layout is None:
         return None
     if len(item.body) < layout.size:
-        raise Defect(item.position, f"frame object of {len(item.body)} bytes, not {layout.size}")
+        raise DefectError(
+            item.position, f"frame object of {len(item.body)} bytes, not {layout.size}"
+        )
     fields = layout.unpack_from(item.body)
     if layout is _FD_MESSAGE_64:
         dlc, data_bytes, can_id, fd_flags, data_end = fields
@@ -176,7 +185,7 @@ def _entry(item: _Object, start_s: float) -> tuple[float, Frame] | Skipped | Non
     if is_remote:
         return Skipped.REMOTE
     if dlc >= len(_LENGTH_OF_DLC):
-        raise Defect(item.position, f"data length code {dlc} is outside 0..15")
+        raise DefectError(item.position, f"data length code {dlc} is outside 0..15")
     length = _LENGTH_OF_DLC[dlc] if is_fd else min(dlc, _MAX_CLASSIC_LENGTH)
     frame = Frame(
         can_id & _ID_MASK,
@@ -191,7 +200,9 @@ def _entry(item: _Object, start_s: float) -> tuple[float, Frame] | Skipped | Non
 def _time_s(item: _Object) -> float:
     unit, _, _, time = _OBJECT_TIME.unpack_from(item.time)
     if unit not in _UNITS_S:
-        raise Defect(item.position, f"unknown time unit {unit}; known are 1 (10 us) and 2 (1 ns)")
+        raise DefectError(
+            item.position, f"unknown time unit {unit}; known are 1 (10 us) and 2 (1 ns)"
+        )
     return float(time * _UNITS_S[unit])
 
 

@@ -20,7 +20,7 @@ class Skipped(Enum):
 Entries = Iterator[tuple[float, Frame] | Skipped]
 
 
-class Defect(Exception):
+class DefectError(Exception):
     """Where in a log it cannot be read, and why.
 
     position: "line 7", "offset 144"; empty when the log as a whole is meant.
@@ -33,13 +33,13 @@ class Defect(Exception):
 
 
 def checked(frame: Frame, position: str) -> Frame:
-    """`frame`, if there can be such a CAN frame; else Defect."""
+    """`frame`, if there can be such a CAN frame; else DefectError."""
     limit = MAX_EXTENDED_ID if frame.is_extended else MAX_STANDARD_ID
     if not 0 <= frame.can_id <= limit:
-        raise Defect(position, f"identifier 0x{frame.can_id:X} is outside 0..0x{limit:X}")
+        raise DefectError(position, f"identifier 0x{frame.can_id:X} is outside 0..0x{limit:X}")
     if len(frame.data) not in (FD_LENGTHS if frame.is_fd else CLASSIC_LENGTHS):
         kind, allowed = (
             ("CAN FD", "0..8, 12, 16, 20, 24, 32, 48 or 64") if frame.is_fd else ("classic", "0..8")
         )
-        raise Defect(position, f"{len(frame.data)} data bytes; a {kind} frame has {allowed}")
+        raise DefectError(position, f"{len(frame.data)} data bytes; a {kind} frame has {allowed}")
     return frame

@@ -6,7 +6,7 @@ from typing import BinaryIO, TextIO, cast
 
 import can
 
-from bus.log_entry import Defect, Entries, Skipped, checked
+from bus.log_entry import DefectError, Entries, Skipped, checked
 from dbc.frame import Frame
 
 # The longest line of a real log has some 400 characters.
@@ -24,12 +24,12 @@ _ASC_LINE = re.compile(r"\d+\.\d+\s|date\s|base\s|(no\s+)?internal\s|begin\s|end
 
 
 def candump_entries(file: BinaryIO) -> Entries:
-    """Every frame of a candump log, time in seconds as written; raises Defect."""
+    """Every frame of a candump log, time in seconds as written; raises DefectError."""
     for number, line in _lines(file):
         position = f"line {number}"
         match = _CANDUMP_LINE.fullmatch(line)
         if match is None:
-            raise Defect(position, f"no candump line: {line[:60]!r}")
+            raise DefectError(position, f"no candump line: {line[:60]!r}")
         can_id = int(match["id"], 16)
         # python-can's reader takes some error frames for data frames, for it drops this flag.
         if len(match["id"]) == _EXTENDED_DIGITS and can_id & _ERROR_FLAG:
@@ -40,14 +40,14 @@ def candump_entries(file: BinaryIO) -> Entries:
             is_fd = match["fd_flags"] is not None
             digits = match["fd"] if is_fd else match["data"]
             if len(digits) % 2:
-                raise Defect(position, f"odd number of data digits: {len(digits)}")
+                raise DefectError(position, f"odd number of data digits: {len(digits)}")
             is_extended = len(match["id"]) == _EXTENDED_DIGITS
             frame = Frame(can_id, bytes.fromhex(digits), is_fd, is_extended)
             yield float(match["time"]), checked(frame, position)
 
 
 def asc_entries(file: BinaryIO) -> Entries:
-    """Every frame of an ASC log, time in seconds from its start; raises Defect.
+    """Every frame of an ASC log, time in seconds from its start; raises DefectError.
 
     Lines that begin as one of the format, but hold no frame, are passed over: there are too many
     kinds of them.
@@ -57,10 +57,10 @@ def asc_entries(file: BinaryIO) -> Entries:
     while True:
         try:
             message = next(reader, None)
-        except Defect:
+        except DefectError:
             raise
         except Exception as error:  # python-can lets ValueError, KeyError, IndexError ... through
-            raise Defect(lines.position, f"no ASC line: {error}") from error
+            raise DefectError(lines.position, f"no ASC line: {error}") from error
         if message is None:
             return
         if message.is_error_frame:
@@ -71,7 +71,7 @@ def asc_entries(file: BinaryIO) -> Entries:
             # There are no remote frames in CAN FD: python-can means an FD frame without data.
             length = 0 if message.is_remote_frame else message.dlc
             if len(message.data) != length:
-                raise Defect(lines.position, f"{len(message.data)} of {length} data bytes")
+                raise DefectError(lines.position, f"{len(message.data)} of {length} data bytes")
             frame = Frame(
                 message.arbitration_id, bytes(message.data), message.is_fd, message.is_extended_id
             )
@@ -89,7 +89,7 @@ class _AscLines:
         for number, line in self._lines:
             self.position = f"line {number}"
             if not _ASC_LINE.match(f"{line} "):
-                raise Defect(self.position, f"no ASC line: {line[:60]!r}")
+                raise DefectError(self.position, f"no ASC line: {line[:60]!r}")
             yield line
 
     def close(self) -> None:
@@ -104,11 +104,11 @@ def _lines(file: BinaryIO) -> Iterator[tuple[int, str]]:
         position = f"line {number}"
         if not line.endswith(b"\n"):
             if len(line) == _MAX_LINE_BYTES:
-                raise Defect(position, f"longer than {_MAX_LINE_BYTES} characters")
-            raise Defect(position, "the log ends inside this line (interrupted or cut off)")
+                raise DefectError(position, f"longer than {_MAX_LINE_BYTES} characters")
+            raise DefectError(position, "the log ends inside this line (interrupted or cut off)")
         try:
             text = line.decode("ascii").strip()
         except UnicodeDecodeError as error:
-            raise Defect(position, f"not text: byte 0x{line[error.start]:02X}") from error
+            raise DefectError(position, f"not text: byte 0x{line[error.start]:02X}") from error
         if text:
             yield number, text

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from bus.log_blf import blf_entries
-from bus.log_entry import Defect, Entries, Skipped
+from bus.log_entry import DefectError, Entries, Skipped
 from bus.log_text import asc_entries, candump_entries
 from dbc.frame import Frame
 
@@ -51,7 +51,7 @@ class LogReader:
                 yield from self._frames_of(_entries(file, self.path, self._max_bytes))
         except OSError as error:
             raise LogError(self.path, "", error.strerror or str(error)) from error
-        except Defect as defect:
+        except DefectError as defect:
             raise LogError(self.path, defect.position, defect.cause) from defect
         if self.frames + self.remote_frames + self.error_frames == 0:
             raise LogError(self.path, "", "holds no frames")
@@ -76,9 +76,9 @@ def read_log(path: str | os.PathLike[str], max_bytes: int = MAX_LOG_BYTES) -> Lo
 def _entries(file: BinaryIO, path: Path, max_bytes: int) -> Entries:
     file_bytes = os.fstat(file.fileno()).st_size
     if file_bytes == 0:
-        raise Defect("", "is empty")
+        raise DefectError("", "is empty")
     if file_bytes > max_bytes:
-        raise Defect("", f"has {file_bytes} bytes, the limit is {max_bytes}")
+        raise DefectError("", f"has {file_bytes} bytes, the limit is {max_bytes}")
     match path.suffix.lower():
         case ".log":
             return candump_entries(file)
@@ -86,4 +86,4 @@ def _entries(file: BinaryIO, path: Path, max_bytes: int) -> Entries:
             return asc_entries(file)
         case ".blf":
             return blf_entries(file, file_bytes)
-    raise Defect("", f"unknown ending {path.suffix!r}; known are {', '.join(FORMATS)}")
+    raise DefectError("", f"unknown ending {path.suffix!r}; known are {', '.join(FORMATS)}")

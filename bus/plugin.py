@@ -10,15 +10,15 @@ import can
 from can.typechecking import AutoDetectedConfig, CanFilters, Channel
 
 from bus import wire
-from bus.channel import ChannelError, TcpChannel, default_channel, parse_channel
-from bus.launch import connect, hub_log
+from bus.channel import ChannelError, TcpChannel, default_channel, hub_log, parse_channel
+from bus.launch import connect
 from bus.wire import Flag
 
 CONNECT_TIMEOUT_S = 10.0
 _READ_BYTES = 64 * 1024
 _READS_PER_DRAIN = 4
 _MAX_UNSENT_BYTES = 1024 * 1024
-_GOODBYE_TIMEOUT_S = 0.5
+_GOODBYE_TIMEOUT_S = 5.0
 
 # Plain integers: arithmetic on IntFlag members would cost more than all the rest of a frame.
 _EXTENDED = Flag.EXTENDED.value
@@ -228,7 +228,7 @@ class MeshpointBus(can.BusABC):
     def _broken(self, cause: str) -> can.CanOperationError:
         self._lost = True
         return can.CanOperationError(
-            f"meshpoint: {self._place}: {cause} (a hub started by a node writes its reasons to "
+            f"meshpoint: {self._place}: {cause} (a hub in the background writes its reasons to "
             f"{self._hub_log})"
         )
 

@@ -105,7 +105,7 @@ class _ThreadReception:
         while not self._ending.is_set():
             try:
                 message = self._bus.recv(_THREAD_WAIT_S)
-            except Exception as error:  # whatever a vendor's driver raises: the loop must know
+            except Exception as error:  # noqa: BLE001 (a vendor's driver may raise anything)
                 self._error = error
                 self._announce()
                 return

@@ -84,9 +84,8 @@ class LogWriter:
             self._unflushed += 1
             if self._unflushed >= _MAX_UNFLUSHED and not isinstance(self._writer, can.BLFWriter):
                 self._flush_text(self._writer)
-            if self._flush_every_s is not None:
-                if time.monotonic() - self._flushed_at_s >= self._flush_every_s:
-                    self.flush()
+            if self._is_flush_due():
+                self.flush()
 
     def flush(self) -> None:
         """Brings everything written so far into the file, which is complete then."""
@@ -114,6 +113,11 @@ class LogWriter:
         traceback: TracebackType | None,
     ) -> None:
         self.close()
+
+    def _is_flush_due(self) -> bool:
+        if self._flush_every_s is None:
+            return False
+        return time.monotonic() - self._flushed_at_s >= self._flush_every_s
 
     def _open(self) -> _Writer:
         match self.path.suffix.lower():

@@ -34,7 +34,7 @@ from dbc.messages import (
     SleevesMain,
     ValveCommand,
 )
-from dbc.schema import Node
+from dbc.node import Node
 from gearbox import Sleeve
 
 OWN_ADDRESS: Final = 0x03
@@ -102,6 +102,8 @@ class ControllerCore:
             now_us, lateness_us, consumed.count, consumed.crc, self._receiver, self._guard.blocks
         )
         frames.append(self._transmitter.encode(status))
+        # In the order in which they will win the bus; the status frame closes the step.
+        frames.sort(key=_identifier)
         self._plan_next_step(now_us, moment.now_us)
         return Step(frames, events)
 

@@ -8,7 +8,8 @@ This package knows no physics.
     from dbc.link import Receiver, Transmitter
     from dbc.messages import ValveAction, ValveCommand
 
-    frame = Transmitter(Node.TRANSMISSION_CONTROL).encode(ValveCommand(brake_action=ValveAction.ON_NOW))
+    transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
+    frame = transmitter.encode(ValveCommand(brake_action=ValveAction.ON_NOW))
     verdict, message = Receiver(Node.GEARBOX_IO).receive(frame)
 """
 

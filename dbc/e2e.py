@@ -1,14 +1,14 @@
 """End-to-end protection of our own frames: AUTOSAR E2E profile 5, counter check and state machine.
 
-The CRC is the library's (`autosar-e2e`): bytes 0..1 of a frame, low byte first, over everything from
-byte 2 on and the message's data ID; the counter is byte 2. Counter check and state machine follow
-AUTOSAR's E2E_Check and E2E_SM with two differences, both towards caution and both for lack of a
-strict period at which a pure core could be called:
+The CRC is the library's (`autosar-e2e`): bytes 0..1 of a frame, low byte first, over everything
+from byte 2 on and the message's data ID; the counter is byte 2. Counter check and state machine
+follow AUTOSAR's profile check and E2E_SM with three differences:
 
-- a repeated or wrong counter counts as an error of the window, as a wrong CRC does, so that a sender
-  with a broken counter is out after `max_errors` + 1 frames;
-- frames drive the machine, not periods; absence is measured in time (`Silence`) and handed to it as
-  one NONEWDATA, which empties the window.
+- a repeated or wrong counter is an error of the window, as a wrong CRC is, so that a sender with a
+  broken counter is out after `max_errors` + 1 frames (AUTOSAR counts only the wrong CRC);
+- frames drive the machine, not periods, because the steps of a core have none; absence is measured
+  in time (`Silence`) and handed over as NO_NEW_DATA, which empties the window;
+- the first frame of all is OK and counts, where AUTOSAR only takes its counter.
 
 E2E finds accidents. It is no defence against someone who forges frames.
 """
@@ -40,7 +40,7 @@ COUNTER_MODULUS: Final = 256
 
 
 class Status(IntEnum):
-    """What the check says about one frame, or about the lack of one (AUTOSAR E2E_PCheckStatusType)."""
+    """What the check says about a frame or the lack of one (AUTOSAR E2E_PCheckStatusType)."""
 
     OK = 0
     REPEATED = 1
@@ -51,7 +51,7 @@ class Status(IntEnum):
 
 
 class ChannelState(IntEnum):
-    """What is known about a channel (AUTOSAR E2E_SMStateType); its data may be used only in VALID."""
+    """What is known about a channel (AUTOSAR E2E_SMStateType); its data are usable in VALID."""
 
     NO_DATA = 0
     INIT = 1
@@ -124,8 +124,8 @@ DEFAULT_LIMITS: Final = Limits()
 def check_counter(previous: int | None, counter: int, max_delta: int) -> Status:
     """Judge a counter against the one before it; the first of all, `previous` None, is OK.
 
-    Whatever is said, `counter` is the `previous` of the next frame: after a restart of the sender one
-    frame is WRONG_SEQUENCE and the next is OK.
+    Whatever is said, `counter` is the `previous` of the next frame: after a restart of the sender
+    one frame is WRONG_SEQUENCE and the next is OK.
     """
     if previous is None:
         return Status.OK
@@ -164,7 +164,7 @@ class StateMachine:
     def _find(self, status: Status) -> Finding:
         """Shift the status into the window, and say what the window amounts to."""
         is_readable = status is not Status.ERROR or self.state is not ChannelState.NO_DATA
-        if status >= Status.NOT_AVAILABLE or not is_readable:
+        if status in (Status.NO_NEW_DATA, Status.NOT_AVAILABLE) or not is_readable:
             return Finding.SILENT
         is_ok = status is Status.OK
         self._oks = (self._oks << 1 | is_ok) & self._mask
@@ -180,9 +180,9 @@ class Silence:
     """Measures how long a cyclic channel has had no good frame, in the clock of the caller's steps.
 
     A good frame that a step consumes is dated at the step before, but not more than one cycle time
-    back: a frame carries no arrival time, and the earlier date errs to the safe side. So a channel is
-    silent at the latest `max_silent_cycles` cycle times after its last frame arrived, when steps come
-    at least once a cycle time.
+    back: a frame carries no arrival time, and the earlier date errs to the safe side. So when steps
+    come at least once a cycle time, a channel is silent at every step that is `max_silent_cycles`
+    cycle times or more after its last good frame arrived, and at none that is one cycle time less.
     """
 
     __slots__ = ("_cycle_time_us", "_heard_us", "_limit_us", "is_heard")

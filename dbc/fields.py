@@ -10,7 +10,7 @@ import operator
 import re
 from collections import namedtuple
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum, IntEnum, auto
 from typing import Any, Final, SupportsIndex, cast
 
@@ -53,7 +53,7 @@ class FieldSpec:
         return raw * self.scale + self.offset if self.kind is Kind.FLOAT else raw + int(self.offset)
 
     def raw_value(self, value: object) -> int:
-        """The raw value of a number inside; raises for what is not finite, or not whole but should."""
+        """The raw value of a number inside; raises if it is not finite, or not whole but should."""
         if self.kind is Kind.FLOAT:
             return round((cast(float, value) - self.offset) / self.scale)
         return operator.index(cast(SupportsIndex, value)) - int(self.offset)
@@ -93,22 +93,27 @@ def make_enums(schema: Schema) -> dict[str, type[IntEnum]]:
 
 
 def make_fields(message: MessageSpec) -> tuple[FieldSpec, ...]:
-    """The fields of a message in the order of the wire; CRC and counter are the link's, not fields."""
-    signals = message.signals[2:] if message.is_protected else message.signals
+    """The fields of a message in the order of the wire; CRC and counter belong to the link."""
+    if not message.is_protected:
+        return tuple(_field(signal.name, (signal,), is_optional=True) for signal in message.signals)
     rows: dict[str, list[SignalSpec]] = {}
-    for signal in signals:
+    for signal in message.signals[2:]:
         match = _ROW.fullmatch(signal.name)
-        continues = match and int(match["number"]) == len(rows.get(match["name"], ()))
-        rows.setdefault(match["name"] if match and continues else signal.name, []).append(signal)
-    return tuple(
-        _field(name, tuple(row), is_tuple=name != row[0].name, is_optional=not message.is_protected)
-        for name, row in rows.items()
-    )
+        name = (
+            match["name"] if match and _continues(rows.get(match["name"]), signal) else signal.name
+        )
+        rows.setdefault(name, []).append(signal)
+    return tuple(_field(name, tuple(row), is_optional=False) for name, row in rows.items())
 
 
-def _field(
-    name: str, signals: tuple[SignalSpec, ...], is_tuple: bool, is_optional: bool
-) -> FieldSpec:
+def _continues(row: list[SignalSpec] | None, signal: SignalSpec) -> bool:
+    """Whether a numbered signal is the next of a row: numbered from 00 on, and like the first."""
+    first = row[0] if row else signal
+    alike = replace(signal, name=first.name, start_bit=first.start_bit, comment=first.comment)
+    return alike == first and int(signal.name[-2:]) == len(row or ())
+
+
+def _field(name: str, signals: tuple[SignalSpec, ...], is_optional: bool) -> FieldSpec:
     signal = signals[0]
     unit = UNITS[signal.unit]
     kind = _kind(signal)
@@ -116,7 +121,7 @@ def _field(
         name=snake_case(name) + unit.suffix,
         kind=kind,
         signals=signals,
-        is_tuple=is_tuple,
+        is_tuple=name != signal.name,
         is_optional=is_optional and kind in (Kind.INT, Kind.FLOAT),
         scale=_short(signal.scale * unit.factor),
         offset=_short(signal.offset * unit.factor + unit.offset),
@@ -164,7 +169,7 @@ def _value(field: FieldSpec, signal: SignalSpec, enums: Mapping[str, type[IntEnu
 
 
 def why_refused(fields: tuple[FieldSpec, ...], message: tuple[object, ...]) -> str:
-    """Which signal of a message has no place on the wire: its name, its value, and what is allowed."""
+    """Which signal of a message cannot be sent: its name, its value, and what is allowed."""
     for field, value in zip(fields, message, strict=True):
         values = value if field.is_tuple else (value,)
         if not isinstance(values, Iterable) or len(items := tuple(values)) != len(field.signals):

@@ -28,11 +28,11 @@ _SIGNAL: Final = re.compile(
 
 
 class SchemaError(ValueError):
-    """A DBC that is not accepted: names file, message or signal, what was found, what is allowed."""
+    """A DBC that is refused: names file, message or signal, what was found, what is allowed."""
 
 
 def check_text(text: str, source: str) -> None:
-    """Raise `SchemaError` unless `text` is safe to hand to the DBC parser; `source` names the file."""
+    """Raise `SchemaError` unless the text of file `source` is safe to hand to the DBC parser."""
     if len(text) > MAX_TEXT_BYTES:
         raise SchemaError(f"{source}: {len(text)} bytes, at most {MAX_TEXT_BYTES} are allowed")
     bare = _TEXT.sub('""', text)

@@ -110,7 +110,7 @@ def make_codec(message: MessageSpec, enums: Mapping[str, type[IntEnum]]) -> Code
         **{f"_{name}": tuple(enum) for name, enum in enums.items()},
     }
     # All names in the text are plain words: the schema has let no others through.
-    exec(compile(source, f"<codec of {message.name}>", "exec"), names)  # noqa: S102
+    exec(compile(source, f"<codec of {message.name}>", "exec"), names)
     return Codec(message, fields, message_type, source, names["decode"], names["encode"])
 
 
@@ -125,7 +125,7 @@ def make_source(message: MessageSpec, fields: tuple[FieldSpec, ...]) -> str:
         "",
         "",
         "def decode(_data):",
-        *(f"    {line}" for line in _decode_lines(message, fields, slots)),
+        *(f"    {line}" for line in _decode_lines(fields, slots)),
         "",
         "",
         "def encode(_buffer, _counter, _message):",
@@ -135,9 +135,7 @@ def make_source(message: MessageSpec, fields: tuple[FieldSpec, ...]) -> str:
     return "\n".join(lines)
 
 
-def _decode_lines(
-    message: MessageSpec, fields: tuple[FieldSpec, ...], slots: tuple[Slot, ...]
-) -> list[str]:
+def _decode_lines(fields: tuple[FieldSpec, ...], slots: tuple[Slot, ...]) -> list[str]:
     used = [slot for slot in slots if slot.signals]
     lines = [f"{_columns([slot.variable for slot in used])} = _unpack(_data)"]
     for slot in used:
@@ -170,8 +168,8 @@ def _encode_lines(
             if raw != signal.name:
                 lines.append(f"{signal.name} = {raw}")
             if signal.is_ranged or signal.bits not in (8, 16, 32, 64):
-                missing = f"{source} is None or " if field.is_optional else ""
-                limits.append(f"({missing}{signal.raw_min} <= {signal.name} <= {signal.raw_max})")
+                limit = f"{signal.raw_min} <= {signal.name} <= {signal.raw_max}"
+                limits.append(f"({source} is None or {limit})" if field.is_optional else limit)
     if limits:
         lines += ["if not (", *_joined(limits, " and"), "):", "    raise ValueError"]
     fill = 0x00 if message.is_protected else 0xFF
@@ -249,7 +247,9 @@ def _plus(expression: str, number: float) -> str:
 def _columns(names: list[str]) -> str:
     """Names in brackets, over several lines where they are many."""
     lines = textwrap.wrap(", ".join(names) + ",", _WIDTH)
-    return f"({lines[0]})" if len(lines) == 1 else "\n        ".join(["(", *lines]) + "\n    )"
+    if len(lines) == 1:
+        return f"({lines[0] if len(names) == 1 else lines[0][:-1]})"
+    return "\n        ".join(["(", *lines]) + "\n    )"
 
 
 def _grouped(field: FieldSpec, values: list[str]) -> str:

@@ -92,8 +92,9 @@ class Transmitter:
     def encode(self, message: Message) -> Frame:
         """The frame of a message, protected where the DBC says so.
 
-        Values are rounded to the nearest step of the wire. `EncodeError`, and the counter unchanged,
-        for a message these nodes do not send and a value out of range, not finite or of a wrong kind.
+        Values are rounded to the nearest step of the wire. `EncodeError`, the counter unchanged,
+        for a message these nodes do not send, and for a value out of range, not finite or of a
+        wrong kind.
         """
         sender = self._senders.get(type(message))
         if sender is None:
@@ -141,8 +142,9 @@ class _Channel:
 class Receiver:
     """Decodes what the DBC lists these nodes as receivers of, and nothing else.
 
-    Feed every frame of the bus to `receive`, and call `tick` once a step. A frame that is OK carries a
-    message whatever its channel's state; whether a cyclic message may be relied on, `valid` says.
+    Feed every frame of the bus to `receive`, and call `tick` once a step. A frame that is OK
+    carries a message whatever its channel's state; whether a cyclic message may be relied on,
+    `valid` says.
     """
 
     def __init__(self, node: Node, *more: Node, limits: Limits = DEFAULT_LIMITS) -> None:
@@ -200,7 +202,7 @@ class Receiver:
         return _FORMAT
 
     def tick(self, now_us: int) -> None:
-        """Once a step: age the cyclic channels; one without a good frame for too long is not valid."""
+        """Once a step: cyclic channels without a good frame for 5 cycle times are not valid."""
         previous_us = now_us if self._ticked_us is None else self._ticked_us
         self._ticked_us = now_us
         for channel in self._cyclic.values():

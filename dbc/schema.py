@@ -1,8 +1,8 @@
 """Reads a DBC with cantools and checks what the codec and the link rely on.
 
-`SCHEMA` is the product's own wire contract, read once at import. `parse_schema` reads any DBC of the
-same dialect (29-bit identifiers, little-endian integer signals, the attributes of meshpoint.dbc) and
-refuses everything else with a `SchemaError`.
+`SCHEMA` is the product's own wire contract, read once at import. `parse_schema` reads any DBC of
+the same dialect (29-bit identifiers, little-endian integer signals, the attributes of
+meshpoint.dbc) and refuses everything else with a `SchemaError`.
 """
 
 from __future__ import annotations
@@ -243,7 +243,7 @@ def _table_name(signal: ParsedSignal, tables: Tables, where: str) -> str | None:
 def _check_layout(
     signals: tuple[SignalSpec, ...], length: int, is_protected: bool, where: str
 ) -> None:
-    """Names once, each bit inside the frame and used once, the E2E header where profile 5 has it."""
+    """Each name once, each bit inside the frame and used once, the E2E header in its place."""
     _refuse_twice((signal.name.lower() for signal in signals), f"{where}: signal")
     end, owner = 0, ""
     for signal in signals:

@@ -9,7 +9,7 @@ from dbc.node import Node
 
 @dataclass(frozen=True)
 class SignalSpec:
-    """One signal: value in `unit` = raw * scale + offset, meaningful from `raw_min` to `raw_max`."""
+    """One signal: value in `unit` = raw * scale + offset, allowed from `raw_min` to `raw_max`."""
 
     name: str
     start_bit: int

@@ -1,7 +1,7 @@
-"""Writes `messages.pyi`, which tells type checkers and readers what `messages` makes from the DBC.
+"""Writes `messages.pyi`, which tells type checkers and people what `messages` makes from the DBC.
 
-`python -m dbc.stubs` writes the file; `python -m dbc.stubs --check` compares it with the DBC and ends
-with 1 if they differ.
+`python -m dbc.stubs` writes the file; `python -m dbc.stubs --check` compares it with the DBC and
+ends with 1 if they differ.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The scripted way back to a gear between two shifts, as the thesis re-initialises its model.
 
     RELEASE   60 ms   the main sleeves go to neutral
-    RAMP      300 ms  constant acceleration of layshaft and main shaft, splitter and range change over
+    RAMP      300 ms  constant acceleration of layshaft and main shaft; splitter and range change
     ENGAGE            the layshaft keeps its speed, 20 rpm of slip, while the sleeve goes in by the
                       contact rule; at full stroke and locked the bench says Ready
 

@@ -1,8 +1,8 @@
 """Clutch and engine, as far as this preset needs them: a delay each way, and a speed for EEC1.
 
-The clutch position moves linearly, over the sheet's whole delay from one end to the other. Without a
-valid command for 100 ms it opens. The engine turns with the input shaft while the clutch is closed,
-judged at the 10 ms reads, and otherwise falls or rises to idle with a first-order lag.
+The clutch position moves linearly, over the sheet's whole delay from one end to the other. Without
+a valid command for 100 ms it opens. The engine turns with the input shaft while the clutch is
+closed, judged at the 10 ms reads, and otherwise falls or rises to idle with a first-order lag.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ from dbc.messages import (
 from dbc.node import Node
 from gearbox.sheet import GearboxSheet
 from rig_sim.frames import engagement_message, read_messages, valve_status
+from rig_sim.kernels import warm_up
 from rig_sim.settings import RigSettings
 from rig_sim.truth import Truth
 from rig_sim.valves import Order
@@ -34,6 +35,7 @@ class RigCore:
     """
 
     def __init__(self, sheet: GearboxSheet, settings: RigSettings) -> None:
+        warm_up()
         self._world = World(sheet, settings)
         self._transmitter = Transmitter(*NODES)
         self.receiver = Receiver(*NODES)
@@ -88,8 +90,9 @@ class RigCore:
         elif isinstance(message, ClutchCommand):
             if self.receiver.valid(ClutchCommand):
                 self._world.clutch.command(message.action is ClutchAction.CLOSE, time_us)
-        elif isinstance(message, BenchCommand) and message.action is BenchAction.RETURN_TO_GEAR:
-            if message.sequence != self._last_sequence:
+        elif isinstance(message, BenchCommand):
+            asked = message.action is BenchAction.RETURN_TO_GEAR
+            if asked and message.sequence != self._last_sequence:
                 self._last_sequence = message.sequence
                 self._world.return_to_gear(message.gear, message.main_speed_rad_s, time_us)
 

@@ -1,9 +1,10 @@
 """Gear against sleeve: valve effects on the two main sleeves, the contact rule, locking.
 
 Phase is the angle of a gear tooth from the middle of the sleeve's gap; it grows with the slip, the
-gear's speed less the sleeve's. At contact |phase| < b/2 is a gap. Else the sleeve rests on the tooth
-until the slip, which may turn round meanwhile, has carried the tooth to a gap. In the gap the slip
-carries the tooth on to a flank, +b/2 or -b/2: there the gear locks and follows the main shaft.
+gear's speed less the sleeve's. At contact |phase| < b/2 is a gap. Else the sleeve rests on the
+tooth until the slip, which may turn round meanwhile, has carried the tooth to a gap. In the gap the
+slip carries the tooth on to a flank, +b/2 or -b/2: there the gear locks and the layshaft follows
+the main shaft.
 """
 
 from __future__ import annotations
@@ -29,9 +30,7 @@ MAIN_VALVES: Final[dict[Valve, MainGear]] = {
     Valve.MAIN_THIRD: MainGear.THIRD,
 }
 VALVE_OF_MAIN: Final = {gear: valve for valve, gear in MAIN_VALVES.items()}
-GEAR_AT: Final = {
-    (where.sleeve, where.direction): gear for gear, where in SLEEVE_OF_MAIN.items()
-}
+GEAR_AT: Final = {(where.sleeve, where.direction): gear for gear, where in SLEEVE_OF_MAIN.items()}
 
 
 class Violation(IntEnum):
@@ -110,7 +109,7 @@ class Engagement:
             if sleeve.contact_us <= time_us:
                 self._contact(name, time_us)
             if sleeve.unmesh_us <= time_us:
-                self._unmesh(name, time_us)
+                self._unmesh(name)
             if sleeve.neutral_us <= time_us:
                 sleeve.arrive(time_us)
                 self._blocked.discard(name)
@@ -147,13 +146,12 @@ class Engagement:
     def script_release(self, time_us: float, duration_s: float) -> None:
         """The bench moves every main sleeve to neutral, within this time."""
         for sleeve in self.sleeves.values():
-            if sleeve.state in (SleeveState.LOCKED, SleeveState.ENTER) and sleeve.stands(time_us):
+            if sleeve.state in (SleeveState.NEUTRAL, SleeveState.RETRACT):
+                continue  # neutral is there or near: nothing takes a sleeve longer than the script
+            if sleeve.stands(time_us):
                 sleeve.release(time_us, duration_s)
-            elif sleeve.state not in (SleeveState.NEUTRAL, SleeveState.RETRACT):
-                if sleeve.state is SleeveState.LOCKED:
-                    sleeve.release(time_us, duration_s)
-                else:
-                    sleeve.let_go(time_us)
+            else:
+                sleeve.let_go(time_us)
 
     def script_engage(self, gear: MainGear, time_us: float) -> None:
         """The bench moves the sleeve of this gear in, with a delay drawn as ever."""
@@ -206,7 +204,7 @@ class Engagement:
         self._record(EngagementEvent.LOCKED, gear, phase_rad, slip)
         self._count_brake_in_gear(self._plant.time_us)
 
-    def _unmesh(self, name: Sleeve, time_us: float) -> None:
+    def _unmesh(self, name: Sleeve) -> None:
         gear = self.gear_at(name)
         phase, slip = self._plant.shafts.phase_rad(gear), self._plant.slip_rad_s(gear)
         self._record(EngagementEvent.RELEASED, gear, phase, slip)

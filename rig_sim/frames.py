@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 from dbc.messages import (
@@ -23,15 +24,19 @@ from dbc.messages import (
     SleevesMain,
     ValveStatus,
 )
+from dbc.messages import (
+    MainGear as WireGear,
+)
 from gearbox.gears import MainGear, Sleeve
+from gearbox.sheet import RPM
 from rig_sim.engagement import Engaged
-from rig_sim.sensors import ENCODER_MODULUS, ENCODER_STEPS_PER_TURN
 from rig_sim.kernels import TAU
+from rig_sim.sensors import ENCODER_MODULUS, ENCODER_STEPS_PER_TURN
 from rig_sim.settings import CLOCK_MODULUS
 from rig_sim.shafts import Angle
 from rig_sim.world import World
 
-EDGES: Final = (
+EDGES: Final[tuple[Callable[..., Message], ...]] = (
     EdgesInputRise,
     EdgesInputFall,
     EdgesLayshaftRise,
@@ -42,6 +47,8 @@ EDGES: Final = (
     EdgesPropellerFall,
 )
 OIL_K: Final = 353.15
+SENSOR_MAX_PA: Final = 13.107e5  # the pressure signals saturate here, as their sensors would
+ENGINE_MAX_RAD_S: Final = 8031.875 * RPM  # likewise SPN 190
 COUNT_MODULUS: Final = 1 << 16
 
 
@@ -59,11 +66,10 @@ def read_messages(world: World, now_us: int) -> list[Message]:
     messages.extend(_sleeves(world, now_us, clock_us))
     messages.append(valve_status(world, now_us))
     input_rad_s = world.plant.layshaft_rad_s * world.shafts.input_mesh.ratio
-    messages.append(EEC1(engine_speed_rad_s=world.engine.speed_rad_s(now_us, clutch, input_rad_s)))
+    engine_rad_s = world.engine.speed_rad_s(now_us, clutch, input_rad_s)
+    messages.append(EEC1(engine_speed_rad_s=min(engine_rad_s, ENGINE_MAX_RAD_S)))
     angles, speeds = world.encoder.read(now_us)
-    messages.append(
-        ReferenceEncoder(sample_time_us=clock_us, angle_rad=angles, speed_rad_s=speeds)
-    )
+    messages.append(ReferenceEncoder(sample_time_us=clock_us, angle_rad=angles, speed_rad_s=speeds))
     messages.append(_phases(world, clock_us))
     return messages
 
@@ -73,7 +79,7 @@ def engagement_message(record: Engaged, clock_start_us: int) -> ReferenceEngagem
     return ReferenceEngagement(
         event_time_us=(clock_start_us + int(record.time_us)) % CLOCK_MODULUS,
         event=record.event,
-        gear=record.gear,
+        gear=WireGear(record.gear),
         phase_rad=record.phase_rad,
         slip_rad_s=record.slip_rad_s,
         drive_gear=record.drive_gear,
@@ -87,8 +93,8 @@ def valve_status(world: World, now_us: int) -> ValveStatus:
         (world.clock_start_us + now_us) % CLOCK_MODULUS,
         *valves.energised,
         *valves.pending,
-        refused_count=valves.refused % COUNT_MODULUS,
-        expired_count=valves.expired % COUNT_MODULUS,
+        valves.refused % COUNT_MODULUS,
+        valves.expired % COUNT_MODULUS,
     )
 
 
@@ -96,8 +102,8 @@ def _sensors(world: World, clock_us: int, clutch: float) -> GearboxSensors:
     air = world.sheet.air
     return GearboxSensors(
         sample_time_us=clock_us,
-        brake_pressure_pa=air.atmosphere_pa + world.plant.brake_gauge_pa,
-        supply_pressure_pa=air.atmosphere_pa + air.supply_gauge_pa,
+        brake_pressure_pa=min(air.atmosphere_pa + world.plant.brake_gauge_pa, SENSOR_MAX_PA),
+        supply_pressure_pa=min(air.atmosphere_pa + air.supply_gauge_pa, SENSOR_MAX_PA),
         oil_temperature_k=OIL_K,
         clutch_position_fraction=clutch,
     )

@@ -14,8 +14,8 @@ A *motion* is how one shaft turns from a start instant on, as a float64 vector:
     P_END     gauge pressure the brake tends to, K_valve u, Pa
     P_DIFF    gauge pressure at the start less P_END, Pa
 
-An *angle* is whole turns (integer) and a rest in [0, 2 pi): gearing by tooth counts is then exact in
-the whole turns, and phases do not drift over hours.
+An *angle* is whole turns (integer) and a rest in [0, 2 pi): gearing by tooth counts is then exact
+in the whole turns, and phases do not drift over hours.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import math
 from collections.abc import Callable
 from typing import Any, Final, TypeVar, cast
 
-import numba  # type: ignore[import-untyped]
+import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -247,19 +247,20 @@ def settled(turns: int, rest: float) -> tuple[int, float]:
     extra = math.floor(rest / TAU)
     rest -= extra * TAU
     if rest < 0.0:
-        return turns + int(extra) - 1, rest + TAU
+        return turns + extra - 1, rest + TAU
     if rest >= TAU:
-        return turns + int(extra) + 1, rest - TAU
-    return turns + int(extra), rest
+        return turns + extra + 1, rest - TAU
+    return turns + extra, rest
 
 
 @compiled
-def geared(turns: int, rest: float, teeth: int, other: int) -> tuple[int, float]:
-    """An angle times teeth / other: exact in the whole turns, whatever their number."""
-    whole = turns * teeth
+def geared(angle: Turned, teeth: int, other: int, offset: Turned) -> Turned:
+    """An angle times teeth / other, and an offset: exact in the whole turns, however many."""
+    whole = angle[0] * teeth
     quotient = whole // other
     remainder = whole - quotient * other
-    return settled(quotient, (remainder * TAU + rest * teeth) / other)
+    rest = (remainder * TAU + angle[1] * teeth) / other
+    return settled(quotient + offset[0], rest + offset[1])
 
 
 @compiled
@@ -297,9 +298,7 @@ def capture_edges(
         motion = motions[wheel]
         offset = offsets[channel]
         pitch = TAU / teeth[wheel]
-        newest = after[wheel][0] * teeth[wheel] + int(
-            math.floor(after[wheel][1] / pitch - offset)
-        )
+        newest = after[wheel][0] * teeth[wheel] + math.floor(after[wheel][1] / pitch - offset)
         low = 0.0
         reached = 0.0
         speed = motion[OMEGA]
@@ -310,7 +309,7 @@ def capture_edges(
             guess = low + (angle - reached) / speed if speed > 0.0 else duration_s
             low = time_to_turn(motion, angle, low, duration_s, guess)
             reached, speed = motion_at(motion, low)
-            ring[channel, seen[channel, 1] % size] = int(math.floor(start_us + low * 1e6))
+            ring[channel, seen[channel, 1] % size] = math.floor(start_us + low * 1e6)
             seen[channel, 1] += 1
 
 
@@ -343,3 +342,23 @@ def read_ring(
             newer = stamp
         heads[channel, 0] = count & 0xFFFF
         heads[channel, 1] = valid
+
+
+def warm_up() -> None:
+    """Compile everything now, so that no live run stalls at its first shift."""
+    motion = np.zeros(MOTION_SIZE)
+    motion[OMEGA] = motion[RATE] = 1.0
+    angle = settled(0, 0.5)
+    angles = (angle, geared(angle, 2, 3, angle), angle, angle)
+    wrapped(0.5, 1.0)
+    time_of_stop(motion, 0.01)
+    time_of_exit(motion, motion, 1.0, 0.0, -1.0, 1.0, 0.01)
+    motion_at(motion, 0.01)
+    integers = np.zeros((8, 4), dtype=np.int64)
+    shares = (1.0, 1.0, 1.0, 1.0)
+    motions = (motion, motion, motion, motion)
+    teeth, offsets = np.ones(4, dtype=np.int64), np.zeros(8)
+    capture_edges(
+        motions, 0.0, 0.0, shares, angles, angles, teeth, offsets, integers, integers.copy()
+    )
+    read_ring(0, 0, integers, integers.copy(), integers.copy(), integers.copy())

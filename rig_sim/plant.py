@@ -1,7 +1,8 @@
 """The thesis's plant: layshaft with viscous friction and disc brake, main shaft at constant speed.
 
-Linear between events, so it is propagated in closed form from event to event (4.1, 4.13, 4.15), with
-no time step. `Plant` is what the rest of the rig asks of a plant; another preset is another class.
+Linear between events, so it is propagated in closed form from event to event (4.1, 4.13, 4.15),
+with no time step. `Plant` is what the rest of the rig asks of a plant; another preset is another
+class.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from gearbox.gears import MainGear, Range, Split
+from gearbox.gears import MAIN_GEARS, MainGear, Range, Split
 from gearbox.sheet import GearboxSheet
 from rig_sim.kernels import (
     ACCEL,
@@ -72,31 +73,56 @@ class Segment(NamedTuple):
 class Plant(Protocol):
     """What the sleeves, the bench script and the sensors ask of the gearbox's rotating parts."""
 
+    shafts: Shafts
+    time_us: float
+    drive: Drive
+
     @property
-    def time_us(self) -> float: ...
+    def layshaft_rad_s(self) -> float:
+        """Layshaft speed."""
+
     @property
-    def shafts(self) -> Shafts: ...
+    def main_rad_s(self) -> float:
+        """Main shaft speed."""
+
     @property
-    def drive(self) -> Drive: ...
-    @property
-    def layshaft_rad_s(self) -> float: ...
-    @property
-    def main_rad_s(self) -> float: ...
-    @property
-    def brake_gauge_pa(self) -> float: ...
-    def slip_rad_s(self, gear: MainGear) -> float: ...
+    def brake_gauge_pa(self) -> float:
+        """Gauge pressure between valve and brake."""
+
+    def slip_rad_s(self, gear: MainGear) -> float:
+        """Speed of the gear less that of its sleeve."""
+
     def crossing(
         self, gear: MainGear, phase_rad: float, span: tuple[float, float], horizon_us: float
-    ) -> Crossing | None: ...
-    def stop_us(self, horizon_us: float) -> float | None: ...
-    def move_to(self, time_us: float) -> Segment: ...
-    def set_brake(self, on: bool) -> None: ...
-    def coast(self) -> None: ...
-    def stop(self) -> None: ...
-    def lock(self, gear: MainGear, phase_rad: float) -> None: ...
-    def script_layshaft(self, accel_rad_s2: float) -> None: ...
-    def script_main(self, accel_rad_s2: float) -> None: ...
-    def set_steps(self, split: Split, range_: Range) -> None: ...
+    ) -> Crossing | None:
+        """When the gear's phase, now `phase_rad`, first leaves the span; None: not by then."""
+
+    def stop_us(self, horizon_us: float) -> float | None:
+        """When the layshaft is braked to rest; None: not before the horizon."""
+
+    def move_to(self, time_us: float) -> Segment:
+        """Go on to a later instant, exactly, and say what happened on the way."""
+
+    def set_brake(self, on: bool) -> None:
+        """The brake valve's input; the caller has waited the valve's delay."""
+
+    def coast(self) -> None:
+        """No gear and no bench holds the layshaft."""
+
+    def stop(self) -> None:
+        """The layshaft has been braked to rest."""
+
+    def lock(self, gear: MainGear, phase_rad: float) -> None:
+        """A flank has been reached: the layshaft takes the main shaft's speed, phase stays."""
+
+    def script_layshaft(self, accel_rad_s2: float) -> None:
+        """The bench drives the layshaft at constant acceleration."""
+
+    def script_main(self, accel_rad_s2: float) -> None:
+        """The bench drives the main shaft at constant acceleration."""
+
+    def set_steps(self, split: Split, range_: Range) -> None:
+        """Splitter and range steps; angles are continuous."""
 
 
 class ThesisPlant:
@@ -107,6 +133,8 @@ class ThesisPlant:
         self.shafts = shafts
         self.time_us = 0.0
         self.drive = Drive.COASTING
+        self._ratios = {gear: sheet.main_mesh(gear).ratio for gear in MAIN_GEARS}
+        self._locked_ratio = 1.0
         self._layshaft: Floats = np.zeros(MOTION_SIZE)
         self._main: Floats = np.zeros(MOTION_SIZE)
         self._main[OMEGA] = main_rad_s
@@ -130,13 +158,13 @@ class ThesisPlant:
 
     def slip_rad_s(self, gear: MainGear) -> float:
         """Speed of the gear less that of its sleeve; the sleeves turn with the main shaft."""
-        return self._sheet.main_mesh(gear).ratio * self.layshaft_rad_s - self.main_rad_s
+        return self._ratios[gear] * self.layshaft_rad_s - self.main_rad_s
 
     def crossing(
         self, gear: MainGear, phase_rad: float, span: tuple[float, float], horizon_us: float
     ) -> Crossing | None:
-        """When the gear's phase, now `phase_rad` inside the span, first leaves it; None: not yet."""
-        ratio = self._sheet.main_mesh(gear).ratio
+        """When the gear's phase, now `phase_rad`, first leaves the span; None: not by then."""
+        ratio = self._ratios[gear]
         horizon_s = (horizon_us - self.time_us) * US
         s, side = time_of_exit(
             self._layshaft, self._main, ratio, phase_rad, span[0], span[1], horizon_s
@@ -196,6 +224,7 @@ class ThesisPlant:
         """A flank has been reached: the layshaft takes the main shaft's speed, phase stays."""
         self.shafts.lock_gear(gear, phase_rad)
         self.drive = Drive.LOCKED
+        self._locked_ratio = self._ratios[gear]
         self._layshaft[KIND] = ACCELERATED
         self._follow_main()
         self.shafts.follow()
@@ -217,11 +246,8 @@ class ThesisPlant:
         self._load_inertia()
 
     def _follow_main(self) -> None:
-        lock = self.shafts.lock
-        assert lock is not None, "a locked plant has a lock"
-        ratio = self._sheet.main_mesh(lock.gear).ratio
-        self._layshaft[OMEGA] = self._main[OMEGA] / ratio
-        self._layshaft[ACCEL] = self._main[ACCEL] / ratio
+        self._layshaft[OMEGA] = self._main[OMEGA] / self._locked_ratio
+        self._layshaft[ACCEL] = self._main[ACCEL] / self._locked_ratio
 
     def _load_inertia(self) -> None:
         inertia_kgm2 = self._sheet.inertia_kgm2(self.shafts.split)

@@ -2,8 +2,7 @@
 
 Two angles are integrated, layshaft and main shaft; all others follow from them. The input shaft is
 the layshaft over the splitter, the propeller shaft the main shaft over the range, and a gear of the
-main box is the layshaft over its mesh. Offsets, drawn at the start, say how the wheels sit; changing
-the splitter or the range changes an offset so that no angle jumps.
+main box is X
 """
 
 from __future__ import annotations
@@ -38,18 +37,18 @@ class Lock:
     pitches: int
 
 
-def add(a: Angle, b: Angle) -> Angle:
-    """The sum of two angles."""
-    return settled(a[0] + b[0], a[1] + b[1])
+def over(angle: Angle, mesh: Mesh, offset: Angle) -> Angle:
+    """The angle of the driven wheel of a mesh."""
+    return geared(angle, mesh.driving, mesh.driven, offset)
 
 
-def minus(a: Angle) -> Angle:
-    """The same angle the other way round."""
-    return settled(-a[0], -a[1])
+def less(a: Angle, b: Angle) -> Angle:
+    """The difference of two angles."""
+    return settled(a[0] - b[0], a[1] - b[1])
 
 
 class Shafts:
-    """The gear train as angles. `layshaft` and `main` are moved by the plant, `follow` does the rest."""
+    """The gear train as angles. The plant moves `layshaft` and `main`, `follow` does the rest."""
 
     def __init__(
         self, sheet: GearboxSheet, start: StartAngles, split: Split, range_: Range
@@ -57,8 +56,8 @@ class Shafts:
         self._sheet = sheet
         self._pitch_rad = sheet.dog.pitch_rad
         self._teeth = sheet.dog.teeth
-        self.split = split
-        self.range_ = range_
+        self._meshes = {gear: sheet.main_mesh(gear) for gear in MAIN_GEARS}
+        self._load_meshes(split, range_)
         self.layshaft: Angle = (0, start.layshaft_rad)
         self.main: Angle = (0, start.main_rad)
         self.input: Angle = (0, start.input_rad)
@@ -74,33 +73,22 @@ class Shafts:
         self.lock: Lock | None = None
         self._rebase_offsets()
 
-    @property
-    def input_mesh(self) -> Mesh:
-        """Layshaft (driving) to input shaft (driven): the splitter read backwards."""
-        mesh = self._sheet.split_mesh(self.split)
-        return Mesh(mesh.driven, mesh.driving)
-
-    @property
-    def propeller_mesh(self) -> Mesh:
-        """Main shaft (driving) to propeller shaft (driven)."""
-        return self._sheet.range_mesh(self.range_)
-
     def follow(self) -> None:
-        """Bring all angles in line with the main shaft and, unless a gear is locked, the layshaft."""
+        """Bring all angles in line with the main shaft and, with no gear locked, the layshaft."""
         if self.lock is not None:
             self.layshaft = self._locked_layshaft(self.lock)
-        self.input = self._over(self.layshaft, self.input_mesh, self._input_offset)
-        self.propeller = self._over(self.main, self.propeller_mesh, self._propeller_offset)
+        self.input = over(self.layshaft, self.input_mesh, self._input_offset)
+        self.propeller = over(self.main, self.propeller_mesh, self._propeller_offset)
 
     def phase_rad(self, gear: MainGear) -> float:
-        """Angle of a tooth of the gear from the middle of the sleeve's gap, half a pitch either way."""
+        """Angle of a gear tooth from the middle of the sleeve's gap, half a pitch either way."""
         if self.lock is not None and self.lock.gear is gear:
             return self.lock.phase_rad
         angle = self._gear_angle(gear)[1] + self._gear_offset_rad[gear] - self.main[1]
         return wrapped(angle, self._pitch_rad)
 
     def lock_gear(self, gear: MainGear, phase_rad: float) -> None:
-        """Hold the gear at this phase from now on; the layshaft angle then follows the main shaft."""
+        """Hold the gear at this phase from now on: the layshaft angle follows the main shaft."""
         turns, rest = self._gear_angle(gear)
         rest += self._gear_offset_rad[gear] - self.main[1] - phase_rad
         pitches = (turns - self.main[0]) * self._teeth + round(rest / self._pitch_rad)
@@ -108,27 +96,28 @@ class Shafts:
 
     def set_steps(self, split: Split, range_: Range) -> None:
         """Change splitter and range steps; no angle changes by it."""
-        self.split = split
-        self.range_ = range_
+        self._load_meshes(split, range_)
         self._rebase_offsets()
 
-    def _rebase_offsets(self) -> None:
-        base = self._over(self.layshaft, self.input_mesh, ZERO)
-        self._input_offset = add(self.input, minus(base))
-        base = self._over(self.main, self.propeller_mesh, ZERO)
-        self._propeller_offset = add(self.propeller, minus(base))
+    def _load_meshes(self, split: Split, range_: Range) -> None:
+        self.split = split
+        self.range_ = range_
+        mesh = self._sheet.split_mesh(split)
+        self.input_mesh = Mesh(mesh.driven, mesh.driving)
+        self.propeller_mesh = self._sheet.range_mesh(range_)
 
-    @staticmethod
-    def _over(angle: Angle, mesh: Mesh, offset: Angle) -> Angle:
-        return add(geared(angle[0], angle[1], mesh.driving, mesh.driven), offset)
+    def _rebase_offsets(self) -> None:
+        base = over(self.layshaft, self.input_mesh, ZERO)
+        self._input_offset = less(self.input, base)
+        base = over(self.main, self.propeller_mesh, ZERO)
+        self._propeller_offset = less(self.propeller, base)
 
     def _gear_angle(self, gear: MainGear) -> Angle:
-        mesh = self._sheet.main_mesh(gear)
-        return geared(self.layshaft[0], self.layshaft[1], mesh.driving, mesh.driven)
+        return over(self.layshaft, self._meshes[gear], ZERO)
 
     def _locked_layshaft(self, lock: Lock) -> Angle:
         turns, teeth = divmod(lock.pitches, self._teeth)
         rest = teeth * self._pitch_rad + lock.phase_rad - self._gear_offset_rad[lock.gear]
-        gear = add(self.main, settled(turns, rest))
-        mesh = self._sheet.main_mesh(lock.gear)
-        return geared(gear[0], gear[1], mesh.driven, mesh.driving)
+        gear = settled(self.main[0] + turns, self.main[1] + rest)
+        mesh = self._meshes[lock.gear]
+        return geared(gear, mesh.driven, mesh.driving, ZERO)

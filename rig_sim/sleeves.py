@@ -3,8 +3,8 @@
 The thesis regards valve, actuator and sleeve as a pure delay from activation to contact. Around it
 lies the smallest axial law that gives the position sensor something true to show:
 
-* APPROACH: the sleeve rests for the valve's delay, then moves under constant force (x grows with the
-  square of time) so that it touches the gear exactly at the drawn contact time.
+* APPROACH: the sleeve rests for the valve's delay, then moves under constant force (x grows with
+  the square of time) so that it touches the gear exactly at the drawn contact time.
 * FACE: it rests on a tooth, at the contact position. ENTER and LOCKED: on into the gap at constant
   speed, to full stroke.
 * Valve off in APPROACH, FACE, or ENTER short of full stroke: RETRACT, back to neutral at the same
@@ -13,9 +13,10 @@ lies the smallest axial law that gives the position sensor something true to sho
   then moves under constant force and reaches neutral at the drawn time; locked teeth leave each
   other on the way, at the contact position. Valve off before they have: it goes back. (Teeth not
   yet at a flank carry nothing; they count as apart from the activation on.)
-* Both valves on: no net force. A sleeve under way falls back as with its valve off, any other stays.
-* One activation moves a sleeve by one position, and only a sleeve that stands: in neutral (towards a
-  gear) or engaged (to neutral). Any other activation is lost.
+* Both valves on: no net force. A sleeve under way falls back as with its valve off, any other
+  stays.
+* One activation moves a sleeve by one position, and only a sleeve that stands: in neutral (towards
+  a gear) or engaged (to neutral). Any other activation is lost.
 
 What happens between the teeth is decided in `engagement`; here it arrives as events of the table.
 """
@@ -129,7 +130,7 @@ class Sleeve:
         return min(self.contact_us, self.unmesh_us, self.neutral_us)
 
     def position_m(self, time_us: float) -> float:
-        """Signed distance from neutral at an instant not more than 10 ms before the newest change."""
+        """Signed distance from neutral, at most 10 ms before the newest change."""
         index = len(self._strokes) - 1
         while index > 0 and time_us < self._strokes[index].since_us:
             index -= 1
@@ -243,9 +244,7 @@ class ShiftingSleeve:
         start_us = time_us + self._actuator.valve_delay_s * SECOND_US
         stroke_m = self._actuator.stroke_m
         from_m = self._stroke.at(time_us)
-        self._stroke = Stroke(
-            time_us, start_us, self.arrival_us, from_m, side * stroke_m, 2
-        )
+        self._stroke = Stroke(time_us, start_us, self.arrival_us, from_m, side * stroke_m, 2)
 
     def arrive(self) -> None:
         """The other side has been reached."""

@@ -1,4 +1,4 @@
-"""Everything a seed draws: start angles, flank, sensor clock, and the sleeves' delays after that."""
+"""Everything a seed draws: start angles, flank, sensor clock, and then the sleeves' delays."""
 
 from __future__ import annotations
 
@@ -33,13 +33,12 @@ def draw_start(rng: np.random.Generator, sheet: GearboxSheet, settings: RigSetti
     """Draw the start. The same values are drawn whatever the settings, so runs stay comparable."""
     wheels = [float(rng.uniform(0.0, 2.0 * math.pi)) for _ in range(4)]
     half = sheet.dog.pitch_rad / 2.0
-    phases: dict[MainGear, float] = {
-        gear: float(rng.uniform(-half, half)) for gear in MAIN_GEARS
-    }
+    phases: dict[MainGear, float] = {gear: float(rng.uniform(-half, half)) for gear in MAIN_GEARS}
     flank = 1 if rng.random() < 0.5 else -1
     drawn_us = CLOCK_MODULUS - int(rng.integers(WRAP_EARLIEST_US, WRAP_LATEST_US))
     clock_us = drawn_us if settings.clock_start_us is None else settings.clock_start_us
-    return Start(StartAngles(*wheels, phases), flank, clock_us)
+    angles = StartAngles(wheels[0], wheels[1], wheels[2], wheels[3], phases)
+    return Start(angles, flank, clock_us)
 
 
 class Delays:

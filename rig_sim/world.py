@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from gearbox.gears import SLEEVE_OF_MAIN, Sleeve, drive_gear
+from gearbox.gears import Sleeve, drive_gear
 from gearbox.sheet import RPM, GearboxSheet
 from rig_sim.bench_script import BenchScript
 from rig_sim.clutch import ClutchActuator, Engine
@@ -52,6 +52,7 @@ class World:
         self.engine = Engine(self.plant.layshaft_rad_s * mesh.ratio)
         self._brake_inputs: deque[tuple[float, bool]] = deque()
         self._read_us = 0
+        self._stop_us: float | None = None
 
     def run_to(self, until_us: int) -> bool:
         """Go on to this instant, or to the next 10 ms read if that comes first: then True."""

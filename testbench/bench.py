@@ -23,7 +23,7 @@ from dbc.messages import (
     ReferenceEngagement,
     ShiftOutcome,
 )
-from dbc.schema import Node
+from dbc.node import Node
 from gearbox import GearboxSheet, drive_gear
 
 TICK_US: Final = 10_000

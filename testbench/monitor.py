@@ -8,7 +8,7 @@ from controller.settings import ControllerSettings
 from dbc.frame import Frame
 from dbc.link import Receiver, Verdict
 from dbc.messages import ControllerStatus, Message
-from dbc.schema import Node
+from dbc.node import Node
 from gearbox import GearboxSheet
 from testbench.estimation import EstimationScore
 from testbench.rows import RowCollector

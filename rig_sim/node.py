@@ -1,0 +1,40 @@
+"""The rig on a bus: bytes and a time, no decisions."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import Final
+
+from bus.clock import Clock
+from bus.driver import OpenBus, run_node
+from bus.statistics import NodeStatistics
+from gearbox import GearboxSheet
+from rig_sim.core import RigCore
+from rig_sim.settings import RigSettings
+
+ADDRESSES: Final = frozenset({0x80, 0x81, 0x00})
+"""Gearbox, reference instrumentation and engine: the rig plays all three."""
+
+
+async def run_rig(
+    sheet: GearboxSheet,
+    settings: RigSettings,
+    open_bus: OpenBus,
+    clock: Clock,
+    *,
+    on_event: Callable[[str], None],
+    stop: asyncio.Event,
+) -> NodeStatistics:
+    """Runs a rig until `stop` is set; its last frame shows all valves off."""
+    core = RigCore(sheet, settings)
+    on_event(f"rig: preset {settings.preset}, seed {settings.seed}, gear {settings.start_gear}")
+    return await run_node(
+        core,
+        open_bus,
+        clock,
+        on_event=on_event,
+        stop=stop,
+        name="rig",
+        own_addresses=ADDRESSES,
+    )

@@ -1,0 +1,72 @@
+"""The command line of meshpoint."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from bus.logs import LogError
+from bus.options import BusOpenError
+from controller.header import HeaderError
+from gearbox.tables import TableError
+from rig_sim.settings import SettingsError
+from testbench.commands import demo, gearbox, nodes, replay, request, simulate
+from testbench.errors import CommandError
+from testbench.exits import Exit
+from testbench.provenance import product_version
+
+DESCRIPTION = """\
+A transmission controller that fires a dog-clutch sleeve so that tooth meets gap, and a virtual
+gearbox rig to prove it against, as two nodes on a CAN bus."""
+EPILOG = """\
+start here:
+  meshpoint demo                        both nodes as processes, both strategies, a plot
+  meshpoint simulate --shifts 20        the same in virtual time
+  meshpoint rig &  meshpoint controller &  meshpoint request 10
+
+exit codes:
+  0  done                               3  not verifiable (replay --verify), with the reason
+  1  ran, but failed: a shift that did  130  interrupted
+     not end, a replay that differs
+  2  bad input: what was found and what is allowed is on standard error"""
+USER_ERRORS = (BusOpenError, CommandError, HeaderError, LogError, SettingsError, TableError)
+COMMANDS = (demo, simulate, replay, nodes, request, gearbox)
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """The parser with all commands."""
+    parser = argparse.ArgumentParser(
+        prog="meshpoint",
+        description=DESCRIPTION,
+        epilog=EPILOG,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    parser.add_argument("--version", action="version", version=f"meshpoint {product_version()}")
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
+    for module in COMMANDS:
+        module.add_parser(commands)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs one command; returns its exit code."""
+    parser = build_parser()
+    namespace = parser.parse_args(arguments)
+    try:
+        code: int = namespace.run(namespace)
+    except USER_ERRORS as error:
+        if namespace.debug:
+            raise
+        print(f"meshpoint {namespace.command}: error: {error}", file=sys.stderr)
+        return Exit.BAD_INPUT
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        return Exit.INTERRUPTED
+    except BrokenPipeError:
+        # The reader of our output has gone (`| head`); Python would complain again at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return Exit.DONE
+    return code

@@ -1,0 +1,1 @@
+"""The commands of `meshpoint`, a file each: arguments in, exit code out."""

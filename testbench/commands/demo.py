@@ -1,0 +1,223 @@
+"""`meshpoint demo`: both nodes live, both strategies, one table, one picture, a verified log."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import math
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import can
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from bus.logs import LogError, read_log
+from bus.options import add_bus_arguments, open_bus_from
+from bus.register import register_interface
+from controller.header import new_header
+from rig_sim.settings import Preset, RigSettings
+from testbench import arguments
+from testbench.bench import plan_shifts
+from testbench.exits import Exit
+from testbench.live import LiveResult, LiveRun, run_live, uses_virtual
+from testbench.output import console, rows_table, summary_table, write_json
+from testbench.plot import plot_shift
+from testbench.provenance import product_version, provenance
+from testbench.replay import LogReplay, Session, Verification
+from testbench.rows import ShiftRow, summarise
+from testbench.simulate import LAYSHAFT_RAD_S
+
+STRATEGIES = ("speed_window", "target_phase")
+BUS_ARGUMENTS = (
+    ("interface", "-i"), ("channel", "-c"), ("bitrate", "-b"), ("data_bitrate", "--data-bitrate"),
+    ("config", "--config"),
+)  # fmt: skip
+
+
+def add_parser(commands: Any) -> None:
+    """The command's arguments."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "demo",
+        help="both nodes live, both strategies: a table, a picture, a verified log",
+        description="Starts controller and rig as two processes on a bus of their own (or on the "
+        "one given), asks for upshifts with today's strategy and with phase aiming, prints one row "
+        "a shift, and verifies its own log by replay. -i virtual runs all in one process.",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/demo"), metavar="DIR", help="default: out/demo"
+    )
+    arguments.add_shifts(parser, default=10, least=1)
+    arguments.add_rig(parser)
+    arguments.add_gearbox(parser)
+    arguments.add_controller(parser, strategy=False)
+    arguments.add_speed(parser)
+    arguments.add_json(parser)
+    add_bus_arguments(parser)
+    parser.set_defaults(run=run)
+
+
+def run(namespace: argparse.Namespace) -> int:
+    """Runs both strategies one after the other, on the same seed."""
+    out = console(namespace.json)
+    namespace.out.mkdir(parents=True, exist_ok=True)
+    sheet = arguments.sheet_of(namespace)
+    results: dict[str, LiveResult] = {}
+    sessions: dict[str, Session] = {}
+    with tempfile.TemporaryDirectory(prefix="meshpoint-") as private:
+        for strategy in STRATEGIES:
+            live = _live_run(namespace, strategy, Path(private))
+            results[strategy] = _with_progress(namespace, strategy, live)
+            rows = results[strategy].monitor.rows.rows
+            out.print(rows_table(strategy, rows))
+            out.print()
+            sessions[strategy] = _verify(live.log)
+    summaries = [summarise(name, results[name].monitor.rows.rows) for name in STRATEGIES]
+    out.print(summary_table(summaries))
+    _compare(out, summaries[0].gap_rate, summaries[1].gap_rate)
+    picture = _picture(namespace.out, results["target_phase"], sheet)
+    values = {
+        "strategies": {
+            name: {
+                "shifts": [row.to_json() for row in result.monitor.rows.rows],
+                "summary": summarise(name, result.monitor.rows.rows).to_json(),
+                "estimation": result.monitor.estimation.figures(),
+                "frames": result.frames,
+                "verification": {
+                    "verdict": sessions[name].verdict.value,
+                    "steps": sessions[name].steps,
+                    "reason": sessions[name].reason,
+                },
+                "problems": result.problems,
+            }
+            for name, result in results.items()
+        },
+        "provenance": provenance(sheet, namespace.seed, namespace.preset),
+    }
+    write_json(str(namespace.out / "run.json"), values)
+    if namespace.json is not None:
+        write_json(namespace.json, values)
+    for name, session in sessions.items():
+        out.print(f"log {_log_path(namespace.out, name)}: replay is {session}", markup=False)
+    out.print(f"picture {picture}" if picture else "no shift to draw")
+    return _exit_code(results, sessions)
+
+
+def _log_path(folder: Path, strategy: str) -> Path:
+    return folder / f"{strategy}.log"
+
+
+def _live_run(namespace: argparse.Namespace, strategy: str, private: Path) -> LiveRun:
+    sheet = arguments.sheet_of(namespace)
+    settings = arguments.settings_of(namespace, strategy)
+    plan = plan_shifts(sheet, list(namespace.pairs), namespace.shifts, LAYSHAFT_RAD_S)
+    header = new_header(product_version(), sheet, settings)
+    header.save(namespace.out)
+    in_process = uses_virtual(namespace)
+    bus = _bus_arguments(namespace, strategy, private)
+    controller = ["--strategy", strategy, *_optional(namespace)]
+    return LiveRun(
+        header=header,
+        rig=RigSettings(
+            preset=Preset(namespace.preset),
+            seed=namespace.seed,
+            start_gear=plan[0].from_,
+            main_speed_rpm=plan[0].main_rad_s * 30.0 / math.pi,
+        ),
+        plan=plan,
+        log=_log_path(namespace.out, strategy),
+        open_bus=_opener(bus),
+        speed=namespace.speed,
+        in_process=in_process,
+        node_arguments=[*bus, "--gearbox", namespace.gearbox],
+        controller_arguments=controller,
+    )
+
+
+def _optional(namespace: argparse.Namespace) -> list[str]:
+    chosen = []
+    if namespace.settings is not None:
+        chosen += ["--settings", str(namespace.settings)]
+    if namespace.estimator is not None:
+        chosen += ["--estimator", namespace.estimator]
+    return chosen
+
+
+def _bus_arguments(namespace: argparse.Namespace, strategy: str, private: Path) -> list[str]:
+    """The bus as given, or a fresh one of this run that nobody else can see."""
+    given = []
+    for name, option in BUS_ARGUMENTS:
+        if name in namespace:
+            given += [option, str(getattr(namespace, name))]
+    if given:
+        return given
+    if os.name == "posix":
+        return ["-i", "meshpoint", "-c", f"unix:{private / strategy}.sock"]
+    port = 20_000 + os.getpid() % 20_000 + STRATEGIES.index(strategy)
+    return ["-i", "meshpoint", "-c", f"tcp:127.0.0.1:{port}"]
+
+
+def _opener(bus: list[str]) -> Callable[[], can.BusABC]:
+    register_interface()
+    parser = argparse.ArgumentParser()
+    add_bus_arguments(parser)
+    chosen = parser.parse_args(bus)
+    return lambda: open_bus_from(chosen)
+
+
+def _with_progress(namespace: argparse.Namespace, strategy: str, live: LiveRun) -> LiveResult:
+    progress = Progress(
+        TextColumn(f"{strategy:14}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    with progress:
+        task = progress.add_task(strategy, total=namespace.shifts)
+        live.on_row = lambda: progress.advance(task)
+        live.on_event = lambda line: _complain(line)
+        return asyncio.run(run_live(live))
+
+
+def _complain(line: str) -> None:
+    """Only what goes wrong is worth a line here; the shifts have their table."""
+    if "bus" in line or "refused" in line or "stuck" in line:
+        print(line, file=sys.stderr)
+
+
+def _verify(log: Path) -> Session:
+    try:
+        return LogReplay(log.parent, verify=True).run(frame for _, frame in read_log(log))[0]
+    except LogError as error:
+        return Session(verdict=Verification.NOT_VERIFIABLE, reason=str(error))
+
+
+def _compare(out: Console, window: float | None, aimed: float | None) -> None:
+    if window and aimed is not None:
+        out.print(f"target_phase meets the gap {aimed / window:.1f} x as often as speed_window")
+
+
+def _picture(folder: Path, result: LiveResult, sheet: Any) -> Path | None:
+    rows: list[ShiftRow] = result.monitor.rows.rows
+    aimed = [row for row in rows if row.reference == "known" and row.contact is not None]
+    if not rows:
+        return None
+    path = folder / "shift.png"
+    plot_shift(path, result.traces, (aimed or rows)[0], sheet)
+    return path
+
+
+def _exit_code(results: dict[str, LiveResult], sessions: dict[str, Session]) -> int:
+    if any(result.bench.gave_up for result in results.values()):
+        return Exit.FAILED
+    if any(session.verdict is Verification.DIFFERS for session in sessions.values()):
+        return Exit.FAILED
+    if any(session.verdict is not Verification.IDENTICAL for session in sessions.values()):
+        return Exit.NOT_VERIFIABLE
+    return Exit.DONE

@@ -1,0 +1,128 @@
+"""`meshpoint controller` and `meshpoint rig`: the two nodes on a bus, until told to stop."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+from pathlib import Path
+from typing import Any
+
+from bus.clock import Clock
+from bus.options import add_bus_arguments, open_bus_from
+from bus.signals import stop_on_signals
+from controller.header import new_header
+from controller.node import run_controller
+from gearbox.gears import DRIVE_GEARS
+from rig_sim.node import run_rig
+from rig_sim.settings import Preset, RigSettings
+from testbench import arguments
+from testbench.exits import Exit
+from testbench.provenance import product_version
+
+
+def add_parser(commands: Any) -> None:
+    """Both commands' arguments."""
+    controller: argparse.ArgumentParser = commands.add_parser(
+        "controller",
+        help="the transmission controller as a node on a CAN bus",
+        description="Reads tooth timestamps, estimates, predicts, and fires. SIGINT or SIGTERM "
+        "ends it with all valves off.",
+    )
+    arguments.add_gearbox(controller)
+    arguments.add_controller(controller)
+    controller.add_argument(
+        "--header-dir",
+        type=Path,
+        metavar="DIR",
+        help="save the run header here; replay wants it beside the log",
+    )
+    _add_common(controller)
+    controller.set_defaults(run=run_controller_command)
+    rig: argparse.ArgumentParser = commands.add_parser(
+        "rig",
+        help="the virtual gearbox as a node on a CAN bus",
+        description="Plays gearbox, sensors and engine. SIGINT or SIGTERM ends it with all "
+        "valves off.",
+    )
+    arguments.add_rig(rig)
+    arguments.add_gearbox(rig)
+    rig.add_argument(
+        "--gear",
+        type=arguments.whole(1, len(DRIVE_GEARS)),
+        default=8,
+        metavar="N",
+        help="the gear it stands in at the start (default: 8)",
+    )
+    rig.add_argument(
+        "--main-speed",
+        type=float,
+        default=RigSettings().main_speed_rpm,
+        metavar="RPM",
+        help="main shaft speed at the start (default: %(default)g)",
+    )
+    _add_common(rig)
+    rig.set_defaults(run=run_rig_command)
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    arguments.add_speed(parser)
+    parser.add_argument("-q", "--quiet", action="store_true", help="no lines about what happens")
+    add_bus_arguments(parser)
+
+
+def run_controller_command(namespace: argparse.Namespace) -> int:
+    """Runs the controller until a signal."""
+    header = new_header(
+        product_version(), arguments.sheet_of(namespace), arguments.settings_of(namespace)
+    )
+    if namespace.header_dir is not None:
+        header.save(namespace.header_dir)
+
+    async def run() -> None:
+        stop = asyncio.Event()
+        with stop_on_signals(stop):
+            await run_controller(
+                header,
+                lambda: open_bus_from(namespace),
+                Clock(namespace.speed),
+                on_event=_printer(namespace),
+                stop=stop,
+            )
+
+    asyncio.run(run())
+    return Exit.DONE
+
+
+def run_rig_command(namespace: argparse.Namespace) -> int:
+    """Runs the rig until a signal."""
+    settings = RigSettings(
+        preset=Preset(namespace.preset),
+        seed=namespace.seed,
+        start_gear=namespace.gear,
+        main_speed_rpm=namespace.main_speed,
+    )
+    sheet = arguments.sheet_of(namespace)
+
+    async def run() -> None:
+        stop = asyncio.Event()
+        with stop_on_signals(stop):
+            await run_rig(
+                sheet,
+                settings,
+                lambda: open_bus_from(namespace),
+                Clock(namespace.speed),
+                on_event=_printer(namespace),
+                stop=stop,
+            )
+
+    asyncio.run(run())
+    return Exit.DONE
+
+
+def _printer(namespace: argparse.Namespace):  # type: ignore[no-untyped-def]
+    def show(line: str) -> None:
+        if not namespace.quiet:
+            print(line, file=sys.stderr, flush=True)
+
+    return show

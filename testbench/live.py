@@ -1,0 +1,224 @@
+"""One strategy live: controller and rig on a real or local bus, the bench and the recorder beside.
+
+The nodes are processes of their own; on python-can's `virtual` bus, which ends at the process, they
+are tasks of this one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import can
+
+from bus.clock import Clock
+from bus.core import Step
+from bus.driver import run_node
+from bus.recorder import LogWriter
+from controller.header import RunHeader
+from controller.node import run_controller
+from dbc.frame import Frame
+from rig_sim.node import run_rig
+from rig_sim.settings import RigSettings
+from testbench.bench import BenchCore, PlannedShift
+from testbench.errors import CommandError
+from testbench.monitor import Monitor
+from testbench.traces import Traces
+
+BENCH_ADDRESS = 0xF9
+FLUSH_US = 1_000_000
+POLL_S = 0.05
+END_S = 5.0
+SILENCE_S = 20.0
+"""Wall seconds without a shift, at speed 1, after which the live run is given up."""
+
+
+@dataclass
+class LiveRun:
+    """What is needed to run one strategy live."""
+
+    header: RunHeader
+    rig: RigSettings
+    plan: list[PlannedShift]
+    log: Path
+    open_bus: Callable[[], can.BusABC]
+    speed: float
+    in_process: bool
+    node_arguments: Sequence[str] = ()
+    """Bus and data-sheet arguments for the two processes."""
+    controller_arguments: Sequence[str] = ()
+    on_row: Callable[[], None] = lambda: None
+    on_event: Callable[[str], None] = lambda line: None
+
+
+@dataclass
+class LiveResult:
+    """What the bus showed."""
+
+    monitor: Monitor
+    traces: Traces
+    bench: BenchCore
+    frames: int = 0
+    problems: list[str] = field(default_factory=list)
+
+
+class _Recorder:
+    """A core that only listens: everything on the bus goes to rows and traces."""
+
+    def __init__(self, result: LiveResult, log: LogWriter, on_row: Callable[[], None]) -> None:
+        self._result = result
+        self._log = log
+        self._on_row = on_row
+        self._rows = 0
+        self.next_step_us = 0
+
+    def receive(self, frame: Frame) -> None:
+        """One frame in bus order."""
+        self._result.frames += 1
+        message = self._result.monitor.take(frame)
+        if message is not None:
+            self._result.traces.take(message)
+
+    def step(self, now_us: int) -> Step:
+        """Brings the log to disk, and reports finished shifts."""
+        self._log.flush()
+        self.next_step_us = now_us + FLUSH_US
+        rows = len(self._result.monitor.rows.rows)
+        for _ in range(rows - self._rows):
+            self._on_row()
+        self._rows = rows
+        return Step([], [])
+
+    def shutdown(self, now_us: int) -> Step:
+        """The last look."""
+        return self.step(now_us)
+
+
+async def run_live(run: LiveRun) -> LiveResult:
+    """Runs the plan; ends the nodes with their valves off. CommandError when they cannot run."""
+    bench = BenchCore(run.plan)
+    monitor = Monitor(run.header.sheet, run.header.settings)
+    result = LiveResult(monitor, Traces(), bench)
+    stop_listening, stop_bench, stop_nodes = asyncio.Event(), asyncio.Event(), asyncio.Event()
+
+    def report(line: str) -> None:
+        result.problems.append(line)
+        run.on_event(line)
+
+    with LogWriter(run.log, channel="meshpoint", flush_every_s=None) as log:
+        recorder = asyncio.create_task(
+            run_node(
+                _Recorder(result, log, run.on_row), run.open_bus, Clock(),
+                on_event=report, stop=stop_listening, name="recorder",
+                on_message=log.write_message,
+            )
+        )  # fmt: skip
+        # The log begins before the nodes do, so that their first steps are in it.
+        await asyncio.sleep(2 * POLL_S)
+        nodes = await _start_nodes(run, stop_nodes)
+        task = asyncio.create_task(
+            run_node(
+                bench, run.open_bus, Clock(run.speed), on_event=report, stop=stop_bench,
+                name="bench", own_addresses=frozenset({BENCH_ADDRESS}),
+            )
+        )  # fmt: skip
+        try:
+            await _until_done(run, result, [recorder, task], nodes)
+        finally:
+            stop_bench.set()
+            await _end_nodes(nodes, stop_nodes)
+            await asyncio.sleep(2 * POLL_S)
+            stop_listening.set()
+            await asyncio.gather(recorder, task)
+    return result
+
+
+Nodes = list["asyncio.subprocess.Process | asyncio.Task[object]"]
+
+
+async def _start_nodes(run: LiveRun, stop: asyncio.Event) -> Nodes:
+    if run.in_process:
+        clock = Clock(run.speed)
+        return [
+            asyncio.create_task(
+                run_rig(
+                    run.header.sheet, run.rig, run.open_bus, clock,
+                    on_event=run.on_event, stop=stop,
+                )
+            ),
+            asyncio.create_task(
+                run_controller(
+                    run.header, run.open_bus, Clock(run.speed), on_event=run.on_event, stop=stop
+                )
+            ),
+        ]  # fmt: skip
+    common = [*run.node_arguments, "--speed", str(run.speed), "--quiet"]
+    rig = [
+        "rig", "--seed", str(run.rig.seed), "--gear", str(run.rig.start_gear),
+        "--main-speed", str(run.rig.main_speed_rpm), "--preset", run.rig.preset.value, *common,
+    ]  # fmt: skip
+    controller = ["controller", *run.controller_arguments, *common]
+    return [await _spawn(rig), await _spawn(controller)]
+
+
+async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
+    return await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "testbench", *arguments, stdin=asyncio.subprocess.DEVNULL
+    )
+
+
+async def _until_done(
+    run: LiveRun,
+    result: LiveResult,
+    tasks: Sequence[asyncio.Task[object]],
+    nodes: Nodes,
+) -> None:
+    """Waits for the bench; gives up when a node has died or nothing happens any more."""
+    seen, quiet_s = 0, 0.0
+    while not result.bench.done:
+        await asyncio.sleep(POLL_S)
+        for task in tasks:
+            if task.done():
+                task.result()
+        for node in nodes:
+            if isinstance(node, asyncio.Task):
+                if node.done():
+                    node.result()
+            elif node.returncode is not None:
+                raise CommandError(f"a node ended by itself with exit code {node.returncode}")
+        rows = len(result.monitor.rows.rows)
+        quiet_s = 0.0 if rows != seen else quiet_s + POLL_S
+        seen = rows
+        if quiet_s > SILENCE_S / min(1.0, run.speed):
+            raise CommandError(f"no shift within {quiet_s:.0f} s: the nodes do not hear each other")
+
+
+async def _end_nodes(nodes: Nodes, stop: asyncio.Event) -> None:
+    stop.set()
+    for node in nodes:
+        if isinstance(node, asyncio.Task):
+            continue
+        if node.returncode is None:
+            if sys.platform == "win32":
+                node.terminate()
+            else:
+                node.send_signal(signal.SIGTERM)
+    for node in nodes:
+        if isinstance(node, asyncio.Task):
+            await asyncio.wait([node], timeout=END_S)
+            continue
+        try:
+            await asyncio.wait_for(node.wait(), END_S)
+        except TimeoutError:
+            node.kill()
+            await node.wait()
+
+
+def uses_virtual(namespace: argparse.Namespace) -> bool:
+    """Whether the bus asked for ends at the process."""
+    return getattr(namespace, "interface", None) == "virtual"

@@ -1,0 +1,117 @@
+"""A fresh bus for every test that could break it, a common one for the others."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from bus.channel import parse_channel
+from bus.launch import connect
+from bus.plugin import MeshpointBus
+from bus.register import register_interface
+
+ROOT = Path(__file__).resolve().parents[2]
+
+Process = subprocess.Popen[str]
+
+register_interface()
+
+
+@contextmanager
+def short_directory() -> Iterator[Path]:
+    """pytest's own temporary directories have paths that may be too long for a socket."""
+    directory = Path(tempfile.mkdtemp(prefix="mpb-"))
+    try:
+        yield directory
+    finally:
+        shutil.rmtree(directory, ignore_errors=True)
+
+
+def start_process(*arguments: str) -> Process:
+    return subprocess.Popen(
+        [sys.executable, *arguments],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )
+
+
+def end_process(process: Process) -> None:
+    process.kill()
+    process.communicate()
+
+
+@contextmanager
+def running_hub(directory: Path) -> Iterator[tuple[str, Process]]:
+    channel = f"unix:{directory}/bus.sock"
+    process = start_process("-m", "bus.hub", channel, "--linger", "60")
+    try:
+        deadline = time.monotonic() + 20.0
+        while True:
+            try:
+                connect(parse_channel(channel), 1.0, start=False).close()
+            except OSError:
+                assert time.monotonic() < deadline, "the hub does not come up"
+                time.sleep(0.01)
+            else:
+                break
+        yield channel, process
+    finally:
+        end_process(process)
+
+
+@pytest.fixture
+def place() -> Iterator[Path]:
+    """An empty directory."""
+    with short_directory() as directory:
+        yield directory
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Process]]:
+    """Starts Python processes that know this repository, and ends those that still run."""
+    running: list[Process] = []
+
+    def run(*arguments: str) -> Process:
+        running.append(start_process(*arguments))
+        return running[-1]
+
+    yield run
+    for process in running:
+        end_process(process)
+
+
+@pytest.fixture
+def hub(place: Path) -> Iterator[tuple[str, Process]]:
+    """A hub of this test alone: its channel and its process."""
+    with running_hub(place) as channel_and_process:
+        yield channel_and_process
+
+
+@pytest.fixture(scope="session")
+def common_channel() -> Iterator[str]:
+    """The channel of a hub that no test ends."""
+    with short_directory() as directory, running_hub(directory) as (channel, _):
+        yield channel
+
+
+@pytest.fixture
+def join(common_channel: str) -> Iterator[Callable[..., MeshpointBus]]:
+    """Connects nodes to the common hub, or to that of a channel given."""
+    nodes: list[MeshpointBus] = []
+
+    def open_node(channel: str = common_channel) -> MeshpointBus:
+        nodes.append(MeshpointBus(channel, start_hub=False))
+        return nodes[-1]
+
+    yield open_node
+    for node in nodes:
+        node.shutdown()

@@ -1,0 +1,131 @@
+"""Opening a bus from the command line, environment and configuration files."""
+
+import argparse
+from pathlib import Path
+
+import can
+import pytest
+
+from bus.options import BusOpenError, add_bus_arguments, bus_config, open_bus_from
+
+
+@pytest.fixture(autouse=True)
+def nothing_configured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("can.util.CONFIG_FILES", [str(tmp_path / "can.conf")])
+    monkeypatch.setattr("can.rc", {})
+
+
+def parsed(*arguments: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    add_bus_arguments(parser)
+    return parser.parse_args(arguments)
+
+
+def test_without_anything_asked_for_it_is_this_users_local_bus(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert bus_config(parsed()) == {"interface": "meshpoint"}
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(place))
+    with open_bus_from(parsed()) as bus:
+        assert "default.sock" in bus.channel_info
+
+
+def test_arguments_win_over_section_environment_and_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "can.conf").write_text(
+        "[default]\ninterface = virtual\nchannel = file\nbitrate = 1\n"
+        "[bench]\ninterface = virtual\nchannel = usual section\n"
+    )
+    own = tmp_path / "own.conf"
+    own.write_text("[default]\nchannel = own default\n[rig]\ninterface=virtual\nchannel = own\n")
+    assert bus_config(parsed())["channel"] == "file"
+    monkeypatch.setenv("CAN_CHANNEL", "environment")
+    assert bus_config(parsed())["channel"] == "environment"
+    assert bus_config(parsed("--config", "bench"))["channel"] == "usual section"
+    assert bus_config(parsed("--config", f"{own}/rig"))["channel"] == "own"
+    assert bus_config(parsed("--config", str(own)))["channel"] == "own default"
+    argument = bus_config(parsed("--config", f"{own}/rig", "-c", "argument"))
+    assert argument["channel"] == "argument"
+    assert argument["bitrate"] == 1
+
+
+def test_what_is_configured_for_another_interface_does_not_count(tmp_path: Path) -> None:
+    (tmp_path / "can.conf").write_text("[default]\ninterface = socketcan\nchannel = can0\n")
+    assert bus_config(parsed("-i", "meshpoint")) == {"interface": "meshpoint"}
+
+
+def test_can_fd_is_on_where_an_interface_has_it() -> None:
+    assert bus_config(parsed("-i", "kvaser", "-c", "0"))["fd"] is True
+    udp = bus_config(parsed("-i", "udp_multicast", "--bus-kwargs", "port=12345"))
+    assert udp["fd"] is True
+    assert udp["hop_limit"] == 0
+    assert udp["port"] == 12345
+    assert "fd" not in bus_config(parsed("-i", "slcan", "-c", "/dev/ttyACM0"))
+    assert bus_config(parsed("-i", "slcan", "-c", "/dev/ttyACM0", "--fd"))["fd"] is True
+
+
+def test_bit_timing_reaches_the_interface() -> None:
+    timing = ["f_clock=8000000", "tseg1=5", "tseg2=2", "sjw=2", "brp=2", "nof_samples=1"]
+    config = bus_config(parsed("-i", "virtual", "-c", "x", "--timing", *timing))
+    assert isinstance(config["timing"], can.BitTiming)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["-c", "vcan0"], "channel 'vcan0' is not unix:.* or tcp:.*add -i"),
+        (["-i", "socketcan"], "socketcan needs a channel"),
+        (["-i", "socketcan", "-c", "nocan7"], "interface socketcan, channel nocan7"),
+        (["-i", "slcan"], "interface slcan.*needs a channel"),
+        (["--config", "nowhere"], "--config nowhere: neither a file nor a section"),
+        (["--config", "/no/such/file"], "there is no file /no/such"),
+        (["-c", "tcp:192.0.2.1:5"], "another machine"),
+    ],
+)
+def test_a_bus_that_cannot_be_opened_is_one_clear_line(
+    arguments: list[str], said: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(BusOpenError, match=said) as caught:
+        open_bus_from(parsed(*arguments)).shutdown()
+    assert "\n" not in str(caught.value)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_an_unknown_interface_is_refused_with_the_known_ones(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        parsed("-i", "nonsense")
+    assert "meshpoint" in capsys.readouterr().err
+    monkeypatch.setenv("CAN_INTERFACE", "nonsense")
+    with pytest.raises(BusOpenError, match=r"nonsense.*known interfaces.*meshpoint.*socketcan"):
+        open_bus_from(parsed())
+
+
+@pytest.mark.parametrize(
+    "content", ["interface = virtual\n", "[a]\n[a]\n", "[default]\nx = %(y)s\n", "[other]\nx=1\n"]
+)
+def test_a_configuration_file_that_is_none_is_refused(tmp_path: Path, content: str) -> None:
+    file = tmp_path / "bad.conf"
+    file.write_text(content)
+    with pytest.raises(BusOpenError, match=r"bad\.conf|'y'"):
+        open_bus_from(parsed("--config", str(file)))
+
+
+def test_an_environment_that_is_no_json_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CAN_CONFIG", "{fd:")
+    with pytest.raises(BusOpenError, match="bus configuration"):
+        open_bus_from(parsed())
+
+
+def test_a_classic_device_is_refused_with_the_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "can0").mkdir()
+    (tmp_path / "can0" / "mtu").write_text("16\n")
+    monkeypatch.setattr("bus.options._NET_DEVICES", tmp_path)
+    with pytest.raises(BusOpenError, match=r"can0 is set up for classic CAN.*fd on"):
+        open_bus_from(parsed("-i", "socketcan", "-c", "can0"))

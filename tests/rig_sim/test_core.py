@@ -1,0 +1,165 @@
+"""The node: expiry, bad input, the clock, shutdown, an hour in gear."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from dbc.frame import Frame
+from dbc.messages import (
+    ClutchAction,
+    ClutchCommand,
+    GearboxSensors,
+    ValveAction,
+    ValveCommand,
+    ValveStatus,
+)
+from gearbox.gears import MainGear
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rig_bench import SHEET, RigBench, upshift
+from rig_sim import RigCore, RigSettings, SettingsError, kernels
+from rig_sim.world import World
+
+
+def test_the_valves_expire_100_ms_after_the_last_frame() -> None:
+    bench = RigBench()
+    on = ValveCommand(brake_action=ValveAction.ON_NOW)
+    bench.run(303_000, lambda now_us: on)  # the last command is consumed at 300 ms
+    for now_us, driven in ((399_999, True), (400_000, False)):
+        bench.step(now_us)
+        assert bench.core._world.valves.energised[0] is driven
+    bench.step(430_000)
+    assert bench.of(ValveStatus)[-1].expired_count == 1
+    assert not bench.of(ValveStatus)[-1].brake_energised
+
+
+def test_the_clutch_moves_linearly_and_opens_by_itself() -> None:
+    bench = RigBench()
+    while bench.now_us < 600_000:
+        bench.send(ClutchCommand(action=ClutchAction.CLOSE))
+        bench.step(bench.now_us + 10_000)
+    assert bench.of(GearboxSensors)[-1].clutch_position_fraction == 1.0
+    bench.step(800_000)
+    positions = [sample.clutch_position_fraction for sample in bench.of(GearboxSensors)]
+    # the last command was consumed at 600 ms; at 700 ms it opens, over 80 ms
+    assert positions[70:80] == pytest.approx(
+        [max(1.0 - ms / 80.0, 0.0) for ms in range(0, 100, 10)], abs=1e-4
+    )
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(
+        st.builds(
+            Frame,
+            st.one_of(st.integers(0, (1 << 29) - 1), st.just(0x0CFF1003), st.just(2365538307 - 2**31)),
+            st.binary(max_size=64),
+            st.booleans(),
+            st.booleans(),
+        ),
+        max_size=20,
+    )
+)
+def test_no_frame_whatever_stops_the_rig_or_moves_it(frames: list[Frame]) -> None:
+    core, twin = RigCore(SHEET, RigSettings()), RigCore(SHEET, RigSettings())
+    for now_us in range(0, 200_001, 10_000):
+        for frame in frames:
+            core.receive(frame)
+        assert core.step(now_us).frames == twin.step(now_us).frames
+    receiver = core.receiver
+    counted = receiver.e2e_errors + receiver.format_errors + receiver.foreign_frames
+    assert counted <= 21 * len(frames)
+
+
+def test_a_corrupted_valve_command_is_counted_and_not_obeyed() -> None:
+    bench = RigBench()
+    bench.run(200_000)
+    command = bench._control.encode(ValveCommand(brake_action=ValveAction.ON_NOW))
+    broken = bytes([*command.data[:-1], command.data[-1] ^ 1])
+    bench.core.receive(command._replace(data=broken))
+    bench.step(201_000)
+    assert bench.core.receiver.e2e_errors == 1
+    assert not any(bench.core._world.valves.energised)
+
+
+def test_it_asks_for_a_step_at_once_when_a_frame_has_come() -> None:
+    bench = RigBench()
+    assert bench.core.next_step_us <= 0
+    bench.step(5_000)
+    assert bench.core.next_step_us == 15_000
+    bench.send(ValveCommand())
+    assert bench.core.next_step_us <= 5_000
+    bench.step(6_000)
+    assert bench.core.next_step_us == 15_000
+
+
+def test_power_up_is_the_first_step_whatever_the_drivers_clock_says() -> None:
+    early, late = RigCore(SHEET, RigSettings()), RigCore(SHEET, RigSettings())
+    for now_us in range(0, 300_001, 10_000):
+        assert early.step(now_us).frames == late.step(now_us + 123_456_789_012).frames
+
+
+def test_shutdown_switches_everything_off_and_says_so() -> None:
+    bench = RigBench()
+    on = ValveCommand(brake_action=ValveAction.ON_NOW)
+    bench.run(200_000, lambda now_us: on)
+    frames, _ = bench.core.shutdown(205_000)
+    received = bench._ears.receive(frames[-1]).message
+    assert isinstance(received, ValveStatus)
+    assert not received.brake_energised
+    assert not any(bench.core._world.valves.energised)
+
+
+def test_in_an_hour_in_gear_the_phase_stays_exact_and_no_tooth_is_lost() -> None:
+    world = World(SHEET, RigSettings(seed=13))
+    start_main = world.shafts.main
+    start_layshaft = world.shafts.layshaft
+    phase = world.shafts.phase_rad(MainGear.FIRST)
+    while world.next_read_us <= 3_600_000_000:
+        world.run_to(world.next_read_us)
+        world.encoder.read(world.next_read_us)
+        world._read_us += 990_000  # read once a second: nothing else happens
+    pitch = SHEET.dog.pitch_rad
+    assert abs(phase) == SHEET.dog.backlash_rad / 2
+    world.plant.coast()  # from here on the phase is worked out from the two angles
+    assert abs(world.shafts.phase_rad(MainGear.FIRST) - phase) < 1e-12
+
+    main = world.shafts.main[0] - start_main[0] + (world.shafts.main[1] - start_main[1]) / math.tau
+    assert main == pytest.approx(644.0 * 60.0, abs=0.2)
+    turned = world.shafts.layshaft[0] - start_layshaft[0]
+    turned_rest = (world.shafts.layshaft[1] - start_layshaft[1]) / math.tau
+    # the layshaft's turns are the main shaft's times 50/23, exactly
+    whole = (world.shafts.main[0] - start_main[0]) * SHEET.main.first.driven
+    rest = (world.shafts.main[1] - start_main[1]) / math.tau * SHEET.main.first.driven
+    error = (whole - turned * SHEET.main.first.driving) + (
+        rest - turned_rest * SHEET.main.first.driving
+    )
+    assert abs(error) < 1e-11
+    assert pitch > 0
+
+
+def test_settings_that_cannot_be_used_are_named() -> None:
+    for wrong, key in (
+        ({"start_gear": 0}, "start_gear"),
+        ({"start_gear": 15}, "start_gear"),
+        ({"seed": -1}, "seed"),
+        ({"main_speed_rpm": math.nan}, "main_speed_rpm"),
+        ({"main_speed_rpm": 5001.0}, "main_speed_rpm"),
+        ({"clock_start_us": 1 << 32}, "clock_start_us"),
+    ):
+        with pytest.raises(SettingsError, match=key):
+            RigSettings(**wrong)  # type: ignore[arg-type]
+
+
+def test_everything_is_compiled_before_the_first_step() -> None:
+    dispatchers = [k for k in vars(kernels).values() if hasattr(k, "signatures")]
+    if not dispatchers:
+        pytest.skip("kernels run as plain Python")
+    kernels.warm_up()
+    before = [len(kernel.signatures) for kernel in dispatchers]
+    bench = RigBench(RigSettings(seed=2))
+    bench.run(1_200_000, upshift)
+    bench.return_to_gear(7, 1)
+    bench.run(2_000_000)
+    assert [len(kernel.signatures) for kernel in dispatchers] == before

@@ -1,0 +1,167 @@
+"""The valve drivers obey the rules of the wire contract."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import pytest
+from dbc.messages import ValveAction
+from hypothesis import given
+from hypothesis import strategies as st
+from rig_sim.valves import Change, Order, Valve, ValveBank
+
+NINE = len(Valve)
+WRAP = 1 << 32
+ON_AT, OFF_AT = ValveAction.ON_AT, ValveAction.OFF_AT
+ON, OFF = ValveAction.ON_NOW, ValveAction.OFF_NOW
+
+
+def brake(action: ValveAction, time_us: int = 0) -> tuple[Order, ...]:
+    return (Order(action, time_us % WRAP), *[Order(OFF)] * (NINE - 1))
+
+
+def run_to(bank: ValveBank, now_us: int) -> list[Change]:
+    changes = []
+    while bank.next_us is not None and bank.next_us <= now_us:
+        changes += bank.run(bank.next_us)
+    return changes
+
+
+def test_an_activation_happens_at_its_microsecond() -> None:
+    bank = ValveBank()
+    assert bank.command(brake(ON_AT, 34_567), 0) == []
+    assert bank.pending[Valve.BRAKE]
+    assert run_to(bank, 50_000) == [Change(Valve.BRAKE, True, 34_567)]
+    assert bank.energised[Valve.BRAKE] and not bank.pending[Valve.BRAKE]
+
+
+def test_the_newest_frame_replaces_or_cancels() -> None:
+    bank = ValveBank()
+    bank.command(brake(ON_AT, 30_000), 0)
+    bank.command(brake(ON_AT, 40_000), 10_000)
+    assert run_to(bank, 35_000) == []
+    bank.command(brake(OFF), 36_000)
+    assert run_to(bank, 60_000) == []
+
+
+def test_resending_what_has_passed_holds_it_and_never_arms_it_again() -> None:
+    bank = ValveBank()
+    bank.command(brake(ON_AT, 5_000), 0)
+    run_to(bank, 10_000)
+    for now_us in range(10_000, 90_000, 10_000):
+        assert bank.command(brake(ON_AT, 5_000), now_us) == []
+        assert bank.energised[Valve.BRAKE]
+    bank.command(brake(OFF), 90_000)
+    assert bank.command(brake(ON_AT, 5_000), 90_500) == []
+    assert not bank.energised[Valve.BRAKE]
+    assert bank.refused == 0
+
+
+@pytest.mark.parametrize(
+    ("ahead_us", "taken"),
+    [(-2_001, False), (-2_000, True), (0, True), (100_000, True), (100_001, False)],
+)
+def test_activations_too_late_or_too_far_ahead_are_refused(ahead_us: int, taken: bool) -> None:
+    bank = ValveBank()
+    now_us = 5 * WRAP - 10  # the 32-bit clock wraps in between
+    for again in range(3):
+        bank.command(brake(ON_AT, now_us + ahead_us), now_us + again)
+    assert bank.refused == (0 if taken else 1)
+    run_to(bank, now_us + 100_000)
+    assert bank.energised[Valve.BRAKE] is taken
+
+
+def test_a_refused_activation_leaves_the_valve_as_it_is() -> None:
+    bank = ValveBank()
+    bank.command(brake(ON), 0)
+    bank.command(brake(OFF_AT, 500_000), 10_000)
+    run_to(bank, 100_000)
+    assert bank.energised[Valve.BRAKE]
+
+
+def test_all_is_off_100_ms_after_the_last_frame() -> None:
+    bank = ValveBank()
+    bank.command(brake(ON), 0)
+    bank.command((Order(ON), Order(ON_AT, 109_999), *[Order(OFF)] * (NINE - 2)), 10_000)
+    assert run_to(bank, 109_998) == []
+    assert run_to(bank, 109_999) == [Change(Valve.SPLIT_LOW, True, 109_999)]
+    assert {(c.valve, c.on, c.time_us) for c in run_to(bank, 200_000)} == {
+        (Valve.BRAKE, False, 110_000),
+        (Valve.SPLIT_LOW, False, 110_000),
+    }
+    assert bank.expired == 1
+    assert bank.next_us is None
+    bank.command((Order(OFF), Order(ON_AT, 109_999), *[Order(OFF)] * (NINE - 2)), 111_000)
+    assert not any(bank.energised)
+
+
+def test_of_valves_switched_together_those_going_off_come_first() -> None:
+    bank = ValveBank()
+    bank.command((Order(OFF), Order(OFF), Order(ON), *[Order(OFF)] * (NINE - 3)), 0)
+    changes = bank.command((Order(OFF), Order(ON), Order(OFF), *[Order(OFF)] * (NINE - 3)), 10)
+    assert [change.on for change in changes] == [False, True]
+
+
+class Sent(NamedTuple):
+    now_us: int
+    action: ValveAction
+    ahead_us: int
+
+
+@st.composite
+def traffic(draw: st.DrawFn) -> list[Sent]:
+    """Commands to one valve: activation times on a coarse grid, so that many are resent."""
+    sent = []
+    now_us = draw(st.sampled_from([0, WRAP - 50_000]))
+    for _ in range(draw(st.integers(1, 25))):
+        now_us += draw(st.sampled_from([0, 1, 5_000, 10_000, 10_000, 10_000, 99_999, 100_000]))
+        action = draw(st.sampled_from(list(ValveAction)))
+        target_us = (now_us // 10_000 + draw(st.integers(-1, 11))) * 10_000
+        sent.append(Sent(now_us, action, target_us - now_us))
+    return sent
+
+
+def naive_output(sent: list[Sent], now_us: int) -> bool:
+    """The valve at an instant, from the whole history, by going through it microsecond by
+    microsecond of interest: no slot objects, no clock arithmetic."""
+    output, slot, last_us = False, None, None
+    passed: object = None
+    refused: object = None
+    instants = {s.now_us for s in sent} | {s.now_us + s.ahead_us for s in sent}
+    instants |= {s.now_us + 100_000 for s in sent}
+    for t in sorted(i for i in instants if i <= now_us):
+        if slot is not None and slot[1] <= t:
+            output, passed, slot = slot[0], slot, None
+        if last_us is not None and t >= last_us + 100_000:
+            output, slot, last_us = False, None, None
+        for s in (s for s in sent if s.now_us == t):
+            last_us = t
+            if s.action in (ON, OFF):
+                output, slot = s.action is ON, None
+                continue
+            wanted = (s.action is ON_AT, t + s.ahead_us)
+            if wanted == slot:
+                continue
+            slot = None
+            if wanted in (passed, refused):
+                continue
+            if not -2_000 <= s.ahead_us <= 100_000:
+                refused = wanted
+            elif s.ahead_us <= 0:
+                output, passed = wanted[0], wanted
+            else:
+                slot = wanted
+    return output
+
+
+@given(traffic())
+def test_the_bank_agrees_with_a_naive_reading_of_the_rules(sent: list[Sent]) -> None:
+    bank = ValveBank()
+    for entry, following in zip(sent, [*sent[1:], None], strict=True):
+        run_to(bank, entry.now_us)
+        bank.command(brake(entry.action, entry.now_us + entry.ahead_us), entry.now_us)
+        if following is None or following.now_us > entry.now_us:
+            assert bank.energised[Valve.BRAKE] == naive_output(sent, entry.now_us)
+    for after_us in (3_000, 50_000, 99_999, 100_000, 150_000):
+        run_to(bank, sent[-1].now_us + after_us)
+        assert bank.energised[Valve.BRAKE] == naive_output(sent, sent[-1].now_us + after_us)
