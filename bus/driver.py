@@ -142,12 +142,18 @@ class _Node:
         self._set_timer(now_us)
 
     def _set_timer(self, now_us: int) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
         # A step that is asked for at once is due now, however long ago its time may be.
-        self._timer_due_us = max(now_us, self._core.next_step_us)
-        delay_s = self._clock.delay_s(self._timer_due_us)
-        self._timer = self._loop.call_later(delay_s, self._turn)
+        due_us = max(now_us, self._core.next_step_us)
+        if self._timer is not None:
+            if due_us == self._timer_due_us:
+                return
+            self._timer.cancel()
+        self._timer_due_us = due_us
+        self._timer = self._loop.call_later(self._clock.delay_s(due_us), self._on_timer)
+
+    def _on_timer(self) -> None:
+        self._timer = None
+        self._turn()
 
     def _receive(self) -> None:
         if self._reception is None:
@@ -226,8 +232,8 @@ class _Node:
         )
 
     def _attach(self, bus: can.BusABC) -> None:
-        self._bus = bus
         self._reception = receive_from(bus, self._turn)
+        self._bus = bus
 
     def _bus_works(self) -> None:
         """A frame has gone through. Only that proves a reopened bus: a link that is down opens."""
@@ -252,13 +258,12 @@ class _Node:
         complaint = ""
         while not await self._ends_within(RETRY_S):
             try:
-                bus = await asyncio.to_thread(self._open_bus)
+                self._attach(await asyncio.to_thread(self._open_bus))
             except Exception as error:  # noqa: BLE001 (a vendor's driver may raise anything)
                 if str(error) != complaint:
                     complaint = str(error)
                     self._say(f"bus still away: {complaint}")
             else:
-                self._attach(bus)
                 return
 
     async def _ends_within(self, seconds: float) -> bool:

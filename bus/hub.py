@@ -16,34 +16,17 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import cast
 
 from bus import wire
-from bus.channel import (
-    SYNTAX,
-    ChannelError,
-    HubChannel,
-    TcpChannel,
-    UnixChannel,
-    hub_log,
-    parse_channel,
-)
-from bus.dial import NoHubError, dial, serves
-
-if sys.platform != "win32":
-    import fcntl
+from bus.channel import SYNTAX, ChannelError, HubChannel, hub_log, parse_channel
+from bus.dial import NoHubError, dial
+from bus.listening import HubRunningError, clean_up, listen
 
 DEFAULT_LINGER_S = 3.0
 MAX_BACKLOG_BYTES = 8 * 1024 * 1024
 _GREETING_TIMEOUT_S = 5.0
-_LISTEN_BACKLOG = 1024
-_LOCK_WAIT_S = 5.0
-
-
-class HubRunningError(Exception):
-    """Another hub serves this channel already."""
 
 
 class Hub:
@@ -158,19 +141,6 @@ class _Connection(asyncio.Protocol):
             self._transport.abort()
 
 
-def listen(channel: HubChannel, allow_remote: bool = False) -> socket.socket:
-    """The listening socket of a hub.
-
-    Raises HubRunningError when a hub serves the channel already, ChannelError or another OSError
-    when it cannot be served.
-    """
-    if isinstance(channel, UnixChannel):
-        return _listen_unix(channel)
-    if not channel.is_local and not allow_remote:
-        raise ChannelError(f"{channel} is open to other machines: needs --allow-remote")
-    return _listen_tcp(channel)
-
-
 async def serve(listener: socket.socket, linger_s: float = DEFAULT_LINGER_S) -> None:
     """Runs a hub on `listener` until it has been without nodes for `linger_s` seconds."""
     hub = Hub(linger_s)
@@ -211,6 +181,7 @@ def main(arguments: list[str] | None = None) -> int:
         channel = parse_channel(options.channel)
         if options.detach and sys.platform == "win32":
             return _start_in_background(channel)
+        log = hub_log(channel)
         listener = listen(channel, options.allow_remote)
     except HubRunningError:
         return 0
@@ -223,12 +194,12 @@ def main(arguments: list[str] | None = None) -> int:
     if options.detach and sys.platform != "win32":
         if os.fork() > 0:
             return 0
-        _leave_terminal(hub_log(channel))
+        _leave_terminal(log)
     with contextlib.suppress(KeyboardInterrupt):
         try:
             asyncio.run(serve(listener, options.linger))
         finally:
-            _clean_up(channel)
+            clean_up(channel)
     return 0
 
 
@@ -265,87 +236,6 @@ def _leave_terminal(log: Path) -> None:
 def _say(line: str) -> None:
     sys.stderr.write(f"meshpoint hub: {line}\n")
     sys.stderr.flush()
-
-
-def _listen_tcp(channel: TcpChannel) -> socket.socket:
-    family = socket.AF_INET6 if ":" in channel.host else socket.AF_INET
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        if sys.platform == "win32":
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
-        else:  # lets a port be bound again at once; a port somebody listens on stays refused
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.bind((channel.host, channel.port))
-        listener.listen(_LISTEN_BACKLOG)
-    except OSError as error:
-        listener.close()
-        # Whoever else has the port: a hub is what we want, anything else is an error.
-        try:
-            dial(channel, timeout_s=1.0).close()
-        except OSError as refused:
-            raise ChannelError(f"{channel}: {error}; {refused}") from error
-        raise HubRunningError from error
-    return listener
-
-
-def _listen_unix(channel: UnixChannel) -> socket.socket:
-    path = channel.path
-    path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    try:
-        with _locked(path.parent):
-            if serves(channel):
-                raise HubRunningError  # noqa: TRY301
-            # A socket without a listener was left by a hub that was killed.
-            if path.is_socket():
-                path.unlink()
-            mask = os.umask(0o177)
-            try:
-                listener.bind(str(path))
-            finally:
-                os.umask(mask)
-            listener.listen(_LISTEN_BACKLOG)
-    except BaseException:
-        listener.close()
-        raise
-    return listener
-
-
-def _clean_up(channel: HubChannel) -> None:
-    """Removes our files: an empty log, and the socket unless another hub has taken its place."""
-    log = hub_log(channel)
-    # FileNotFoundError: there is no log, or somebody has removed the whole directory.
-    with contextlib.suppress(FileNotFoundError):
-        if log.stat().st_size == 0:
-            log.unlink()
-    if isinstance(channel, UnixChannel):
-        with contextlib.suppress(FileNotFoundError), _locked(channel.path.parent):
-            if not serves(channel):
-                channel.path.unlink()
-
-
-@contextlib.contextmanager
-def _locked(directory: Path) -> Iterator[None]:
-    """Holds the lock of `directory`, so that of several hubs starting at once one wins.
-
-    The lock is on the directory itself: no file stays behind, and a killed holder frees it.
-    """
-    if sys.platform == "win32":  # parse_channel lets no unix channel through
-        raise ChannelError("this system has no unix sockets")
-    handle = os.open(directory, os.O_RDONLY)
-    try:
-        deadline = time.monotonic() + _LOCK_WAIT_S
-        while True:
-            try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError as error:
-                if time.monotonic() > deadline:
-                    raise ChannelError(f"{directory} is locked by another process") from error
-                time.sleep(0.005)
-        yield
-    finally:
-        os.close(handle)
 
 
 if __name__ == "__main__":

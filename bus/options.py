@@ -3,8 +3,11 @@
 import argparse
 import configparser
 import logging
+import os
+import socket
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +29,11 @@ _UDP_DEFAULTS = {
 _CANFD_MTU = 72
 _CAN_DEVICE_TYPE = "280"  # ARPHRD_CAN
 _NET_DEVICES = Path("/sys/class/net")
+# Interfaces whose sockets drop frames when a reader is late: 278 FD frames fit into the usual one.
+_LOSSY = frozenset({"socketcan", "udp_multicast"})
+_RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024
+_SO_RCVBUFFORCE = 33  # linux/socket.h; Python has no name for it
+
 _ARGUMENTS = ("channel", "interface", "bitrate", "fd", "data_bitrate", "timing")
 
 
@@ -56,9 +64,12 @@ def open_bus_from(namespace: argparse.Namespace) -> can.BusABC:
     config = bus_config(namespace)
     try:
         with _no_log_lines():
-            return can.Bus(ignore_config=True, **config)
+            bus = can.Bus(ignore_config=True, **config)
     except Exception as error:  # whatever a vendor's driver raises for a device that is not there
         raise BusOpenError(_open_error(config, error)) from error
+    if config["interface"] in _LOSSY:
+        _enlarge_receive_buffer(bus)
+    return bus
 
 
 def bus_config(namespace: argparse.Namespace) -> dict[str, Any]:
@@ -141,6 +152,15 @@ def _check_socketcan(channel: Any) -> None:
             f"`ip link set {channel} type can bitrate 500000 dbitrate 2000000 fd on`, "
             f"a virtual one by `ip link set {channel} mtu {_CANFD_MTU}`"
         )
+
+
+def _enlarge_receive_buffer(bus: can.BusABC) -> None:
+    if sys.platform != "linux":
+        return
+    with socket.socket(fileno=os.dup(bus.fileno())) as same:
+        same.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+        with suppress(PermissionError):  # only the administrator may go beyond the system's limit
+            same.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER_BYTES)
 
 
 def _can_devices() -> str:

@@ -53,16 +53,17 @@ class BrakeInput:
             self._arrays = self._with(None)
         return self._arrays
 
-    def with_release(self, release_us: int) -> tuple[Vector, Vector]:
+    def with_release(self, release_us: float) -> tuple[Vector, Vector]:
         """The same if the brake were released at `release_us`, and left so."""
         return self._with(release_us)
 
-    def _with(self, release_us: int | None) -> tuple[Vector, Vector]:
-        switches = self._switches
+    def _with(self, release_us: float | None) -> tuple[Vector, Vector]:
+        times: list[float] = [switch.time_us for switch in self._switches]
+        states = [float(switch.on) for switch in self._switches]
         if release_us is not None:
-            switches = [s for s in switches if s.time_us < release_us]
-            switches.append(Switch(release_us, False))
-        return (
-            np.array([s.time_us + self._delay_us for s in switches], dtype=np.float64),
-            np.array([float(s.on) for s in switches], dtype=np.float64),
-        )
+            while times and times[-1] >= release_us:
+                times.pop()
+                states.pop()
+            times.append(release_us)
+            states.append(0.0)
+        return np.array(times, dtype=np.float64) + self._delay_us, np.array(states)

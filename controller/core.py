@@ -63,7 +63,7 @@ class ControllerCore:
         self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
         self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
         brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
-        self._observer = Observer(sheet, settings, brake)
+        self._observer = Observer(sheet, settings, brake, (settings.estimator,))
         self._board = ValveBoard(ValveTiming(settings.valve_timing))
         self._sequence = ShiftSequence(
             sheet, settings, self._board, brake, self._observer.references

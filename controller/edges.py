@@ -49,6 +49,9 @@ class EdgeBatch(NamedTuple):
     theta_rad: Vector
 
 
+NO_EDGES = EdgeBatch(np.empty(0), np.empty(0))
+
+
 @dataclass
 class Polarity:
     """One polarity of a wheel: the chain of its frames."""
@@ -139,22 +142,23 @@ class WheelEdges:
         """Takes this step's frames of both polarities; returns the new edges in order of time."""
         risen = self._read(self._rise, rise, clock, now_us)
         fallen = self._read(self._fall, fall, clock, now_us)
-        edges = [Edge(t, k * self.pitch_rad) for k, t in risen]
+        pitch = self.pitch_rad
+        edges = [(t, k * pitch) for k, t in risen]
         if self._fall_shift is None:
             self._pair(risen, fallen)
         if self._fall_shift is not None:
             shift = self._fall_shift + self._duty_share
-            edges += [Edge(t, (k + shift) * self.pitch_rad) for k, t in fallen]
+            edges += [(t, (k + shift) * pitch) for k, t in fallen]
         edges.sort()
-        # A polarity that was late must not turn time back in the filters.
-        edges = [edge for edge in edges if edge.time_us > self._last_us]
-        if edges:
-            self.newest = edges[-1]
-            self._last_us = edges[-1].time_us
-        return EdgeBatch(
-            np.array([edge.time_us for edge in edges], dtype=np.float64),
-            np.array([edge.theta_rad for edge in edges], dtype=np.float64),
-        )
+        if edges and edges[0][0] <= self._last_us:
+            # A polarity that was late must not turn time back in the filters.
+            edges = [edge for edge in edges if edge[0] > self._last_us]
+        if not edges:
+            return NO_EDGES
+        self.newest = Edge(*edges[-1])
+        self._last_us = edges[-1][0]
+        table = np.array(edges, dtype=np.float64)
+        return EdgeBatch(table[:, 0].copy(), table[:, 1].copy())
 
     def _read(
         self, polarity: Polarity, frames: list[EdgeFrame], clock: SensorClock, now_us: int

@@ -8,6 +8,8 @@ the constant-speed filter follows it; that is also where a gear's phase is learn
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from controller.brake_input import BrakeInput
@@ -67,7 +69,8 @@ class LayshaftTracker:
 
     def edges(self, batch: EdgeBatch) -> None:
         """Takes new edges in order of time."""
-        self._window.edges(batch)
+        if self._estimator is Estimator.WINDOW:
+            self._window.edges(batch)
         if not self._free:
             self._cruise.edges(batch)
         elif self._estimator is Estimator.THESIS and batch.time_us.size:
@@ -100,15 +103,16 @@ class LayshaftTracker:
 
     def latest(self) -> LayshaftState:
         """The state at the newest edge; where a prediction starts. Valid only while `free`."""
-        sd = np.sqrt(np.maximum(self._p.diagonal(), 0.0))
+        theta, omega, pressure = self._x.tolist()
+        (p00, _, _), (_, p11, _), (_, _, p22) = self._p.tolist()
         return LayshaftState(
             self._time_us,
-            float(self._x[0]),
-            float(self._x[1]),
-            float(self._x[2]),
-            float(sd[0]),
-            float(sd[1]),
-            float(sd[2]),
+            theta,
+            omega,
+            pressure,
+            math.sqrt(max(p00, 0.0)),
+            math.sqrt(max(p11, 0.0)),
+            math.sqrt(max(p22, 0.0)),
         )
 
     def _cruising(self, time_us: float) -> LayshaftState | None:

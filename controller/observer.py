@@ -18,6 +18,7 @@ from dbc.messages import (
     EdgesLayshaftRise,
     EdgesMainFall,
     EdgesMainRise,
+    Estimator,
     ValveStatus,
 )
 from gearbox import GearboxSheet, MainGear, Split
@@ -28,10 +29,17 @@ CLUTCH_OPEN_SHARE = 0.05
 
 
 class Observer:
-    """Everything the controller knows of the gearbox."""
+    """Everything the controller knows of the gearbox.
+
+    One layshaft tracker for each of `estimators`, all on the same edges; the controller has one,
+    a comparison has several."""
 
     def __init__(
-        self, sheet: GearboxSheet, settings: ControllerSettings, brake: BrakeInput
+        self,
+        sheet: GearboxSheet,
+        settings: ControllerSettings,
+        brake: BrakeInput,
+        estimators: tuple[Estimator, ...],
     ) -> None:
         wheels = sheet.wheels
         self._sheet = sheet
@@ -41,13 +49,12 @@ class Observer:
         self._split = Split.HIGH
         self._layshaft_wheel = WheelEdges(wheels.layshaft.teeth, wheels.layshaft.duty_share)
         self._main_wheel = WheelEdges(wheels.main.teeth, wheels.main.duty_share)
-        self.layshaft = LayshaftTracker(
-            settings.estimator,
-            settings,
-            brake,
-            layshaft_model(sheet, self._split),
-            wheels.layshaft.pitch_rad,
-        )
+        model = layshaft_model(sheet, self._split)
+        self.trackers = [
+            LayshaftTracker(estimator, settings, brake, model, wheels.layshaft.pitch_rad)
+            for estimator in estimators
+        ]
+        self.layshaft = self.trackers[0]
         self._main = CruiseTracker(settings.cruise_filter, wheels.main.pitch_rad)
         self.valves: ValveStatus | None = None
         self._lost = (0, 0, 0)
@@ -67,7 +74,8 @@ class Observer:
         self.valves = inputs.valve_status or self.valves
         self._lose_what_broke(events)
         self._main.edges(main)
-        self.layshaft.edges(layshaft)
+        for tracker in self.trackers:
+            tracker.edges(layshaft)
         self._see_whether_free()
 
     def _read(
@@ -86,7 +94,8 @@ class Observer:
             events.append("sensor clock jumped: teeth and phases start anew")
         self._lost = (self.clock.jumps, self._layshaft_wheel.broken, self._main_wheel.broken)
         self.references.lose_all()
-        self.layshaft.restart()
+        for tracker in self.trackers:
+            tracker.restart()
         self._main.restart()
         events.append("tooth numbers lost: phase references unknown again")
 
@@ -96,12 +105,14 @@ class Observer:
             return
         if view.split is not None and view.split is not self._split:
             self._split = view.split
-            self.layshaft.model = layshaft_model(self._sheet, self._split)
+            for tracker in self.trackers:
+                tracker.model = layshaft_model(self._sheet, self._split)
         clutch_open = (view.clutch_closed or 0.0) < CLUTCH_OPEN_SHARE
         free = clutch_open and view.main_box_free and view.split is not None
         newest = self._layshaft_wheel.newest
         if newest is not None:
-            self.layshaft.set_free(free, newest.time_us)
+            for tracker in self.trackers:
+                tracker.set_free(free, newest.time_us)
 
     def main_at(self, time_us: float) -> ShaftState | None:
         """The main shaft at a sensor time."""

@@ -8,8 +8,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from controller.brake_input import BrakeInput
-from controller.kernels import US, Vector
+from controller.kernels import US, Vector, time_at_speed
 from controller.kinematics import slip_rad_s
 from controller.predictor import LayshaftState, predict_hold
 from controller.reference import PhaseReferences
@@ -18,6 +20,10 @@ from gearbox import MainGear
 
 BISECTIONS = 24
 """Halvings of at most a second: down to a tenth of a microsecond."""
+SECANT_STEPS = 8
+PROBE_US = 200
+"""A release moved by this much moves the phase at contact by about half a degree."""
+CLOSE_RAD = 1e-4
 
 
 @dataclass(frozen=True)
@@ -83,3 +89,56 @@ class Outlook:
             if high - low <= 1:
                 break
         return high
+
+    def aimed_release_us(
+        self, release_us: int, earliest_us: int, slip_rad_s: float, target_rad: float, pitch: float
+    ) -> tuple[int, int] | None:
+        """Release and contact times such that at contact both slip and phase are as wanted.
+
+        For every release there is one moment at which the slip has fallen to `slip_rad_s`; the
+        phase at that moment falls the later the release comes, a pitch in a few milliseconds. So
+        the release nearest to `release_us`, not before `earliest_us`, is found by secant steps.
+        None where no such release is found. KeyError while the reference is unknown."""
+        first = self._contact(release_us, slip_rad_s)
+        if first is None:
+            return None
+        wanted = target_rad + pitch * round((first[1] - target_rad) / pitch)
+        for _ in range(2):
+            solved = self._solve_release(release_us, slip_rad_s, wanted, first[1])
+            if solved is not None and solved[0] >= earliest_us:
+                return solved
+            wanted -= pitch
+        return None
+
+    def _solve_release(
+        self, release_us: int, slip_rad_s: float, wanted_rad: float, phase_rad: float
+    ) -> tuple[int, int] | None:
+        time_us, error = float(release_us), phase_rad - wanted_rad
+        probe = self._contact(time_us + PROBE_US, slip_rad_s)
+        if probe is None:
+            return None
+        slope = (probe[1] - phase_rad) / PROBE_US
+        for _ in range(SECANT_STEPS):
+            if slope >= 0.0:
+                return None
+            step_us = -error / slope
+            found = self._contact(time_us + step_us, slip_rad_s)
+            if found is None:
+                return None
+            slope = (found[1] - wanted_rad - error) / step_us if abs(step_us) > 1.0 else slope
+            time_us, error = time_us + step_us, found[1] - wanted_rad
+            if abs(error) < CLOSE_RAD:
+                return round(time_us), round(found[0])
+        return None
+
+    def _contact(self, release_us: float, slip_rad_s: float) -> tuple[float, float] | None:
+        """Time and unwrapped phase at which the slip has fallen to a value after a release."""
+        state = self.layshaft
+        switch_us, switch_u = self.brake.with_release(release_us)
+        omega = (self.main.omega_rad_s + slip_rad_s) / self.i_gear
+        x = np.array([state.theta_rad, state.omega_rad_s, state.pressure_pa])
+        time_us = time_at_speed(x, state.time_us, omega, switch_us, switch_u, self.model)
+        if math.isinf(time_us):
+            return None
+        theta_main = self.main.theta_at(time_us)
+        return time_us, self.references.phase_rad(self.gear, float(x[0]), theta_main)

@@ -44,9 +44,8 @@ def predict_hold(
     """Zero-order hold through every brake switch (5.16-5.18)."""
     x = np.array([state.theta_rad, state.omega_rad_s, state.pressure_pa])
     propagate(x, state.time_us, to_us, switches[0], switches[1], model)
-    return state._replace(
-        time_us=to_us, theta_rad=float(x[0]), omega_rad_s=float(x[1]), pressure_pa=float(x[2])
-    )
+    theta, omega, pressure = x.tolist()
+    return LayshaftState(to_us, theta, omega, pressure, *state[4:])
 
 
 def predict_linear(state: LayshaftState, to_us: float) -> LayshaftState:

@@ -79,10 +79,6 @@ class ShiftSequence:
         self._brake = brake
         self._references = references
         self._strategist = Strategist(sheet, settings)
-        self._settle_us = 1e6 * (
-            sheet.brake.valve_delay_s
-            + settings.window.settle_time_constants * sheet.brake.time_constant_s
-        )
         self.state = State.STARTING
         self.since_us = 0
         self.clutch = ClutchAction.OPEN
@@ -263,12 +259,11 @@ class ShiftSequence:
             self._switch_brake(True, moment.earliest_us, moment)
 
     def _plan_release(self, outlook: Outlook, moment: Moment) -> None:
-        shift, window = self._running, self._settings.window
+        shift = self._running
         on_us = self._board.command(Valve.BRAKE).time_us
         earliest_us = max(moment.earliest_us, on_us)
-        release_us = outlook.release_time_us(
-            earliest_us, earliest_us + 10**6, window.release_slip_rad_s, self._settle_us
-        )
+        aimed = self._aims_at(shift.target.main)
+        release_us, contact_us = self._strategist.release(outlook, earliest_us, aimed)
         horizon_us = moment.now_us + RELEASE_HORIZON_US
         if shift.release_us is not None:
             # A release once sent is moved, never taken back: its slot holds the newest time.
@@ -278,7 +273,6 @@ class ShiftSequence:
             shift.release_us = release_us
             self._switch_brake(False, release_us, moment)
             decision = ShiftDecision.RELEASE
-        contact_us = release_us + round(self._settle_us)
         slip = outlook.slip_rad_s(contact_us, release_us)
         self.decision = Plan(decision, 0, contact_us, 0.0, 0.0, slip)
 
@@ -304,13 +298,15 @@ class ShiftSequence:
         self._plan_firing(outlook, moment)
         return None
 
+    def _aims_at(self, gear: MainGear) -> bool:
+        return self._settings.strategy is Strategy.TARGET_PHASE and self._references.known(gear)
+
     def _plan_firing(self, outlook: Outlook, moment: Moment) -> None:
         shift = self._running
         valve = SLEEVE_VALVE[shift.target.main]
-        known = self._references.known(shift.target.main)
         if shift.attempts == 0:
-            shift.reference_known = known
-        aimed = self._settings.strategy is Strategy.TARGET_PHASE and known
+            shift.reference_known = self._references.known(shift.target.main)
+        aimed = self._aims_at(shift.target.main)
         shift.strategy = Strategy.TARGET_PHASE if aimed else Strategy.SPEED_WINDOW
         plan = None
         if aimed:

@@ -61,9 +61,13 @@ class Window:
     contact_low_rad_s: float = quantity("contact_low_rpm", -50.0, 100.0, RPM, default=4.0 * RPM)
     """Nor below this one; the sleeve could stay on a tooth face."""
     release_slip_rad_s: float = quantity("release_slip_rpm", 1.0, 200.0, RPM, default=28.0 * RPM)
-    """The brake is released so that this slip is left when the brake has died away."""
+    """`speed_window` releases the brake so that this slip is left when it has died away."""
     settle_time_constants: float = quantity("settle_time_constants", 0.0, 10.0, default=3.0)
     """When the brake counts as died away, in time constants of its pressure after release."""
+    aim_slip_rad_s: float = quantity("aim_slip_rpm", 1.0, 200.0, RPM, default=15.0 * RPM)
+    """`target_phase` releases the brake so that at this slip the phase is the target."""
+    aim_time_constants: float = quantity("aim_time_constants", 0.0, 10.0, default=2.5)
+    """How long after release that moment lies about, in the same time constants."""
     least_rad_s: float = quantity("least_rpm", -200.0, 50.0, RPM, default=-15.0 * RPM)
     """Below this slip waiting has no end: the layshaft only gets slower."""
 

@@ -116,13 +116,14 @@ class CruiseTracker:
         if not self._running or time_us - self._time_us > STALE_US:
             return None
         dt = (time_us - self._time_us) * US
-        p = self._p
+        theta, omega = self._x.tolist()
+        (p00, p01), (_, p11) = self._p.tolist()
         q = self._tuning.acceleration_rad_s2 * dt
-        theta_var = p[0, 0] + dt * (2.0 * p[0, 1] + dt * p[1, 1]) + 0.25 * (q * dt) ** 2
+        theta_var = p00 + dt * (2.0 * p01 + dt * p11) + 0.25 * (q * dt) ** 2
         return ShaftState(
             time_us,
-            float(self._x[0] + self._x[1] * dt),
-            float(self._x[1]),
-            math.sqrt(max(0.0, float(theta_var))),
-            math.sqrt(max(0.0, float(p[1, 1] + q * q))),
+            theta + omega * dt,
+            omega,
+            math.sqrt(max(0.0, theta_var)),
+            math.sqrt(max(0.0, p11 + q * q)),
         )

@@ -21,6 +21,7 @@ SCAN_US = 1000.0
 HORIZON_US = 150_000
 """How far ahead a gap is looked for; past it the next step looks again."""
 NEWTON_STEPS = 4
+LATEST_RELEASE_US = 1_000_000
 
 
 class Plan(NamedTuple):
@@ -44,6 +45,14 @@ class Strategist:
         self._window = settings.window
         half_gap = self._dog.backlash_rad / 2.0
         self._target_rad = settings.aim.target_rad_share * half_gap
+        brake = sheet.brake
+        self._settle_us, self._aim_us = (
+            US_PER_S * (brake.valve_delay_s + constants * brake.time_constant_s)
+            for constants in (
+                settings.window.settle_time_constants,
+                settings.window.aim_time_constants,
+            )
+        )
 
     def speed_window(self, outlook: Outlook, now_us: int, earliest_us: int) -> Plan | None:
         """Fire at once when the slip is inside the window; None while it is above."""
@@ -61,6 +70,27 @@ class Strategist:
         if contact_us is None:
             return None
         return self.plan_at(outlook, round(contact_us), ShiftDecision.FIRE)
+
+    def release(self, outlook: Outlook, earliest_us: int, aimed: bool) -> tuple[int, int]:
+        """When to let the brake go, and when contact would be.
+
+        Unaimed, a set slip is left when the brake has died away. Aimed, release and contact are
+        planned together, so that waiting for the gap costs no time; where that has no solution,
+        or contact would come before a sleeve fired now, the unaimed release stands."""
+        window = self._window
+        slip, settle_us = window.release_slip_rad_s, self._settle_us
+        if aimed:
+            slip, settle_us = window.aim_slip_rad_s, self._aim_us
+        latest_us = earliest_us + LATEST_RELEASE_US
+        release_us = outlook.release_time_us(earliest_us, latest_us, slip, settle_us)
+        if aimed and release_us < latest_us:
+            pitch = self._dog.pitch_rad
+            both = outlook.aimed_release_us(
+                release_us, earliest_us, slip, self._target_rad, pitch
+            )
+            if both is not None and both[1] >= earliest_us + self._delay_us:
+                return both
+        return release_us, release_us + round(settle_us)
 
     def plan_at(self, outlook: Outlook, contact_us: int, decision: ShiftDecision) -> Plan:
         """What is expected of a contact at that time; phase 0 while the reference is unknown."""

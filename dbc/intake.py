@@ -10,19 +10,20 @@ import math
 import re
 from typing import Final
 
-MAX_TEXT_BYTES: Final = 1_000_000
+MAX_TEXT_BYTES: Final = 400_000
 MAX_MESSAGES: Final = 1_000
 MAX_DLC_BYTES: Final = 64
 MAX_SIGNAL_BITS: Final = 64
 
 _MAX_DIGITS: Final = 10
-# The closing quote is optional so that an unclosed text is consumed once, not searched for again
-# and again from each quote inside it.
-_TEXT: Final = re.compile(r'"(?:\\.|[^"\\])*"?', re.DOTALL)
+# What the parser takes for a text. The closing quote is optional here, so that an unclosed text is
+# consumed once instead of being searched for again and again from each quote inside it.
+_TEXT: Final = re.compile(r'"(?:\\"|[^"])*("?)')
+_MULTIPLEXED: Final = re.compile(r"\bSG_\s+(\w+)\s+\w+\s*:|\bSG_MUL_VAL_\s+(\d+)")
 _MESSAGE: Final = re.compile(r"\bBO_\s+\S+\s+(\S+?)\s*:\s*(\S+)")
-_SIGNAL_NAME: Final = re.compile(r"\bSG_\s+\w+(?:\s+\w+)?\s*:")
+_SIGNAL_NAME: Final = re.compile(r"\bSG_\s+\w+\s*:")
 _SIGNAL: Final = re.compile(
-    r"\bSG_\s+(\w+)(?:\s+\w+)?\s*:\s*([^\s|]+)\s*\|\s*([^\s@]+)\s*@\s*\S+?"
+    r"\bSG_\s+(\w+)\s*:\s*([^\s|]+)\s*\|\s*([^\s@]+)\s*@\s*\S+?"
     r"\s*\(\s*([^\s,]+)\s*,\s*([^\s)]+)\s*\)\s*\[\s*([^\s|]+)\s*\|\s*([^\s\]]+)\s*\]"
 )
 
@@ -35,7 +36,11 @@ def check_text(text: str, source: str) -> None:
     """Raise `SchemaError` unless the text of file `source` is safe to hand to the DBC parser."""
     if len(text) > MAX_TEXT_BYTES:
         raise SchemaError(f"{source}: {len(text)} bytes, at most {MAX_TEXT_BYTES} are allowed")
+    if any(not text_match[1] for text_match in _TEXT.finditer(text)):
+        raise SchemaError(f'{source}: a text begins with " and never ends')
     bare = _TEXT.sub('""', text)
+    if multiplexed := _MULTIPLEXED.search(bare):
+        raise SchemaError(f"{source}: {multiplexed[0]!r} is multiplexed, plain signals are allowed")
     messages = _MESSAGE.findall(bare)
     if not 1 <= len(messages) <= MAX_MESSAGES:
         raise SchemaError(f"{source}: {len(messages)} messages, 1..{MAX_MESSAGES} are allowed")

@@ -733,7 +733,8 @@ class ETC2(NamedTuple):
     """SPN 163, two ASCII characters (0..65535 or None)."""
 
 class ControllerStatus(NamedTuple):
-    """One frame a step: enough, with the consumed frames, to repeat the step byte for byte.
+    """One frame a step, with the highest identifier of its sender so that it closes the step on the
+    bus: enough, with the consumed frames, to repeat the step byte for byte.
 
     TransmissionControl -> Bench, every 10 ms.
     """

@@ -174,8 +174,6 @@ def _signal_spec(signal: ParsedSignal, tables: Tables, where: str) -> SignalSpec
     where = f"{where}: signal {signal.name}"
     if signal.byte_order != "little_endian" or signal.is_float:
         raise SchemaError(f"{where}: little-endian integers are allowed")
-    if signal.is_multiplexer or signal.multiplexer_ids:
-        raise SchemaError(f"{where}: is multiplexed, plain signals are allowed")
     unit = signal.unit or ""
     if unit not in UNITS:
         raise SchemaError(f"{where}: unit {unit!r}, one of {list(UNITS)} is allowed")

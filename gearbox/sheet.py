@@ -39,6 +39,7 @@ BAR: Final = 1e5
 MS: Final = 1e-3
 MM: Final = 1e-3
 SHEET_NAMES: Final = ("thesis",)
+_MAIN_FIELD: Final = {gear: gear.name.lower() for gear in MAIN_GEARS}
 
 
 class SheetError(TableError):
@@ -220,12 +221,8 @@ class GearboxSheet:
 
     def main_mesh(self, gear: MainGear) -> Mesh:
         """The wheel pair of a main-box gear. KeyError for neutral."""
-        return {
-            MainGear.CRAWL: self.main.crawl,
-            MainGear.FIRST: self.main.first,
-            MainGear.SECOND: self.main.second,
-            MainGear.THIRD: self.main.third,
-        }[gear]
+        mesh: Mesh = getattr(self.main, _MAIN_FIELD[gear])
+        return mesh
 
     def split_mesh(self, split: Split) -> Mesh:
         """The wheel pair of a splitter step."""

@@ -6,7 +6,7 @@ from typing import Final
 
 from bus.core import Step
 from dbc.frame import Frame
-from dbc.link import Receiver, Transmitter, Verdict
+from dbc.link import Receiver, Transmitter
 from dbc.messages import (
     BenchAction,
     BenchCommand,
@@ -66,12 +66,12 @@ class RigCore:
             self._send_records(frames)
             frames.extend(map(self._transmitter.encode, read_messages(self._world, read_us)))
             read_us = self._world.next_read_us
-        self.receiver.tick(now_us)
         inbox, self._inbox = self._inbox, []
-        for frame in inbox:
-            received = self.receiver.receive(frame)
-            if received.verdict is Verdict.OK and received.message is not None:
-                self._obey(received.message, time_us)
+        heard = [self.receiver.receive(frame).message for frame in inbox]
+        self.receiver.tick(now_us)
+        for message in heard:
+            if message is not None:
+                self._obey(message, time_us)
         self._send_records(frames)
         return Step(frames, self._take_lines())
 

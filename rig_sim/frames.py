@@ -89,12 +89,14 @@ def engagement_message(record: Engaged, clock_start_us: int) -> ReferenceEngagem
 def valve_status(world: World, now_us: int) -> ValveStatus:
     """What the valve drivers do at this instant."""
     valves = world.valves
-    return ValveStatus(
-        (world.clock_start_us + now_us) % CLOCK_MODULUS,
-        *valves.energised,
-        *valves.pending,
-        valves.refused % COUNT_MODULUS,
-        valves.expired % COUNT_MODULUS,
+    return ValveStatus._make(
+        (
+            (world.clock_start_us + now_us) % CLOCK_MODULUS,
+            *valves.energised,
+            *valves.pending,
+            valves.refused % COUNT_MODULUS,
+            valves.expired % COUNT_MODULUS,
+        )
     )
 
 

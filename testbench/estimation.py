@@ -7,21 +7,22 @@ for the next 10 ms read. Scored while the model holds, from neutral to first con
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from typing import Any, Final
 
 from controller.brake_input import BrakeInput
 from controller.clock import unwrap
 from controller.inputs import StepInputs
+from controller.layshaft import LayshaftTracker
 from controller.observer import Observer
+from controller.predictor import LayshaftState
 from controller.settings import ESTIMATOR_NAMES, ControllerSettings
 from dbc.messages import (
     ControllerStatus,
     EngagementEvent,
     Message,
-    ReferenceEngagement,
     ReferenceEncoder,
+    ReferenceEngagement,
     ValveAction,
     ValveCommand,
 )
@@ -33,22 +34,17 @@ SWITCHED_ON: Final = (ValveAction.ON_AT, ValveAction.ON_NOW)
 SCHEDULED: Final = (ValveAction.ON_AT, ValveAction.OFF_AT)
 
 
-class _Shadow:
-    """One estimator run beside the controller, and its squared errors."""
+class _Score:
+    """One estimator's squared errors."""
 
-    def __init__(self, sheet: GearboxSheet, settings: ControllerSettings, name: str) -> None:
-        chosen = dataclasses.replace(settings, estimator_name=name)
-        self.brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
-        self.observer = Observer(sheet, chosen, self.brake)
-        self._pitch_rad = sheet.wheels.layshaft.pitch_rad
+    def __init__(self, tracker: LayshaftTracker, pitch_rad: float) -> None:
+        self.tracker = tracker
+        self._pitch_rad = pitch_rad
         self._angle_sum = self._speed_sum = 0.0
         self._count = 0
 
-    def score(self, time_us: float, theta_rad: float, omega_rad_s: float) -> None:
+    def add(self, state: LayshaftState, theta_rad: float, omega_rad_s: float) -> None:
         """One encoder instant. The encoder counts from tooth 0, the wheel from any tooth."""
-        state = self.observer.layshaft_at(time_us)
-        if state is None:
-            return
         error = state.theta_rad - theta_rad
         error -= self._pitch_rad * math.floor(error / self._pitch_rad + 0.5)
         self._angle_sum += error * error
@@ -70,18 +66,23 @@ class EstimationScore:
     """Scores every estimator over one run, fed with messages in bus order."""
 
     def __init__(self, sheet: GearboxSheet, settings: ControllerSettings) -> None:
-        self._shadows = {name: _Shadow(sheet, settings, name) for name in ESTIMATOR_NAMES}
+        self._brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
+        self._observer = Observer(sheet, settings, self._brake, tuple(ESTIMATOR_NAMES.values()))
+        pitch_rad = sheet.wheels.layshaft.pitch_rad
+        self._scores = {
+            name: _Score(tracker, pitch_rad)
+            for name, tracker in zip(ESTIMATOR_NAMES, self._observer.trackers, strict=True)
+        }
         self._inputs = StepInputs()
         self._encoder: list[ReferenceEncoder] = []
         self._contact_us: int | None = None
-        self._was_free = False
 
     def take(self, message: Message) -> None:
         """One message in bus order; a status frame closes a step."""
         if isinstance(message, ReferenceEncoder):
             self._encoder.append(message)
         elif isinstance(message, ValveCommand):
-            self._brake(message)
+            self._switch_brake(message)
         elif isinstance(message, ReferenceEngagement):
             if message.event in CONTACTS:
                 self._contact_us = message.event_time_us
@@ -92,34 +93,31 @@ class EstimationScore:
         else:
             self._inputs.take(message)
 
-    def _brake(self, command: ValveCommand) -> None:
-        for shadow in self._shadows.values():
-            now_us = shadow.observer.clock.latest_us
-            on = command.brake_action in SWITCHED_ON
-            time_us = now_us
-            if command.brake_action in SCHEDULED:
-                time_us = unwrap(command.brake_time_us, now_us)
-            shadow.brake.schedule(time_us, on, now_us)
+    def _switch_brake(self, command: ValveCommand) -> None:
+        now_us = self._observer.clock.latest_us
+        time_us = now_us
+        if command.brake_action in SCHEDULED:
+            time_us = unwrap(command.brake_time_us, now_us)
+        self._brake.schedule(time_us, command.brake_action in SWITCHED_ON, now_us)
 
     def _step(self, now_us: int) -> None:
-        for message in self._encoder:
-            self._score(message)
+        if self._observer.layshaft.free:
+            for message in self._encoder:
+                self._add(message)
         self._encoder.clear()
         inputs, self._inputs = self._inputs, StepInputs()
-        for shadow in self._shadows.values():
-            shadow.observer.take(inputs, now_us, [])
+        self._observer.take(inputs, now_us, [])
 
-    def _score(self, message: ReferenceEncoder) -> None:
-        for shadow in self._shadows.values():
-            if not shadow.observer.layshaft.free:
+    def _add(self, message: ReferenceEncoder) -> None:
+        newest_us = unwrap(message.sample_time_us, self._observer.clock.latest_us)
+        for k, theta in enumerate(message.angle_rad):
+            time_us = newest_us - k * ENCODER_STEP_US
+            if self._after_contact(time_us):
                 continue
-            newest_us = unwrap(message.sample_time_us, shadow.observer.clock.latest_us)
-            for k, (theta, omega) in enumerate(
-                zip(message.angle_rad, message.speed_rad_s, strict=True)
-            ):
-                time_us = newest_us - k * ENCODER_STEP_US
-                if not self._after_contact(time_us):
-                    shadow.score(time_us, theta, omega)
+            for score in self._scores.values():
+                state = score.tracker.at(time_us)
+                if state is not None and score.tracker.free:
+                    score.add(state, theta, message.speed_rad_s[k])
 
     def _after_contact(self, time_us: int) -> bool:
         if self._contact_us is None:
@@ -128,4 +126,4 @@ class EstimationScore:
 
     def figures(self) -> dict[str, Any]:
         """Figures by estimator."""
-        return {name: shadow.figures() for name, shadow in self._shadows.items()}
+        return {name: score.figures() for name, score in self._scores.items()}

@@ -28,7 +28,7 @@ from rig_sim.settings import RigSettings
 from testbench.bench import BenchCore, PlannedShift
 from testbench.errors import CommandError
 from testbench.monitor import Monitor
-from testbench.traces import Traces
+from testbench.traces import TRACED, Traces
 
 BENCH_ADDRESS = 0xF9
 FLUSH_US = 1_000_000
@@ -102,7 +102,7 @@ class _Recorder:
 async def run_live(run: LiveRun) -> LiveResult:
     """Runs the plan; ends the nodes with their valves off. CommandError when they cannot run."""
     bench = BenchCore(run.plan)
-    monitor = Monitor(run.header.sheet, run.header.settings)
+    monitor = Monitor(run.header.sheet, run.header.settings, TRACED)
     result = LiveResult(monitor, Traces(), bench)
     stop_listening, stop_bench, stop_nodes = asyncio.Event(), asyncio.Event(), asyncio.Event()
 

@@ -13,6 +13,8 @@ from controller.core import ControllerCore
 from controller.header import RunHeader, new_header
 from controller.settings import ControllerSettings
 from dbc.frame import Frame
+from dbc.layout import CODECS
+from dbc.node import Node
 from gearbox import GearboxSheet
 from rig_sim.core import RigCore
 from rig_sim.settings import Preset, RigSettings
@@ -69,6 +71,12 @@ class Result:
         }
 
 
+def not_addressed_to(*nodes: Node) -> frozenset[int]:
+    """The acceptance filter of a node: identifiers of the DBC that it does not receive."""
+    specs = [codec.spec for codec in CODECS.values()]
+    return frozenset(spec.can_id for spec in specs if not spec.receivers & set(nodes))
+
+
 def tick_phases(seed: int) -> list[int]:
     """First step times of controller, rig and bench: real nodes do not tick together."""
     rng = np.random.Generator(np.random.PCG64([seed, 0x7_1C]))
@@ -104,7 +112,12 @@ def simulate(
         reported = len(monitor.rows.rows)
 
     cores = [ControllerCore(setup.header), RigCore(setup.sheet, rig_settings), bench]
-    driver = VirtualTime(cores, tick_phases(setup.seed), take, on_event)
+    filters = [
+        frozenset[int](),
+        not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
+        not_addressed_to(Node.BENCH),
+    ]
+    driver = VirtualTime(cores, tick_phases(setup.seed), take, on_event, filters)
     if plan:
         driver.run(lambda: bench.done, LIMIT_US_PER_SHIFT * len(plan))
     return Result(

@@ -26,6 +26,10 @@ GEAR_FIELDS: Final = {
     "second": "phase_second_rad",
     "third": "phase_third_rad",
 }
+TRACED: Final = (
+    ControllerEstimates, GearboxSensors, ReferenceEncoder, ReferencePhase, SleevesMain, ValveStatus,
+)  # fmt: skip
+"""The messages that traces are drawn from."""
 ENCODER_STEP_US: Final = 2_000
 SLEEVE_STEP_US: Final = 1_000
 

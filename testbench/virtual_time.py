@@ -27,6 +27,7 @@ class VirtualTime:
 
     `phases_us` are the first step times of the nodes: real nodes do not tick together.
     `on_frame(time_us, frame)` sees every frame as it leaves the bus, in bus order.
+    `rejected` are the acceptance filters: identifiers that a node's CAN controller drops.
     """
 
     def __init__(
@@ -35,8 +36,10 @@ class VirtualTime:
         phases_us: list[int],
         on_frame: Callable[[int, Frame], None] | None = None,
         on_event: Callable[[int, int, str], None] | None = None,
+        rejected: list[frozenset[int]] | None = None,
     ) -> None:
         self._cores = cores
+        self._rejected = rejected or [frozenset()] * len(cores)
         self._bus = VirtualBus()
         self._on_frame = on_frame
         self._on_event = on_event
@@ -74,8 +77,9 @@ class VirtualTime:
         delivery = self._bus.take()
         if self._on_frame is not None:
             self._on_frame(delivery.time_us, delivery.frame)
+        can_id = delivery.frame.can_id
         for node, core in enumerate(self._cores):
-            if node == delivery.sender:
+            if node == delivery.sender or can_id in self._rejected[node]:
                 continue
             core.receive(delivery.frame)
             if core.next_step_us <= self.now_us and self._due[node] > self.now_us:

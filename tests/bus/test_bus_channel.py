@@ -1,5 +1,7 @@
 """The names of local buses."""
 
+from pathlib import Path
+
 import pytest
 
 from bus.channel import (
@@ -41,7 +43,7 @@ def test_a_relative_path_is_made_absolute() -> None:
 
 
 def test_the_default_directory_is_refused_when_others_can_enter(
-    tmp_path: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))

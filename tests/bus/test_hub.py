@@ -16,7 +16,8 @@ import pytest
 from bus import wire
 from bus.channel import ChannelError, parse_channel
 from bus.dial import dial
-from bus.hub import listen, serve
+from bus.hub import serve
+from bus.listening import listen
 from bus.plugin import MeshpointBus
 
 TRAFFIC = str(Path(__file__).with_name("traffic.py"))

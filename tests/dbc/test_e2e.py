@@ -8,7 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.e2e import (
+    DEFAULT_LIMITS,
     ChannelState,
+    Limits,
     Silence,
     StateMachine,
     Status,
@@ -69,8 +71,8 @@ def test_one_lost_frame_is_tolerated_and_two_are_not(last: int) -> None:
     assert verdicts == [REPEATED, OK, OK, *[WRONG] * 253]
 
 
-def feed(statuses: list[Status]) -> StateMachine:
-    machine = StateMachine()
+def feed(statuses: list[Status], limits: Limits = DEFAULT_LIMITS) -> StateMachine:
+    machine = StateMachine(limits)
     for status in statuses:
         machine.update(status)
     return machine
@@ -95,6 +97,23 @@ def test_a_channel_becomes_valid_after_three_good_frames(
     statuses: list[Status], state: ChannelState
 ) -> None:
     assert feed(statuses).state is state
+
+
+@pytest.mark.parametrize(
+    ("limits", "statuses", "state"),
+    [
+        (Limits(min_ok_to_enter=1), [OK], ChannelState.VALID),
+        (Limits(max_errors=0), [WRONG], ChannelState.INVALID),
+        (Limits(window=4, max_errors=4), [OK] * 3 + [WRONG] * 3, ChannelState.VALID),
+        (Limits(window=4, max_errors=4), [OK] * 3 + [WRONG] * 4, ChannelState.INVALID),
+        (Limits(window=4, max_errors=4, min_ok_to_stay=2), [OK, OK, OK, WRONG, WRONG], 2),
+        (Limits(window=4, max_errors=4, min_ok_to_stay=2), [OK, OK, OK, *[WRONG] * 3], 3),
+    ],
+)
+def test_the_limits_of_the_standard_can_be_set(
+    limits: Limits, statuses: list[Status], state: ChannelState
+) -> None:
+    assert feed(statuses, limits).state == state
 
 
 @pytest.mark.parametrize("error", [ERROR, REPEATED, WRONG])
@@ -147,7 +166,7 @@ def naive_state(statuses: list[Status]) -> ChannelState:
     return state
 
 
-@settings(max_examples=300)
+@settings(max_examples=150)
 @given(st.lists(st.sampled_from([OK, OK, OK, OK, REPEATED, WRONG, ERROR, SILENT]), max_size=60))
 def test_the_machine_follows_the_rules(statuses: list[Status]) -> None:
     assert feed(statuses).state is naive_state(statuses)

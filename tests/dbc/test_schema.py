@@ -46,6 +46,9 @@ BA_ "ValueTable" SG_ 2566856832 Action "ValveAction";
 BA_ "GenSigStartValue" SG_ 2566856832 Pressure 5000;
 VAL_ 2566856832 Action 1 "OnNow" 0 "OffNow" ;
 """
+THIRD = """BO_ 2364539904 Third: 8 Engine
+ SG_ EngineSpeed : 24|16@1+ (0.125,0) [0|8031.875] "rpm" TransmissionControl
+"""
 
 
 def parsed(text: str) -> Schema:
@@ -81,14 +84,15 @@ def test_a_small_dbc_is_read() -> None:
         ("[0|13.107]", "[0|1e999]", "signal Pressure: .* 1e999, a finite number"),
         ("[0|13.107]", "[13|13]", "signal Pressure: range 13..13 holds no two values"),
         ("24|16@1+ (0.0002", "31|16@0+ (0.0002", "signal Pressure: little-endian"),
-        ("Pressure : 24|", "Pressure m0 : 24|", "signal Pressure: is multiplexed"),
+        ("Pressure : 24|", "Pressure m0 : 24|", "'SG_ Pressure m0 :' is multiplexed"),
+        ("BA_DEF_ SG_", "SG_MUL_VAL_ 1 A B 0-9999999999;\nBA_DEF_ SG_", "SG_MUL_VAL_ 1' is multi"),
         ('"bar"', '"psi"', "signal Pressure: unit 'psi'"),
         ("Pressure", "pressure", "name 'pressure'"),
         (" Pressure", " Class", "name 'Class'"),
-        (" Pressure :", " Action :", "signal action is there twice"),
+        (" Pressure :", " Counter :", "signal counter is there twice"),
         ("Second:", "First:", "message or value table First is there twice"),
         ("Second:", "ValveAction:", "message or value table ValveAction is there twice"),
-        ("BO_ 2364539904", "BO_ 2566856832", "identifier 0x18FF2080 is there twice"),
+        ('BA_DEF_ BO_ "V', f'{THIRD}BA_DEF_ BO_ "V', "identifier 0x0CF00400 is there twice"),
         ("BO_ 2364539904", "BO_ 100", "message Second: 29-bit identifier"),
         ("SG_ Crc : 0|16", "SG_ Crc : 0|8", "message First: starts with"),
         ("16 GearboxIo", "16 Nobody", r"message First: sender \['Nobody'\]"),
@@ -100,7 +104,7 @@ def test_a_small_dbc_is_read() -> None:
         ('BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;', "", "GenMsgCycleTime is not defined"),
         ("Pressure 5000", "Pressure 65536", "GenSigStartValue 65536, 0..65535"),
         ("Pressure 5000", "Pressure 0.5", "GenSigStartValue 0.5, a whole raw value"),
-        ('Action 1 "OnNow"', 'Action 1 "OffSoon"', "signal Action: VAL_ .* is not the table"),
+        ('2 Action 1 "OnNow"', '2 Action 1 "OnSoon"', "signal Action: VAL_ .* is not the table"),
         ('Action "ValveAction"', 'Action "Missing"', "signal Action: VAL_ .* is not the table"),
         ("40|8@1+ (1,0) [0|1]", "40|8@1+ (1,0) [0|9]", "signal Action: range 0..9 is not that"),
         (
@@ -111,8 +115,9 @@ def test_a_small_dbc_is_read() -> None:
         ('1 "OnNow"', '1 "import os"', "words like OnAt"),
         (SMALL, "", "0 messages, 1..1000"),
         (SMALL, "these are no messages", "0 messages"),
-        ("NS_ :", 'NS_ : "', "not a DBC file|0 messages"),
-        ("SG_ Pressure : 24|16@1+", "SG_ Pressure : twenty@1+", "is not written as|is not start"),
+        ("NS_ :", 'NS_ : "', 'a text begins with " and never ends'),
+        ("NS_ :", "NS :", "not a DBC file"),
+        ("SG_ Pressure : 24|16@1+", "SG_ Pressure : twenty@1+", "a signal is not start"),
     ],
 )
 def test_a_hostile_or_broken_dbc_is_refused_by_name(old: str, new: str, complaint: str) -> None:
@@ -144,11 +149,10 @@ def test_the_data_id_is_used_once() -> None:
     "hostile",
     [
         pytest.param(SMALL + "\n" * 1_000_000, id="too large"),
-        pytest.param(SMALL + 'CM_ "' + '\\"' * 400_000, id="text without end"),
-        pytest.param(SMALL + " SG_ A : 0|1@" + "x" * 900_000, id="signal without end"),
-        pytest.param(SMALL + "BO_ 1 A: 8 Bench\n" * 50_000, id="too many messages"),
-        pytest.param(SMALL.replace("16@1+ (0.0002", "9" * 900_000 + "@1+ (0.0002"), id="digits"),
-        pytest.param("BO_ 1 A:8 Bench\n" + "(" * 900_000, id="brackets"),
+        pytest.param(SMALL + 'CM_ "' + '\\"' * 150_000, id="text without end"),
+        pytest.param(SMALL + " SG_ A : 0|1@" + "x" * 300_000, id="signal without end"),
+        pytest.param(SMALL + "BO_ 1 A: 8 Bench\n" * 15_000, id="too many messages"),
+        pytest.param(SMALL.replace("16@1+ (0.0002", "9" * 300_000 + "@1+ (0.0002"), id="digits"),
     ],
 )
 def test_no_text_keeps_the_reader_busy(hostile: str) -> None:
@@ -161,7 +165,7 @@ def test_no_text_keeps_the_reader_busy(hostile: str) -> None:
 LINES = SMALL.splitlines(keepends=True)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(
     st.lists(
         st.tuples(

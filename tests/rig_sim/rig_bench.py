@@ -23,6 +23,7 @@ from gearbox.sheet import RPM, GearboxSheet, load_sheet
 from rig_sim import RigCore, RigSettings
 
 CYCLE_US = 10_000
+DEFAULTS = RigSettings()
 SHEET = load_sheet("thesis")
 
 
@@ -30,7 +31,7 @@ SHEET = load_sheet("thesis")
 class RigBench:
     """One rig and all it has said. Time is microseconds since power-up."""
 
-    settings: RigSettings = RigSettings()
+    settings: RigSettings = DEFAULTS
     sheet: GearboxSheet = SHEET
     frames: list[Frame] = field(default_factory=list)
     lines: list[str] = field(default_factory=list)

@@ -2,9 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Callable
 
 import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from rig_bench import SHEET, RigBench, edges_of, upshift
+
 from dbc.messages import (
     EdgesInputRise,
     EdgesLayshaftRise,
@@ -18,20 +24,22 @@ from dbc.messages import (
 )
 from gearbox.gears import DRIVE_GEARS, MainGear
 from gearbox.sheet import RPM
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
-from rig_bench import SHEET, RigBench, edges_of, upshift
 from rig_sim import RigSettings
 from rig_sim.bench_script import ScriptPhase
 
 BACKLASH = SHEET.dog.backlash_rad
 
 
+def shifting_from(start_us: int) -> Callable[[int], ValveCommand]:
+    """The open-loop shift, begun at another time."""
+    return lambda now_us: upshift(now_us - start_us)
+
+
 def test_after_a_shift_the_rig_stands_in_the_old_gear_again() -> None:
     bench = RigBench(RigSettings(seed=3))
-    for sequence in range(1, 4):
+    for sequence in range(1, 3):
         start_us = bench.now_us
-        bench.run(start_us + 1_200_000, lambda now_us, start_us=start_us: upshift(now_us - start_us))
+        bench.run(start_us + 1_200_000, shifting_from(start_us))
         assert bench.core.truth.locked_gear is MainGear.SECOND
         bench.return_to_gear(8, sequence)
         bench.run(start_us + 2_000_000)
@@ -49,19 +57,21 @@ def test_the_ramp_changes_speeds_smoothly_and_edges_come_evenly() -> None:
     bench = RigBench(RigSettings(seed=3))
     bench.run(1_200_000, upshift)
     ramp_from = len(bench.of(ReferenceEncoder))
+    kinds = (EdgesLayshaftRise, EdgesInputRise, EdgesMainRise, EdgesPropellerRise)
+    newest = {kind: bench.of(kind)[-1].newest_index for kind in kinds}
     bench.return_to_gear(8, 1, main_rpm=600.0)
     bench.run(2_200_000)
-    for kind in (EdgesLayshaftRise, EdgesInputRise, EdgesMainRise, EdgesPropellerRise):
+    for kind in kinds:
         edges = edges_of(bench.of(kind))
         assert set(edges) == set(range(1, max(edges) + 1))
-        gaps = [edges[index + 1] - edges[index] for index in range(1, max(edges))]
-        # at most the impact of a locking gear, some 50 rpm of 1,000, from one interval to the next
+        gaps = [edges[index + 1] - edges[index] for index in range(newest[kind], max(edges))]
+        # the greatest change from one interval to the next is the impact of the locking gear, whose
+        # slip of 20 rpm is 3.3 % of 600 rpm
         assert all(
-            abs(after - before) < 0.06 * before
-            for before, after in zip(gaps, gaps[1:], strict=False)
+            abs(after - before) < 0.036 * before for before, after in itertools.pairwise(gaps)
         )
     speeds = [sample.speed_rad_s[0] for sample in bench.of(ReferenceEncoder)[ramp_from:]]
-    steps = [later - earlier for earlier, later in zip(speeds, speeds[1:], strict=False)]
+    steps = [later - earlier for earlier, later in itertools.pairwise(speeds)]
     assert max(abs(step) for step in steps) < 60.0 * RPM
     assert bench.core.truth.speeds_rad_s[2] == pytest.approx(600.0 * RPM)
 
@@ -133,7 +143,7 @@ def test_valves_do_not_move_sleeves_while_the_script_does() -> None:
 
 
 def test_a_new_command_in_the_middle_of_a_ramp_starts_over() -> None:
-    for interrupt_us in range(60_000, 600_000, 45_000):
+    for interrupt_us in range(60_000, 600_000, 85_000):
         bench = RigBench(RigSettings(seed=3))
         bench.run(50_000)
         bench.return_to_gear(7, 1, 500.0)

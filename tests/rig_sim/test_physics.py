@@ -1,13 +1,19 @@
-"""The thesis preset against the thesis: an independent integration, and its limits in closed form."""
+"""The thesis preset against the thesis: an independent integration, and limits in closed form."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from rig_bench import SHEET, RigBench, edges_of, release_first
+from scipy.integrate import solve_ivp
+
 from dbc.messages import (
     EdgesInputFall,
     EdgesInputRise,
@@ -21,12 +27,8 @@ from dbc.messages import (
     ValveCommand,
 )
 from gearbox.sheet import RPM
-from hypothesis import Phase, given, settings
-from hypothesis import strategies as st
-from rig_bench import SHEET, RigBench, edges_of, release_first
 from rig_sim import RigSettings
 from rig_sim.kernels import free_motion
-from scipy.integrate import solve_ivp
 
 RELEASE_US = 400_000
 END_US = 900_000
@@ -80,6 +82,26 @@ def brake_pulses(draw: st.DrawFn) -> list[tuple[int, int]]:
     return pulses
 
 
+def pulsing(bench: RigBench, pulses: list[tuple[int, int]]) -> Callable[[int], ValveCommand]:
+    """Commands that switch the brake at exactly these times, each sent up to 10 ms ahead."""
+
+    def brake(now_us: int) -> tuple[ValveAction, int]:
+        on_us, off_us = next(
+            ((on_us, off_us) for on_us, off_us in pulses if off_us > now_us), (END_US, END_US)
+        )
+        if on_us - 10_000 <= now_us < on_us:
+            return ValveAction.ON_AT, bench.clock(on_us)
+        if on_us <= now_us and off_us - 10_000 <= now_us:
+            return ValveAction.OFF_AT, bench.clock(off_us)
+        return (ValveAction.ON_NOW if on_us <= now_us else ValveAction.OFF_NOW), 0
+
+    def valves(now_us: int) -> ValveCommand:
+        action, time_us = brake(now_us)
+        return release_first(now_us)._replace(brake_action=action, brake_time_us=time_us)
+
+    return valves
+
+
 @settings(max_examples=6, deadline=None, phases=[Phase.explicit, Phase.generate])
 @given(seed=st.integers(0, 10_000), pulses=brake_pulses())
 def test_every_edge_of_a_braked_shift_lies_where_an_independent_integration_has_it(
@@ -88,23 +110,7 @@ def test_every_edge_of_a_braked_shift_lies_where_an_independent_integration_has_
     bench = RigBench(RigSettings(seed=seed))
     bench.step(0)
     wheels = [turns * 2 * math.pi + rest for turns, rest in bench.core.truth.angles]
-
-    def valves(now_us: int) -> ValveCommand:
-        command = release_first(now_us)
-        for on_us, off_us in pulses:
-            if off_us <= now_us:
-                continue
-            next_us, action = (
-                (off_us, ValveAction.OFF_AT) if on_us <= now_us else (on_us, ValveAction.ON_AT)
-            )
-            if next_us - now_us > 10_000:
-                break
-            return command._replace(brake_action=action, brake_time_us=bench.clock(next_us))
-        held = any(on_us <= now_us < off_us for on_us, off_us in pulses)
-        action = ValveAction.ON_NOW if held else ValveAction.OFF_NOW
-        return command._replace(brake_action=action)
-
-    bench.run(END_US, valves)
+    bench.run(END_US, pulsing(bench, pulses))
     (released,) = bench.events(EngagementEvent.RELEASED)
     start_s = (released.event_time_us - bench.clock(0)) % (1 << 32) * 1e-6
     omega_main = 644.0 * RPM

@@ -1,0 +1,286 @@
+"""The closed forms of the layshaft model against SciPy and against the thesis written out."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+from scipy.signal import cont2discrete
+
+from controller.kernels import cruise_filter, hold, propagate, thesis_filter
+
+# Pressure in units of the supply (K = 1), so that g is the full braking in rad/s2 and expm, whose
+# error is relative to the largest element, is a fair judge of every element.
+RATE_B = st.floats(2.0, 500.0)
+RATE_A = st.one_of(st.just(0.0), st.floats(1e-9, 1e-3), st.floats(1e-3, 40.0))
+BRAKING = st.floats(10.0, 500.0)
+STEP_S = st.floats(1e-6, 0.2)
+US = 1e-6
+
+
+def matrices(a: float, b: float, g: float, k: float) -> tuple[np.ndarray, np.ndarray]:
+    """A and B of thesis 4.15 for [theta, omega, p]."""
+    return (
+        np.array([[0.0, 1.0, 0.0], [0.0, -a, -g], [0.0, 0.0, -b]]),
+        np.array([[0.0], [0.0], [b * k]]),
+    )
+
+
+def held(a: float, b: float, g: float, k: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Phi and Gamma of 5.18 by the exponential of the augmented matrix."""
+    augmented = np.zeros((4, 4))
+    augmented[:3, :3], augmented[:3, 3:] = matrices(a, b, g, k)
+    both = expm(augmented * dt)
+    return both[:3, :3], both[:3, 3]
+
+
+def ours(a: float, b: float, g: float, k: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    phi, gamma = np.empty(5), np.empty(3)
+    hold(dt, np.array([a, b, g, k]), phi, gamma)
+    f01, f02, f11, f12, f22 = phi
+    return np.array([[1.0, f01, f02], [0.0, f11, f12], [0.0, 0.0, f22]]), gamma
+
+
+def assert_same_hold(a: float, b: float, g: float, dt: float, relative: float) -> None:
+    """Elements may differ by `relative` of what the input could move that state by in the step."""
+    phi, gamma = ours(a, b, g, 1.0, dt)
+    phi_expm, gamma_expm = held(a, b, g, 1.0, dt)
+    reach = np.array([max(dt, g * dt * dt), max(1.0, g * dt), 1.0])
+    assert np.all(np.abs(phi - phi_expm) <= relative * reach[:, None])
+    assert np.all(np.abs(gamma - gamma_expm) <= relative * reach)
+
+
+@settings(deadline=None, max_examples=150)
+@given(a=RATE_A, b=RATE_B, g=BRAKING, dt=STEP_S)
+def test_hold_is_the_matrix_exponential(a: float, b: float, g: float, dt: float) -> None:
+    if abs(a - b) < 1e-3 * b:
+        a = 0.5 * b
+    assert_same_hold(a, b, g, dt, 1e-10)
+
+
+@settings(deadline=None, max_examples=60)
+@given(b=RATE_B, apart=st.floats(-1e-4, 1e-4), g=BRAKING, dt=STEP_S)
+def test_equal_rates_are_no_singularity(b: float, apart: float, g: float, dt: float) -> None:
+    """A layshaft that slows as fast as its brake fills: the closed form's 0/0."""
+    assert_same_hold(b * (1.0 + apart), b, g, dt, 2e-6)
+
+
+@pytest.mark.parametrize("a", [1e-12, 1e-6, 9.9e-4, 1.01e-3, 1.0])
+def test_friction_going_to_nothing_is_no_friction(a: float) -> None:
+    """Through the switch from series to closed form there is no jump."""
+    phi, gamma = ours(a, 16.0, 300.0, 1.0, 1.0)
+    phi_expm, gamma_expm = held(a, 16.0, 300.0, 1.0, 1.0)
+    assert np.allclose(phi, phi_expm, rtol=1e-12, atol=1e-12)
+    assert np.allclose(gamma, gamma_expm, rtol=1e-12, atol=1e-12)
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    a=RATE_A,
+    b=RATE_B,
+    g=BRAKING,
+    x=st.tuples(st.floats(-10, 10), st.floats(50, 300), st.floats(0, 1)),
+    switches=st.lists(st.integers(-50_000, 250_000), min_size=1, max_size=4, unique=True),
+    horizon_us=st.integers(1, 200_000),
+    first=st.booleans(),
+)
+def test_propagation_through_brake_switches_solves_the_equations(
+    a: float,
+    b: float,
+    g: float,
+    x: tuple[float, float, float],
+    switches: list[int],
+    horizon_us: int,
+    first: bool,
+) -> None:
+    """Against a Runge-Kutta solver that is told u(t), wherever the switches lie."""
+    switch_us = np.array(sorted(switches), dtype=float)
+    switch_u = np.array([float((i % 2 == 0) == first) for i in range(len(switches))])
+    state = np.array(x)
+    propagate(state, 0.0, float(horizon_us), switch_us, switch_u, np.array([a, b, g, 1.0]))
+
+    stops = [0.0, *[t for t in switch_us if 0.0 < t < horizon_us], float(horizon_us)]
+    solved = np.array(x)
+    for start, end in zip(stops, stops[1:], strict=False):
+        past = [u for t, u in zip(switch_us, switch_u, strict=True) if t <= start]
+        u = past[-1] if past else 0.0
+        solved = solve_ivp(
+            lambda _t, y, u=u: [y[1], -a * y[1] - g * y[2], b * (u - y[2])],
+            (start * US, end * US),
+            solved,
+            rtol=1e-9,
+            atol=1e-10,
+        ).y[:, -1]
+    assert np.allclose(state, solved, rtol=1e-7, atol=1e-6)
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    a=RATE_A,
+    b=RATE_B,
+    parts=st.lists(st.integers(1, 40_000), min_size=2, max_size=5),
+    switch_us=st.integers(0, 100_000),
+)
+def test_two_short_holds_are_one_long_hold(
+    a: float, b: float, parts: list[int], switch_us: int
+) -> None:
+    """A prediction does not depend on where it is cut."""
+    model = np.array([a, b, 300.0, 1.0])
+    switches = np.array([-1e4, float(switch_us)]), np.array([1.0, 0.0])
+    whole, cut = np.array([1.0, 140.0, 0.3]), np.array([1.0, 140.0, 0.3])
+    propagate(whole, 0.0, float(sum(parts)), *switches, model)
+    at = 0.0
+    for part in parts:
+        propagate(cut, at, at + part, *switches, model)
+        at += part
+    assert np.allclose(whole, cut, rtol=1e-9, atol=1e-9)
+
+
+class Thesis:
+    """The filter of thesis 5.2 and 5.3 in plain NumPy, with SciPy's c2d: as it is written there.
+
+    `events` are (time, angle or None, u from then on): a brake switch is a prediction alone."""
+
+    def __init__(self, x: np.ndarray, p: np.ndarray, model: np.ndarray) -> None:
+        self.x, self.p = x.reshape(3, 1).copy(), p.copy()
+        self._a, self._b = matrices(*model)
+        self._c = np.array([[1.0, 0.0, 0.0]])
+
+    def predict(self, dt: float, u: float, w: np.ndarray) -> None:
+        system = (self._a, self._b, self._c, np.zeros((1, 1)))
+        a_d, b_d, *_ = cont2discrete(system, dt, method="zoh")
+        self.x = a_d @ self.x + b_d * u  # 5.2
+        noise = (w * dt).reshape(3, 1)
+        self.p = a_d @ self.p @ a_d.T + noise @ noise.T  # 5.3, 5.8
+
+    def update(self, y: float, r: float) -> None:
+        innovation = y - self._c @ self.x  # 5.4
+        gain = self.p @ self._c.T @ np.linalg.inv(self._c @ self.p @ self._c.T + r)  # 5.5
+        self.x = self.x + gain @ innovation  # 5.6
+        self.p = (np.eye(3) - gain @ self._c) @ self.p  # 5.7
+
+
+START_P = np.diag([1e-6, 4.0, 0.01])
+NOISE = np.array([0.01, 20.0, 1.0])
+R = 1e-7
+
+
+def braked_edges(model: np.ndarray, on_us: float, off_us: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times of the half teeth of a 45-tooth wheel while it is braked, found in a dense solution."""
+    a, b, g, _ = model
+    def slope(t: float, y: np.ndarray) -> list[float]:
+        u = float(on_us * US <= t < off_us * US)
+        return [y[1], -a * y[1] - g * y[2], b * (u - y[2])]
+
+    path = solve_ivp(slope, (0.0, 0.3), [0.0, 146.0, 0.0], max_step=1e-3, rtol=1e-9, atol=1e-9)
+    angles = np.arange(1, int(path.y[0, -1] / (np.pi / 45))) * np.pi / 45
+    return np.interp(angles, path.y[0], path.t) * 1e6, angles
+
+
+@pytest.mark.parametrize("a", [0.0, 0.29])
+@pytest.mark.parametrize("batch", [1, 7, 1000])
+def test_the_filter_is_the_one_of_the_thesis(a: float, batch: int) -> None:
+    """Whole run of a braked wheel, with jitter; in batches as frames bring them."""
+    model = np.array([a, 16.7, 290.0, 1.0])
+    switch_us, switch_u = np.array([40_000.5, 171_234.0]), np.array([1.0, 0.0])
+    times, angles = braked_edges(model, *switch_us)
+    times = np.round(times + np.random.default_rng(5).normal(0.0, 5.0, times.size))
+    x, p = np.array([0.02, 140.0, 0.1]), START_P.copy()
+    thesis, at_us = Thesis(x, p, model), 0.0
+    events = [(t, None, u) for t, u in zip(switch_us, switch_u, strict=True)]
+    events += [(t, y, None) for t, y in zip(times, angles, strict=True)]
+    u_now = 0.0
+    for time_us, y, u in sorted(events, key=lambda event: event[0]):
+        thesis.predict((time_us - at_us) * US, u_now, NOISE)
+        at_us = time_us
+        if y is None:
+            u_now = u
+        else:
+            thesis.update(y, R)
+
+    reached = 0.0
+    for start in range(0, times.size, batch):
+        cut = slice(start, start + batch)
+        reached = thesis_filter(
+            x, p, reached, times[cut], angles[cut], switch_us, switch_u, model, NOISE, R
+        )
+        assert np.array_equal(p, p.T)
+        assert np.linalg.eigvalsh(p).min() > -1e-12 * np.trace(p)
+    assert reached == times[-1]
+    assert np.allclose(x, thesis.x.ravel(), rtol=1e-8, atol=1e-8)
+    assert np.allclose(p, thesis.p, rtol=1e-6, atol=1e-12)
+    assert abs(x[1] - np.gradient(angles, times * US)[-5]) < 5.0
+
+
+def test_an_edge_is_used_once() -> None:
+    """Edges that came with an earlier frame again change nothing."""
+    model, none = np.array([0.3, 16.7, 290.0, 1.0]), np.empty(0)
+    times, angles = np.array([1000.0, 2000.0, 3000.0]), np.array([0.14, 0.28, 0.42])
+    x, p = np.array([0.0, 140.0, 0.0]), START_P.copy()
+    reached = thesis_filter(x, p, 0.0, times, angles, none, none, model, NOISE, R)
+    before = x.copy(), p.copy()
+    again = thesis_filter(x, p, reached, times, angles, none, none, model, NOISE, R)
+    assert again == reached
+    assert np.array_equal(x, before[0])
+    assert np.array_equal(p, before[1])
+
+
+def test_the_cruise_filter_is_a_kalman_filter_with_random_acceleration() -> None:
+    """Joseph's form in plain NumPy, noise of an acceleration held over each interval."""
+    rng = np.random.default_rng(3)
+    times = np.cumsum(rng.uniform(800.0, 1200.0, 60)).round()
+    angles = np.arange(1, 61) * np.pi / 45
+    x, p = np.array([0.0, 70.0]), np.diag([1e-4, 9.0])
+    x_np, p_np, at = x.copy().reshape(2, 1), p.copy(), 0.0
+    for time_us, y in zip(times, angles, strict=True):
+        dt = (time_us - at) * US
+        f, q = np.array([[1.0, dt], [0.0, 1.0]]), np.array([[dt * dt / 2.0], [dt]]) * 30.0
+        x_np, p_np = f @ x_np, f @ p_np @ f.T + q @ q.T
+        r = (x_np[1, 0] * 1e-6) ** 2 + 1e-12
+        gain = p_np[:, :1] / (p_np[0, 0] + r)
+        x_np = x_np + gain * (y - x_np[0, 0])
+        keep = np.eye(2) - gain @ np.array([[1.0, 0.0]])
+        p_np = keep @ p_np @ keep.T + gain @ gain.T * r
+        at = time_us
+    assert cruise_filter(x, p, 0.0, times, angles, 30.0, 1e-6) == times[-1]
+    assert np.allclose(x, x_np.ravel(), rtol=1e-10)
+    assert np.allclose(p, p_np, rtol=1e-5, atol=1e-14)
+
+
+RUN = """
+import json, numpy as np
+from controller.kernels import cruise_filter, propagate, thesis_filter
+rng = np.random.default_rng(11)
+times = np.cumsum(rng.uniform(300.0, 900.0, 200)).round()
+angles = np.arange(1, 201) * np.pi / 45
+model = np.array([0.29, 16.7, 290.0 / 8e5, 8e5])
+switches = np.array([20000.0, 70000.0]), np.array([1.0, 0.0])
+x, p = np.array([0.0, 120.0, 0.0]), np.diag([1e-6, 4.0, 4e8])
+t = thesis_filter(x, p, 0.0, times, angles, *switches, model, np.array([0.01, 20.0, 1e5]), 1e-7)
+propagate(x, t, t + 90000.0, *switches, model)
+y, q = np.array([0.0, 120.0]), np.eye(2)
+cruise_filter(y, q, 0.0, times, angles, 30.0, 1e-6)
+print(json.dumps([*x, *p.ravel(), *y, *q.ravel()]))
+"""
+
+
+def test_compiled_and_plain_python_agree() -> None:
+    """One code, two ways to run it: an error of the compiler or a type that wraps would show."""
+
+    def run(disabled: str) -> np.ndarray:
+        environment = os.environ | {"NUMBA_DISABLE_JIT": disabled}
+        root = Path(__file__).parents[2]
+        command = [sys.executable, "-c", RUN]
+        done = subprocess.run(command, env=environment, cwd=root, capture_output=True, check=True)
+        return np.array(json.loads(done.stdout))
+
+    assert np.allclose(run("0"), run("1"), rtol=1e-9, atol=1e-12)
