@@ -54,14 +54,15 @@ class BrakeInput:
         return self._arrays
 
     def with_release(self, release_us: float) -> tuple[Vector, Vector]:
-        """The same if the brake were released at `release_us`, and left so."""
+        """The same if the brake were released at `release_us` instead, and left so."""
         return self._with(release_us)
 
     def _with(self, release_us: float | None) -> tuple[Vector, Vector]:
         times: list[float] = [switch.time_us for switch in self._switches]
         states = [float(switch.on) for switch in self._switches]
         if release_us is not None:
-            while times and times[-1] >= release_us:
+            # A release that is planned already is what is being moved, not a switch of its own.
+            while times and (states[-1] == 0.0 or times[-1] >= release_us):
                 times.pop()
                 states.pop()
             times.append(release_us)

@@ -42,6 +42,9 @@ OPPOSITE = {
 """The valve that pulls a gear out pushes toward the sleeve's other gear."""
 DRIVEN_LATE_US = 40 * MS
 """A valve not reported driven this long after its activation was refused: try again."""
+KEEP_US = 3 * MS
+"""A firing this near to the earliest possible one stands: planned anew, it could by a hair come out
+too early to be sent, and the gap would be lost for one that comes a pitch later."""
 RELEASE_HORIZON_US = 90 * MS
 """A release further ahead is not sent yet: the valve side takes at most 100 ms."""
 
@@ -260,7 +263,8 @@ class ShiftSequence:
 
     def _plan_release(self, outlook: Outlook, moment: Moment) -> None:
         shift = self._running
-        on_us = self._board.command(Valve.BRAKE).time_us
+        command = self._board.command(Valve.BRAKE)
+        on_us = command.time_us if command.on else moment.now_us
         earliest_us = max(moment.earliest_us, on_us)
         aimed = self._aims_at(shift.target.main)
         release_us, contact_us = self._strategist.release(outlook, earliest_us, aimed)
@@ -288,7 +292,7 @@ class ShiftSequence:
         outlook = self.outlook(shift.target.main, moment)
         if outlook is None:
             return None
-        if shift.plan is not None and shift.plan.fire_us < moment.earliest_us:
+        if shift.plan is not None and shift.plan.fire_us < moment.earliest_us + KEEP_US:
             shift.attempts += 1
             shift.measured_contact_us = None
             self.decision = shift.plan._replace(decision=ShiftDecision.COMMITTED)

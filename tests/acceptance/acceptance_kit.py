@@ -7,8 +7,10 @@ by cantools with the DBC as it lies in the repository, and checked by autosar-e2
 from __future__ import annotations
 
 import contextlib
+import importlib
 import json
 import os
+import queue
 import re
 import resource
 import shutil
@@ -39,6 +41,12 @@ EXPIRY_US = 100_000
 US_WRAP = 1 << 32
 
 MAIN_GEAR_OF = {13: 1, 14: 1} | {gear: 2 + (gear - 1) % 6 // 2 for gear in range(1, 13)}
+
+
+STRATEGIES = ("speed_window", "target_phase")
+FIRST_SEEDS = (1, 2, 3)
+OTHER_SEEDS = (101, 202, 303)
+SHIFTS = 60
 
 
 def words(text: str) -> list[str]:
@@ -105,17 +113,80 @@ def kill_group(process: subprocess.Popen[str]) -> None:
         process.communicate(timeout=5)
 
 
+class PreparedCommands:
+    """Processes that have the product imported and fork one more for each command."""
+
+    def __init__(self) -> None:
+        self._idle: queue.SimpleQueue[subprocess.Popen[str]] = queue.SimpleQueue()
+        self.all: list[subprocess.Popen[str]] = []
+
+    def _take(self) -> subprocess.Popen[str]:
+        with contextlib.suppress(queue.Empty):
+            return self._idle.get_nowait()
+        process = subprocess.Popen(
+            [sys.executable, str(Path(__file__).with_name("prepared_command.py"))],
+            env=environment(),
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        self.all.append(process)
+        return process
+
+    def run(self, arguments: Sequence[str], cwd: Path, scratch: Path, timeout_s: float) -> Outcome:
+        out, err = scratch / "out", scratch / "err"
+        request = {
+            "arguments": arguments,
+            "cwd": str(cwd),
+            "out": str(out),
+            "err": str(err),
+            "timeout_s": timeout_s,
+        }
+        process = self._take()
+        assert process.stdin is not None and process.stdout is not None
+        began = time.monotonic()
+        process.stdin.write(json.dumps(request) + "\n")
+        process.stdin.flush()
+        answer = process.stdout.readline()
+        assert answer, "the product cannot be imported"
+        self._idle.put(process)
+        code = json.loads(answer)
+        assert code is not None, f"{arguments} did not end within {timeout_s:g} s"
+        wall_s = time.monotonic() - began
+        return Outcome(
+            code, out.read_text(errors="replace"), err.read_text(errors="replace"), wall_s
+        )
+
+    def close(self) -> None:
+        for process in self.all:
+            process.kill()
+            process.communicate()
+
+
+PREPARED = PreparedCommands()
+
+
 def run(*arguments: object, cwd: Path | None = None, timeout_s: float = 60.0) -> Outcome:
     """Run a command to its end; a command that does not end in time fails the test."""
     with tempfile.TemporaryDirectory(prefix="meshpoint-") as scratch:
-        began = time.monotonic()
-        process = start(*arguments, cwd=cwd or Path(scratch))
-        try:
-            out, err = process.communicate(timeout=timeout_s)
-        except subprocess.TimeoutExpired:
-            kill_group(process)
-            raise AssertionError(f"{arguments} did not end within {timeout_s:g} s") from None
-        return Outcome(process.returncode, out, err, time.monotonic() - began)
+        folder = Path(scratch)
+        if hasattr(os, "fork"):
+            work = folder / "work"
+            work.mkdir()
+            return PREPARED.run([*map(str, arguments)], cwd or work, folder, timeout_s)
+        return run_whole(*arguments, cwd=cwd or folder, timeout_s=timeout_s)
+
+
+def run_whole(*arguments: object, cwd: Path, timeout_s: float = 60.0) -> Outcome:
+    """The same by a fresh interpreter."""
+    began = time.monotonic()
+    process = start(*arguments, cwd=cwd)
+    try:
+        out, err = process.communicate(timeout=timeout_s)
+    except subprocess.TimeoutExpired:
+        kill_group(process)
+        raise AssertionError(f"{arguments} did not end within {timeout_s:g} s") from None
+    return Outcome(process.returncode, out, err, time.monotonic() - began)
 
 
 def run_many(commands: Sequence[Sequence[object]], timeout_s: float = 60.0) -> list[Outcome]:
@@ -243,6 +314,19 @@ def read_log(path: Path) -> list[Frame]:
         ]
 
 
+class Recorded(NamedTuple):
+    """One `simulate` run: its output, its log, and the log's frames."""
+
+    outcome: Outcome
+    log: Path
+    frames: list[Frame]
+
+    @property
+    def report(self) -> dict[str, Any]:
+        report: dict[str, Any] = self.outcome.json
+        return report
+
+
 class LogLine(NamedTuple):
     """One line of a candump log, taken apart so that it can be tampered with."""
 
@@ -306,20 +390,22 @@ def verdict_of(outcome: Outcome) -> str:
 # ---------------------------------------------------------------------------------------- bus
 
 
-def register_plugin() -> None:
-    """Make python-can know the interface `meshpoint` where the product is not installed."""
-    if "meshpoint" not in can.interfaces.BACKENDS:
-        sys.path.insert(0, str(ROOT))
-        can.interfaces.BACKENDS["meshpoint"] = ("bus.plugin", "MeshpointBus")
+def open_bus(channel: str) -> can.BusABC:
+    """The product's bus by its python-can name, or by its class where it is not installed."""
+    if "meshpoint" in can.VALID_INTERFACES:
+        return can.Bus(interface="meshpoint", channel=channel)
+    sys.path.insert(0, str(ROOT))
+    plugin = importlib.import_module("bus.plugin")
+    bus: can.BusABC = plugin.MeshpointBus(channel=channel)
+    return bus
 
 
 class Listener:
     """A third party on the bus: keeps every frame, and can send."""
 
     def __init__(self, channel: str, wire: Wire) -> None:
-        register_plugin()
         self.wire = wire
-        self.bus: can.BusABC = can.Bus(interface="meshpoint", channel=channel)
+        self.bus = open_bus(channel)
         self.frames: list[Frame] = []
         self.error: BaseException | None = None
         self._news = threading.Condition()

@@ -6,15 +6,19 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parent))
 
 from acceptance_kit import (
-    Frame,
-    Outcome,
+    FIRST_SEEDS,
+    OTHER_SEEDS,
+    PREPARED,
+    SHIFTS,
+    STRATEGIES,
+    Recorded,
     Wire,
     assert_ended_well,
     read_log,
@@ -23,28 +27,17 @@ from acceptance_kit import (
     words,
 )
 
-STRATEGIES = ("speed_window", "target_phase")
-FIRST_SEEDS = (1, 2, 3)
-OTHER_SEEDS = (101, 202, 303)
-SHIFTS = 60
+
+@pytest.fixture(scope="session", autouse=True)
+def prepared() -> Iterator[None]:
+    """End the processes that run the commands."""
+    yield
+    PREPARED.close()
 
 
 @pytest.fixture(scope="session")
 def wire() -> Wire:
     return Wire()
-
-
-class Recorded(NamedTuple):
-    """One `simulate` run: its output, its log, and the log's frames."""
-
-    outcome: Outcome
-    log: Path
-    frames: list[Frame]
-
-    @property
-    def report(self) -> dict[str, Any]:
-        report: dict[str, Any] = self.outcome.json
-        return report
 
 
 @pytest.fixture(scope="session")

@@ -71,8 +71,8 @@ COMMANDS: dict[str, tuple[list[str], tuple[str, ...]]] = {
     ),
     "unknown preset": (["simulate", "--preset", "car"], ("preset", "car", "thesis")),
     "unknown option": ([*SIMULATE, "--colour", "red"], ("--colour",)),
-    "no folder for the log": ([*SIMULATE, "--log", "nowhere/run.log"], ("nowhere",)),
-    "no folder for the json": ([*SIMULATE, "--json", "nowhere/run.json"], ("nowhere",)),
+    "no folder for the log": ([*SIMULATE, "--log", "taken/run.log"], ("taken",)),
+    "no folder for the json": ([*SIMULATE, "--json", "taken/run.json"], ("taken",)),
     "log of unknown ending": ([*SIMULATE, "--log", "run.xyz"], ("run.xyz",)),
     "interface of the controller": (
         ["controller", "-i", "nosuchbus", "-c", "x"],
@@ -84,8 +84,8 @@ COMMANDS: dict[str, tuple[list[str], tuple[str, ...]]] = {
     "missing channel": (["controller", "-i", "socketcan"], ("channel",)),
     "a device that is not there": (["controller", "-i", "socketcan", "-c", "nocan9"], ("nocan9",)),
     "a socket nobody may make": (
-        ["rig", "-i", "meshpoint", "-c", "unix:/nowhere/at/all/bus.sock"],
-        ("nowhere",),
+        ["rig", "-i", "meshpoint", "-c", "unix:taken/bus.sock"],
+        ("taken",),
     ),
     "a channel of unknown kind": (
         ["rig", "-i", "meshpoint", "-c", "carrier-pigeon:1"],
@@ -131,9 +131,9 @@ def refusals(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Outcome]:
 
     def attempt(arguments: list[str]) -> Outcome:
         try:
-            return run(*arguments, cwd=folder, timeout_s=12)
+            return run(*arguments, cwd=folder, timeout_s=40)
         except AssertionError as error:
-            return Outcome(-1, "", str(error), 12.0)
+            return Outcome(-1, "", str(error), 40.0)
 
     with ThreadPoolExecutor(max_workers=2) as pool:
         return dict(zip(commands, pool.map(attempt, commands.values()), strict=True))

@@ -19,8 +19,8 @@ from acceptance_kit import (
     Wire,
     assert_ended_well,
     kill_group,
+    open_bus,
     read_log,
-    register_plugin,
     run,
     start,
     strict_json,
@@ -173,8 +173,7 @@ def witnessed(channel: str, tmp_path: Path) -> Iterator[Witness]:
     folder = tmp_path / "demo"
     log = tmp_path / "witness" / "witness.log"
     log.parent.mkdir()
-    register_plugin()
-    bus = can.Bus(interface="meshpoint", channel=channel)
+    bus = open_bus(channel)
     writer = can.CanutilsLogWriter(str(log))
     stop = threading.Event()
 

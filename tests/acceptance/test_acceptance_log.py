@@ -14,10 +14,10 @@ from acceptance_kit import (
     HALF_BACKLASH_DEG,
     MAIN_GEAR_OF,
     Frame,
+    Recorded,
     Wire,
     us_between,
 )
-from conftest import Recorded
 
 pytestmark = pytest.mark.timeout(120)
 

@@ -10,6 +10,7 @@ import pytest
 from acceptance_kit import (
     LogLine,
     Outcome,
+    Recorded,
     Wire,
     assert_ended_well,
     assert_refused,
@@ -19,7 +20,6 @@ from acceptance_kit import (
     verdict_of,
     write_lines,
 )
-from conftest import Recorded
 
 pytestmark = pytest.mark.timeout(120)
 

@@ -5,22 +5,27 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 from acceptance_kit import (
     DBC_FILE,
+    FIRST_SEEDS,
     HALF_BACKLASH_DEG,
     MAIN_GEAR_OF,
+    OTHER_SEEDS,
     PITCH_DEG,
+    SHIFTS,
     THESIS_SHEET,
+    Recorded,
     assert_ended_well,
     children_cpu_s,
     run,
+    run_whole,
     strict_json,
     words,
 )
-from conftest import FIRST_SEEDS, OTHER_SEEDS, SHIFTS, Recorded
 
 pytestmark = pytest.mark.timeout(150)
 
@@ -123,7 +128,7 @@ def test_another_seed_gives_another_run(
 
 
 def test_json_to_a_file_is_the_json_of_the_standard_output(
-    recorded: Recorded, tmp_path: Any
+    recorded: Recorded, tmp_path: Path
 ) -> None:
     arguments = words("simulate --preset thesis --seed 1 --shifts 3 --strategy target_phase")
     outcome = run(*arguments, "--json", "report.json", cwd=tmp_path)
@@ -212,7 +217,7 @@ def test_estimator_and_strategy_can_be_chosen(
     assert {one["Strategy"] for one in status} == {expected_strategy}
 
 
-def test_a_sheet_of_ones_own_takes_the_place_of_the_preset(tmp_path: Any) -> None:
+def test_a_sheet_of_ones_own_takes_the_place_of_the_preset(tmp_path: Path) -> None:
     text = THESIS_SHEET.read_text()
     assert "teeth = 48" in text
     (tmp_path / "other.toml").write_text(text.replace("teeth = 48", "teeth = 24"))
@@ -236,14 +241,14 @@ def test_no_shift_is_an_empty_list_or_a_clear_refusal() -> None:
 
 
 def test_virtual_time_runs_forty_times_faster_than_real_time(
-    simulated: Callable[..., Recorded],
+    simulated: Callable[..., Recorded], tmp_path: Path
 ) -> None:
     # Processor time of a long run less that of a short one: start-up, and what else this machine
     # is busy with, does not count. The log of the same run tells how much time was simulated.
     def cost(shifts: int) -> tuple[float, float]:
         before = children_cpu_s()
         arguments = words(f"simulate --preset thesis --seed 7 --shifts {shifts} --json -")
-        assert_ended_well(run(*arguments))
+        assert_ended_well(run_whole(*arguments, cwd=tmp_path))
         used_s = children_cpu_s() - before
         frames = simulated("--seed", 7, "--shifts", shifts).frames
         return used_s, frames[-1].time_s - frames[0].time_s

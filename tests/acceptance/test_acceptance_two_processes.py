@@ -73,7 +73,7 @@ class Bench:
                 and status["InvalidChannels"] == 0
             ),
             since=since,
-            timeout_s=20,
+            timeout_s=40,
         )
 
     def start_shift(self, gear: int) -> None:

@@ -172,15 +172,18 @@ def test_a_killed_process_leaves_a_log_that_can_be_read_to_its_end(
     for process in processes:
         assert process.stdout is not None
         assert process.stdout.readline() == "ready\n"
-    time.sleep(1.8)
-    for process in processes:
+    time.sleep(1.2)
+    for process, path in zip(processes, paths, strict=True):
+        deadline = time.monotonic() + 30.0
+        while path.stat().st_size < 5000:  # flushed once a second
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
         process.kill()
         process.wait()
-    for path in paths:
         content = list(read_log(path))
         numbers = [int.from_bytes(frame.data[:4], "big") for _, frame in content]
+        assert len(numbers) > 20
         assert numbers == list(range(len(numbers)))
-        assert content[-1][0] - content[0][0] > 0.9  # flushed once a second
 
 
 def test_the_file_depends_on_the_frames_alone_when_flushed_by_hand(tmp_path: Path) -> None:
@@ -313,7 +316,7 @@ async def test_a_recorder_writes_all_frames_of_the_bus_in_its_order(
         await asyncio.sleep(0.2)
         for number in range(1000):
             sender.send(can.Message(arbitration_id=number, data=bytes(64), is_fd=True))
-        deadline = time.monotonic() + 10.0
+        deadline = time.monotonic() + 30.0
         while log.frames < 1000:
             assert time.monotonic() < deadline
             await asyncio.sleep(0.02)

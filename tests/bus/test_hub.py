@@ -72,7 +72,7 @@ def test_a_reader_that_stalls_for_300_ms_at_3000_frames_a_second_loses_nothing(
     numbers = []
     stalled = False
     while True:
-        message = node.recv(10.0)
+        message = node.recv(30.0)
         assert message is not None
         if message.dlc == 0:
             break
@@ -99,7 +99,7 @@ def test_nodes_that_start_at_the_same_time_meet_at_one_hub(place: Path) -> None:
         node.send(fd_message(number))
     heard = []
     for node in opened:
-        messages = [node.recv(2.0) for _ in range(3)]
+        messages = [node.recv(30.0) for _ in range(3)]
         heard.append({message.arbitration_id for message in messages if message is not None})
         node.shutdown()
     assert heard == [{0, 1, 2, 3} - {own} for own in range(4)]
@@ -115,7 +115,7 @@ def test_a_hub_is_invisible_to_others_and_leaves_nothing_behind(place: Path, sta
         assert stat.S_IMODE(socket_file.stat().st_mode) & 0o077 == 0
         assert stat.S_IMODE(socket_file.parent.stat().st_mode) == 0o700
         assert "bus.sock" in node.channel_info
-    assert hub.wait(5.0) == 0
+    assert hub.wait(30.0) == 0
     assert list(socket_file.parent.iterdir()) == []
 
 
@@ -127,7 +127,7 @@ def test_a_socket_file_left_by_a_killed_hub_is_taken_over(
     process.wait()
     with MeshpointBus(channel) as one, MeshpointBus(channel) as other:
         one.send(fd_message(7))
-        received = other.recv(2.0)
+        received = other.recv(30.0)
     assert received is not None
     assert received.arbitration_id == 7
 
@@ -141,7 +141,7 @@ def test_frames_sent_right_before_closing_arrive_although_the_sender_never_read(
     for number in range(500):
         leaver.send(fd_message(number))
     leaver.shutdown()
-    received = [listener.recv(2.0) for _ in range(500)]
+    received = [listener.recv(30.0) for _ in range(500)]
     assert [message.arbitration_id for message in received if message is not None] == list(
         range(500)
     )
@@ -158,11 +158,11 @@ def test_a_node_that_talks_nonsense_is_disconnected_and_the_others_go_on(
     stranger.settimeout(5.0)
     assert stranger.recv(100) == b""
     stranger.close()
-    first = one.recv(2.0)
+    first = one.recv(30.0)
     assert first is not None
     assert first.arbitration_id == 0x123
     other.send(fd_message(5))
-    second = one.recv(2.0)
+    second = one.recv(30.0)
     assert second is not None
     assert second.arbitration_id == 5
 
@@ -173,7 +173,7 @@ def test_a_hub_serves_a_port_of_this_machine() -> None:
         channel = f"tcp:127.0.0.1:{probe.getsockname()[1]}"
     with MeshpointBus(channel) as one, MeshpointBus(channel) as other:
         one.send(fd_message(9))
-        received = other.recv(5.0)
+        received = other.recv(30.0)
     assert received is not None
     assert received.arbitration_id == 9
 
@@ -183,10 +183,10 @@ def test_a_second_hub_on_a_channel_leaves_it_to_the_first(
 ) -> None:
     node = join()
     second = start("-m", "bus.hub", common_channel)
-    assert second.wait(10.0) == 0
+    assert second.wait(30.0) == 0
     other = join()
     other.send(fd_message(3))
-    assert node.recv(2.0) is not None
+    assert node.recv(30.0) is not None
 
 
 def test_a_port_that_other_machines_reach_is_refused(start: Start) -> None:
@@ -251,4 +251,4 @@ async def test_a_node_that_does_not_read_is_disconnected_after_an_unbroken_seque
         await asyncio.sleep(0.001)
     for node in (sleeper, reader, sender):
         await asyncio.to_thread(node.shutdown)
-    await asyncio.wait_for(server, 5.0)
+    await asyncio.wait_for(server, 30.0)

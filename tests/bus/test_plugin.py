@@ -51,7 +51,7 @@ def test_every_kind_of_message_arrives_as_it_was_sent(join: Join) -> None:
             if drained:
                 received += receiver.drain()
             else:
-                message_or_none = receiver.recv(2.0)
+                message_or_none = receiver.recv(30.0)
                 assert message_or_none is not None
                 received.append(message_or_none)
         for before, after in zip(batch, received, strict=True):
@@ -95,7 +95,7 @@ def test_filters_apply_to_single_messages_and_to_drained_ones(join: Join) -> Non
     receiver.set_filters([{"can_id": 0x100, "can_mask": 0x700, "extended": True}])
     for number in (0x0FF, 0x100, 0x2FF, 0x1FF, 0x000, 0x101):
         sender.send(can.Message(arbitration_id=number))
-    first = receiver.recv(2.0)
+    first = receiver.recv(30.0)
     assert first is not None
     found = [first.arbitration_id]
     while len(found) < 3:
@@ -121,7 +121,7 @@ def test_a_frame_that_no_bus_could_carry_is_refused_and_harms_nobody(
     with pytest.raises(ValueError, match="0x"):
         sender.send(message)
     sender.send(can.Message(arbitration_id=2))
-    received = receiver.recv(2.0)
+    received = receiver.recv(30.0)
     assert received is not None
     assert received.arbitration_id == 2
 
@@ -132,7 +132,7 @@ def test_a_hub_that_goes_away_is_an_operation_error_for_sender_and_receiver(
     receiver, sender, drainer = (join(hub[0]) for _ in range(3))
     hub[1].kill()
     with pytest.raises(can.CanOperationError, match="hub"):
-        receiver.recv(5.0)
+        receiver.recv(30.0)
     with pytest.raises(can.CanOperationError, match="not connected"):
         receiver.recv(0.0)
     with pytest.raises(can.CanOperationError):
@@ -169,5 +169,5 @@ def test_the_default_bus_is_private_to_the_user(
     with MeshpointBus() as node, MeshpointBus() as other:
         assert node.channel_info == f"meshpoint channel unix:{place}/meshpoint/default.sock"
         node.send(can.Message(arbitration_id=4))
-        assert other.recv(2.0) is not None
+        assert other.recv(30.0) is not None
     assert (place / "meshpoint").stat().st_mode & 0o077 == 0

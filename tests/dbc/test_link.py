@@ -169,8 +169,10 @@ def test_of_two_swapped_frames_the_late_one_is_refused() -> None:
     ]
 
 
-def test_the_counter_runs_over_its_end() -> None:
-    assert set(verdicts(controller(), sensor_frames(600))) == {Verdict.OK}
+def test_the_counter_is_one_more_with_every_frame_and_runs_over_its_end() -> None:
+    frames = sensor_frames(600)
+    assert [frame.data[2] for frame in frames] == [number % 256 for number in range(600)]
+    assert set(verdicts(controller(), frames)) == {Verdict.OK}
 
 
 @settings(max_examples=100, deadline=None)
@@ -233,6 +235,26 @@ def test_damaged_frames_of_known_identifiers_end_validity_whatever_the_damage() 
         assert receiver.state(GearboxSensors) is ChannelState.INVALID
 
 
+def out_of_range(frame: Frame) -> Frame:
+    """The frame with a clutch position of 655.35 %, intact otherwise."""
+    data = bytearray(frame.data)
+    data[13:15] = b"\xff\xff"
+    data_id = CODECS["GearboxSensors"].spec.data_id
+    assert data_id is not None
+    write_crc(data, data_id, increment_counter=False)
+    return frame._replace(data=bytes(data))
+
+
+def test_values_out_of_range_are_refused_counted_and_end_validity() -> None:
+    receiver = controller()
+    frames = sensor_frames(13)
+    verdicts(receiver, frames[:10])
+    wrong = [out_of_range(frame) for frame in frames[10:]]
+    assert [receiver.receive(frame) for frame in wrong] == [(Verdict.FORMAT, None)] * 3
+    assert receiver.format_errors == 3
+    assert not receiver.valid(GearboxSensors)
+
+
 def run(receiver: Receiver, frames: list[Frame], start_us: int = 0) -> int:
     """One frame and one step a cycle; the time of the last step."""
     now_us = start_us
@@ -243,11 +265,12 @@ def run(receiver: Receiver, frames: list[Frame], start_us: int = 0) -> int:
 
 
 def test_a_channel_gone_quiet_is_invalid_within_five_cycle_times() -> None:
+    """The frame that the last step consumed may have arrived up to a cycle time before it."""
     receiver = controller()
     last_us = run(receiver, sensor_frames(10))
-    receiver.tick(last_us + 3 * CYCLE_US)
+    receiver.tick(last_us + 4 * CYCLE_US - 1)
     assert receiver.valid(GearboxSensors)
-    receiver.tick(last_us + 5 * CYCLE_US)
+    receiver.tick(last_us + 4 * CYCLE_US)
     assert not receiver.valid(GearboxSensors)
 
 

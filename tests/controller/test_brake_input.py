@@ -1,0 +1,81 @@
+"""u_brake(t - t_delay,valve) of thesis 4.15b: what the brake was and will be commanded."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller.brake_input import BrakeInput
+from controller.kernels import Vector
+
+DELAY_US = 12_000
+
+
+def u_at(switches: tuple[Vector, Vector], time_us: float) -> float:
+    times, states = switches
+    held = states[times <= time_us]
+    return float(held[-1]) if held.size else 0.0
+
+
+def test_a_brake_never_commanded_is_off() -> None:
+    times, states = BrakeInput(DELAY_US).arrays()
+    assert times.size == states.size == 0
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    commands=st.lists(
+        st.tuples(st.booleans(), st.integers(0, 90_000), st.integers(1, 50_000)),
+        min_size=1,
+        max_size=12,
+    ),
+    release_us=st.integers(0, 600_000),
+)
+def test_the_valve_follows_its_newest_command_after_its_delay(
+    commands: list[tuple[bool, int, int]], release_us: int
+) -> None:
+    """The past stays as it was commanded; of the future only the newest command stands."""
+    brake, now_us = BrakeInput(DELAY_US), 0
+    plain: list[tuple[int, bool]] = []
+    for on, ahead_us, pause_us in commands:
+        brake.schedule(now_us + ahead_us, on, now_us)
+        plain = [switch for switch in plain if switch[0] <= now_us]
+        plain.append((now_us + ahead_us, on))
+        now_us += pause_us
+    probes = sorted({t + d for t, _ in plain for d in (-1, 0, 1)} | {0, now_us, now_us + 200_000})
+    for time_us in probes:
+        commanded = next((on for t, on in reversed(plain) if t <= time_us), False)
+        assert u_at(brake.arrays(), time_us + DELAY_US) == float(commanded)
+    times, _ = brake.arrays()
+    assert np.all(np.diff(times) > 0.0)
+    released = brake.with_release(now_us + release_us)
+    assert u_at(released, now_us + release_us + DELAY_US) == 0.0
+    assert u_at(released, now_us + release_us + 10**6) == 0.0
+    assert np.all(np.diff(released[0]) > 0.0)
+
+
+def test_a_release_may_be_tried_without_being_commanded() -> None:
+    brake = BrakeInput(DELAY_US)
+    brake.schedule(100_000, True, 90_000)
+    assert u_at(brake.with_release(200_000), 211_999.0) == 1.0
+    assert u_at(brake.with_release(200_000), 212_000.0) == 0.0
+    assert u_at(brake.arrays(), 300_000.0) == 1.0
+
+
+def test_a_planned_release_can_be_moved_either_way() -> None:
+    """Tried later than it is planned, the brake stays on until the later one."""
+    brake = BrakeInput(DELAY_US)
+    brake.schedule(100_000, True, 90_000)
+    brake.schedule(200_000, False, 150_000)
+    for release_us in (170_000, 250_000):
+        moved = brake.with_release(release_us)
+        assert u_at(moved, release_us + DELAY_US - 1) == 1.0
+        assert u_at(moved, release_us + DELAY_US) == 0.0
+
+
+def test_what_is_planned_can_be_taken_back() -> None:
+    brake = BrakeInput(DELAY_US)
+    brake.schedule(100_000, True, 50_000)
+    brake.cancel_pending(60_000)
+    assert brake.arrays()[0].size == 0

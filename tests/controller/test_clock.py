@@ -1,0 +1,73 @@
+"""Sensor time: 32 bits on the wire, integers that never wrap inside."""
+
+from __future__ import annotations
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller.clock import HALF, JUMP_US, WINDOW, SensorClock, unwrap, wrap
+
+TIMES = st.integers(-(1 << 40), 1 << 40)
+
+
+@given(time_us=TIMES, off=st.integers(-HALF, HALF - 1))
+def test_a_time_within_36_minutes_of_where_it_should_be_is_found_again(
+    time_us: int, off: int
+) -> None:
+    assert unwrap(wrap(time_us), time_us - off) == time_us
+
+
+@given(stamp=st.integers(0, (1 << 32) - 1), near=TIMES)
+def test_unwrapping_keeps_the_stamp_and_goes_to_the_nearest(stamp: int, near: int) -> None:
+    time_us = unwrap(stamp, near)
+    assert wrap(time_us) == stamp
+    assert abs(time_us - near) <= HALF
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    start_us=st.integers(0, (1 << 32) - 1),
+    delays=st.lists(st.integers(100, 30_000), min_size=1, max_size=60),
+    repeat=st.integers(1, 40),
+    ppm=st.integers(-200, 200),
+)
+def test_the_clock_runs_on_and_lags_by_the_least_delay_seen(
+    start_us: int, delays: list[int], repeat: int, ppm: int
+) -> None:
+    """Against the plain minimum over the window, with frames early and late and a drift."""
+    clock, offsets, last_us = SensorClock(), [], start_us
+    for k, delay_us in enumerate(delays * repeat):
+        elapsed_us = 40_000 + 1_400 * k
+        sensor_us = start_us + elapsed_us + elapsed_us * ppm // 1_000_000
+        now_us = elapsed_us + delay_us
+        assert wrap(clock.stamp(wrap(sensor_us), now_us)) == wrap(sensor_us)
+        offset = now_us - sensor_us
+        offsets.append(offset)
+        seen = clock.now_us(now_us)
+        base = (now_us - min(offsets[-WINDOW:])) - seen
+        assert base % (1 << 32) == 0
+        last_us = sensor_us
+    assert clock.jumps == 0
+    assert wrap(clock.latest_us) == wrap(last_us)
+
+
+def test_before_the_first_stamp_there_is_no_time() -> None:
+    assert SensorClock().now_us(123_456) == 0
+
+
+@given(
+    old_us=st.integers(0, (1 << 32) - 1),
+    new_us=st.integers(0, (1 << 32) - 1),
+    late_us=st.integers(0, 20_000),
+)
+def test_a_clock_that_started_anew_is_noticed(old_us: int, new_us: int, late_us: int) -> None:
+    """A rig that was switched off and on counts from another value: never taken for a delay."""
+    clock = SensorClock()
+    for k in range(5):
+        clock.stamp(wrap(old_us + 10_000 * k), 10_000 * k)
+    jumped = clock.stamp(new_us, 50_000 + late_us)
+    apart = (new_us - (old_us + 50_000 + late_us) + HALF) % (1 << 32) - HALF
+    assert clock.jumps == (abs(apart) > JUMP_US)
+    assert wrap(jumped) == new_us
+    if clock.jumps:
+        assert wrap(clock.now_us(50_000 + late_us)) == new_us
