@@ -100,6 +100,7 @@ class _Node:
         self._reopening: asyncio.Task[None] | None = None
         self._timer: asyncio.TimerHandle | None = None
         self._timer_due_us = 0
+        self._stepping = True
         self._ending = asyncio.Event()
         self._failure: asyncio.Future[None] = self._loop.create_future()
         self._lost_at_s: float | None = None  # until the next bus has carried a frame
@@ -119,12 +120,13 @@ class _Node:
             self._failure.result()
 
     def _turn(self) -> None:
-        if self._failure.done():
+        if not self._stepping:
             return
         try:
             self._receive_and_step()
         # Raised again by run(): from a callback it would only be logged.
         except Exception as error:  # noqa: BLE001
+            self._stepping = False
             self._failure.set_exception(error)
 
     def _receive_and_step(self) -> None:
@@ -276,10 +278,11 @@ class _Node:
     async def _end(self) -> None:
         """Last frames, whatever the reason of the end; then closes everything."""
         self._ending.set()
-        if self._timer is not None:
-            self._timer.cancel()
         if self._reopening is not None:
             await self._reopening
+        self._stepping = False
+        if self._timer is not None:
+            self._timer.cancel()
         try:
             step = self._core.shutdown(self._clock.now_us())
             self._report(step.events)

@@ -226,7 +226,8 @@ def _start_in_background(channel: HubChannel) -> int:
 def _leave_terminal(log: Path) -> None:
     """Nothing of this process is tied to those of its starter from here on: whoever waits for the
     end of the starter's output does not wait for the hub's end."""
-    os.setsid()
+    if sys.platform != "win32":
+        os.setsid()
     nothing = os.open(os.devnull, os.O_RDWR)
     messages = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
     for number, target in enumerate((nothing, nothing, messages)):

@@ -70,6 +70,8 @@ def _listen_tcp(channel: TcpChannel) -> socket.socket:
 
 
 def _listen_unix(channel: UnixChannel) -> socket.socket:
+    if sys.platform == "win32":  # parse_channel lets no unix channel through
+        raise ChannelError(f"{channel}: this system has no unix sockets")
     path = channel.path
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
@@ -98,14 +100,13 @@ def _locked(directory: Path) -> Iterator[None]:
 
     The lock is on the directory itself: no file stays behind, and a killed holder frees it.
     """
-    if sys.platform == "win32":  # parse_channel lets no unix channel through
-        raise ChannelError("this system has no unix sockets")
     handle = os.open(directory, os.O_RDONLY)
     try:
         deadline = time.monotonic() + _LOCK_WAIT_S
         while True:
             try:
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if sys.platform != "win32":
+                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 break
             except BlockingIOError as error:
                 if time.monotonic() > deadline:

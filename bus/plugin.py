@@ -2,6 +2,7 @@
 
 import select
 import socket
+import sys
 import threading
 import time
 from typing import Any
@@ -14,7 +15,7 @@ from bus.channel import ChannelError, TcpChannel, default_channel, hub_log, pars
 from bus.launch import connect
 from bus.wire import Flag
 
-CONNECT_TIMEOUT_S = 10.0
+CONNECT_TIMEOUT_S = 30.0
 _READ_BYTES = 64 * 1024
 _READS_PER_DRAIN = 4
 _MAX_UNSENT_BYTES = 1024 * 1024
@@ -238,7 +239,7 @@ class MeshpointBus(can.BusABC):
 
 
 def _wait_for(sock: socket.socket, read: bool, write: bool, seconds: float | None) -> None:
-    if hasattr(select, "poll"):  # select() cannot watch file descriptors above 1023
+    if sys.platform != "win32":  # select() cannot watch file descriptors above 1023 there
         events = (select.POLLIN if read else 0) | (select.POLLOUT if write else 0)
         poller = select.poll()
         poller.register(sock, events)

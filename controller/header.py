@@ -55,10 +55,12 @@ class RunHeader:
         return int.from_bytes(digest[:8], "little")
 
     def save(self, folder: Path) -> Path:
-        """Writes the header into `folder` under the name that `load_header` looks for."""
+        """Writes the header into `folder` under the name that `load_header` looks for.
+
+        The file holds exactly what is hashed. OSError where it cannot be written."""
         folder.mkdir(parents=True, exist_ok=True)
         path = folder / header_name(self.run_hash)
-        path.write_text(self.canonical() + "\n", encoding="utf-8")
+        path.write_text(self.canonical(), encoding="utf-8", newline="")
         return path
 
 

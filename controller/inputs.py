@@ -34,9 +34,9 @@ class StepInputs:
 
     def take(self, message: Message) -> None:
         """Files one message; the newest wins where only the newest matters."""
-        kind = type(message)
-        if kind in self.edges:
-            self.edges[kind].append(message)  # type: ignore[arg-type]
+        edges = self.edges.get(type(message))
+        if edges is not None:
+            edges.append(message)  # type: ignore[arg-type]
         elif isinstance(message, SleevesMain):
             self.sleeves_main.append(message)
         elif isinstance(message, SleevesAux):

@@ -27,7 +27,6 @@ async def run_controller(
     """Runs a controller until `stop` is set; its last frames switch all valves off."""
     warm_up()
     core = ControllerCore(header)
-    on_event(f"controller: run header {header.run_hash:016x}, {header.settings.strategy_name}")
     return await run_node(
         core,
         open_bus,

@@ -6,6 +6,7 @@ from typing import Final
 
 from bus.core import Step
 from dbc.frame import Frame
+from dbc.layout import CODECS
 from dbc.link import Receiver, Transmitter
 from dbc.messages import (
     BenchAction,
@@ -25,6 +26,9 @@ from rig_sim.valves import Order
 from rig_sim.world import World
 
 NODES: Final = (Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE)
+COMMANDS: Final = frozenset(
+    CODECS[kind.__name__].spec.can_id for kind in (ValveCommand, ClutchCommand, BenchCommand)
+)
 
 
 class RigCore:
@@ -40,20 +44,23 @@ class RigCore:
         self._transmitter = Transmitter(*NODES)
         self.receiver = Receiver(*NODES)
         self._inbox: list[Frame] = []
+        self._commanded = False
         self._start_us: int | None = None
         self._last_sequence: int | None = None
         self.truth = Truth(self._world)
 
     @property
     def next_step_us(self) -> int:
-        """The next read; at once where frames wait or nothing has been stepped yet."""
-        if self._inbox or self._start_us is None:
+        """The next read; at once where a command waits or nothing has been stepped yet."""
+        if self._commanded or self._start_us is None:
             return 0
         return self._start_us + self._world.next_read_us
 
     def receive(self, frame: Frame) -> None:
-        """Keep a frame for the next step."""
+        """Keep a frame for the next step; a command asks for that step at once."""
         self._inbox.append(frame)
+        if frame.can_id in COMMANDS:
+            self._commanded = True
 
     def step(self, now_us: int) -> Step:
         """Go on to now, sending every read that was due; then obey the frames received."""
@@ -67,6 +74,7 @@ class RigCore:
             frames.extend(map(self._transmitter.encode, read_messages(self._world, read_us)))
             read_us = self._world.next_read_us
         inbox, self._inbox = self._inbox, []
+        self._commanded = False
         heard = [self.receiver.receive(frame).message for frame in inbox]
         self.receiver.tick(now_us)
         for message in heard:

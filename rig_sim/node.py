@@ -28,7 +28,6 @@ async def run_rig(
 ) -> NodeStatistics:
     """Runs a rig until `stop` is set; its last frame shows all valves off."""
     core = RigCore(sheet, settings)
-    on_event(f"rig: preset {settings.preset}, seed {settings.seed}, gear {settings.start_gear}")
     return await run_node(
         core,
         open_bus,

@@ -13,6 +13,7 @@ from rich.table import Table
 from testbench.errors import CommandError
 from testbench.rows import ShiftRow, Summary
 
+WIDTH_WITHOUT_TERMINAL = 130
 COLUMNS = (
     "from", "to", "strategy", "reference", "duration ms", "slip rpm", "phase error deg",
     "% of pitch", "contact", "attempts", "result",
@@ -26,16 +27,43 @@ def write_json(target: str, values: dict[str, Any]) -> None:
         sys.stdout.write(text)
         return
     path = Path(target)
+    folder_for(path.parent)
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def console(json_target: str | None = None) -> Console:
-    """Where people read: standard output, or standard error when JSON goes to standard output."""
-    return Console(stderr=json_target == "-", soft_wrap=False, highlight=False)
+    """Where people read: standard output, or standard error when JSON goes to standard output.
+
+    A pipe or a file has no width, so tables are never cut for one."""
+    out = Console(stderr=json_target == "-", highlight=False)
+    if not out.is_terminal:
+        out.width = max(out.width, WIDTH_WITHOUT_TERMINAL)
+    return out
+
+
+def folder_for(path: Path) -> Path:
+    """Makes the folder, so that a long run does not fail at its end; returns it."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be made a folder: {error.strerror or error}") from error
+    return path
+
+
+def check_json(target: str | None) -> None:
+    """Finds out before a long run whether its JSON can be written."""
+    if target is None or target == "-":
+        return
+    path = Path(target)
+    folder_for(path.parent)
+    try:
+        with path.open("a", encoding="utf-8"):
+            pass
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def _number(value: float | None, digits: int, signed: bool = False) -> str:

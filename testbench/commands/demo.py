@@ -25,7 +25,7 @@ from testbench import arguments
 from testbench.bench import plan_shifts
 from testbench.exits import Exit
 from testbench.live import LiveResult, LiveRun, run_live, uses_virtual
-from testbench.output import console, rows_table, summary_table, write_json
+from testbench.output import check_json, console, folder_for, rows_table, summary_table, write_json
 from testbench.plot import plot_shift
 from testbench.provenance import product_version, provenance
 from testbench.replay import LogReplay, Session, Verification
@@ -64,7 +64,8 @@ def add_parser(commands: Any) -> None:
 def run(namespace: argparse.Namespace) -> int:
     """Runs both strategies one after the other, on the same seed."""
     out = console(namespace.json)
-    namespace.out.mkdir(parents=True, exist_ok=True)
+    folder_for(namespace.out)
+    check_json(namespace.json)
     sheet = arguments.sheet_of(namespace)
     results: dict[str, LiveResult] = {}
     sessions: dict[str, Session] = {}

@@ -5,8 +5,11 @@ from __future__ import annotations
 import argparse
 import asyncio
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+import can
 
 from bus.clock import Clock
 from bus.options import add_bus_arguments, open_bus_from
@@ -18,6 +21,7 @@ from rig_sim.node import run_rig
 from rig_sim.settings import Preset, RigSettings
 from testbench import arguments
 from testbench.exits import Exit
+from testbench.output import folder_for
 from testbench.provenance import product_version
 
 
@@ -77,14 +81,14 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
         product_version(), arguments.sheet_of(namespace), arguments.settings_of(namespace)
     )
     if namespace.header_dir is not None:
-        header.save(namespace.header_dir)
+        header.save(folder_for(namespace.header_dir))
 
     async def run() -> None:
         stop = asyncio.Event()
         with stop_on_signals(stop):
             await run_controller(
                 header,
-                lambda: open_bus_from(namespace),
+                _opener(namespace, f"run header {header.run_hash:016x}"),
                 Clock(namespace.speed),
                 on_event=_printer(namespace),
                 stop=stop,
@@ -110,7 +114,7 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
             await run_rig(
                 sheet,
                 settings,
-                lambda: open_bus_from(namespace),
+                _opener(namespace, f"preset {settings.preset}, seed {settings.seed}"),
                 Clock(namespace.speed),
                 on_event=_printer(namespace),
                 stop=stop,
@@ -120,7 +124,22 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
     return Exit.DONE
 
 
-def _printer(namespace: argparse.Namespace):  # type: ignore[no-untyped-def]
+def _opener(namespace: argparse.Namespace, greeting: str) -> Callable[[], can.BusABC]:
+    """Opens the bus; the first time it says what runs there, so that an error stands alone."""
+    show = _printer(namespace)
+
+    def open_bus() -> can.BusABC:
+        nonlocal greeting
+        bus = open_bus_from(namespace)
+        if greeting:
+            show(f"{namespace.command}: {greeting}, on {bus.channel_info}")
+            greeting = ""
+        return bus
+
+    return open_bus
+
+
+def _printer(namespace: argparse.Namespace) -> Callable[[str], None]:
     def show(line: str) -> None:
         if not namespace.quiet:
             print(line, file=sys.stderr, flush=True)

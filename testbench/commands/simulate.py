@@ -14,7 +14,7 @@ from dbc.frame import Frame
 from rig_sim.settings import Preset
 from testbench import arguments
 from testbench.exits import Exit
-from testbench.output import console, rows_table, summary_table, write_json
+from testbench.output import check_json, console, folder_for, rows_table, summary_table, write_json
 from testbench.rows import ShiftRow, summarise
 from testbench.simulate import Setup, simulate
 
@@ -51,10 +51,11 @@ def run(namespace: argparse.Namespace) -> int:
         pairs=namespace.pairs,
     )
     out = console(namespace.json)
+    check_json(namespace.json)
     with ExitStack() as stack:
         log = None
         if namespace.log is not None:
-            namespace.log.parent.mkdir(parents=True, exist_ok=True)
+            folder_for(namespace.log.parent)
             log = stack.enter_context(
                 LogWriter(namespace.log, channel=LOG_CHANNEL, flush_every_s=None)
             )

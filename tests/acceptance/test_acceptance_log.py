@@ -69,7 +69,8 @@ def test_every_message_of_the_contract_that_is_cyclic_is_on_the_bus(
 ) -> None:
     seen = {wire.name(frame.can_id) for frame in recorded.frames}
     cyclic = {message.name for message in wire.messages.values() if message.cycle_time}
-    assert cyclic - seen <= {"BenchCommand"}, f"never sent: {sorted(cyclic - seen)}"
+    # The bench sends while it has something to say; an upshift asks nothing of the engine.
+    assert cyclic - seen <= {"BenchCommand", "TSC1"}, f"never sent: {sorted(cyclic - seen)}"
     assert {"TC1", "BenchCommand", "ShiftOutcome", "ReferenceEngagement"} <= seen
 
 

@@ -52,9 +52,9 @@ def end_process(process: Process) -> None:
 @contextmanager
 def running_hub(directory: Path) -> Iterator[tuple[str, Process]]:
     channel = f"unix:{directory}/bus.sock"
-    process = start_process("-m", "bus.hub", channel, "--linger", "60")
+    process = start_process("-m", "bus.hub", channel, "--linger", "1000")
     try:
-        deadline = time.monotonic() + 20.0
+        deadline = time.monotonic() + 60.0
         while True:
             try:
                 connect(parse_channel(channel), 1.0, start=False).close()

@@ -61,7 +61,7 @@ def test_row_1_both_valves_of_a_sleeve(pair: tuple[Valve, Valve], how: ValveActi
     assert blocked_row(NEUTRAL, *pair, how=how) == 1
 
 
-@pytest.mark.parametrize("both", product(FIRST_SECOND, CRAWL_THIRD))
+@pytest.mark.parametrize("both", list(product(FIRST_SECOND, CRAWL_THIRD)))
 def test_row_2_two_sleeves_of_the_main_box(both: tuple[Valve, Valve]) -> None:
     assert blocked_row(NEUTRAL, *both) == 2
 

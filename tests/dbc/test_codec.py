@@ -112,7 +112,7 @@ def raw_values(draw: st.DrawFn, parsed: Parsed, is_wide: bool = False) -> dict[s
 
 
 @each_message
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(drawn=st.data())
 def test_decodes_what_cantools_decodes(parsed: Parsed, drawn: st.DataObject) -> None:
     raws = drawn.draw(raw_values(parsed, is_wide=drawn.draw(st.booleans())))
@@ -139,7 +139,7 @@ def test_decodes_what_cantools_decodes(parsed: Parsed, drawn: st.DataObject) -> 
 
 
 @each_message
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(drawn=st.data())
 def test_encodes_to_the_bytes_of_cantools(parsed: Parsed, drawn: st.DataObject) -> None:
     raws = drawn.draw(raw_values(parsed))
@@ -166,7 +166,7 @@ def test_encodes_to_the_bytes_of_cantools(parsed: Parsed, drawn: st.DataObject) 
 
 
 @each_message
-@settings(max_examples=12, deadline=None)
+@settings(max_examples=12)
 @given(drawn=st.data())
 def test_what_was_decoded_encodes_to_the_same_bytes(parsed: Parsed, drawn: st.DataObject) -> None:
     raws = drawn.draw(raw_values(parsed))

@@ -84,7 +84,7 @@ def test_every_single_flipped_bit_is_noticed(codec: Any) -> None:
     assert receiver.receive(frame).verdict is Verdict.OK
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(
     st.sampled_from(PROTECTED),
     st.binary(min_size=64, max_size=64),
@@ -99,7 +99,7 @@ def test_two_and_three_flipped_bits_are_noticed(codec: Any, noise: bytes, bits: 
     assert Receiver(*Node).receive(Frame(codec.spec.can_id, bytes(data))) == (Verdict.E2E, None)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     st.one_of(
         st.integers(0, (1 << 29) - 1), st.sampled_from([c.spec.can_id for c in CODECS.values()])
@@ -175,7 +175,7 @@ def test_the_counter_is_one_more_with_every_frame_and_runs_over_its_end() -> Non
     assert set(verdicts(controller(), frames)) == {Verdict.OK}
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.sampled_from(["pass", "pass", "pass", "lose", "repeat", "hold"]), max_size=60))
 def test_whatever_the_bus_does_no_message_comes_twice(fates: list[str]) -> None:
     frames = sensor_frames(len(fates))

@@ -159,13 +159,13 @@ def test_no_text_keeps_the_reader_busy(hostile: str) -> None:
     start_s = time.process_time()
     with pytest.raises(SchemaError):
         parsed(hostile)
-    assert time.process_time() - start_s < 5.0
+    assert time.process_time() - start_s < 10.0
 
 
 LINES = SMALL.splitlines(keepends=True)
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(
     st.lists(
         st.tuples(

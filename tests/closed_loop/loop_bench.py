@@ -1,0 +1,198 @@
+"""Controller, rig and an operator on a virtual bus, with a hand on every wire."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from bus.core import Core, Step
+from controller.core import ControllerCore
+from controller.header import RunHeader, new_header
+from controller.settings import ControllerSettings
+from dbc.frame import Frame
+from dbc.layout import CODECS
+from dbc.link import Receiver, Transmitter
+from dbc.messages import (
+    TC1,
+    ControllerState,
+    ControllerStatus,
+    ShiftOutcome,
+    ValveStatus,
+)
+from dbc.node import Node
+from gearbox import GearboxSheet, load_sheet
+from rig_sim.core import RigCore
+from rig_sim.settings import RigSettings
+from testbench.bench import BenchCore, plan_shifts
+from testbench.virtual_time import VirtualTime
+
+SHEET = load_sheet("thesis")
+LAYSHAFT_RAD_S = 1400.0 * math.pi / 30.0
+PHASES_US = [726, 189, 5_513]
+"""First steps of controller, rig and operator: real nodes do not tick together."""
+Alter = Callable[[Frame], list[Frame]]
+
+
+def unchanged(frame: Frame) -> list[Frame]:
+    return [frame]
+
+
+class Tapped:
+    """A node whose receiving and sending can be changed, and which can be swapped for another."""
+
+    def __init__(self, core: Core, receiving: Alter = unchanged) -> None:
+        self.core = core
+        self.receiving = receiving
+        self.silent = False
+
+    @property
+    def next_step_us(self) -> int:
+        return self.core.next_step_us
+
+    def receive(self, frame: Frame) -> None:
+        for altered in self.receiving(frame):
+            self.core.receive(altered)
+
+    def step(self, now_us: int) -> Step:
+        frames, events = self.core.step(now_us)
+        return Step([] if self.silent else frames, events)
+
+    def shutdown(self, now_us: int) -> Step:
+        return self.core.shutdown(now_us)
+
+
+class Operator:
+    """Asks for gears: each once, at a time of the driver's clock."""
+
+    def __init__(self, requests: list[tuple[int, int]]) -> None:
+        self._requests = list(requests)
+        self._transmitter = Transmitter(Node.BENCH)
+        self.next_step_us = 0
+        self.done = False
+
+    def receive(self, frame: Frame) -> None:
+        pass
+
+    def step(self, now_us: int) -> Step:
+        self.next_step_us = now_us + 10_000
+        frames = []
+        while self._requests and self._requests[0][0] <= now_us:
+            _, gear = self._requests.pop(0)
+            frames.append(self._transmitter.encode(TC1(requested_gear=gear)))
+        return Step(frames, [])
+
+    def shutdown(self, now_us: int) -> Step:
+        return Step([], [])
+
+
+@dataclass
+class Loop:
+    """One run. `requests` by an operator, or `shifts` by the bench with a return in between."""
+
+    requests: list[tuple[int, int]] = field(default_factory=list)
+    shifts: int = 0
+    settings: ControllerSettings = field(default_factory=ControllerSettings)
+    seed: int = 1
+    receiving: Alter = unchanged
+    """What becomes of frames on their way into the controller."""
+    sheet: GearboxSheet = SHEET
+    start_gear: int = 8
+
+    def __post_init__(self) -> None:
+        plan = plan_shifts(self.sheet, [(8, 10), (10, 12)], self.shifts, LAYSHAFT_RAD_S)
+        self.operator = BenchCore(plan) if plan else Operator(self.requests)
+        self.controller = Tapped(ControllerCore(self.header), self.receiving)
+        self.rig = Tapped(self.new_rig(self.seed))
+        self.frames: list[tuple[int, Frame]] = []
+        self.messages: list[tuple[int, Any]] = []
+        self.events: list[str] = []
+        self._decoder = Receiver(*Node)
+        cores: list[Core] = [self.controller, self.rig, self.operator]
+        self.time = VirtualTime(cores, PHASES_US, self._take, self._event)
+
+    @property
+    def header(self) -> RunHeader:
+        return new_header("1.0", self.sheet, self.settings)
+
+    def new_rig(self, seed: int, clock_start_us: int | None = None) -> RigCore:
+        """A rig as at power-up."""
+        start = plan_shifts(self.sheet, [(self.start_gear, self.start_gear)], 1, LAYSHAFT_RAD_S)
+        rpm = start[0].main_rad_s * 30.0 / math.pi
+        return RigCore(
+            self.sheet,
+            RigSettings(
+                seed=seed,
+                start_gear=self.start_gear,
+                main_speed_rpm=rpm,
+                clock_start_us=clock_start_us,
+            ),
+        )
+
+    def _take(self, time_us: int, frame: Frame) -> None:
+        self.frames.append((time_us, frame))
+        message = self._decoder.receive(frame).message
+        if message is not None:
+            self.messages.append((time_us, message))
+
+    def _event(self, time_us: int, node: int, line: str) -> None:
+        self.events.append(f"{time_us} {('controller', 'rig', 'operator')[node]}: {line}")
+
+    def until(self, met: Callable[[], bool], limit_us: int) -> bool:
+        return self.time.run(met, limit_us)
+
+    def run(self, limit_us: int) -> Loop:
+        """Runs for that long, or to the end of the bench's plan."""
+        self.until(lambda: bool(self.operator.done), limit_us)
+        return self
+
+    def run_to_state(self, state: ControllerState, limit_us: int) -> None:
+        """Runs until the controller reports the state."""
+        reached = self.until(lambda: self.seen(ControllerStatus, state=state), limit_us)
+        assert reached, f"{state.name} not reached:\n" + "\n".join(self.events)
+
+    def seen(self, kind: type[Any], **values: Any) -> bool:
+        """Whether the newest message of a kind has these values."""
+        newest = self.last(kind)
+        return newest is not None and all(getattr(newest, k) == v for k, v in values.items())
+
+    def of(self, kind: type[Any]) -> list[Any]:
+        """All messages of a kind that were on the bus."""
+        return [message for _, message in self.messages if type(message) is kind]
+
+    def last(self, kind: type[Any]) -> Any:
+        return next((m for _, m in reversed(self.messages) if type(m) is kind), None)
+
+    @property
+    def status(self) -> ControllerStatus:
+        status: ControllerStatus = self.last(ControllerStatus)
+        return status
+
+    @property
+    def outcomes(self) -> list[ShiftOutcome]:
+        return self.of(ShiftOutcome)
+
+    @property
+    def states(self) -> list[ControllerState]:
+        """The controller's states in the order it went through them."""
+        states = [status.state for status in self.of(ControllerStatus)]
+        return [s for i, s in enumerate(states) if i == 0 or s is not states[i - 1]]
+
+    @property
+    def violations(self) -> int:
+        """What the rig says a controller must never bring about."""
+        core = self.rig.core
+        assert isinstance(core, RigCore)
+        return sum(core.truth.violations.values())
+
+    @property
+    def valves_driven(self) -> tuple[str, ...]:
+        """The valves the rig last reported as driven."""
+        status = self.last(ValveStatus)
+        return tuple(k for k, v in status._asdict().items() if k.endswith("_energised") and v)
+
+    def sent(self, kind: type[Any]) -> list[Frame]:
+        """The frames of a kind that were on the bus."""
+        can_id = CODECS[kind.__name__].spec.can_id
+        return [frame for _, frame in self.frames if frame.can_id == can_id]

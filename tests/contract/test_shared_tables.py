@@ -1,0 +1,111 @@
+"""What controller, rig and data sheet each write down must be what the DBC says."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import cantools.database
+import pytest
+from cantools.database.can import Database, Message
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import controller.core
+import controller.guard
+import controller.node
+import controller.valves
+import rig_sim.valves
+from dbc.link import Transmitter
+from dbc.messages import ValveAction, ValveCommand
+from dbc.node import Node
+from gearbox import MainGear
+from testbench.replay import RIG_ADDRESSES
+
+DBC = Path(__file__).parents[2] / "dbc" / "meshpoint.dbc"
+
+
+@pytest.fixture(scope="module")
+def database() -> Database:
+    """The DBC as cantools reads it, without any code of ours."""
+    loaded = cantools.database.load_file(DBC)
+    assert isinstance(loaded, Database)
+    return loaded
+
+
+def message(database: Database, name: str) -> Message:
+    return database.get_message_by_name(name)
+
+
+def address(database: Database, node: str) -> int:
+    attributes = database.get_node_by_name(node).dbc.attributes
+    return int(attributes["NmStationAddress"].value)
+
+
+def test_the_main_gears_of_the_sheet_are_those_of_the_wire(database: Database) -> None:
+    choices = message(database, "ReferenceEngagement").get_signal_by_name("Gear").choices
+    assert choices is not None
+    assert {int(k): str(v).upper() for k, v in choices.items()} == {g: g.name for g in MainGear}
+
+
+def test_the_controller_answers_to_its_address_in_the_dbc(database: Database) -> None:
+    own = address(database, "TransmissionControl")
+    assert own == controller.core.OWN_ADDRESS
+    assert frozenset({own}) == controller.node.ADDRESSES
+    for sent in database.messages:
+        is_ours = sent.senders == ["TransmissionControl"]
+        assert (sent.frame_id & 0xFF == own) is is_ours, sent.name
+
+
+def test_the_rig_process_has_the_addresses_of_the_nodes_it_plays(database: Database) -> None:
+    played = {address(database, name) for name in ("GearboxIo", "Engine", "Reference")}
+    assert played == RIG_ADDRESSES
+
+
+def test_the_status_frame_closes_the_step(database: Database) -> None:
+    """Its identifier loses against every other frame of its sender."""
+    ours = [m for m in database.messages if m.senders == ["TransmissionControl"]]
+    assert max(ours, key=lambda m: m.frame_id).name == "ControllerStatus"
+
+
+def test_the_valves_stand_in_the_same_order_everywhere(database: Database) -> None:
+    signals = message(database, "ValveCommand").signals
+    actions = sorted((s for s in signals if s.name.endswith("Action")), key=lambda s: s.start)
+    on_wire = [signal.name.removesuffix("Action") for signal in actions]
+
+    def camel(name: str) -> str:
+        return "".join(part.capitalize() for part in name.split("_"))
+
+    assert [camel(valve.name) for valve in controller.valves.Valve] == on_wire
+    assert [camel(valve.name) for valve in rig_sim.valves.Valve] == on_wire
+    assert [int(valve) for valve in controller.valves.Valve] == list(range(9))
+
+
+def test_the_guard_reads_the_frame_where_the_dbc_has_it(database: Database) -> None:
+    """Its own numbers, written down a second time on purpose."""
+    command = message(database, "ValveCommand")
+    assert command.length == controller.guard.FRAME_LENGTH
+    first = command.get_signal_by_name("BrakeAction")
+    assert first.start == 8 * controller.guard.ACTION_BYTES.start
+    choices = first.choices
+    assert choices is not None
+    assert str(choices[controller.guard.ON_NOW]) == "OnNow"
+    assert str(choices[controller.guard.ON_AT]) == "OnAt"
+
+
+ACTIONS = st.tuples(*[st.sampled_from(list(ValveAction))] * 9)
+TIMES = st.tuples(*[st.integers(0, (1 << 32) - 1)] * 9)
+
+
+@settings(deadline=None, max_examples=150)
+@given(actions=ACTIONS, times=TIMES, before=st.integers(0, 5))
+def test_the_guard_decodes_what_the_codec_encodes(
+    actions: tuple[ValveAction, ...], times: tuple[int, ...], before: int
+) -> None:
+    """Two decoders written apart agree on which valves a frame drives, whatever times and
+    counters surround them."""
+    transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
+    for _ in range(before):
+        transmitter.encode(ValveCommand())
+    payload = transmitter.encode(ValveCommand(*actions, *times)).data
+    driven = tuple(action in (ValveAction.ON_NOW, ValveAction.ON_AT) for action in actions)
+    assert controller.guard.decode(payload).driven == driven

@@ -1,0 +1,133 @@
+"""Sleeve positions turned into gears."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from controller.gearbox_view import GearboxView, SleeveTrack
+from dbc.messages import SleevesAux, SleevesMain
+from gearbox import GearboxSheet, MainGear, Sleeve, Split, load_sheet
+
+SHEET = load_sheet("thesis")
+STROKE = 12.0
+
+
+def view_at(first_second: float, crawl_third: float, splitter: float, range_: float) -> GearboxView:
+    """All sleeves standing, in mm."""
+    view = GearboxView(SHEET)
+    view.sleeves_main(
+        SleevesMain(
+            sleeve_first_second_m=(first_second * 1e-3,) * 10,
+            sleeve_crawl_third_m=(crawl_third * 1e-3,) * 10,
+        ),
+        0,
+    )
+    view.sleeves_aux(
+        SleevesAux(
+            sleeve_splitter_m=(splitter * 1e-3,) * 10, sleeve_range_m=(range_ * 1e-3,) * 10
+        ),
+        0,
+    )
+    view.clutch_closed = 1.0
+    return view
+
+
+@pytest.mark.parametrize(
+    ("number", "first_second", "crawl_third", "splitter", "range_"),
+    [
+        (1, -1, 0, -1, -1),
+        (2, -1, 0, 1, -1),
+        (3, 1, 0, -1, -1),
+        (4, 1, 0, 1, -1),
+        (5, 0, 1, -1, -1),
+        (6, 0, 1, 1, -1),
+        (7, -1, 0, -1, 1),
+        (8, -1, 0, 1, 1),
+        (9, 1, 0, -1, 1),
+        (10, 1, 0, 1, 1),
+        (11, 0, 1, -1, 1),
+        (12, 0, 1, 1, 1),
+        (13, 0, -1, -1, -1),
+        (14, 0, -1, 1, -1),
+        (-1, 0, -1, 1, 1),  # crawl in the high range is no gear of this box
+        (0, 0, 0, 1, 1),
+        (0, 0, 0, 0, 0),
+        (-1, 1, 0, 0, 1),  # splitter under way
+        (-1, 1, 0, 1, 0),
+    ],
+)
+def test_the_gear_follows_from_where_the_sleeves_stand(
+    number: int, first_second: int, crawl_third: int, splitter: int, range_: int
+) -> None:
+    sides = (first_second, crawl_third, splitter, range_)
+    assert view_at(*(side * STROKE for side in sides)).gear_number == number
+    assert view_at(*(side * (STROKE - 0.9) for side in sides)).gear_number == number
+
+
+@given(first_second=st.floats(-12, 12), crawl_third=st.floats(-12, 12))
+def test_between_neutral_and_mesh_there_is_no_gear(first_second: float, crawl_third: float) -> None:
+    """1 mm from the middle is neutral, 1 mm from the stroke is in mesh, all else is under way."""
+    view = view_at(first_second, crawl_third, STROKE, STROKE)
+    gear = view.main_gear
+    if max(abs(first_second), abs(crawl_third)) < 0.99:
+        assert gear is MainGear.NEUTRAL
+    elif abs(first_second) > 11.01:
+        assert gear is (MainGear.FIRST if first_second < 0 else MainGear.SECOND)
+    elif abs(crawl_third) > 11.01:
+        assert gear is (MainGear.CRAWL if crawl_third < 0 else MainGear.THIRD)
+    elif 1.01 < max(abs(first_second), abs(crawl_third)) < 10.99:
+        assert gear is None
+
+
+def test_a_sleeve_resting_on_a_tooth_leaves_the_layshaft_free() -> None:
+    """Contact is at 5 mm; past it the teeth are in each other."""
+    assert view_at(5.0, 0, STROKE, STROKE).main_box_free
+    assert view_at(0, -5.2, STROKE, STROKE).main_box_free
+    assert not view_at(5.4, 0, STROKE, STROKE).main_box_free
+    assert not view_at(0, -5.4, STROKE, STROKE).main_box_free
+
+
+def test_nothing_is_known_before_all_has_been_seen(sheet: GearboxSheet) -> None:
+    view = GearboxView(sheet)
+    assert not view.complete
+    view.sleeves_main(SleevesMain(), 0)
+    view.sleeves_aux(SleevesAux(), 0)
+    assert not view.complete
+    view.clutch_closed = 0.0
+    assert view.complete
+    with pytest.raises(KeyError):
+        GearboxView(sheet).position_m(Sleeve.RANGE)
+
+
+def test_the_splitter_step_is_where_its_sleeve_is() -> None:
+    assert view_at(0, 0, -STROKE, 0).split is Split.LOW
+    assert view_at(0, 0, STROKE, 0).split is Split.HIGH
+    assert view_at(0, 0, 3.0, 0).split is None
+
+
+@given(
+    speed_m_s=st.floats(0.02, 2.0),
+    direction=st.sampled_from([-1, 1]),
+    passed_us=st.floats(1.0, 8_999.0),
+)
+def test_a_crossing_is_where_the_line_between_samples_says(
+    speed_m_s: float, direction: int, passed_us: float
+) -> None:
+    """A sleeve at constant speed: the crossing is exact, wherever between two samples it lies."""
+    newest_us, level = 500_000, 4.99e-3
+    ages = [k * 1000.0 for k in range(10)]
+    samples = [direction * (level + speed_m_s * (passed_us - age) * 1e-6) for age in ages]
+    track = SleeveTrack(newest_us, tuple(samples))
+    crossing = track.crossing_us(level, direction)
+    assert crossing is not None
+    assert abs(crossing - (newest_us - passed_us)) < 0.01
+    assert track.crossing_us(level, -direction) is None
+
+
+def test_a_sleeve_that_stands_or_goes_back_crosses_nothing() -> None:
+    stands = SleeveTrack(0, (5e-3,) * 10)
+    back = SleeveTrack(0, tuple(4e-3 + k * 5e-4 for k in range(10)))
+    for track in (stands, back):
+        assert track.crossing_us(5e-3, 1) is None

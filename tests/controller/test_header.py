@@ -1,0 +1,98 @@
+"""The run header: what a log needs beside it to be repeated."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from pathlib import Path
+
+import pytest
+
+from controller.header import HeaderError, RunHeader, header_name, load_header
+from controller.settings import Aim, ControllerSettings, Limits
+from dbc import DBC_SHA256
+
+
+def test_a_header_comes_back_as_it_was_saved(header: RunHeader, tmp_path: Path) -> None:
+    settings = ControllerSettings(
+        strategy_name="speed_window", aim=Aim(0.1), limits=Limits(attempts=2)
+    )
+    for saved in (header, dataclasses.replace(header, settings=settings)):
+        path = saved.save(tmp_path / "new folder")
+        assert path.name == header_name(saved.run_hash)
+        assert load_header(path.parent, saved.run_hash) == saved
+
+
+def test_the_run_hash_is_the_start_of_the_sha256_of_the_file(
+    header: RunHeader, tmp_path: Path
+) -> None:
+    """So that the name can be checked with sha256sum."""
+    text = header.save(tmp_path).read_text().rstrip("\n")
+    assert header.run_hash.to_bytes(8, "little") == hashlib.sha256(text.encode()).digest()[:8]
+    assert json.loads(text)["dbc_sha256"] == DBC_SHA256
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"version": "1.2.4"},
+        {"architecture": "pdp11 python 3.11"},
+        {"dbc_sha256": "0" * 64},
+        {"settings": ControllerSettings(aim=Aim(1e-9))},
+    ],
+)
+def test_whatever_a_step_depends_on_changes_the_hash(
+    header: RunHeader, other: dict[str, object]
+) -> None:
+    assert dataclasses.replace(header, **other).run_hash != header.run_hash
+
+
+def test_another_tooth_changes_the_hash(header: RunHeader) -> None:
+    dog = dataclasses.replace(header.sheet.dog, teeth=47)
+    sheet = dataclasses.replace(header.sheet, dog=dog)
+    assert dataclasses.replace(header, sheet=sheet).run_hash != header.run_hash
+
+
+def test_a_header_that_was_changed_is_refused(header: RunHeader, tmp_path: Path) -> None:
+    path = header.save(tmp_path)
+    path.write_text(path.read_text().replace('"attempts":3', '"attempts":4'))
+    with pytest.raises(HeaderError, match=r"header-.*another hash"):
+        load_header(tmp_path, header.run_hash)
+
+
+def test_a_missing_header_is_named(header: RunHeader, tmp_path: Path) -> None:
+    with pytest.raises(HeaderError, match=header_name(header.run_hash)):
+        load_header(tmp_path, header.run_hash)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"null",
+        b"[1, 2]",
+        b"{}",
+        b'"text"',
+        b"\xff\xfe",
+        b"[" * 100_000,
+        b'{"version": 1, "settings": []}',
+        b" " * (5 * 1024 * 1024),
+    ],
+    ids=["empty", "null", "list", "nothing", "text", "no utf-8", "deep", "wrong kinds", "huge"],
+)
+def test_what_is_no_header_is_refused_by_name(
+    header: RunHeader, tmp_path: Path, content: bytes
+) -> None:
+    (tmp_path / header_name(header.run_hash)).write_bytes(content)
+    with pytest.raises(HeaderError, match=header_name(header.run_hash)):
+        load_header(tmp_path, header.run_hash)
+
+
+@pytest.mark.parametrize("group", ["settings", "sheet", "version"])
+def test_a_torn_header_is_refused(header: RunHeader, tmp_path: Path, group: str) -> None:
+    values = json.loads(header.canonical())
+    del values[group]
+    (tmp_path / header_name(header.run_hash)).write_text(json.dumps(values))
+    with pytest.raises(HeaderError, match=group):
+        load_header(tmp_path, header.run_hash)
