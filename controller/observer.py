@@ -136,6 +136,7 @@ class Observer:
         ratio = self._sheet.main_mesh(gear).ratio
         slip = slip_rad_s(ratio, layshaft.omega_rad_s, main.omega_rad_s)
         if abs(slip) > LOCKED_SLIP_RAD_S:
+            self.references.slips(slip)
             return
         if self.references.watch(gear, layshaft.theta_rad, main.theta_rad):
             events.append(f"phase reference of {gear.name.lower()} learned")

@@ -54,6 +54,11 @@ class PhaseReferences:
             return
         self._learning = _Learning(gear, 1 if slip_rad_s > 0.0 else -1)
 
+    def slips(self, slip_rad_s: float) -> None:
+        """The gear in mesh still turns in its gap: it will lie on the flank it turns to at last."""
+        if self._learning is not None and abs(slip_rad_s) >= FLANK_SLIP_RAD_S:
+            self.locked(self._learning.gear, slip_rad_s)
+
     def watch(self, gear: MainGear, theta_layshaft: float, theta_main: float) -> bool:
         """One look at the gear in mesh. True when its reference has just been stored."""
         learning = self._learning

@@ -23,9 +23,11 @@ FIRST_TEETH = st.one_of(st.integers(1, 100), st.integers(65_400, 65_535))
 
 
 @st.composite
-def wheels(draw: st.DrawFn, least_us: int = 600, most_us: int = 4000) -> Wheel:
+def wheels(
+    draw: st.DrawFn, least_us: int = 600, most_us: int = 4000, least_edges: int = 60
+) -> Wheel:
     """A wheel whose every interval is drawn: 330 to 2,200 rpm at 45 teeth."""
-    pitches = draw(st.lists(st.integers(least_us, most_us), min_size=60, max_size=250))
+    pitches = draw(st.lists(st.integers(least_us, most_us), min_size=least_edges, max_size=250))
     start_us, first = draw(STARTS_US), draw(FIRST_TEETH)
     rise = list(accumulate(pitches, initial=start_us + 1))
     fall = [t + round(DUTY * (after - t)) for t, after in pairwise(rise)]
@@ -119,7 +121,7 @@ def test_the_chain_of_one_polarity_has_no_hole(wheel: Wheel, wanted: list[bool])
 
 
 @settings(deadline=None, max_examples=40)
-@given(wheel=wheels(600, 900), lost=st.integers(3, 6), at=st.integers(1, 4))
+@given(wheel=wheels(600, 900, 200), lost=st.integers(3, 6), at=st.integers(1, 4))
 def test_more_edges_lost_than_a_frame_holds_is_a_break(wheel: Wheel, lost: int, at: int) -> None:
     """The number of the newest edge says how many came: the hole is seen, not guessed over."""
     all_reads = reads(wheel)

@@ -1,0 +1,1 @@
+"""Timings beside named peers, in one run, interleaved, medians; ratios are what counts."""

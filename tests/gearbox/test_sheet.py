@@ -1,0 +1,137 @@
+"""The data sheet: exact teeth, SI values, and nothing accepted that cannot be a gearbox."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable
+from fractions import Fraction
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gearbox import GearboxSheet, MainGear, Range, SheetError, Split, load_sheet
+from gearbox.gears import MAIN_GEARS
+from gearbox.sheet import Mesh, sheet_from_canonical
+
+TEXT = (Path(__file__).parents[2] / "gearbox" / "sheets" / "thesis.toml").read_text()
+
+
+def load_text(folder: Path, text: str) -> GearboxSheet:
+    path = folder / "truck.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_sheet(path)
+
+
+def test_tooth_counts_are_exact() -> None:
+    """As the file has them; a rounded ratio would drift a tooth in minutes."""
+    sheet = load_sheet("thesis")
+    exact = {gear: sheet.main_mesh(gear).exact for gear in MAIN_GEARS}
+    assert exact == {
+        MainGear.CRAWL: Fraction(14, 51),
+        MainGear.FIRST: Fraction(23, 50),
+        MainGear.SECOND: Fraction(31, 40),
+        MainGear.THIRD: Fraction(40, 31),
+    }
+    assert sheet.split_mesh(Split.LOW).exact == Fraction(30, 41)
+    assert sheet.split_mesh(Split.HIGH).exact == Fraction(34, 36)
+    assert sheet.range_mesh(Range.LOW).exact == Fraction(20, 94)
+    assert sheet.range_mesh(Range.HIGH).exact == 1
+
+
+@given(driving=st.integers(8, 200), driven=st.integers(8, 200))
+def test_a_ratio_is_the_nearest_float_of_its_teeth(driving: int, driven: int) -> None:
+    mesh = Mesh(driving, driven)
+    assert mesh.ratio == float(mesh.exact)
+    assert mesh.ratio * driven == pytest.approx(driving, rel=1e-15)
+
+
+def test_attributes_are_si() -> None:
+    sheet = load_sheet("thesis")
+    assert sheet.dog.pitch_rad == pytest.approx(math.radians(7.5))
+    assert sheet.dog.backlash_rad == pytest.approx(math.radians(1.5))
+    assert sheet.brake.time_constant_s == pytest.approx(0.060)
+    assert sheet.air.supply_gauge_pa == pytest.approx(8e5)
+    assert sheet.sleeve.delay_s == pytest.approx(0.045)
+    assert sheet.sleeve.stroke_m == pytest.approx(0.012)
+    assert sheet.limits.input_max_rad_s == pytest.approx(2600 * math.pi / 30)
+    assert sheet.wheels.layshaft.duty_share == pytest.approx(0.5)
+    assert sheet.brake_nm_per_pa * sheet.air.supply_gauge_pa == pytest.approx(100.0)
+
+
+def test_the_inertia_at_the_layshaft_keeps_the_kinetic_energy() -> None:
+    """4.13: both shafts turning together have the energy of one inertia at the layshaft."""
+    sheet = load_sheet("thesis")
+    for split in Split:
+        layshaft = 150.0
+        input_ = layshaft / sheet.split_mesh(split).ratio
+        energy = 0.5 * (0.20 * layshaft**2 + 0.14 * input_**2)
+        assert 0.5 * sheet.inertia_kgm2(split) * layshaft**2 == pytest.approx(energy)
+
+
+def test_the_canonical_form_gives_the_sheet_back() -> None:
+    sheet = load_sheet("thesis")
+    again = sheet_from_canonical(json.loads(sheet.canonical()))
+    assert again == sheet
+    assert again.sha256 == sheet.sha256
+
+
+def test_the_hash_is_of_the_values_and_not_of_the_file(tmp_path: Path) -> None:
+    sheet = load_sheet("thesis")
+    commented = TEXT.replace("[dog]", "# the dog teeth\n\n[dog]   # here")
+    assert load_text(tmp_path, commented).sha256 == sheet.sha256
+    changed = load_text(tmp_path, TEXT.replace("radius_mm = 75.0", "radius_mm = 75.1"))
+    assert changed.sha256 != sheet.sha256
+
+
+@pytest.mark.parametrize("field", [f.name for f in dataclasses.fields(GearboxSheet)])
+def test_every_table_is_in_the_hash(field: str) -> None:
+    values = json.loads(load_sheet("thesis").canonical())
+    assert field in values
+
+
+def line(old: str, new: str) -> Callable[[str], str]:
+    assert old in TEXT, old
+    return lambda text: text.replace(old, new, 1)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "named"),
+    [
+        (line("teeth_driving = 23", "teeth_driving = 23.5"), ("main", "first", "teeth_driving")),
+        (line("teeth_driving = 23", "teeth_driving = 7"), ("teeth_driving", "7", "8", "200")),
+        (line("teeth_driving = 23", "teeth_driving = 201"), ("teeth_driving", "201", "200")),
+        (line("teeth_driving = 23", "teeth_driving = true"), ("teeth_driving", "True")),
+        (line("teeth_driving = 23", "ratio = 0.46"), ("ratio", "teeth_driving")),
+        (line("friction_nms = 0.10", "friction_nms = nan"), ("friction_nms", "nan")),
+        (line("friction_nms = 0.10", "friction_nms = -inf"), ("friction_nms", "inf")),
+        (line("friction_nms = 0.10", "friction_nms = -0.1"), ("friction_nms", "-0.1", "0")),
+        (line("friction_nms = 0.10", 'friction_nms = "0.1"'), ("friction_nms", "0.1")),
+        (line("friction_nms = 0.10", ""), ("friction_nms", "missing")),
+        (line("[clutch]", "[cluch]"), ("cluch", "clutch")),
+        (line("to_contact_mm = 5.0\nstroke_mm = 12.0", "to_contact_mm = 8.0\nstroke_mm = 8.0"),
+         ("to_contact_mm", "stroke_mm")),
+        (line("valve_delay_ms = 12.0\nto", "valve_delay_ms = 40.0\nto"), ("delay_ms",)),
+        (line("teeth_driving = 14", "teeth_driving = 24"), ("main", "crawl")),
+        (line("teeth_driving = 34", "teeth_driving = 25"), ("splitter",)),
+        (line("teeth_driven = 94", "teeth_driven = 20"), ("range",)),
+        (line('name = "thesis"', "name = 3"), ("name", "3")),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_a_gearbox_is_refused_by_file_and_key(
+    tmp_path: Path, spoil: Callable[[str], str], named: tuple[str, ...]
+) -> None:
+    with pytest.raises(SheetError) as refusal:
+        load_text(tmp_path, spoil(TEXT))
+    for word in ("truck.toml", *named):
+        assert word in str(refusal.value)
+
+
+def test_a_sheet_that_is_not_there_is_refused_with_the_names_there_are(tmp_path: Path) -> None:
+    with pytest.raises(SheetError, match=r"lorry.*thesis"):
+        load_sheet("lorry")
+    with pytest.raises(SheetError, match="truck"):
+        load_sheet(tmp_path / "truck.toml")

@@ -1,0 +1,146 @@
+"""Rows of shifts from what controller and truth say on the bus."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from dbc.messages import (
+    EngagementEvent,
+    FaultCode,
+    MainGear,
+    PhaseReference,
+    ReferenceEngagement,
+    ShiftOutcome,
+    ShiftResult,
+    Strategy,
+)
+from gearbox import load_sheet
+from testbench.rows import RowCollector, ShiftRow, span_us, summarise
+
+SHEET = load_sheet("thesis")
+DEG = math.pi / 180.0
+RPM = math.pi / 30.0
+FIRE_US = (1 << 32) - 20_000
+"""The contact comes after the clock's wrap."""
+
+
+def contact(
+    phase_deg: float,
+    event: EngagementEvent = EngagementEvent.GAP_CONTACT,
+    gear: MainGear = MainGear.SECOND,
+    at_us: int = 25_500,
+) -> ReferenceEngagement:
+    return ReferenceEngagement(at_us, event, gear, phase_deg * DEG, 18.0 * RPM)
+
+
+def outcome(**changed: object) -> ShiftOutcome:
+    """8 -> 10, aimed, engaged after 600 ms."""
+    return ShiftOutcome(
+        from_gear=8,
+        to_gear=10,
+        strategy=Strategy.TARGET_PHASE,
+        reference=PhaseReference.KNOWN,
+        result=ShiftResult.ENGAGED,
+        attempts=1,
+        request_time_us=(1 << 32) - 500_000,
+        fire_time_us=FIRE_US,
+        end_time_us=100_000,
+        predicted_phase_rad=0.01 * DEG,
+        predicted_phase_sd_rad=0.3 * DEG,
+    )._replace(**changed)
+
+
+def rows_of(*messages: ReferenceEngagement | ShiftOutcome, target_deg: float = 0.0) -> list[ShiftRow]:
+    collector = RowCollector(SHEET, target_deg * DEG)
+    for message in messages:
+        collector.take(message)
+    return collector.rows
+
+
+def test_a_row_is_the_outcome_beside_the_truth() -> None:
+    """Across the wrap of the 32-bit clock: 600 ms long, 45.5 ms from activation to contact."""
+    (row,) = rows_of(contact(-0.5), outcome())
+    assert (row.from_, row.to, row.strategy, row.result) == (8, 10, "target_phase", "engaged")
+    assert row.duration_ms == pytest.approx(600.0)
+    assert row.delay_ms == pytest.approx(45.5)
+    assert row.phase_error_deg == pytest.approx(-0.5)
+    assert row.phase_error_pct_of_pitch == pytest.approx(-100 * 0.5 / 7.5)
+    assert row.slip_rpm == pytest.approx(18.0)
+    assert (row.contact, row.reference) == ("gap", "known")
+
+
+def test_the_first_contact_of_the_gear_it_went_for_counts() -> None:
+    """Not the contacts of the way back into the old gear, nor a second one after a retry."""
+    tooth, first = EngagementEvent.TOOTH_CONTACT, MainGear.FIRST
+    (row,) = rows_of(
+        contact(1.0, gear=MainGear.SECOND),
+        contact(0.0, EngagementEvent.READY, first),
+        contact(0.2, gear=first),
+        contact(-3.0, tooth),
+        contact(0.1),
+        outcome(),
+    )
+    assert (row.contact, row.phase_error_deg) == ("tooth", pytest.approx(-3.0))
+
+
+def test_a_shift_without_contact_has_no_phase_error() -> None:
+    (row,) = rows_of(outcome(result=ShiftResult.ENDED_IN_NEUTRAL, fault=FaultCode.ENGAGE_FAILED))
+    assert row.contact is None
+    assert row.phase_error_deg is row.phase_error_pct_of_pitch is row.slip_rpm is None
+    assert row.result == "ended_in_neutral"
+
+
+def test_a_contact_belongs_to_one_shift() -> None:
+    first, second = rows_of(contact(0.3), outcome(), outcome())
+    assert first.contact == "gap"
+    assert second.contact is None
+
+
+def test_a_refused_request_is_no_shift() -> None:
+    assert rows_of(contact(0.3), outcome(result=ShiftResult.REFUSED)) == []
+
+
+@given(phase_deg=st.floats(-3.75, 3.75), target_deg=st.floats(-0.7, 0.7))
+def test_the_error_is_from_the_target_and_within_half_a_pitch(
+    phase_deg: float, target_deg: float
+) -> None:
+    (row,) = rows_of(contact(phase_deg), outcome(), target_deg=target_deg)
+    assert row.phase_error_deg is not None
+    assert -3.75 - 1e-9 <= row.phase_error_deg <= 3.75 + 1e-9
+    assert abs(math.remainder(row.phase_error_deg - (phase_deg - target_deg), 7.5)) < 1e-9
+
+
+@given(start=st.integers(0, (1 << 32) - 1), span=st.integers(-(1 << 31), (1 << 31) - 1))
+def test_spans_of_the_32_bit_clock_have_a_sign(start: int, span: int) -> None:
+    assert span_us((start + span) & 0xFFFF_FFFF, start) == span
+
+
+def test_the_summary_counts_hits_where_it_could_aim() -> None:
+    """Of four shifts one was blind, two of the three aimed ones hit, one failed."""
+    tooth = EngagementEvent.TOOTH_CONTACT
+    rows = rows_of(
+        contact(-3.0, tooth),
+        outcome(reference=PhaseReference.UNKNOWN, strategy=Strategy.SPEED_WINDOW),
+        contact(0.3),
+        outcome(),
+        contact(-0.4),
+        outcome(end_time_us=300_000),
+        contact(1.0, tooth),
+        outcome(result=ShiftResult.ENDED_IN_NEUTRAL, end_time_us=900_000),
+    )
+    summary = summarise("target_phase", rows)
+    assert (summary.shifts, summary.known, summary.engaged) == (4, 3, 3)
+    assert (summary.gap, summary.gap_known) == (2, 2)
+    assert summary.gap_rate == pytest.approx(2 / 3)
+    assert summary.mean_duration_ms == pytest.approx((600 + 600 + 800) / 3)
+    assert summary.phase_error_rms_deg == pytest.approx(math.sqrt((0.09 + 0.16 + 1.0) / 3))
+    assert summarise("speed_window", rows).gap_rate == pytest.approx(2 / 4)
+
+
+def test_no_shift_is_no_figure() -> None:
+    summary = summarise("target_phase", [])
+    assert summary.gap_rate is summary.mean_duration_ms is summary.phase_error_rms_deg is None
