@@ -34,9 +34,8 @@ class BrakeInput:
     def schedule(self, time_us: int, on: bool, now_us: int) -> None:
         """The valve will be `on` from `time_us`; replaces what was planned after `now_us`."""
         kept = [switch for switch in self._switches if switch.time_us <= now_us]
-        if not kept or kept[-1].on != on:
-            if kept or on:
-                kept.append(Switch(time_us, on))
+        if (not kept or kept[-1].on != on) and (kept or on):
+            kept.append(Switch(time_us, on))
         if kept != self._switches:
             self._switches = kept[-KEPT:]
             self._arrays = None

@@ -22,7 +22,7 @@ from controller.observer import Observer
 from controller.report import Reporter
 from controller.sequence import Moment, ShiftSequence
 from controller.settings import ValveTiming
-from controller.valves import Valve, ValveBoard
+from controller.valves import ValveBoard
 from dbc.frame import Frame
 from dbc.link import Receiver, Transmitter, Verdict
 from dbc.messages import (
@@ -47,7 +47,7 @@ NEEDED: Final = (SleevesMain, SleevesAux, GearboxSensors, EdgesLayshaftRise, Edg
 class Consumed(NamedTuple):
     """What a step consumed: number of frames of our DBC and the CRC-32 over them."""
 
-    count: int
+    frames: int
     crc: int
 
 
@@ -99,7 +99,7 @@ class ControllerCore:
         frames = self._commands(moment, events)
         frames += self._reporter.frames(self._transmitter, moment)
         status = self._reporter.status(
-            now_us, lateness_us, consumed.count, consumed.crc, self._receiver, self._guard.blocks
+            now_us, lateness_us, consumed.frames, consumed.crc, self._receiver, self._guard.blocks
         )
         frames.append(self._transmitter.encode(status))
         # In the order in which they will win the bus; the status frame closes the step.

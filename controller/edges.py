@@ -7,6 +7,7 @@ fewer than 27 came since, and the tooth number is never lost.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
@@ -20,19 +21,28 @@ class EdgeFrame(Protocol):
     """What the eight edge messages of the DBC have in common."""
 
     @property
-    def read_time_us(self) -> int: ...
+    def read_time_us(self) -> int:
+        """Sensor clock of the read, 32 bits."""
+
     @property
-    def newest_index(self) -> int: ...
+    def newest_index(self) -> int:
+        """Running number of the newest edge, 16 bits."""
+
     @property
-    def valid_stamps(self) -> int: ...
+    def valid_stamps(self) -> int:
+        """How many stamps hold an edge."""
+
     @property
-    def long_interval(self) -> bool: ...
+    def long_interval(self) -> bool:
+        """An interval in the array is too long to be chained."""
+
     @property
-    def stopped(self) -> bool: ...
+    def stopped(self) -> bool:
+        """The newest edge is too old to be placed."""
+
     @property
-    def sensor_fault(self) -> bool: ...
-    @property
-    def timestamp_low_us(self) -> tuple[int, ...]: ...
+    def timestamp_low_us(self) -> tuple[int, ...]:
+        """Low 16 bits of each edge's time, newest first."""
 
 
 class Edge(NamedTuple):
@@ -76,19 +86,17 @@ class Polarity:
         if fresh == 0:
             return []
         if frame.stopped or fresh > frame.valid_stamps:
-            self._restart(frame, read_us)
+            self._restart(read_us)
             return None
         edges = self._chain(frame, read_us, fresh)
         if edges is None:
-            self._restart(frame, read_us)
+            self._restart(read_us)
             return None
         self.started = True
         self.index, self.time_us = edges[-1]
         return edges
 
-    def _chain(
-        self, frame: EdgeFrame, read_us: int, fresh: int
-    ) -> list[tuple[int, int]] | None:
+    def _chain(self, frame: EdgeFrame, read_us: int, fresh: int) -> list[tuple[int, int]] | None:
         low = frame.timestamp_low_us
         time_us = read_us - ((read_us - low[0]) & 0xFFFF)
         number = self.index + fresh
@@ -105,7 +113,7 @@ class Polarity:
         edges.reverse()
         return edges
 
-    def _restart(self, frame: EdgeFrame, read_us: int) -> None:
+    def _restart(self, read_us: int) -> None:
         self.started = False
         self.index = 0
         self.time_us = read_us
@@ -176,7 +184,7 @@ class WheelEdges:
         return edges
 
     def _pair(self, risen: list[tuple[int, int]], fallen: list[tuple[int, int]]) -> None:
-        for (number, before), (_, after) in zip(risen, risen[1:], strict=False):
+        for (number, before), (_, after) in itertools.pairwise(risen):
             for fall_number, time_us in fallen:
                 if before < time_us < after:
                     self._fall_shift = number - fall_number

@@ -16,6 +16,7 @@ ENGAGED_SHORT_M: Final = 1.0e-3
 ENTERED_M: Final = 0.3e-3
 """A sleeve this far past contact has entered its gear; at contact it may rest on a tooth."""
 SAMPLE_US: Final = 1000
+SLEEVES: Final = len(Sleeve)
 
 _GEAR_AT: Final = {(side.sleeve, side.direction): g for g, side in SLEEVE_OF_MAIN.items()}
 _NUMBER: Final = {(g.main, g.split, g.range_): n for n, g in DRIVE_GEARS.items()}
@@ -71,7 +72,7 @@ class GearboxView:
     @property
     def complete(self) -> bool:
         """Whether every position and the clutch have been seen."""
-        return len(self.tracks) == len(Sleeve) and self.clutch_closed is not None
+        return len(self.tracks) == SLEEVES and self.clutch_closed is not None
 
     def position_m(self, sleeve: Sleeve) -> float:
         """Where a sleeve is; KeyError before its first frame."""

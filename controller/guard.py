@@ -47,15 +47,15 @@ class GuardState:
     latched: bool = False
 
 
-Rule = Callable[[Wish, Seen, GuardState], bool]
+Rule = Callable[[Wish, Seen], bool]
 
 
-def both_valves_of_a_sleeve(wish: Wish, seen: Seen, state: GuardState) -> bool:
+def both_valves_of_a_sleeve(wish: Wish, _seen: Seen) -> bool:
     """Row 1."""
     return any(wish.driven[a] and wish.driven[b] for a, b in PAIRS)
 
 
-def two_sleeves_of_the_main_box(wish: Wish, seen: Seen, state: GuardState) -> bool:
+def two_sleeves_of_the_main_box(wish: Wish, seen: Seen) -> bool:
     """Row 2: both commanded, or one commanded while the other is not proven neutral."""
     first_second = wish.driven[3] or wish.driven[4]
     crawl_third = wish.driven[5] or wish.driven[6]
@@ -65,7 +65,7 @@ def two_sleeves_of_the_main_box(wish: Wish, seen: Seen, state: GuardState) -> bo
     return (first_second or crawl_third) and abs(other_m) > NEUTRAL_M
 
 
-def brake_against_the_driveline(wish: Wish, seen: Seen, state: GuardState) -> bool:
+def brake_against_the_driveline(wish: Wish, seen: Seen) -> bool:
     """Row 5: brake with a gear engaged or engaging, or with the clutch closed."""
     if not wish.driven[BRAKE]:
         return False
@@ -74,7 +74,7 @@ def brake_against_the_driveline(wish: Wish, seen: Seen, state: GuardState) -> bo
     return in_mesh or engaging or seen.clutch_closed > CLUTCH_OPEN_SHARE
 
 
-def outputs_on_unknown_positions(wish: Wish, seen: Seen, state: GuardState) -> bool:
+def outputs_on_unknown_positions(wish: Wish, seen: Seen) -> bool:
     """Row 12: any output before valid positions have been seen, or after they were lost."""
     return any(wish.driven) and not seen.positions_valid
 
@@ -125,13 +125,13 @@ class Guard:
 
     def _judge(self, wish: Wish, seen: Seen) -> int | None:
         for row in ROWS:
-            if row.forbids(wish, seen, self._state):
+            if row.forbids(wish, seen):
                 self._state.latched |= row.latches
                 return row.number
         for valve, since in enumerate(self._state.on_since_us):
-            if wish.driven[valve] and since is not None:
-                if seen.now_us - since > self._max_on_us:
-                    return 7
+            held_us = 0 if since is None else seen.now_us - since
+            if wish.driven[valve] and held_us > self._max_on_us:
+                return 7
         return None
 
 

@@ -112,10 +112,9 @@ def _settings_from(values: dict[str, Any]) -> ControllerSettings:
     fields: dict[str, Any] = {}
     for field in dataclasses.fields(ControllerSettings):
         value = values[field.name]
-        group = getattr(defaults, field.name)
-        fields[field.name] = (
-            type(group)(**value) if dataclasses.is_dataclass(group) else value
-        )
+        default: Any = getattr(defaults, field.name)
+        is_group = dataclasses.is_dataclass(default)
+        fields[field.name] = type(default)(**value) if is_group else value
     if len(values) != len(fields):
         raise TableError("settings of another version")
     return ControllerSettings(**fields)

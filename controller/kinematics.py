@@ -1,9 +1,9 @@
 """Angles and speeds between shafts, gears and sleeves: one sign convention (design, signs).
 
-    i_split = omega_LS / omega_IS      (thesis 3.1 writes it the other way round)
-    i_gear  = omega_gear / omega_LS    (thesis 2.1)
-    slip    = omega_gear - omega_MS    (thesis 2.1: delta = -slip)
-    phase   = angle of a gear tooth from the middle of the sleeve's gap, d phase/dt = slip
+i_split = omega_LS / omega_IS      (thesis 3.1 writes it the other way round)
+i_gear  = omega_gear / omega_LS    (thesis 2.1)
+slip    = omega_gear - omega_MS    (thesis 2.1: delta = -slip)
+phase   = angle of a gear tooth from the middle of the sleeve's gap, d phase/dt = slip
 """
 
 from __future__ import annotations

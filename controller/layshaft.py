@@ -1,6 +1,6 @@
-"""The layshaft observer: one of several estimators while the model holds, cruise while it does not.
+"""The layshaft observer: an estimator while the model holds, cruise while it does not.
 
-The model of thesis 4.13 holds when the clutch is open and the main box is in neutral (4.1). Then the
+The model of thesis 4.13 holds when the clutch is open and the main box in neutral (4.1). Then the
 chosen estimator runs: `thesis` is the event-driven Kalman filter of 5.2 and 5.3, `window` the
 production speed of the last 10 ms. With a gear engaged the layshaft turns with the main shaft, and
 the constant-speed filter follows it; that is also where a gear's phase is learned.
@@ -21,7 +21,7 @@ from controller.shafts import STALE_US, CruiseTracker, WindowSpeed
 from dbc.messages import Estimator
 
 START_SD_PRESSURE_PA = 2e4
-"""What the filter trusts the pressure to when it starts: the valve has been off, but not for ever."""
+"""How far the filter trusts the pressure when it starts: the valve has been off, not for ever."""
 
 
 class LayshaftTracker:
@@ -54,7 +54,7 @@ class LayshaftTracker:
         return self._free
 
     def set_free(self, free: bool, time_us: float) -> None:
-        """The model begins or ceases to hold. It begins only once there is a speed to begin with."""
+        """The model begins or ceases to hold. It begins once there is a speed to begin with."""
         if free and not self._free:
             self._free = self._start(time_us)
         elif not free and self._free:

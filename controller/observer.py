@@ -1,4 +1,4 @@
-"""From messages to state: teeth, shafts, sleeves, phase references. Observes and decides nothing."""
+"""From messages to state: teeth, shafts, sleeves, phase references. Decides nothing."""
 
 from __future__ import annotations
 
@@ -85,7 +85,11 @@ class Observer:
         return wheel.read(risen, inputs.edges[fall], self.clock, now_us)
 
     def _lose_what_broke(self, events: list[str]) -> None:
-        jumps, layshaft, main = self.clock.jumps, self._layshaft_wheel.broken, self._main_wheel.broken
+        jumps, layshaft, main = (
+            self.clock.jumps,
+            self._layshaft_wheel.broken,
+            self._main_wheel.broken,
+        )
         if (jumps, layshaft, main) == self._lost:
             return
         if jumps != self._lost[0]:

@@ -58,11 +58,9 @@ class Outlook:
         return predict_hold(self.layshaft, time_us, switches, self.model)
 
     def phase_sd_rad(self, time_us: float, delay_sd_s: float) -> float:
-        """Standard deviation of the phase at contact: angles, speeds over the horizon, and delay."""
+        """Standard deviation of the phase at contact: angles, speeds to then, and delay."""
         horizon_s = (time_us - self.layshaft.time_us) * US
-        layshaft = math.hypot(
-            self.layshaft.theta_sd_rad, self.layshaft.omega_sd_rad_s * horizon_s
-        )
+        layshaft = math.hypot(self.layshaft.theta_sd_rad, self.layshaft.omega_sd_rad_s * horizon_s)
         main = math.hypot(self.main.theta_sd_rad, self.main.omega_sd_rad_s * horizon_s)
         slip = self.slip_rad_s(time_us)
         return math.hypot(self.i_gear * layshaft, main, slip * delay_sd_s)

@@ -321,9 +321,9 @@ class ShiftSequence:
         if plan is None:
             self._board.off(valve)
             waiting = ShiftDecision.WAIT_FOR_GAP if aimed else ShiftDecision.WAIT_FOR_SLIP
-            self.decision = self._strategist.plan_at(
-                outlook, moment.earliest_us, waiting
-            )._replace(fire_us=0, contact_us=0)
+            self.decision = self._strategist.plan_at(outlook, moment.earliest_us, waiting)._replace(
+                fire_us=0, contact_us=0
+            )
         else:
             self._board.schedule(valve, True, plan.fire_us, moment.now_us)
             self.decision = plan

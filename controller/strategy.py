@@ -85,9 +85,7 @@ class Strategist:
         release_us = outlook.release_time_us(earliest_us, latest_us, slip, settle_us)
         if aimed and release_us < latest_us:
             pitch = self._dog.pitch_rad
-            both = outlook.aimed_release_us(
-                release_us, earliest_us, slip, self._target_rad, pitch
-            )
+            both = outlook.aimed_release_us(release_us, earliest_us, slip, self._target_rad, pitch)
             if both is not None and both[1] >= earliest_us + self._delay_us:
                 return both
         return release_us, release_us + round(settle_us)

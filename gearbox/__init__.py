@@ -1,4 +1,4 @@
-"""The mechanical data sheet of a gearbox: tooth counts, ratios, inertias, valves. Data, no behaviour.
+"""The mechanical data sheet of a gearbox: tooth counts, inertias, valves. Data, no behaviour.
 
 Controller and rig are both built from the same sheet; the rig may deviate from it (as built), the
 controller believes it. See `gearbox.sheet` for what a sheet holds and `gearbox.gears` for how the

@@ -54,7 +54,7 @@ class Sleeve(IntEnum):
 
 @dataclass(frozen=True)
 class SleeveSide:
-    """A sleeve and the direction it moves in to engage: -1 or +1 in the sleeve's axial coordinate."""
+    """A sleeve and the direction it moves in to engage, -1 or +1 along its axis."""
 
     sleeve: Sleeve
     direction: int

@@ -239,7 +239,7 @@ class GearboxSheet:
 
     @property
     def brake_nm_per_pa(self) -> float:
-        """C_db of thesis 4.4 on gauge pressure, without its sign: the torque acts against rotation."""
+        """C_db of thesis 4.4 on gauge pressure, unsigned: the torque acts against rotation."""
         return self.brake.max_torque_nm / self.air.supply_gauge_pa
 
     def overall_ratio(self, gear: DriveGear) -> float:
@@ -283,7 +283,8 @@ def _read_sheet(path: Path) -> GearboxSheet:
 
 def sheet_from_canonical(values: dict[str, Any]) -> GearboxSheet:
     """The inverse of `canonical`, parsed: how a run header gives back its sheet (SI values)."""
-    return _build(GearboxSheet, values)
+    sheet: GearboxSheet = _build(GearboxSheet, values)
+    return sheet
 
 
 def _build(cls: Any, values: dict[str, Any]) -> Any:

@@ -1,4 +1,4 @@
-"""Reading TOML tables into frozen dataclasses: every key known, every number finite and in its range.
+"""Reading TOML tables into frozen dataclasses: every key known, every number in its range.
 
 A setting group is a frozen dataclass whose fields are made with `quantity`, `count` or `choice`.
 The attribute is in SI; the TOML key carries the unit people use (`valve_delay_ms`).
@@ -69,9 +69,7 @@ def load_toml(path: Path) -> dict[str, Any]:
     """The parsed file. TableError where it is missing, too large, too deep or not TOML."""
     try:
         if path.stat().st_size > SIZE_LIMIT_BYTES:
-            raise TableError(
-                f"{path}: {path.stat().st_size} bytes, allowed are {SIZE_LIMIT_BYTES}"
-            )
+            raise TableError(f"{path}: {path.stat().st_size} bytes, allowed are {SIZE_LIMIT_BYTES}")
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise TableError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -120,9 +118,7 @@ def _key(field: dataclasses.Field[Any]) -> str:
 
 
 def _is_required(field: dataclasses.Field[Any]) -> bool:
-    return (
-        field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
-    )
+    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
 
 
 def _read(field: dataclasses.Field[Any], value: Any, where: str) -> Any:

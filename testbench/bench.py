@@ -122,9 +122,8 @@ class BenchCore:
             self._seen.status = message
         elif isinstance(message, ShiftOutcome):
             self._seen.outcome = True
-        elif isinstance(message, ReferenceEngagement):
-            if message.event is EngagementEvent.READY:
-                self._seen.ready_in = message.drive_gear
+        elif isinstance(message, ReferenceEngagement) and message.event is EngagementEvent.READY:
+            self._seen.ready_in = message.drive_gear
 
     def step(self, now_us: int) -> Step:
         """Goes on with the plan; sends what it asks for."""
@@ -137,7 +136,7 @@ class BenchCore:
             self._next_us += TICK_US
         return Step(frames, events)
 
-    def shutdown(self, now_us: int) -> Step:
+    def shutdown(self, now_us: int) -> Step:  # noqa: ARG002
         """Nothing to make safe: bench commands are requests."""
         return Step([], [])
 

@@ -1,4 +1,4 @@
-"""How well each estimator knew the layshaft: scored against the reference encoder, from frames alone.
+"""How well each estimator knew the layshaft: scored against the encoder, from frames alone.
 
 Every estimator gets what the controller got, at the controller's steps, and is asked for each
 encoder instant before the edges that came after it: so the score is causal, and includes the wait

@@ -53,7 +53,7 @@ class LiveRun:
     """Bus and data-sheet arguments for the two processes."""
     controller_arguments: Sequence[str] = ()
     on_row: Callable[[], None] = lambda: None
-    on_event: Callable[[str], None] = lambda line: None
+    on_event: Callable[[str], None] = lambda _line: None
 
 
 @dataclass

@@ -26,7 +26,6 @@ from gearbox import GearboxSheet
 from testbench.estimation import EstimationScore
 from testbench.rows import RowCollector
 
-
 READ: Final = (
     EdgesLayshaftRise, EdgesLayshaftFall, SleevesMain, SleevesAux, GearboxSensors, ValveCommand,
     ControllerStatus, ReferenceEncoder, ReferenceEngagement, ShiftOutcome,

@@ -111,9 +111,7 @@ def summary_table(summaries: list[Summary]) -> Table:
         table.add_column(column, justify="left" if column == "strategy" else "right")
     for summary in summaries:
         aims = summary.strategy == "target_phase"
-        hits, shots = (
-            (summary.gap_known, summary.known) if aims else (summary.gap, summary.shifts)
-        )
+        hits, shots = (summary.gap_known, summary.known) if aims else (summary.gap, summary.shifts)
         rate = summary.gap_rate
         table.add_row(
             summary.strategy,

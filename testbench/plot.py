@@ -41,10 +41,10 @@ def plot_shift(path: Path, traces: Traces, row: ShiftRow, sheet: GearboxSheet) -
             contact_ms = 1e3 * (traces.time_s(row.contact_us) - start)
             axis.axvline(contact_ms, color="black", lw=0.8, ls=":")
     axes[-1].set_xlabel("ms since the request (dotted: contact)")
-    error = "" if row.phase_error_deg is None else f", phase error {row.phase_error_deg:+.2f} deg"
+    missed = "" if row.phase_error_deg is None else f", phase error {row.phase_error_deg:+.2f} deg"
     figure.suptitle(
         f"gear {row.from_} to {row.to}, {row.strategy}: {row.contact} at "
-        f"{row.slip_rpm or 0.0:+.0f} rpm slip{error} (simulated)"
+        f"{row.slip_rpm or 0.0:+.0f} rpm slip{missed} (simulated)"
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)
@@ -61,9 +61,7 @@ class _Drawing:
         if series is None:
             return
         times, values = series.between(*self._window)
-        axis.plot(
-            [1e3 * (t - self._start_s) for t in times], [scale * v for v in values], **style
-        )
+        axis.plot([1e3 * (t - self._start_s) for t in times], [scale * v for v in values], **style)
 
 
 def _speeds(axis: Any, draw: _Drawing, ratio: float) -> None:
@@ -79,7 +77,9 @@ def _speeds(axis: Any, draw: _Drawing, ratio: float) -> None:
 
 def _pressure(axis: Any, draw: _Drawing, gear: str) -> None:
     draw.line(axis, "pressure_bar", label="brake pressure, bar absolute", color="tab:red")
-    draw.line(axis, "valve_brake", 4.0, label="brake valve", color="tab:red", alpha=0.5, ds="steps-post")
+    draw.line(
+        axis, "valve_brake", 4.0, label="brake valve", color="tab:red", alpha=0.5, ds="steps-post"
+    )
     draw.line(
         axis, f"valve_main_{gear}", 4.0, label="sleeve valve", color="tab:purple", ds="steps-post"
     )

@@ -150,7 +150,9 @@ class LogReplay:
         self.sessions.append(session)
         self._core, self._foreign, self._aligned = None, 0, False
         if status.step_number != 0:
-            raise NotVerifiableError("the log starts in mid-run; what the steps before it saw is unknown")
+            raise NotVerifiableError(
+                "the log starts in mid-run; what the steps before it saw is unknown"
+            )
         header = load_header(self._folder, status.run_hash)
         session.header = header
         if self._verify:
@@ -200,9 +202,7 @@ class LogReplay:
             "changed, or lost between bus and log"
         )
 
-    def _candidates(
-        self, waiting: list[Frame], count: int
-    ) -> Iterator[tuple[int, list[Frame]]]:
+    def _candidates(self, waiting: list[Frame], count: int) -> Iterator[tuple[int, list[Frame]]]:
         """Ways in which the log may hold the frames of a step: (skipped before, frames).
 
         The first step that consumed anything may follow frames sent before the controller was on
@@ -250,7 +250,9 @@ def _compare(made: list[Frame], logged: list[Frame]) -> None:
         if mine.can_id != theirs.can_id:
             raise DiffersError(f"it sent {mine.can_id:08X} where the log holds {theirs.can_id:08X}")
         if mine.data != theirs.data:
-            at = next(i for i, (a, b) in enumerate(zip(mine.data, theirs.data, strict=False)) if a != b)
+            at = next(
+                i for i, (a, b) in enumerate(zip(mine.data, theirs.data, strict=False)) if a != b
+            )
             raise DiffersError(
                 f"frame {mine.can_id:08X} byte {at}: {mine.data[at]:02X}, log {theirs.data[at]:02X}"
             )

@@ -1,6 +1,6 @@
 """Shift by shift: what the controller reported beside what the rig's truth says.
 
-Fed with messages in bus order, so simulate, demo and replay make the same rows from the same frames.
+Fed with messages in bus order, so simulate, demo and replay make the same rows of the same frames.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ HALF_WRAP_US: Final = 1 << 31
 
 @dataclass(frozen=True)
 class ShiftRow:
-    """One shift. Phase error and slip are the rig's truth at first contact; None without contact."""
+    """One shift. Phase error and slip are the rig's truth at first contact; else None."""
 
     from_: int
     to: int

@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from bus.core import Core
 from controller.core import ControllerCore
 from controller.header import RunHeader, new_header
 from controller.settings import ControllerSettings
@@ -111,7 +112,7 @@ def simulate(
                 on_row(row)
         reported = len(monitor.rows.rows)
 
-    cores = [ControllerCore(setup.header), RigCore(setup.sheet, rig_settings), bench]
+    cores: list[Core] = [ControllerCore(setup.header), RigCore(setup.sheet, rig_settings), bench]
     filters = [
         frozenset[int](),
         not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),

@@ -48,7 +48,9 @@ class Series:
 
     def between(self, start_s: float, end_s: float) -> tuple[list[float], list[float]]:
         """The points of a time window."""
-        points = [(t, v) for t, v in zip(self.time_s, self.value, strict=True) if start_s <= t <= end_s]
+        points = [
+            (t, v) for t, v in zip(self.time_s, self.value, strict=True) if start_s <= t <= end_s
+        ]
         return [t for t, _ in points], [v for _, v in points]
 
 

@@ -1,4 +1,4 @@
-"""A CAN bus in virtual time: one frame at a time, the lowest identifier first, each its real length.
+"""A CAN bus in virtual time: one frame at a time, lowest identifier first, each its real length.
 
 Durations are those of a 500 kbit/s arbitration and 2 Mbit/s data phase with average bit stuffing,
 so a burst of eight edge frames takes 2.6 ms here as on the wire.

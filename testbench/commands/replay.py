@@ -174,10 +174,9 @@ def _show(
                 "events": [{"time_us": time_us, "event": line} for time_us, line in events],
             },
         )
-    if namespace.json != "-":
-        if rows:
-            title = f"{namespace.log.name} as {namespace.strategy or 'recorded'} commands it"
-            out.print(rows_table(title, rows))
+    if namespace.json != "-" and rows:
+        title = f"{namespace.log.name} as {namespace.strategy or 'recorded'} commands it"
+        out.print(rows_table(title, rows))
     for number, session in enumerate(sessions, 1):
         if namespace.verify or session.verdict is not Verification.IDENTICAL:
             out.print(f"run {number} of {len(sessions)}: {session}", markup=False)

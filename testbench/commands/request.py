@@ -1,4 +1,4 @@
-"""`meshpoint request`: asks the controller for a gear over the bus, as a bench or a driver would."""
+"""`meshpoint request`: asks the controller for a gear over the bus, as a bench would."""
 
 from __future__ import annotations
 

@@ -3,10 +3,12 @@
 import asyncio
 import struct
 import subprocess
+import tempfile
 import time
 import tracemalloc
 import zlib
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import can
@@ -59,15 +61,21 @@ def absolute(steps: list[tuple[int, Frame]], start_s: float) -> list[tuple[float
     return content
 
 
+@cache
+def log_content(ending: str, count: int) -> bytes:
+    """Made once: an ASC log holds the time when it was made."""
+    with tempfile.TemporaryDirectory() as directory:
+        path = Path(directory) / f"some{ending}"
+        with LogWriter(path, flush_every_s=None) as log:
+            for number in range(count):
+                data = number.to_bytes(4, "big") * (2 + 14 * (number % 2))
+                log.write(EPOCH_S + number * 1e-3, Frame(0x18FF0001, data))
+        return path.read_bytes()
+
+
 def some_log(ending: str, directory: Path, count: int = 3000) -> Path:
     path = directory / f"some{ending}"
-    write(
-        path,
-        [
-            (EPOCH_S + n * 1e-3, Frame(0x18FF0001, n.to_bytes(4, "big") * (2 + 14 * (n % 2))))
-            for n in range(count)
-        ],
-    )
+    path.write_bytes(log_content(ending, count))
     return path
 
 

@@ -30,7 +30,9 @@ END_US = 1_600_000
 EXPIRY_US = 100_000
 
 
-def every(k: int, then: Callable[[Frame], list[Frame]], begin: int = 200) -> tuple[Alter, list[int]]:
+def every(
+    k: int, then: Callable[[Frame], list[Frame]], begin: int = 200
+) -> tuple[Alter, list[int]]:
     """Changes every k-th protected frame to the controller after the first few; and a count."""
     seen, changed = [0], [0]
 

@@ -176,9 +176,7 @@ def test_the_phase_told_at_contact_is_the_true_one(four_shifts: Loop) -> None:
     """With the reference of an earlier engagement, at a slip of some 15 rpm."""
     contacts = engagements(four_shifts, EngagementEvent.GAP_CONTACT)
     for outcome in four_shifts.outcomes[2:]:
-        near = min(
-            contacts, key=lambda c: abs(c.event_time_us - outcome.measured_contact_time_us)
-        )
+        near = min(contacts, key=lambda c: abs(c.event_time_us - outcome.measured_contact_time_us))
         assert abs(outcome.estimated_phase_rad - near.phase_rad) < 0.05 * DEG
 
 

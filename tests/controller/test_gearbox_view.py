@@ -25,9 +25,7 @@ def view_at(first_second: float, crawl_third: float, splitter: float, range_: fl
         0,
     )
     view.sleeves_aux(
-        SleevesAux(
-            sleeve_splitter_m=(splitter * 1e-3,) * 10, sleeve_range_m=(range_ * 1e-3,) * 10
-        ),
+        SleevesAux(sleeve_splitter_m=(splitter * 1e-3,) * 10, sleeve_range_m=(range_ * 1e-3,) * 10),
         0,
     )
     view.clutch_closed = 1.0

@@ -69,7 +69,7 @@ def test_row_2_two_sleeves_of_the_main_box(both: tuple[Valve, Valve]) -> None:
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("own", FIRST_SECOND + CRAWL_THIRD)
 def test_row_2_a_sleeve_while_the_other_is_not_proven_neutral(own: Valve, side: float) -> None:
-    """1.5 mm is proof; the sleeve's own position is its own affair: that is how it is pulled out."""
+    """1.5 mm is proof; the sleeve's own position does not count: so it is pulled out."""
     first_second = own in FIRST_SECOND
     for other_mm, row in ((1.4, None), (1.6, 2), (12.0, 2)):
         other_m = side * other_mm * 1e-3

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import subprocess
@@ -115,7 +116,7 @@ def test_propagation_through_brake_switches_solves_the_equations(
 
     stops = [0.0, *[t for t in switch_us if 0.0 < t < horizon_us], float(horizon_us)]
     solved = np.array(x)
-    for start, end in zip(stops, stops[1:], strict=False):
+    for start, end in itertools.pairwise(stops):
         past = [u for t, u in zip(switch_us, switch_u, strict=True) if t <= start]
         u = past[-1] if past else 0.0
         solved = solve_ivp(
@@ -182,6 +183,7 @@ R = 1e-7
 def braked_edges(model: np.ndarray, on_us: float, off_us: float) -> tuple[np.ndarray, np.ndarray]:
     """Times of the half teeth of a 45-tooth wheel while it is braked, found in a dense solution."""
     a, b, g, _ = model
+
     def slope(t: float, y: np.ndarray) -> list[float]:
         u = float(on_us * US <= t < off_us * US)
         return [y[1], -a * y[1] - g * y[2], b * (u - y[2])]

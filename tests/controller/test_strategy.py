@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import numpy as np
@@ -65,7 +66,7 @@ def truth(
     on, off = u_of_us
     cuts = sorted({0.0, float(time_us[-1]), *[t for t in u_of_us if 0.0 < t < time_us[-1]]})
     y, phases, slips = np.array([ls.theta_rad, ls.omega_rad_s, ls.pressure_pa]), [], []
-    for start, end in zip(cuts, cuts[1:], strict=False):
+    for start, end in itertools.pairwise(cuts):
         u = float(on <= start < off)
         inside = time_us[(time_us > start) & (time_us <= end)]
         solution = solve_ivp(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -38,15 +40,14 @@ class Wheel:
 
 def capture(edges_us: Sequence[int], first: int, read_us: int) -> dict[str, object]:
     """The capture array of thesis figure 2.2 at a read: what the DBC says its fields hold."""
-    seen = [(first + i, t) for i, t in enumerate(edges_us) if t <= read_us]
-    newest_first = seen[: -STAMPS - 1 : -1]
-    times = [t for _, t in newest_first]
-    gaps = [late - early for late, early in zip(times, times[1:], strict=False)]
+    seen = bisect_right(edges_us, read_us)
+    times = list(edges_us[max(0, seen - STAMPS) : seen])[::-1]
+    gaps = [late - early for late, early in itertools.pairwise(times)]
     low = [t & 0xFFFF for t in times]
     return {
         "read_time_us": wrap(read_us),
-        "newest_index": newest_first[0][0] & 0xFFFF if newest_first else first - 1 & 0xFFFF,
-        "valid_stamps": len(newest_first),
+        "newest_index": (first + seen - 1) & 0xFFFF,
+        "valid_stamps": len(times),
         "long_interval": any(gap > LONG_US for gap in gaps),
         "stopped": bool(times) and read_us - times[0] > LONG_US,
         "timestamp_low_us": tuple(low + [0] * (STAMPS - len(low))),

@@ -54,7 +54,9 @@ def outcome(**changed: object) -> ShiftOutcome:
     )._replace(**changed)
 
 
-def rows_of(*messages: ReferenceEngagement | ShiftOutcome, target_deg: float = 0.0) -> list[ShiftRow]:
+def rows_of(
+    *messages: ReferenceEngagement | ShiftOutcome, target_deg: float = 0.0
+) -> list[ShiftRow]:
     collector = RowCollector(SHEET, target_deg * DEG)
     for message in messages:
         collector.take(message)
