@@ -41,7 +41,7 @@ def reads(wheel: Wheel) -> list[int]:
 
 
 def keep_enough(wheel: Wheel, wanted: list[bool]) -> list[int]:
-    """The reads whose frames arrive: those wanted, and those needed so that 27 edges are never lost."""
+    """The reads whose frames arrive: those wanted, and enough never to lose 27 edges."""
     kept, last = [], None
     for read_us, want in zip(reads(wheel), wanted * 100, strict=False):
         end = bisect_right(wheel.rise_us, read_us + READ_US)
