@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import gc
 import json
 import statistics
 import sys
@@ -35,8 +34,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     namespace = parser.parse_args(argv)
     sheet = load_sheet("thesis")
     simulate(Setup(sheet, ControllerSettings(), shifts=WARM_SHIFTS))
-    gc.collect()
-    gc.freeze()
     rates, loops = [], []
     for seed in range(namespace.repeats):
         begin = time.perf_counter()

@@ -54,17 +54,22 @@ class GearboxView:
         self.tracks: dict[Sleeve, SleeveTrack] = {}
         self.clutch_closed: float | None = None
         """0 open .. 1 closed."""
-        self.brake_pressure_pa: float | None = None
+        self.main_gear: MainGear | None = None
+        """The main gear in mesh, NEUTRAL with both sleeves in the middle, None in between."""
+        self.split: Split | None = None
+        """The splitter step in mesh."""
 
     def sleeves_main(self, message: SleevesMain, time_us: int) -> None:
         """Takes the positions of the main box."""
         self._take(Sleeve.FIRST_SECOND, time_us, message.sleeve_first_second_m)
         self._take(Sleeve.CRAWL_THIRD, time_us, message.sleeve_crawl_third_m)
+        self._work_out()
 
     def sleeves_aux(self, message: SleevesAux, time_us: int) -> None:
         """Takes the positions of splitter and range."""
         self._take(Sleeve.SPLITTER, time_us, message.sleeve_splitter_m)
         self._take(Sleeve.RANGE, time_us, message.sleeve_range_m)
+        self._work_out()
 
     def _take(self, sleeve: Sleeve, time_us: int, samples_m: tuple[float, ...]) -> None:
         self.tracks[sleeve] = SleeveTrack(time_us, samples_m)
@@ -89,9 +94,13 @@ class GearboxView:
             return 0
         return 1 if position > 0.0 else -1
 
-    @property
-    def main_gear(self) -> MainGear | None:
-        """The main gear in mesh, NEUTRAL with both sleeves in the middle, None in between."""
+    def _work_out(self) -> None:
+        if len(self.tracks) < SLEEVES:
+            return
+        self.main_gear = self._main_gear()
+        self.split = {-1: Split.LOW, 1: Split.HIGH}.get(self.side(Sleeve.SPLITTER))
+
+    def _main_gear(self) -> MainGear | None:
         if self.in_neutral(Sleeve.FIRST_SECOND) and self.in_neutral(Sleeve.CRAWL_THIRD):
             return MainGear.NEUTRAL
         for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD):
@@ -99,11 +108,6 @@ class GearboxView:
             if gear is not None:
                 return gear
         return None
-
-    @property
-    def split(self) -> Split | None:
-        """The splitter step in mesh."""
-        return {-1: Split.LOW, 1: Split.HIGH}.get(self.side(Sleeve.SPLITTER))
 
     @property
     def gear_number(self) -> int:

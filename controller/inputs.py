@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 from controller.edges import EdgeFrame
 from dbc.messages import (
@@ -29,21 +29,29 @@ class StepInputs:
         self.sleeves_main: list[SleevesMain] = []
         self.sleeves_aux: list[SleevesAux] = []
         self.sensors: list[GearboxSensors] = []
-        self.valve_status: ValveStatus | None = None
-        self.requested_gear: int | None = None
+        self._valve_status: list[ValveStatus] = []
+        self._requests: list[TC1] = []
+        self._lists: dict[type, list[Any]] = {
+            **self.edges,
+            SleevesMain: self.sleeves_main,
+            SleevesAux: self.sleeves_aux,
+            GearboxSensors: self.sensors,
+            ValveStatus: self._valve_status,
+            TC1: self._requests,
+        }
 
     def take(self, message: Message) -> None:
-        """Files one message; the newest wins where only the newest matters."""
-        edges = self.edges.get(type(message))
-        if edges is not None:
-            edges.append(message)  # type: ignore[arg-type]
-        elif isinstance(message, SleevesMain):
-            self.sleeves_main.append(message)
-        elif isinstance(message, SleevesAux):
-            self.sleeves_aux.append(message)
-        elif isinstance(message, GearboxSensors):
-            self.sensors.append(message)
-        elif isinstance(message, ValveStatus):
-            self.valve_status = message
-        elif isinstance(message, TC1):
-            self.requested_gear = message.requested_gear
+        """Files one message."""
+        kept = self._lists.get(type(message))
+        if kept is not None:
+            kept.append(message)
+
+    @property
+    def valve_status(self) -> ValveStatus | None:
+        """The newest of this step."""
+        return self._valve_status[-1] if self._valve_status else None
+
+    @property
+    def requested_gear(self) -> int | None:
+        """The gear asked for last; None where none was, or the field was not available."""
+        return self._requests[-1].requested_gear if self._requests else None

@@ -8,6 +8,7 @@ from typing import Final
 
 from bus.clock import Clock
 from bus.driver import OpenBus, run_node
+from bus.settle import settle
 from bus.statistics import NodeStatistics
 from controller.core import OWN_ADDRESS, ControllerCore
 from controller.header import RunHeader
@@ -27,6 +28,7 @@ async def run_controller(
     """Runs a controller until `stop` is set; its last frames switch all valves off."""
     warm_up()
     core = ControllerCore(header)
+    settle()
     return await run_node(
         core,
         open_bus,

@@ -8,6 +8,7 @@ from typing import Final
 
 from bus.clock import Clock
 from bus.driver import OpenBus, run_node
+from bus.settle import settle
 from bus.statistics import NodeStatistics
 from gearbox import GearboxSheet
 from rig_sim.core import RigCore
@@ -28,6 +29,7 @@ async def run_rig(
 ) -> NodeStatistics:
     """Runs a rig until `stop` is set; its last frame shows all valves off."""
     core = RigCore(sheet, settings)
+    settle()
     return await run_node(
         core,
         open_bus,

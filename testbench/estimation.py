@@ -8,6 +8,7 @@ for the next 10 ms read. Scored while the model holds, from neutral to first con
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, Final
 
 from controller.brake_input import BrakeInput
@@ -76,22 +77,26 @@ class EstimationScore:
         self._inputs = StepInputs()
         self._encoder: list[ReferenceEncoder] = []
         self._contact_us: int | None = None
+        self._handlers: dict[type[Message], Callable[[Any], None]] = {
+            ReferenceEncoder: self._encoder.append,
+            ValveCommand: self._switch_brake,
+            ReferenceEngagement: self._engagement,
+            ControllerStatus: self._step,
+        }
 
     def take(self, message: Message) -> None:
         """One message in bus order; a status frame closes a step."""
-        if isinstance(message, ReferenceEncoder):
-            self._encoder.append(message)
-        elif isinstance(message, ValveCommand):
-            self._switch_brake(message)
-        elif isinstance(message, ReferenceEngagement):
-            if message.event in CONTACTS:
-                self._contact_us = message.event_time_us
-            elif message.event is EngagementEvent.READY:
-                self._contact_us = None
-        elif isinstance(message, ControllerStatus):
-            self._step(message.step_time_us)
+        handler = self._handlers.get(type(message))
+        if handler is not None:
+            handler(message)
         else:
             self._inputs.take(message)
+
+    def _engagement(self, message: ReferenceEngagement) -> None:
+        if message.event in CONTACTS:
+            self._contact_us = message.event_time_us
+        elif message.event is EngagementEvent.READY:
+            self._contact_us = None
 
     def _switch_brake(self, command: ValveCommand) -> None:
         now_us = self._observer.clock.latest_us
@@ -100,13 +105,13 @@ class EstimationScore:
             time_us = unwrap(command.brake_time_us, now_us)
         self._brake.schedule(time_us, command.brake_action in SWITCHED_ON, now_us)
 
-    def _step(self, now_us: int) -> None:
+    def _step(self, status: ControllerStatus) -> None:
         if self._observer.layshaft.free:
             for message in self._encoder:
                 self._add(message)
         self._encoder.clear()
         inputs, self._inputs = self._inputs, StepInputs()
-        self._observer.take(inputs, now_us, [])
+        self._observer.take(inputs, status.step_time_us, [])
 
     def _add(self, message: ReferenceEncoder) -> None:
         newest_us = unwrap(message.sample_time_us, self._observer.clock.latest_us)

@@ -79,6 +79,9 @@ class RowCollector:
 
     def take(self, message: Message) -> None:
         """One message in bus order."""
+        kind = type(message)
+        if kind is not ReferenceEngagement and kind is not ShiftOutcome:
+            return
         if isinstance(message, ReferenceEngagement):
             if message.event is EngagementEvent.READY:
                 self._contacts.clear()

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from bus.core import Core
+from bus.settle import settle
 from controller.core import ControllerCore
 from controller.header import RunHeader, new_header
 from controller.settings import ControllerSettings
@@ -119,6 +120,7 @@ def simulate(
         not_addressed_to(Node.BENCH),
     ]
     driver = VirtualTime(cores, tick_phases(setup.seed), take, on_event, filters)
+    settle()
     if plan:
         driver.run(lambda: bench.done, LIMIT_US_PER_SHIFT * len(plan))
     return Result(

@@ -58,7 +58,7 @@ class VirtualBus:
         """A node hands over frames at `now_us`."""
         for frame in frames:
             # Same identifier: in the order given. Standard identifiers win over extended ones.
-            key = frame.can_id if frame.is_extended else frame.can_id << 18
+            key = 2 * frame.can_id + 1 if frame.is_extended else frame.can_id << 19
             heapq.heappush(self._waiting, (key, self._sequence, sender, frame))
             self._sequence += 1
         if self._on_bus is None and self._waiting:

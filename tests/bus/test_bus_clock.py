@@ -3,11 +3,14 @@
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bus.clock import Clock
 from bus.statistics import Histogram
+
+# On a busy machine any example may take long.
+patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
 class Wall:
@@ -19,6 +22,7 @@ class Wall:
 
 
 @given(st.lists(st.integers(0, 10**12)), st.floats(0.01, 100.0))
+@patient
 def test_a_clock_runs_speed_times_as_fast_as_the_wall(passes_ns: list[int], speed: float) -> None:
     wall = Wall()
     clock = Clock(speed, source_ns=wall)
@@ -50,6 +54,7 @@ def test_a_speed_that_is_none_is_refused(speed: float) -> None:
 
 
 @given(st.lists(st.integers(0, 10**9), min_size=1), st.floats(0.01, 1.0))
+@patient
 def test_a_quantile_bounds_the_true_one_within_an_eighth(
     values: list[int], fraction: float
 ) -> None:

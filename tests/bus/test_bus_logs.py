@@ -27,7 +27,9 @@ EPOCH_S = 1_700_000_000.0
 
 formats = pytest.mark.parametrize("ending", FORMATS)
 examples = settings(
-    max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=40,
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
 
 

@@ -1,11 +1,14 @@
 """How frames are laid out between node and hub."""
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from bus import wire
 from bus.wire import Flag
+
+# On a busy machine any example may take long.
+patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 FD = Flag.EXTENDED | Flag.FD
 
@@ -15,6 +18,7 @@ def unpacked(stream: bytes) -> list[wire.Record]:
 
 
 @given(st.binary(max_size=300))
+@patient
 def test_bytes_that_are_no_records_are_an_error_or_incomplete_and_nothing_else(junk: bytes) -> None:
     try:
         for record, end in wire.records(junk):
@@ -25,6 +29,7 @@ def test_bytes_that_are_no_records_are_an_error_or_incomplete_and_nothing_else(j
 
 
 @given(st.lists(st.binary(max_size=8), min_size=1, max_size=10), st.data())
+@patient
 def test_a_stream_may_be_cut_anywhere(payloads: list[bytes], data: st.DataObject) -> None:
     stream = b"".join(
         wire.pack(Flag.EXTENDED, index, payload, len(payload))

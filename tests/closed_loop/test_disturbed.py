@@ -130,7 +130,7 @@ def test_frames_twice_or_out_of_order_never_make_a_wrong_tooth() -> None:
     alter, repeated = every(5, lambda frame: [frame, frame])
     loop = Loop(REQUEST, receiving=alter).run(END_US)
     assert_shifted(loop)
-    assert abs(loop.status.e2e_errors - repeated[0]) <= 1
+    assert abs(loop.status.e2e_errors - repeated[0]) <= 5  # the last wait for the next step
     assert not any("tooth numbers lost" in line for line in loop.events)
 
 
@@ -197,7 +197,8 @@ def test_a_rig_that_restarts_in_mid_shift_ends_the_shift_and_is_found_again(stat
 
 
 def test_garbage_in_every_field_never_stops_the_controller() -> None:
-    """Random bytes under our identifiers, between good frames: it steps on every 10 ms."""
+    """Random bytes under our identifiers, one for three good frames: it steps on every 10 ms. Its
+    channels are no longer VALID with that many errors, so it may give the shift up; safely."""
     chance = random.Random(3)
     ids = sorted(TO_CONTROLLER)
 
@@ -211,5 +212,7 @@ def test_garbage_in_every_field_never_stops_the_controller() -> None:
     assert steps == list(range(len(steps)))
     assert len(steps) > 150
     refused = loop.status.e2e_errors + loop.status.format_errors
-    assert added[0] - 10 <= refused <= added[0]
-    assert_shifted(loop)
+    assert added[0] - 20 <= refused <= added[0]
+    assert len(loop.outcomes) == 1
+    assert loop.valves_driven == ()
+    assert loop.violations == 0

@@ -10,6 +10,7 @@ from controller.clock import HALF, JUMP_US, WINDOW, SensorClock, unwrap, wrap
 TIMES = st.integers(-(1 << 40), 1 << 40)
 
 
+@settings(deadline=None)
 @given(time_us=TIMES, off=st.integers(-HALF, HALF - 1))
 def test_a_time_within_36_minutes_of_where_it_should_be_is_found_again(
     time_us: int, off: int
@@ -17,6 +18,7 @@ def test_a_time_within_36_minutes_of_where_it_should_be_is_found_again(
     assert unwrap(wrap(time_us), time_us - off) == time_us
 
 
+@settings(deadline=None)
 @given(stamp=st.integers(0, (1 << 32) - 1), near=TIMES)
 def test_unwrapping_keeps_the_stamp_and_goes_to_the_nearest(stamp: int, near: int) -> None:
     time_us = unwrap(stamp, near)
@@ -55,6 +57,7 @@ def test_before_the_first_stamp_there_is_no_time() -> None:
     assert SensorClock().now_us(123_456) == 0
 
 
+@settings(deadline=None)
 @given(
     old_us=st.integers(0, (1 << 32) - 1),
     new_us=st.integers(0, (1 << 32) - 1),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.gearbox_view import GearboxView, SleeveTrack
@@ -64,6 +64,7 @@ def test_the_gear_follows_from_where_the_sleeves_stand(
     assert view_at(*(side * (STROKE - 0.9) for side in sides)).gear_number == number
 
 
+@settings(deadline=None)
 @given(first_second=st.floats(-12, 12), crawl_third=st.floats(-12, 12))
 def test_between_neutral_and_mesh_there_is_no_gear(first_second: float, crawl_third: float) -> None:
     """1 mm from the middle is neutral, 1 mm from the stroke is in mesh, all else is under way."""
@@ -105,6 +106,7 @@ def test_the_splitter_step_is_where_its_sleeve_is() -> None:
     assert view_at(0, 0, 3.0, 0).split is None
 
 
+@settings(deadline=None)
 @given(
     speed_m_s=st.floats(0.02, 2.0),
     direction=st.sampled_from([-1, 1]),

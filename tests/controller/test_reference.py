@@ -156,6 +156,7 @@ def test_noise_of_the_angles_averages_out(sheet: GearboxSheet) -> None:
     assert abs(math.remainder(error, PITCH)) < noise / 2.0
 
 
+@settings(deadline=None)
 @given(angle=st.floats(-1e4, 1e4))
 def test_a_wrapped_angle_is_within_half_a_pitch(angle: float) -> None:
     wrapped = wrap_to_pitch(angle, PITCH)

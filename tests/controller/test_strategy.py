@@ -77,8 +77,10 @@ def truth(
             atol=1e-9,
             dense_output=True,
         )
-        states = solution.sol(inside * 1e-6)
         y = solution.y[:, -1]
+        if not inside.size:
+            continue
+        states = solution.sol(inside * 1e-6)
         phases += (RATIO * states[0] - MAIN.theta_rad - MAIN.omega_rad_s * inside * 1e-6).tolist()
         slips += (RATIO * states[1] - MAIN.omega_rad_s).tolist()
     return np.array(phases), np.array(slips)
@@ -122,13 +124,17 @@ def test_a_planned_contact_is_on_target_inside_the_window_or_there_is_none(
 
 def test_the_earliest_gap_is_taken() -> None:
     """Between the earliest contact and the planned one the target passed at no slip allowed."""
-    for at_zero in np.linspace(0.0, PITCH, 7):
-        outlook = outlook_at(22.0, references=learned(float(at_zero)))
+    planned = 0
+    for at_zero in np.linspace(0.0, PITCH, 9):
+        outlook = outlook_at(44.0, references=learned(float(at_zero)))
         plan = Strategist(SHEET, ControllerSettings()).target_phase(outlook, EARLIEST_US)
-        assert plan is not None
+        if plan is None:
+            continue
+        planned += 1
         times = np.arange(EARLIEST_US + DELAY_US, plan.contact_us - 100.0, 100.0)
         phases, _ = truth(outlook, times)
         assert np.all(np.diff(np.floor((phases + at_zero) / PITCH)) == 0)
+    assert planned >= 3
 
 
 def test_an_unknown_phase_cannot_be_aimed_at() -> None:

@@ -10,7 +10,7 @@ from fractions import Fraction
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gearbox import GearboxSheet, MainGear, Range, SheetError, Split, load_sheet
@@ -42,6 +42,7 @@ def test_tooth_counts_are_exact() -> None:
     assert sheet.range_mesh(Range.HIGH).exact == 1
 
 
+@settings(deadline=None)
 @given(driving=st.integers(8, 200), driven=st.integers(8, 200))
 def test_a_ratio_is_the_nearest_float_of_its_teeth(driving: int, driven: int) -> None:
     mesh = Mesh(driving, driven)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dbc.messages import (
@@ -106,6 +106,7 @@ def test_a_refused_request_is_no_shift() -> None:
     assert rows_of(contact(0.3), outcome(result=ShiftResult.REFUSED)) == []
 
 
+@settings(deadline=None)
 @given(phase_deg=st.floats(-3.75, 3.75), target_deg=st.floats(-0.7, 0.7))
 def test_the_error_is_from_the_target_and_within_half_a_pitch(
     phase_deg: float, target_deg: float
@@ -116,6 +117,7 @@ def test_the_error_is_from_the_target_and_within_half_a_pitch(
     assert abs(math.remainder(row.phase_error_deg - (phase_deg - target_deg), 7.5)) < 1e-9
 
 
+@settings(deadline=None)
 @given(start=st.integers(0, (1 << 32) - 1), span=st.integers(-(1 << 31), (1 << 31) - 1))
 def test_spans_of_the_32_bit_clock_have_a_sign(start: int, span: int) -> None:
     assert span_us((start + span) & 0xFFFF_FFFF, start) == span

@@ -24,6 +24,7 @@ def test_a_classic_extended_frame_takes_its_time_on_the_wire() -> None:
     assert 2 * 128 <= duration_us(8, False) <= 2 * 160
 
 
+@settings(deadline=None)
 @given(length=st.integers(0, 63), is_fd=st.booleans())
 def test_a_longer_frame_takes_no_less(length: int, is_fd: bool) -> None:
     assert duration_us(length + 1, is_fd) >= duration_us(length, is_fd) > 0
