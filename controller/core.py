@@ -118,21 +118,20 @@ class ControllerCore:
         """Decodes the inbox in order of identifier."""
         self._receiver.tick(now_us)
         inputs = StepInputs()
-        crc = count = 0
+        consumed: list[bytes] = []
         inbox, self._inbox = sorted(self._inbox, key=_identifier), []
         for frame in inbox:
             if frame.is_extended and frame.can_id & 0xFF == OWN_ADDRESS:
                 continue
             received = self._receiver.receive(frame)
             if received.verdict is not Verdict.FOREIGN:
-                count += 1
-                crc = zlib.crc32(frame.data, zlib.crc32(frame.can_id.to_bytes(4, "little"), crc))
+                consumed += (frame.can_id.to_bytes(4, "little"), frame.data)
             if received.message is not None:
                 inputs.take(received.message)
         if self._dropped:
             events.append(f"{self._dropped} frames dropped: more than {INBOX_LIMIT} in one step")
             self._dropped = 0
-        return inputs, Consumed(count & 0xFFFF, crc)
+        return inputs, Consumed((len(consumed) // 2) & 0xFFFF, zlib.crc32(b"".join(consumed)))
 
     def _moment(self, now_us: int) -> Moment:
         observer = self._observer

@@ -318,6 +318,8 @@ class ShiftSequence:
         low = self._settings.window.contact_low_rad_s
         if not aimed or (plan is None and outlook.slip_rad_s(moment.earliest_us) < low):
             plan = self._strategist.speed_window(outlook, moment.now_us, moment.earliest_us)
+        if plan is not None and plan.fire_us > moment.now_us + RELEASE_HORIZON_US:
+            plan = None  # not sent yet, like a release: the valve side would refuse it
         if plan is None:
             self._board.off(valve)
             waiting = ShiftDecision.WAIT_FOR_GAP if aimed else ShiftDecision.WAIT_FOR_SLIP

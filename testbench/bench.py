@@ -12,6 +12,7 @@ from typing import Final
 
 from bus.core import Step
 from dbc.frame import Frame
+from dbc.layout import CODECS
 from dbc.link import Receiver, Transmitter
 from dbc.messages import (
     TC1,
@@ -36,6 +37,10 @@ LEARN_US: Final = 300_000
 """In the new gear before it is left: time to learn its phase."""
 PATIENCE_US: Final = 8_000_000
 """A step of the plan that takes longer has failed; the bench goes on with the next shift."""
+HEARD: Final = frozenset(
+    CODECS[kind.__name__].spec.can_id
+    for kind in (ControllerStatus, ShiftOutcome, ReferenceEngagement)
+)
 MOVING: Final = frozenset(ControllerState) - {
     ControllerState.STARTING,
     ControllerState.IN_GEAR,
@@ -117,6 +122,8 @@ class BenchCore:
 
     def receive(self, frame: Frame) -> None:
         """Notes what the plan waits for."""
+        if frame.can_id not in HEARD:
+            return
         message = self._receiver.receive(frame).message
         if isinstance(message, ControllerStatus):
             self._seen.status = message

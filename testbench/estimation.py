@@ -19,6 +19,7 @@ from controller.observer import Observer
 from controller.predictor import LayshaftState
 from controller.settings import ESTIMATOR_NAMES, ControllerSettings
 from dbc.messages import (
+    ControllerState,
     ControllerStatus,
     EngagementEvent,
     Message,
@@ -33,6 +34,10 @@ from testbench.rows import CONTACTS, DEG, RPM
 ENCODER_STEP_US: Final = 2_000
 SWITCHED_ON: Final = (ValveAction.ON_AT, ValveAction.ON_NOW)
 SCHEDULED: Final = (ValveAction.ON_AT, ValveAction.OFF_AT)
+
+
+RESTING: Final = (ControllerState.STARTING, ControllerState.IN_GEAR, ControllerState.NEUTRAL)
+ALWAYS: Final = frozenset((ControllerStatus, ReferenceEngagement))
 
 
 class _Score:
@@ -77,6 +82,9 @@ class EstimationScore:
         self._inputs = StepInputs()
         self._encoder: list[ReferenceEncoder] = []
         self._contact_us: int | None = None
+        self.active = False
+        """Whether a shift goes on: only then are edges needed. From the opening of the clutch there
+        is time enough for the speeds to settle before the model begins to hold."""
         self._handlers: dict[type[Message], Callable[[Any], None]] = {
             ReferenceEncoder: self._encoder.append,
             ValveCommand: self._switch_brake,
@@ -86,6 +94,8 @@ class EstimationScore:
 
     def take(self, message: Message) -> None:
         """One message in bus order; a status frame closes a step."""
+        if not self.active and type(message) not in ALWAYS:
+            return
         handler = self._handlers.get(type(message))
         if handler is not None:
             handler(message)
@@ -106,6 +116,10 @@ class EstimationScore:
         self._brake.schedule(time_us, command.brake_action in SWITCHED_ON, now_us)
 
     def _step(self, status: ControllerStatus) -> None:
+        shifting = status.state not in RESTING
+        if not shifting and not self.active:
+            return
+        self.active = shifting
         if self._observer.layshaft.free:
             for message in self._encoder:
                 self._add(message)

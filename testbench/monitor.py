@@ -30,7 +30,8 @@ READ: Final = (
     EdgesLayshaftRise, EdgesLayshaftFall, SleevesMain, SleevesAux, GearboxSensors, ValveCommand,
     ControllerStatus, ReferenceEncoder, ReferenceEngagement, ShiftOutcome,
 )  # fmt: skip
-"""What rows and estimation need: less than half of the bus; the rest stays undecoded."""
+"""What rows and estimation need in a shift: less than half of the bus; the rest stays undecoded."""
+READ_AT_REST: Final = (ControllerStatus, ReferenceEngagement, ShiftOutcome)
 
 
 def identifiers(kinds: tuple[type[Message], ...]) -> frozenset[int]:
@@ -53,11 +54,13 @@ class Monitor:
         self.estimation = EstimationScore(sheet, settings)
         self.status: ControllerStatus | None = None
         self._read = identifiers(READ + also)
+        self._read_at_rest = identifiers(READ_AT_REST + also)
         self._receiver = Receiver(*Node)
 
     def take(self, frame: Frame) -> Message | None:
         """One frame in bus order; returns the message where there is one."""
-        if frame.can_id not in self._read:
+        wanted = self._read if self.estimation.active else self._read_at_rest
+        if frame.can_id not in wanted:
             return None
         message = self._receiver.receive(frame).message
         if message is None:

@@ -16,6 +16,7 @@ from controller.header import RunHeader, new_header
 from controller.settings import ControllerSettings
 from dbc.frame import Frame
 from dbc.layout import CODECS
+from dbc.messages import ShiftOutcome
 from dbc.node import Node
 from gearbox import GearboxSheet
 from rig_sim.core import RigCore
@@ -105,13 +106,13 @@ def simulate(
 
     def take(time_us: int, frame: Frame) -> None:
         nonlocal reported
-        monitor.take(frame)
+        message = monitor.take(frame)
         if on_frame is not None:
             on_frame(time_us, frame)
-        if on_row is not None:
+        if on_row is not None and type(message) is ShiftOutcome:
             for row in monitor.rows.rows[reported:]:
                 on_row(row)
-        reported = len(monitor.rows.rows)
+            reported = len(monitor.rows.rows)
 
     cores: list[Core] = [ControllerCore(setup.header), RigCore(setup.sheet, rig_settings), bench]
     filters = [

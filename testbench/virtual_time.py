@@ -1,25 +1,18 @@
 """The virtual-time driver: the same cores as live, on one event heap, without sleeping.
 
-Events are ordered by time, then priority (a frame that is through comes before a step at the same
-microsecond), then sequence; so a run is a function of its seed.
+Steps wait on a heap ordered by time, then sequence; the bus has one frame on its way at a time, and
+a frame that is through comes before a step at the same microsecond. So a run is a function of its
+seed.
 """
 
 from __future__ import annotations
 
 import heapq
 from collections.abc import Callable
-from enum import IntEnum
 
 from bus.core import Core
 from dbc.frame import Frame
 from testbench.virtual_bus import VirtualBus
-
-
-class Priority(IntEnum):
-    """Order of events at the same microsecond."""
-
-    DELIVERY = 0
-    STEP = 1
 
 
 class VirtualTime:
@@ -43,50 +36,65 @@ class VirtualTime:
         self._bus = VirtualBus()
         self._on_frame = on_frame
         self._on_event = on_event
-        self._heap: list[tuple[int, Priority, int, int]] = []
+        self._heap: list[tuple[int, int, int]] = []
+        self._routes: dict[tuple[int, int], list[tuple[int, Core]]] = {}
         self._sequence = 0
         self._due: list[int] = list(phases_us)
         self.now_us = 0
         for node, phase_us in enumerate(phases_us):
-            self._push(phase_us, Priority.STEP, node)
+            self._push(phase_us, node)
 
     @property
     def bus(self) -> VirtualBus:
         """The bus, for its load."""
         return self._bus
 
-    def _push(self, time_us: int, priority: Priority, node: int) -> None:
+    def _push(self, time_us: int, node: int) -> None:
         self._sequence += 1
-        heapq.heappush(self._heap, (time_us, priority, self._sequence, node))
+        heapq.heappush(self._heap, (time_us, self._sequence, node))
 
     def run(self, until: Callable[[], bool], limit_us: int) -> bool:
         """Runs until `until()` says so, looked at after every step, or until `limit_us`.
 
         Returns whether `until` was met."""
-        while self._heap and self._heap[0][0] <= limit_us:
-            self.now_us, priority, _, node = heapq.heappop(self._heap)
-            if priority is Priority.DELIVERY:
+        heap, bus = self._heap, self._bus
+        while True:
+            step_us, through_us = heap[0][0], bus.next_us
+            if through_us is not None and through_us <= step_us:
+                # A frame that is through comes before a step at the same microsecond.
+                if through_us > limit_us:
+                    return False
+                self.now_us = through_us
                 self._deliver()
-            elif self._due[node] == self.now_us:
+                continue
+            if step_us > limit_us:
+                return False
+            self.now_us, _, node = heapq.heappop(heap)
+            if self._due[node] == self.now_us:
                 self._step(node)
                 if until():
                     return True
-        return False
 
     def _deliver(self) -> None:
-        delivery = self._bus.take()
+        _, sender, frame = self._bus.take()
         if self._on_frame is not None:
-            self._on_frame(delivery.time_us, delivery.frame)
-        can_id = delivery.frame.can_id
-        for node, core in enumerate(self._cores):
-            if node == delivery.sender or can_id in self._rejected[node]:
-                continue
-            core.receive(delivery.frame)
-            if core.next_step_us <= self.now_us and self._due[node] > self.now_us:
+            self._on_frame(self.now_us, frame)
+        route = self._routes.get((sender, frame.can_id))
+        if route is None:
+            route = self._routes[sender, frame.can_id] = self._route(sender, frame.can_id)
+        for node, core in route:
+            core.receive(frame)
+            if self._due[node] > self.now_us and core.next_step_us <= self.now_us:
                 self._due[node] = self.now_us
-                self._push(self.now_us, Priority.STEP, node)
-        if self._bus.next_us is not None:
-            self._push(self._bus.next_us, Priority.DELIVERY, 0)
+                self._push(self.now_us, node)
+
+    def _route(self, sender: int, can_id: int) -> list[tuple[int, Core]]:
+        """The nodes that receive this identifier from this sender."""
+        return [
+            (node, core)
+            for node, core in enumerate(self._cores)
+            if node != sender and can_id not in self._rejected[node]
+        ]
 
     def _step(self, node: int) -> None:
         core = self._cores[node]
@@ -94,9 +102,6 @@ class VirtualTime:
         if self._on_event is not None:
             for line in step.events:
                 self._on_event(self.now_us, node, line)
-        idle = self._bus.next_us is None
         self._bus.send(node, step.frames, self.now_us)
-        if idle and self._bus.next_us is not None:
-            self._push(self._bus.next_us, Priority.DELIVERY, 0)
         self._due[node] = max(core.next_step_us, self.now_us + 1)
-        self._push(self._due[node], Priority.STEP, node)
+        self._push(self._due[node], node)

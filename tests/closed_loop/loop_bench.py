@@ -26,6 +26,7 @@ from gearbox import GearboxSheet, load_sheet
 from rig_sim.core import RigCore
 from rig_sim.settings import RigSettings
 from testbench.bench import BenchCore, plan_shifts
+from testbench.provenance import product_version
 from testbench.virtual_time import VirtualTime
 
 SHEET = load_sheet("thesis")
@@ -114,7 +115,7 @@ class Loop:
 
     @property
     def header(self) -> RunHeader:
-        return new_header("1.0", self.sheet, self.settings)
+        return new_header(product_version(), self.sheet, self.settings)
 
     def new_rig(self, seed: int, clock_start_us: int | None = None) -> RigCore:
         """A rig as at power-up."""
@@ -192,7 +193,7 @@ class Loop:
         status = self.last(ValveStatus)
         return tuple(k for k, v in status._asdict().items() if k.endswith("_energised") and v)
 
-    def sent(self, kind: type[Any]) -> list[Frame]:
-        """The frames of a kind that were on the bus."""
-        can_id = CODECS[kind.__name__].spec.can_id
+    def sent_as(self, name: str) -> list[Frame]:
+        """The frames of a message that were on the bus."""
+        can_id = CODECS[name].spec.can_id
         return [frame for _, frame in self.frames if frame.can_id == can_id]

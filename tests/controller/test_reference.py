@@ -118,6 +118,20 @@ def test_lost_counts_lose_every_reference(sheet: GearboxSheet) -> None:
         references.phase_rad(MainGear.SECOND, 0.0, 0.0)
 
 
+def test_a_gear_that_turns_back_in_its_gap_lies_on_the_other_flank(sheet: GearboxSheet) -> None:
+    """The layshaft only gets slower: a gear that enters with a little slip may leave its first
+    flank again before the sleeve holds it. The slip seen last tells."""
+    references = PhaseReferences(sheet)
+    box = Gearbox(*TEETH[MainGear.SECOND], 0.1, 0.2, 0.3)
+    references.locked(MainGear.SECOND, 0.5)
+    for slip in (0.3, 0.1, -0.1, -0.4, -0.15):
+        references.slips(slip)
+    while not references.watch(MainGear.SECOND, box.layshaft_at_phase(-HALF_GAP, 5.0, 3), 5.0):
+        pass
+    error = references.phase_rad(MainGear.SECOND, 1.0, 2.0) - box.phase(1.0, 2.0)
+    assert abs(math.remainder(error, PITCH)) < 1e-8
+
+
 @pytest.mark.parametrize("end", ["released", "lose_all"])
 def test_a_gear_that_leaves_the_mesh_while_watched_is_not_learned(
     sheet: GearboxSheet, end: str

@@ -123,7 +123,8 @@ def test_a_planned_contact_is_on_target_inside_the_window_or_there_is_none(
 
 
 def test_the_earliest_gap_is_taken() -> None:
-    """Between the earliest contact and the planned one the target passed at no slip allowed."""
+    """Between the earliest contact and the planned one the target passed at no slip allowed: it
+    may pass while the slip is still above its window."""
     planned = 0
     for at_zero in np.linspace(0.0, PITCH, 9):
         outlook = outlook_at(44.0, references=learned(float(at_zero)))
@@ -132,8 +133,10 @@ def test_the_earliest_gap_is_taken() -> None:
             continue
         planned += 1
         times = np.arange(EARLIEST_US + DELAY_US, plan.contact_us - 100.0, 100.0)
-        phases, _ = truth(outlook, times)
-        assert np.all(np.diff(np.floor((phases + at_zero) / PITCH)) == 0)
+        phases, slips = truth(outlook, times)
+        allowed = slips[1:] < ControllerSettings().window.contact_high_rad_s - 0.05
+        passed = np.diff(np.floor((phases + at_zero) / PITCH)) > 0
+        assert not np.any(passed & allowed)
     assert planned >= 3
 
 

@@ -1,0 +1,141 @@
+"""A recorded bus through the same controller: identical, or it says where and why not."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+from loop_bench import Loop
+
+from controller.header import RunHeader
+from dbc.frame import Frame
+from dbc.layout import CODECS
+from testbench.replay import LogReplay, Session, Verification
+
+
+def verify(loop: Loop, frames: list[Frame], folder: Path) -> Session:
+    loop.header.save(folder)
+    (session,) = LogReplay(folder, verify=True).run(frames)
+    return session
+
+
+@pytest.fixture(scope="session")
+def log(one_shift: Loop) -> list[Frame]:
+    return [frame for _, frame in one_shift.frames]
+
+
+OVERTAKEN = pytest.mark.xfail(
+    strict=True, reason="a step between two ticks may overtake the status frame before it"
+)
+
+
+@pytest.mark.parametrize(
+    "name", ["one_shift", "four_shifts", pytest.param("immediate_shift", marks=OVERTAKEN)]
+)
+def test_every_simulated_log_is_identical(
+    name: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
+    """Byte for byte, also where the controller steps between two ticks."""
+    loop: Loop = request.getfixturevalue(name)
+    session = verify(loop, [frame for _, frame in loop.frames], tmp_path)
+    assert session.verdict is Verification.IDENTICAL, str(session)
+    assert session.steps == len({status.step_number for status in loop.of(type(loop.status))})
+    assert session.frames > 3 * session.steps
+
+
+def test_a_run_on_a_bad_bus_is_identical_too(tmp_path: Path) -> None:
+    """What was corrupt on the wire is corrupt in the log: the same verdicts fall again. Foreign
+    frames count by their number alone."""
+    loop = Loop([(300_000, 10)])
+    spoilt, inner = [0], loop.rig.core
+    encode = inner.step
+
+    def step(now_us: int):  # type: ignore[no-untyped-def]
+        made = encode(now_us)
+        frames = []
+        for frame in made.frames:
+            spoilt[0] += 1
+            if spoilt[0] % 40 == 0:
+                frames.append(frame._replace(data=frame.data[:-1] + b"\x55"))
+            elif spoilt[0] % 41 == 0:
+                frames += [frame, Frame(0x18FE_F100, b"12345678", is_fd=False)]
+            elif spoilt[0] % 43:
+                frames.append(frame)
+        return made._replace(frames=frames)
+
+    inner.step = step  # type: ignore[method-assign]
+    loop.run(1_600_000)
+    assert loop.status.e2e_errors > 10
+    assert loop.status.foreign_frames > 10
+    session = verify(loop, [frame for _, frame in loop.frames], tmp_path)
+    assert session.verdict is Verification.IDENTICAL, str(session)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "EdgesLayshaftRise",
+        "SleevesMain",
+        "ReferenceEncoder",
+        "EEC1",
+        "ValveCommand",
+        "ControllerEstimates",
+        "ControllerStatus",
+        "ETC1",
+    ],
+)
+@pytest.mark.parametrize("share", [0.1, 0.6])
+def test_a_log_with_one_bit_changed_is_never_called_identical(
+    name: str, share: float, log: list[Frame], one_shift: Loop, tmp_path: Path
+) -> None:
+    """In a frame it heard, in one it only counted, or in one it sent itself."""
+    can_id = CODECS[name].spec.can_id
+    where = [i for i, frame in enumerate(log) if frame.can_id == can_id]
+    at = where[int(share * len(where))]
+    data = bytearray(log[at].data)
+    data[-1] ^= 0x10
+    tampered = [*log[:at], log[at]._replace(data=bytes(data)), *log[at + 1 :]]
+    session = verify(one_shift, tampered, tmp_path)
+    assert session.verdict is not Verification.IDENTICAL
+    assert session.step is not None
+    assert session.reason
+
+
+@pytest.mark.parametrize("name", ["EdgesMainFall", "ValveCommand", "ControllerStatus"])
+def test_a_log_with_a_frame_missing_is_never_called_identical(
+    name: str, log: list[Frame], one_shift: Loop, tmp_path: Path
+) -> None:
+    can_id = CODECS[name].spec.can_id
+    where = [i for i, frame in enumerate(log) if frame.can_id == can_id]
+    at = where[len(where) // 2]
+    session = verify(one_shift, log[:at] + log[at + 1 :], tmp_path)
+    assert session.verdict is not Verification.IDENTICAL
+
+
+def test_another_strategy_acts_on_the_same_frames(four_shifts: Loop, tmp_path: Path) -> None:
+    """Up to the first aimed shift both do the same; from there on the other one is told."""
+    four_shifts.header.save(tmp_path)
+
+    def change(header: RunHeader) -> RunHeader:
+        settings = dataclasses.replace(header.settings, strategy_name="speed_window")
+        return dataclasses.replace(header, settings=settings)
+
+    made: list[Frame] = []
+    frames = [frame for _, frame in four_shifts.frames]
+    (session,) = LogReplay(tmp_path, False, change, made.append).run(frames)
+    assert session.verdict is Verification.IDENTICAL
+    assert session.steps == len(four_shifts.of(type(four_shifts.status)))
+    outcome_id = CODECS["ShiftOutcome"].spec.can_id
+    assert sum(frame.can_id == outcome_id for frame in made) >= 3
+    valve_id = CODECS["ValveCommand"].spec.can_id
+    commands = [frame.data for frame in made if frame.can_id == valve_id]
+    logged = [frame.data for frame in four_shifts.sent_as("ValveCommand")]
+    assert commands[:200] == logged[:200]
+    assert commands != logged
+
+
+def test_a_log_without_status_frames_says_so(tmp_path: Path) -> None:
+    (session,) = LogReplay(tmp_path, verify=True).run([Frame(0x123, b"", is_extended=False)])
+    assert session.verdict is Verification.NOT_VERIFIABLE
+    assert "status" in str(session)
