@@ -154,7 +154,7 @@ class MeshpointBus(can.BusABC):
         except OSError as error:
             raise self._broken(str(error)) from error
         if not chunk:
-            raise self._broken("the hub closed the connection")
+            raise self._broken("connection closed")
         return chunk
 
     def _take_messages(self, chunk: bytes) -> list[can.Message]:
@@ -229,8 +229,8 @@ class MeshpointBus(can.BusABC):
     def _broken(self, cause: str) -> can.CanOperationError:
         self._lost = True
         return can.CanOperationError(
-            f"meshpoint: {self._place}: {cause} (a hub in the background writes its reasons to "
-            f"{self._hub_log})"
+            f"meshpoint: {self._place}: lost the hub: {cause} "
+            f"(one in the background leaves its reasons in {self._hub_log})"
         )
 
     @staticmethod

@@ -161,7 +161,7 @@ class ControllerCore:
         if sequence.finished is not None:
             shift = sequence.finished
             events.append(
-                f"shift {shift.from_number} -> {shift.target.number}: {shift.result.name.lower()}"
+                f"shift {shift.from_number} -> {shift.to_number}: {shift.result.name.lower()}"
                 f", {shift.attempts} fired, fault {shift.fault.name.lower()}"
             )
 
@@ -172,7 +172,6 @@ class ControllerCore:
             events.append(f"guard blocked a valve command: row {self._guard.blocked_row}")
             self._board.all_off()
             frame = self._transmitter.encode(ValveCommand())
-            self._guard.passes(frame.data, self._seen(moment))
         clutch = self._transmitter.encode(ClutchCommand(action=self._sequence.clutch))
         return [frame, clutch]
 

@@ -81,17 +81,18 @@ class Polarity:
             return []
         fresh = (frame.newest_index - self.index) & 0xFFFF
         if not self.started:
-            fresh = frame.valid_stamps
+            # With a long interval in the array only the newest edge can be placed.
+            fresh = 1 if frame.long_interval else frame.valid_stamps
             self.index = frame.newest_index - fresh
         if fresh == 0:
             return []
-        if frame.stopped or fresh > frame.valid_stamps:
-            self._restart(read_us)
-            return None
-        edges = self._chain(frame, read_us, fresh)
+        lost = frame.stopped or fresh > frame.valid_stamps
+        edges = None if lost else self._chain(frame, read_us, fresh)
         if edges is None:
+            # A wheel that has not begun to count has nothing to lose.
+            had_begun = self.started
             self._restart(read_us)
-            return None
+            return None if had_begun else []
         self.started = True
         self.index, self.time_us = edges[-1]
         return edges
@@ -108,7 +109,7 @@ class Polarity:
             # The edge before the oldest new one is known already: the chain must lead to it.
             if time_us - ((low[fresh - 1] - low[fresh]) & 0xFFFF) != self.time_us:
                 return None
-        elif frame.long_interval:
+        elif self.started and frame.long_interval:
             return None
         edges.reverse()
         return edges

@@ -58,6 +58,8 @@ class GearboxView:
         """The main gear in mesh, NEUTRAL with both sleeves in the middle, None in between."""
         self.split: Split | None = None
         """The splitter step in mesh."""
+        self.range_: Range | None = None
+        """The range step in mesh."""
 
     def sleeves_main(self, message: SleevesMain, time_us: int) -> None:
         """Takes the positions of the main box."""
@@ -99,6 +101,7 @@ class GearboxView:
             return
         self.main_gear = self._main_gear()
         self.split = {-1: Split.LOW, 1: Split.HIGH}.get(self.side(Sleeve.SPLITTER))
+        self.range_ = {-1: Range.LOW, 1: Range.HIGH}.get(self.side(Sleeve.RANGE))
 
     def _main_gear(self) -> MainGear | None:
         if self.in_neutral(Sleeve.FIRST_SECOND) and self.in_neutral(Sleeve.CRAWL_THIRD):
@@ -112,10 +115,9 @@ class GearboxView:
     @property
     def gear_number(self) -> int:
         """The gear in mesh: 1..14, 0 neutral, -1 between gears or not known."""
-        main, split = self.main_gear, self.split
+        main, split, range_ = self.main_gear, self.split, self.range_
         if main is MainGear.NEUTRAL:
             return 0
-        range_ = {-1: Range.LOW, 1: Range.HIGH}.get(self.side(Sleeve.RANGE))
         if main is None or split is None or range_ is None:
             return -1
         return _NUMBER.get((main, split, range_), -1)

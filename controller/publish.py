@@ -101,7 +101,7 @@ def outcome(shift: ShiftRecord, pitch_rad: float) -> ShiftOutcome:
     known = shift.reference_known
     return ShiftOutcome(
         from_gear=shift.from_number,
-        to_gear=shift.target.number,
+        to_gear=shift.to_number,
         strategy=shift.strategy,
         reference=PhaseReference.KNOWN if known else PhaseReference.UNKNOWN,
         result=shift.result,

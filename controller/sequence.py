@@ -42,6 +42,8 @@ OPPOSITE = {
 """The valve that pulls a gear out pushes toward the sleeve's other gear."""
 DRIVEN_LATE_US = 40 * MS
 """A valve not reported driven this long after its activation was refused: try again."""
+FALL_US = 20 * MS
+"""Over this the fall of the slip is measured."""
 KEEP_US = 3 * MS
 """A firing this near to the earliest possible one stands: planned anew, it could by a hair come out
 too early to be sent, and the gap would be lost for one that comes a pitch later."""
@@ -91,7 +93,9 @@ class ShiftSequence:
         self.decision: Plan | None = None
         """This step's decision, for the prediction frame."""
         self.fault = FaultCode.NONE
-        self._lock_slip_rad_s = 0.0
+        self._free_outlook: Outlook | None = None
+        """The last one before the sleeve entered its gear."""
+        self._free_us = 0
         self._handlers: dict[State, Callable[[Moment], Trigger | None]] = {
             State.STARTING: self._find_gear,
             State.IN_GEAR: self._stay,
@@ -121,9 +125,10 @@ class ShiftSequence:
         current = moment.view.gear_number
         if number == current:
             return None
-        reason = self._impossible(current, number)
+        reason = self._impossible(moment.view, number)
         record = ShiftRecord(
             current,
+            number if number in DRIVE_GEARS else -1,
             DRIVE_GEARS.get(number, DRIVE_GEARS[1]),
             moment.now_us,
             self._settings.strategy,
@@ -137,11 +142,14 @@ class ShiftSequence:
         self._enter(TRANSITIONS[self.state, Trigger.REQUESTED], moment)
         return None
 
-    def _impossible(self, current: int, number: int) -> str | None:
+    def _impossible(self, view: GearboxView, number: int) -> str | None:
         if number not in DRIVE_GEARS:
             return "gears are 1 to 14"
+        current, target = view.gear_number, DRIVE_GEARS[number]
+        if current == 0 and target.split is view.split and target.range_ is view.range_:
+            return None
         if current < 1:
-            return "no gear in mesh to shift from"
+            return "from where the box stands it moves splitter or range"
         if not main_box_only(current, number):
             return f"from {current} it moves splitter or range, or nothing"
         old, new = DRIVE_GEARS[current].main, DRIVE_GEARS[number].main
@@ -295,6 +303,7 @@ class ShiftSequence:
         if shift.plan is not None and shift.plan.fire_us < moment.earliest_us + KEEP_US:
             shift.attempts += 1
             shift.measured_contact_us = None
+            self._free_outlook = None
             self.decision = shift.plan._replace(decision=ShiftDecision.COMMITTED)
             return Trigger.FIRED
         if outlook.slip_rad_s(moment.now_us) < self._settings.window.least_rad_s:
@@ -338,24 +347,40 @@ class ShiftSequence:
         track = moment.view.tracks[side.sleeve]
         outlook = self.outlook(gear, moment)
         if outlook is not None:
-            self._lock_slip_rad_s = outlook.slip_rad_s(moment.now_us)
+            self._free_outlook, self._free_us = outlook, moment.now_us
         if shift.measured_contact_us is None:
             level = self._sheet.sleeve.to_contact_m - 1e-5
             crossing = track.crossing_us(level, side.direction)
             if crossing is not None:
                 shift.measured_contact_us = round(crossing)
-                if outlook is not None and self._references.known(gear):
+                if self._free_outlook is not None and self._references.known(gear):
                     shift.estimated_phase_rad = self._strategist.plan_at(
-                        outlook, round(crossing), ShiftDecision.NONE
+                        self._free_outlook, round(crossing), ShiftDecision.NONE
                     ).phase_rad
         if moment.view.main_gear is gear:
-            self._references.locked(gear, self._lock_slip_rad_s)
+            self._references.locked(gear, self._flank_slip_rad_s())
             self._end(moment, ShiftResult.ENGAGED, FaultCode.NONE)
             return Trigger.ENGAGED
         if self._late(moment, self._settings.limits.engage_ms) or not moment.usable:
             self._board.off(SLEEVE_VALVE[gear])
             return Trigger.BLOCKED
         return None
+
+    def _flank_slip_rad_s(self) -> float:
+        """The slip that carried the tooth to its flank; 0 where its sign cannot be told.
+
+        Slip falls while the layshaft is free. A positive one that is too small to cross the whole
+        gap before it reverses may have left the tooth on either flank."""
+        outlook = self._free_outlook
+        if outlook is None:
+            return 0.0
+        slip = outlook.slip_rad_s(self._free_us)
+        later = outlook.slip_rad_s(self._free_us + FALL_US)
+        if slip <= 0.0:
+            return later
+        fall_rad_s2 = (slip - later) / (FALL_US * 1e-6)
+        crosses = slip * slip > 2.0 * self._sheet.dog.backlash_rad * fall_rad_s2
+        return slip if crosses else 0.0
 
     def _retract(self, moment: Moment) -> Trigger | None:
         shift = self._running

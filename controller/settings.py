@@ -54,13 +54,13 @@ class Timing:
 class Window:
     """Slip at which a sleeve may meet its gear; slip > 0: the gear turns faster (design, signs)."""
 
-    fire_slip_rad_s: float = quantity("fire_slip_rpm", 1.0, 200.0, RPM, default=40.0 * RPM)
+    fire_slip_rad_s: float = quantity("fire_slip_rpm", 1.0, 200.0, RPM, default=50.0 * RPM)
     """`speed_window` fires when the slip has fallen to this."""
     contact_high_rad_s: float = quantity("contact_high_rpm", 1.0, 200.0, RPM, default=25.0 * RPM)
     """`target_phase` plans no contact above this slip."""
     contact_low_rad_s: float = quantity("contact_low_rpm", -50.0, 100.0, RPM, default=4.0 * RPM)
     """Nor below this one; the sleeve could stay on a tooth face."""
-    release_slip_rad_s: float = quantity("release_slip_rpm", 1.0, 200.0, RPM, default=28.0 * RPM)
+    release_slip_rad_s: float = quantity("release_slip_rpm", 1.0, 200.0, RPM, default=35.0 * RPM)
     """`speed_window` releases the brake so that this slip is left when it has died away."""
     settle_time_constants: float = quantity("settle_time_constants", 0.0, 10.0, default=3.0)
     """When the brake counts as died away, in time constants of its pressure after release."""

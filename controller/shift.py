@@ -58,6 +58,8 @@ class ShiftRecord:
     """One shift from request to outcome; what the outcome frame reports."""
 
     from_number: int
+    to_number: int
+    """The gear asked for; -1 where there is no such gear, and `target` then means nothing."""
     target: DriveGear
     request_us: int
     strategy: Strategy

@@ -191,7 +191,7 @@ async def test_a_hub_that_dies_is_reported_and_replaced_and_nothing_stale_is_sen
     assert node.statistics.frames_discarded > 20
     lost, back, off = node.events
     assert "bus lost" in lost
-    assert "the hub closed the connection" in lost
+    assert "lost the hub" in lost
     assert "bus is back" in back
     assert off == "node: valves off"
 
@@ -214,7 +214,10 @@ async def test_a_node_whose_bus_is_away_ends_at_once(
 
 
 @pytest.mark.asyncio
-async def test_a_reopened_bus_that_carries_nothing_is_not_called_back() -> None:
+async def test_a_reopened_bus_that_carries_nothing_is_not_called_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("bus.driver.RETRY_S", 0.05)
     down = can.CanOperationError("Failed to transmit: Network is down", errno.ENETDOWN)
     buses = [ScriptedBus(), ScriptedBus(send_error=down), ScriptedBus(send_error=down)]
     opened: list[ScriptedBus] = []
@@ -228,7 +231,7 @@ async def test_a_reopened_bus_that_carries_nothing_is_not_called_back() -> None:
     buses[0].send_error = down
     await node.until(lambda: len(opened) >= 3)
     assert [event for event in node.events if "bus" in event] == [
-        f"node: bus lost: {down}; trying again every 0.5 s"
+        f"node: bus lost: {down}; trying again every 0.05 s"
     ]
     buses[2].send_error = None
     await node.until(lambda: any("bus is back" in event for event in node.events))

@@ -53,13 +53,13 @@ def test_two_listeners_see_all_frames_of_two_senders_in_the_same_order(
     common_channel: str, start: Start
 ) -> None:
     listeners = [start(TRAFFIC, "listen", common_channel, "2") for _ in range(2)]
-    senders = [start(TRAFFIC, "send", common_channel, str(n), "4000", "0") for n in (1, 2)]
+    senders = [start(TRAFFIC, "send", common_channel, str(n), "3000", "0") for n in (1, 2)]
     for process in listeners + senders:
         ready(process)
     for sender in senders:
         go(sender)
     first, second = (report(listener) for listener in listeners)
-    assert first["counts"] == {"1": 4000, "2": 4000}
+    assert first["counts"] == {"1": 3000, "2": 3000}
     assert first == second
 
 
@@ -67,7 +67,7 @@ def test_a_reader_that_stalls_for_300_ms_at_3000_frames_a_second_loses_nothing(
     common_channel: str, start: Start, join: Join
 ) -> None:
     node = join()
-    sender = ready(start(TRAFFIC, "send", common_channel, "5", "2400", "3000"))
+    sender = ready(start(TRAFFIC, "send", common_channel, "5", "1800", "3000"))
     go(sender)
     numbers = []
     stalled = False
@@ -80,7 +80,7 @@ def test_a_reader_that_stalls_for_300_ms_at_3000_frames_a_second_loses_nothing(
         if len(numbers) > 600 and not stalled:
             time.sleep(0.3)
             stalled = True
-    assert numbers == list(range(2400))
+    assert numbers == list(range(1800))
 
 
 def test_nodes_that_start_at_the_same_time_meet_at_one_hub(place: Path) -> None:

@@ -42,7 +42,7 @@ def test_every_kind_of_message_arrives_as_it_was_sent(join: Join) -> None:
     sender, receiver = join(), join()
 
     @given(st.lists(messages(), min_size=1, max_size=20), st.booleans())
-    @settings(max_examples=50, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+    @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
     def check(batch: list[can.Message], drained: bool) -> None:
         for message in batch:
             sender.send(message)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 
-import pytest
 from loop_bench import SHEET, Loop
 
 from controller.header import new_header
@@ -173,9 +172,6 @@ def test_the_learned_phase_is_the_true_one(four_shifts: Loop) -> None:
         assert sorted(errors)[19 * len(errors) // 20] < 0.05
 
 
-@pytest.mark.xfail(
-    strict=True, reason="a sleeve that has entered by the step that sees contact is reported as 0"
-)
 def test_the_phase_told_at_contact_is_the_true_one(four_shifts: Loop) -> None:
     """With the reference of an earlier engagement, at a slip of some 15 rpm."""
     contacts = engagements(four_shifts, EngagementEvent.GAP_CONTACT)
@@ -205,13 +201,14 @@ def test_hardware_that_cannot_schedule_completes_shifts_too(immediate_shift: Loo
 def test_immediate_valves_open_at_the_planned_moment_not_at_the_tick(
     immediate_shift: Loop,
 ) -> None:
-    """The node wakes between two ticks: the contact is 45 ms +- 5 ms after the planned firing."""
+    """The node wakes between two ticks: the contact is 45 ms +- 5 ms after the planned firing, and
+    later by what the controller's notion of sensor time lags: up to a tick and the bus's burst."""
     (outcome,) = immediate_shift.outcomes
     contact = engagements(
         immediate_shift, EngagementEvent.GAP_CONTACT, EngagementEvent.TOOTH_CONTACT
     )[-1]
     delay_us = (contact.event_time_us - outcome.fire_time_us) % (1 << 32)
-    assert 39_000 < delay_us < 53_000
+    assert 40_000 <= delay_us < 50_000 + 10_000 + 4_000
 
 
 def test_the_same_seed_gives_the_same_bytes() -> None:

@@ -72,6 +72,8 @@ def test_between_neutral_and_mesh_there_is_no_gear(first_second: float, crawl_th
     gear = view.main_gear
     if max(abs(first_second), abs(crawl_third)) < 0.99:
         assert gear is MainGear.NEUTRAL
+    elif min(abs(abs(first_second) - 11.0), abs(abs(crawl_third) - 11.0)) < 0.01:
+        return  # on the very edge either is right
     elif abs(first_second) > 11.01:
         assert gear is (MainGear.FIRST if first_second < 0 else MainGear.SECOND)
     elif abs(crawl_third) > 11.01:

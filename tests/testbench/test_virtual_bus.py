@@ -59,7 +59,8 @@ def test_waiting_frames_win_by_identifier_and_follow_each_other(
     """The first takes the idle bus; the others are in order; the bus is never shared or idle."""
     bus = VirtualBus()
     bus.send(0, frames[:1], now_us)
-    bus.send(1, frames[1:], now_us)
+    for sender, frame in enumerate(frames[1:], 1):
+        bus.send(sender, [frame], now_us)
     got = drain(bus)
     assert got[0][1] == frames[0]
     assert [f for _, f in got[1:]] == sorted(frames[1:], key=lambda f: f.can_id)
@@ -90,7 +91,8 @@ def test_a_standard_identifier_wins_over_an_extended_one_that_begins_alike() -> 
     bus = VirtualBus()
     extended = Frame(0x123 << 18, b"", is_extended=True)
     standard = Frame(0x123, b"", is_extended=False)
-    bus.send(0, [Frame(0, b""), extended, standard], 0)
+    for sender, frame in enumerate((Frame(0, b""), extended, standard)):
+        bus.send(sender, [frame], 0)
     assert [frame for _, frame in drain(bus)][1:] == [standard, extended]
 
 
