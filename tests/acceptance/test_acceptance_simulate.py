@@ -20,9 +20,7 @@ from acceptance_kit import (
     THESIS_SHEET,
     Recorded,
     assert_ended_well,
-    children_cpu_s,
     run,
-    run_whole,
     strict_json,
     words,
 )
@@ -238,22 +236,3 @@ def test_no_shift_is_an_empty_list_or_a_clear_refusal() -> None:
     outcome = run(*words("simulate --preset thesis --seed 1 --shifts 0 --json -"))
     assert "Traceback" not in outcome.err
     assert outcome.code == 2 or (outcome.code == 0 and outcome.json["shifts"] == [])
-
-
-def test_virtual_time_runs_forty_times_faster_than_real_time(
-    simulated: Callable[..., Recorded], tmp_path: Path
-) -> None:
-    # Processor time of a long run less that of a short one: start-up, and what else this machine
-    # is busy with, does not count. The log of the same run tells how much time was simulated.
-    def cost(shifts: int) -> tuple[float, float]:
-        before = children_cpu_s()
-        arguments = words(f"simulate --preset thesis --seed 7 --shifts {shifts} --json -")
-        assert_ended_well(run_whole(*arguments, cwd=tmp_path))
-        used_s = children_cpu_s() - before
-        frames = simulated("--seed", 7, "--shifts", shifts).frames
-        return used_s, frames[-1].time_s - frames[0].time_s
-
-    short_cpu_s, short_s = cost(2)
-    long_cpu_s, long_s = cost(22)
-    ratio = (long_s - short_s) / (long_cpu_s - short_cpu_s)
-    assert ratio >= 40.0, f"{ratio:.1f} x real time"
