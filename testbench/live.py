@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import signal
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -33,7 +33,8 @@ from testbench.traces import TRACED, Traces
 BENCH_ADDRESS = 0xF9
 FLUSH_US = 1_000_000
 POLL_S = 0.05
-END_S = 5.0
+END_S = 15.0
+START_S = 120.0
 SILENCE_S = 20.0
 """Wall seconds without a shift, at speed 1, after which the live run is given up."""
 
@@ -121,6 +122,13 @@ async def run_live(run: LiveRun) -> LiveResult:
         # The log begins before the nodes do, so that their first steps are in it.
         await asyncio.sleep(2 * POLL_S)
         nodes = await _start_nodes(run, stop_nodes)
+        try:
+            await _until_heard(result, recorder, nodes)
+        except BaseException:
+            await _end_nodes(nodes, stop_nodes)
+            stop_listening.set()
+            await recorder
+            raise
         task = asyncio.create_task(
             run_node(
                 bench, run.open_bus, Clock(run.speed), on_event=report, stop=stop_bench,
@@ -172,6 +180,32 @@ async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
     )
 
 
+async def _until_heard(result: LiveResult, recorder: asyncio.Task[object], nodes: Nodes) -> None:
+    """Waits until both nodes are on the bus; the first start on a machine compiles for a while."""
+    waited_s = 0.0
+    while result.monitor.status is None or not result.traces.series:
+        await asyncio.sleep(POLL_S)
+        waited_s += POLL_S
+        _check(recorder)
+        _check_nodes(nodes)
+        if waited_s > START_S:
+            raise CommandError(f"the nodes were not heard on the bus within {START_S:.0f} s")
+
+
+def _check(task: asyncio.Task[object]) -> None:
+    """Raises what ended a task."""
+    if task.done():
+        task.result()
+
+
+def _check_nodes(nodes: Nodes) -> None:
+    for node in nodes:
+        if isinstance(node, asyncio.Task):
+            _check(node)
+        elif node.returncode is not None:
+            raise CommandError(f"a node ended by itself with exit code {node.returncode}")
+
+
 async def _until_done(
     run: LiveRun,
     result: LiveResult,
@@ -183,14 +217,8 @@ async def _until_done(
     while not result.bench.done:
         await asyncio.sleep(POLL_S)
         for task in tasks:
-            if task.done():
-                task.result()
-        for node in nodes:
-            if isinstance(node, asyncio.Task):
-                if node.done():
-                    node.result()
-            elif node.returncode is not None:
-                raise CommandError(f"a node ended by itself with exit code {node.returncode}")
+            _check(task)
+        _check_nodes(nodes)
         rows = len(result.monitor.rows.rows)
         quiet_s = 0.0 if rows != seen else quiet_s + POLL_S
         seen = rows
@@ -204,10 +232,8 @@ async def _end_nodes(nodes: Nodes, stop: asyncio.Event) -> None:
         if isinstance(node, asyncio.Task):
             continue
         if node.returncode is None:
-            if sys.platform == "win32":
+            with suppress(ProcessLookupError):
                 node.terminate()
-            else:
-                node.send_signal(signal.SIGTERM)
     for node in nodes:
         if isinstance(node, asyncio.Task):
             await asyncio.wait([node], timeout=END_S)
@@ -215,7 +241,9 @@ async def _end_nodes(nodes: Nodes, stop: asyncio.Event) -> None:
         try:
             await asyncio.wait_for(node.wait(), END_S)
         except TimeoutError:
-            node.kill()
+            # It may have ended between the time-out and here.
+            with suppress(ProcessLookupError):
+                node.kill()
             await node.wait()
 
 
