@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test lint types contracts stubs bench clean
+.PHONY: demo test acceptance lint types contracts stubs bench clean
 
 $(VENV)/run.stamp: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -20,7 +20,11 @@ demo: $(VENV)/run.stamp
 	$(BIN)/meshpoint demo --out out/demo
 
 test: $(VENV)/test.stamp
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(BIN)/python -m pytest -n 2 --dist loadfile --ignore=tests/acceptance
+
+# Real processes through the commands alone; wants a machine that keeps time.
+acceptance: $(VENV)/test.stamp
+	$(BIN)/python -m pytest tests/acceptance
 
 lint: $(VENV)/test.stamp
 	$(BIN)/ruff check .

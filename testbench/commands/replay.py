@@ -146,7 +146,7 @@ def _end_early(session: Session, defect: LogError) -> None:
     if session.verdict is Verification.IDENTICAL:
         session.verdict = Verification.NOT_VERIFIABLE
         session.step = session.steps
-        session.reason = f"identical up to here; then the log cannot be read: {defect}"
+        session.reason = f"every step before it agrees; then the log cannot be read: {defect}"
 
 
 def _exit_code(sessions: list[Session], verify: bool) -> int:
