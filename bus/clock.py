@@ -2,9 +2,29 @@
 
 from collections.abc import Callable
 from time import perf_counter_ns
+from typing import Protocol
 
 NS_PER_US = 1_000
 US_PER_S = 1_000_000
+
+
+class NodeClock(Protocol):
+    """What the driver needs of a clock: `Clock`, or `bus.pace.PacedClock`."""
+
+    def now_us(self) -> int:
+        """Clock time in microseconds."""
+
+    def delay_s(self, until_us: int) -> float:
+        """Wall seconds after which to look at the clock again for `until_us`; 0 if passed."""
+
+    def wall_s(self, clock_us: int) -> float:
+        """Wall seconds that a span of clock time takes."""
+
+    def here(self) -> None:
+        """The node has done all that was due by now."""
+
+    def leave(self) -> None:
+        """The node ends."""
 
 
 class Clock:
@@ -35,3 +55,9 @@ class Clock:
     def wall_s(self, clock_us: int) -> float:
         """Wall seconds that a span of `clock_us` clock microseconds takes."""
         return clock_us / (self.speed * US_PER_S)
+
+    def here(self) -> None:
+        """The wall waits for nobody."""
+
+    def leave(self) -> None:
+        """And misses nobody."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import can
 
-from bus.clock import Clock
+from bus.clock import NodeClock
 from bus.core import Core
 from bus.reception import Reception, receive_from
 from bus.statistics import NodeStatistics
@@ -38,7 +38,7 @@ OnMessage = Callable[[can.Message], None]
 async def run_node(
     core: Core,
     open_bus: OpenBus,
-    clock: Clock,
+    clock: NodeClock,
     *,
     on_event: OnEvent,
     stop: asyncio.Event,
@@ -79,7 +79,7 @@ class _Node:
         self,
         core: Core,
         open_bus: OpenBus,
-        clock: Clock,
+        clock: NodeClock,
         on_event: OnEvent,
         name: str,
         own_addresses: frozenset[int],
@@ -115,6 +115,7 @@ class _Node:
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
         finally:
             stopped.cancel()
+            self._clock.leave()
             await self._end()
         if self._failure.done():
             self._failure.result()
@@ -142,6 +143,7 @@ class _Node:
             self._report(step.events)
             self._send(step.frames)
         self._set_timer(now_us)
+        self._clock.here()
 
     def _set_timer(self, now_us: int) -> None:
         # A step that is asked for at once is due now, however long ago its time may be.

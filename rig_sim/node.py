@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Callable
 from typing import Final
 
-from bus.clock import Clock
+from bus.clock import NodeClock
 from bus.driver import OpenBus, run_node
 from bus.settle import settle
 from bus.statistics import NodeStatistics
@@ -22,7 +22,7 @@ async def run_rig(
     sheet: GearboxSheet,
     settings: RigSettings,
     open_bus: OpenBus,
-    clock: Clock,
+    clock: NodeClock,
     *,
     on_event: Callable[[str], None],
     stop: asyncio.Event,

@@ -8,17 +8,21 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import subprocess
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
+from time import perf_counter
 
 import can
 
-from bus.clock import Clock
+from bus.clock import Clock, NodeClock
 from bus.core import Step
 from bus.driver import run_node
+from bus.pace import PacedClock, PaceFile
 from bus.recorder import LogWriter
 from controller.header import RunHeader
 from controller.node import run_controller
@@ -50,6 +54,8 @@ class LiveRun:
     open_bus: Callable[[], can.BusABC]
     speed: float
     in_process: bool
+    paced: bool = True
+    """Bus time waits for nodes that the machine keeps from running; else it is wall time."""
     node_arguments: Sequence[str] = ()
     """Bus and data-sheet arguments for the two processes."""
     controller_arguments: Sequence[str] = ()
@@ -65,6 +71,8 @@ class LiveResult:
     traces: Traces
     bench: BenchCore
     frames: int = 0
+    pace: float = 1.0
+    """Bus time over wall time while the plan ran."""
     problems: list[str] = field(default_factory=list)
 
 
@@ -111,7 +119,10 @@ async def run_live(run: LiveRun) -> LiveResult:
         result.problems.append(line)
         run.on_event(line)
 
-    with LogWriter(run.log, channel="meshpoint", flush_every_s=None) as log:
+    with (
+        LogWriter(run.log, channel="meshpoint", flush_every_s=None) as log,
+        _clocks(run) as clocks,
+    ):
         recorder = asyncio.create_task(
             run_node(
                 _Recorder(result, log, run.on_row), run.open_bus, Clock(),
@@ -121,7 +132,7 @@ async def run_live(run: LiveRun) -> LiveResult:
         )  # fmt: skip
         # The log begins before the nodes do, so that their first steps are in it.
         await asyncio.sleep(2 * POLL_S)
-        nodes = await _start_nodes(run, stop_nodes)
+        nodes = await _start_nodes(run, clocks, stop_nodes)
         try:
             await _until_heard(result, recorder, nodes)
         except BaseException:
@@ -129,15 +140,18 @@ async def run_live(run: LiveRun) -> LiveResult:
             stop_listening.set()
             await recorder
             raise
+        clock = clocks.of("bench")
+        begun_us, begun_s = clock.now_us(), perf_counter()
         task = asyncio.create_task(
             run_node(
-                bench, run.open_bus, Clock(run.speed), on_event=report, stop=stop_bench,
+                bench, run.open_bus, clock, on_event=report, stop=stop_bench,
                 name="bench", own_addresses=frozenset({BENCH_ADDRESS}),
             )
         )  # fmt: skip
         try:
             await _until_done(run, result, [recorder, task], nodes)
         finally:
+            result.pace = (clock.now_us() - begun_us) / 1e6 / (perf_counter() - begun_s)
             stop_bench.set()
             await _end_nodes(nodes, stop_nodes)
             await asyncio.sleep(2 * POLL_S)
@@ -146,26 +160,60 @@ async def run_live(run: LiveRun) -> LiveResult:
     return result
 
 
+class _Clocks:
+    """The clocks of one run: shared bus time, or one wall clock each."""
+
+    def __init__(self, run: LiveRun, pace_path: Path | None) -> None:
+        self.pace_path = pace_path
+        self._speed = run.speed
+        self._file = None if pace_path is None else PaceFile(pace_path)
+
+    def of(self, name: str) -> NodeClock:
+        """The clock of a node of this process."""
+        if self._file is None:
+            return Clock(self._speed)
+        return PacedClock(self._file, name, self._speed)
+
+
+@contextmanager
+def _clocks(run: LiveRun) -> Iterator[_Clocks]:
+    """The clocks, with a pacemaker running beside where bus time is shared."""
+    if not run.paced:
+        yield _Clocks(run, None)
+        return
+    with tempfile.TemporaryDirectory(prefix="meshpoint-") as folder:
+        path = Path(folder) / "pace"
+        PaceFile.create(path)
+        command = [sys.executable, "-m", "bus.pace", str(path), "--speed", str(run.speed)]
+        with subprocess.Popen(command, stdin=subprocess.PIPE) as pacemaker:
+            try:
+                yield _Clocks(run, path)
+            finally:
+                assert pacemaker.stdin is not None
+                pacemaker.stdin.close()
+
+
 Nodes = list["asyncio.subprocess.Process | asyncio.Task[object]"]
 
 
-async def _start_nodes(run: LiveRun, stop: asyncio.Event) -> Nodes:
+async def _start_nodes(run: LiveRun, clocks: _Clocks, stop: asyncio.Event) -> Nodes:
     if run.in_process:
-        clock = Clock(run.speed)
         return [
             asyncio.create_task(
                 run_rig(
-                    run.header.sheet, run.rig, run.open_bus, clock,
+                    run.header.sheet, run.rig, run.open_bus, clocks.of("rig"),
                     on_event=run.on_event, stop=stop,
                 )
             ),
             asyncio.create_task(
                 run_controller(
-                    run.header, run.open_bus, Clock(run.speed), on_event=run.on_event, stop=stop
+                    run.header, run.open_bus, clocks.of("controller"),
+                    on_event=run.on_event, stop=stop,
                 )
             ),
         ]  # fmt: skip
-    common = [*run.node_arguments, "--speed", str(run.speed), "--quiet"]
+    pace = [] if clocks.pace_path is None else ["--pace", str(clocks.pace_path)]
+    common = [*run.node_arguments, "--speed", str(run.speed), *pace, "--quiet"]
     rig = [
         "rig", "--seed", str(run.rig.seed), "--gear", str(run.rig.start_gear),
         "--main-speed", str(run.rig.main_speed_rpm), "--preset", run.rig.preset.value, *common,

@@ -56,6 +56,12 @@ def add_parser(commands: Any) -> None:
     arguments.add_gearbox(parser)
     arguments.add_controller(parser, strategy=False)
     arguments.add_speed(parser)
+    parser.add_argument(
+        "--wall-clock",
+        action="store_true",
+        help="run by the wall clock, also where this machine cannot keep up; by default bus time "
+        "waits for the nodes",
+    )
     arguments.add_json(parser)
     add_bus_arguments(parser)
     parser.set_defaults(run=run)
@@ -93,6 +99,7 @@ def run(namespace: argparse.Namespace) -> int:
                     "steps": sessions[name].steps,
                     "reason": sessions[name].reason,
                 },
+                "bus_time_over_wall_time": round(result.pace, 3),
                 "problems": result.problems,
             }
             for name, result in results.items()
@@ -102,6 +109,9 @@ def run(namespace: argparse.Namespace) -> int:
     write_json(str(namespace.out / "run.json"), values)
     if namespace.json is not None:
         write_json(namespace.json, values)
+    pace = min(result.pace for result in results.values())
+    if pace < 0.95 * namespace.speed:
+        out.print(f"bus time ran at {pace:.2f} x wall time, where this machine could not keep up")
     for name, session in sessions.items():
         out.print(f"log {_log_path(namespace.out, name)}: replay is {session}", markup=False)
     out.print(f"picture {picture}" if picture else "no shift to draw")
@@ -134,6 +144,7 @@ def _live_run(namespace: argparse.Namespace, strategy: str, private: Path) -> Li
         open_bus=_opener(bus),
         speed=namespace.speed,
         in_process=in_process,
+        paced=not namespace.wall_clock,
         node_arguments=[*bus, "--gearbox", namespace.gearbox],
         controller_arguments=controller,
     )

@@ -11,8 +11,9 @@ from typing import Any
 
 import can
 
-from bus.clock import Clock
+from bus.clock import Clock, NodeClock
 from bus.options import add_bus_arguments, open_bus_from
+from bus.pace import PacedClock, PaceFile
 from bus.signals import stop_on_signals
 from controller.header import new_header
 from controller.node import run_controller
@@ -20,6 +21,7 @@ from gearbox.gears import DRIVE_GEARS
 from rig_sim.node import run_rig
 from rig_sim.settings import Preset, RigSettings
 from testbench import arguments
+from testbench.errors import CommandError
 from testbench.exits import Exit
 from testbench.output import folder_for
 from testbench.provenance import product_version
@@ -71,6 +73,13 @@ def add_parser(commands: Any) -> None:
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
     arguments.add_speed(parser)
+    parser.add_argument(
+        "--pace",
+        type=Path,
+        metavar="FILE",
+        help="bus time shared with the other nodes, as `python -m bus.pace FILE` keeps it: waits "
+        "for whoever the machine keeps from running (default: wall time)",
+    )
     parser.add_argument("-q", "--quiet", action="store_true", help="no lines about what happens")
     add_bus_arguments(parser)
 
@@ -89,7 +98,7 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
             await run_controller(
                 header,
                 _opener(namespace, f"run header {header.run_hash:016x}"),
-                Clock(namespace.speed),
+                _clock(namespace),
                 on_event=_printer(namespace),
                 stop=stop,
             )
@@ -115,7 +124,7 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
                 sheet,
                 settings,
                 _opener(namespace, f"preset {settings.preset}, seed {settings.seed}"),
-                Clock(namespace.speed),
+                _clock(namespace),
                 on_event=_printer(namespace),
                 stop=stop,
             )
@@ -137,6 +146,15 @@ def _opener(namespace: argparse.Namespace, greeting: str) -> Callable[[], can.Bu
         return bus
 
     return open_bus
+
+
+def _clock(namespace: argparse.Namespace) -> NodeClock:
+    if namespace.pace is None:
+        return Clock(namespace.speed)
+    try:
+        return PacedClock(PaceFile(namespace.pace), namespace.command, namespace.speed)
+    except (OSError, ValueError) as error:
+        raise CommandError(f"--pace {namespace.pace}: {error}") from error
 
 
 def _printer(namespace: argparse.Namespace) -> Callable[[str], None]:

@@ -1,0 +1,121 @@
+"""Bus time that waits for its nodes."""
+
+import asyncio
+import subprocess
+import sys
+import time
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from bus.core import Step
+from bus.driver import run_node
+from bus.pace import HEARTBEAT_US, PACED_NODES, SLACK_US, PacedClock, PaceFile, Pacemaker
+
+ELAPSED_US = st.floats(0.0, 400_000.0)
+NOBODY = [None] * len(PACED_NODES)
+
+
+def test_time_goes_with_the_wall_while_every_node_looks_in_time():
+    pacemaker = Pacemaker(speed=1.0)
+    now_us = 0
+    for _ in range(1000):
+        now_us = pacemaker.advance(500.0, [now_us + HEARTBEAT_US] * len(PACED_NODES))
+    assert now_us == 500_000
+
+
+@given(spans_us=st.lists(ELAPSED_US, min_size=1, max_size=100), promise_us=st.integers(0, 10_000))
+def test_time_never_passes_a_promise_by_more_than_the_slack(spans_us, promise_us):
+    pacemaker = Pacemaker(speed=1.0)
+    waited_us = 0.0
+    for span_us in spans_us:
+        waited_us += min(span_us, 2_000.0)
+        now_us = pacemaker.advance(span_us, [promise_us, None, None])
+        if waited_us < 900_000.0:
+            assert now_us <= promise_us + SLACK_US
+
+
+@given(spans_us=st.lists(ELAPSED_US, min_size=2, max_size=100), speed=st.floats(0.01, 10.0))
+def test_time_never_goes_back_and_never_leaps(spans_us, speed):
+    pacemaker = Pacemaker(speed)
+    times_us = [pacemaker.advance(span_us, NOBODY) for span_us in spans_us]
+    assert times_us == sorted(times_us)
+    assert all(b - a <= 2_000 * speed + 1 for a, b in zip(times_us, times_us[1:], strict=False))
+
+
+def test_a_node_that_died_is_waited_for_a_second_and_then_no_more():
+    pacemaker = Pacemaker(speed=1.0)
+    for _ in range(900):
+        assert pacemaker.advance(1_000.0, [2_000, None, None]) <= 2_000 + SLACK_US
+    for _ in range(900):
+        now_us = pacemaker.advance(1_000.0, [2_000, None, None])
+    assert now_us > 700_000
+
+
+def test_a_file_that_is_no_pace_file_is_refused_by_name(tmp_path):
+    (tmp_path / "other").write_bytes(b"not a pace file")
+    with pytest.raises(ValueError, match=r"other: 15 bytes, a pace file has 32"):
+        PaceFile(tmp_path / "other")
+
+
+class _Ticker:
+    """A core with a step every 10 ms, one of which takes long."""
+
+    def __init__(self):
+        self.next_step_us = 0
+        self.late_us = []
+        self.stalled = False
+
+    def receive(self, frame):
+        pass
+
+    def step(self, now_us):
+        if self.next_step_us:
+            self.late_us.append(now_us - self.next_step_us)
+        if len(self.late_us) == 20 and not self.stalled:
+            self.stalled = True
+            time.sleep(0.3)
+        self.next_step_us = now_us + 10_000
+        return Step([], [])
+
+    def shutdown(self, now_us):
+        return Step([], [])
+
+
+def test_a_process_that_was_stopped_is_not_late_on_paced_time(tmp_path):
+    path = tmp_path / "pace"
+    file = PaceFile.create(path)
+    core = _Ticker()
+
+    async def run():
+        stop = asyncio.Event()
+        node = asyncio.create_task(
+            run_node(
+                core,
+                _SilentBus,
+                PacedClock(file, "rig"),
+                on_event=print,
+                stop=stop,
+                name="rig",
+            )
+        )
+        while len(core.late_us) < 40:
+            await asyncio.sleep(0.01)
+        stop.set()
+        await node
+
+    with subprocess.Popen(
+        [sys.executable, "-m", "bus.pace", str(path)], stdin=subprocess.PIPE
+    ) as pacemaker:
+        asyncio.run(asyncio.wait_for(run(), 60))
+        pacemaker.stdin.close()
+    assert pacemaker.returncode == 0
+    assert max(core.late_us) <= HEARTBEAT_US + SLACK_US
+    assert file.promises_us()[PACED_NODES.index("rig")] is None
+
+
+def _SilentBus():
+    import can
+
+    return can.Bus(interface="virtual", channel="pace-test")
