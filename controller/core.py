@@ -11,6 +11,7 @@ identifier, so the order in which different senders got onto the bus changes not
 from __future__ import annotations
 
 import zlib
+from operator import itemgetter
 from typing import Final, NamedTuple
 
 from bus.core import Step
@@ -40,6 +41,8 @@ from gearbox import Sleeve
 OWN_ADDRESS: Final = 0x03
 INBOX_LIMIT: Final = 20_000
 """A babbling bus cannot eat the memory: this is two seconds of a full bus."""
+FOREIGN: Final = Verdict.FOREIGN
+_identifier = itemgetter(0)
 NEEDED: Final = (SleevesMain, SleevesAux, GearboxSensors, EdgesLayshaftRise, EdgesMainRise)
 """Channels without which nothing may be shifted."""
 
@@ -120,14 +123,16 @@ class ControllerCore:
         inputs = StepInputs()
         consumed: list[bytes] = []
         inbox, self._inbox = sorted(self._inbox, key=_identifier), []
+        receive = self._receiver.receive
         for frame in inbox:
-            if frame.is_extended and frame.can_id & 0xFF == OWN_ADDRESS:
+            can_id = frame[0]
+            if can_id & 0xFF == OWN_ADDRESS and frame.is_extended:
                 continue
-            received = self._receiver.receive(frame)
-            if received.verdict is not Verdict.FOREIGN:
-                consumed += (frame.can_id.to_bytes(4, "little"), frame.data)
-            if received.message is not None:
-                inputs.take(received.message)
+            verdict, message = receive(frame)
+            if verdict is not FOREIGN:
+                consumed += (can_id.to_bytes(4, "little"), frame[1])
+            if message is not None:
+                inputs.take(message)
         if self._dropped:
             events.append(f"{self._dropped} frames dropped: more than {INBOX_LIMIT} in one step")
             self._dropped = 0
@@ -195,7 +200,3 @@ class ControllerCore:
         self._due_us = due_us
         switch_us = self._board.next_switch_us(sensor_us)
         self._wake_us = None if switch_us is None else now_us + max(0, switch_us - sensor_us)
-
-
-def _identifier(frame: Frame) -> int:
-    return frame.can_id

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 from dbc.messages import SleevesAux, SleevesMain
 from gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
@@ -19,11 +18,12 @@ SAMPLE_US: Final = 1000
 SLEEVES: Final = len(Sleeve)
 
 _GEAR_AT: Final = {(side.sleeve, side.direction): g for g, side in SLEEVE_OF_MAIN.items()}
+_SPLIT_AT: Final = {-1: Split.LOW, 0: None, 1: Split.HIGH}
+_RANGE_AT: Final = {-1: Range.LOW, 0: None, 1: Range.HIGH}
 _NUMBER: Final = {(g.main, g.split, g.range_): n for n, g in DRIVE_GEARS.items()}
 
 
-@dataclass(frozen=True)
-class SleeveTrack:
+class SleeveTrack(NamedTuple):
     """Ten samples of one sleeve, newest first, 1 ms apart."""
 
     newest_us: int
@@ -65,13 +65,11 @@ class GearboxView:
         """Takes the positions of the main box."""
         self._take(Sleeve.FIRST_SECOND, time_us, message.sleeve_first_second_m)
         self._take(Sleeve.CRAWL_THIRD, time_us, message.sleeve_crawl_third_m)
-        self._work_out()
 
     def sleeves_aux(self, message: SleevesAux, time_us: int) -> None:
         """Takes the positions of splitter and range."""
         self._take(Sleeve.SPLITTER, time_us, message.sleeve_splitter_m)
         self._take(Sleeve.RANGE, time_us, message.sleeve_range_m)
-        self._work_out()
 
     def _take(self, sleeve: Sleeve, time_us: int, samples_m: tuple[float, ...]) -> None:
         self.tracks[sleeve] = SleeveTrack(time_us, samples_m)
@@ -96,12 +94,13 @@ class GearboxView:
             return 0
         return 1 if position > 0.0 else -1
 
-    def _work_out(self) -> None:
+    def work_out(self) -> None:
+        """Which gears are in mesh, from the positions taken."""
         if len(self.tracks) < SLEEVES:
             return
         self.main_gear = self._main_gear()
-        self.split = {-1: Split.LOW, 1: Split.HIGH}.get(self.side(Sleeve.SPLITTER))
-        self.range_ = {-1: Range.LOW, 1: Range.HIGH}.get(self.side(Sleeve.RANGE))
+        self.split = _SPLIT_AT[self.side(Sleeve.SPLITTER)]
+        self.range_ = _RANGE_AT[self.side(Sleeve.RANGE)]
 
     def _main_gear(self) -> MainGear | None:
         if self.in_neutral(Sleeve.FIRST_SECOND) and self.in_neutral(Sleeve.CRAWL_THIRD):

@@ -19,6 +19,9 @@ PAIRS: Final = ((1, 2), (3, 4), (5, 6), (7, 8))
 MAIN_VALVES: Final = (3, 4, 5, 6)
 ON_NOW: Final = 1
 ON_AT: Final = 3
+VALVES: Final = 9
+DRIVEN_BITS: Final = sum(1 << 2 * valve for valve in range(VALVES))
+"""The bit that both ON_NOW and ON_AT have and neither off has."""
 NEUTRAL_M: Final = 1.5e-3
 CLUTCH_OPEN_SHARE: Final = 0.05
 
@@ -39,11 +42,14 @@ class Wish(NamedTuple):
     driven: tuple[bool, ...]
 
 
+NOTHING: Final = Wish((False,) * VALVES)
+
+
 @dataclass
 class GuardState:
     """The guard's own memory: since when each valve has been commanded on."""
 
-    on_since_us: list[int | None] = field(default_factory=lambda: [None] * 9)
+    on_since_us: list[int | None] = field(default_factory=lambda: [None] * VALVES)
     latched: bool = False
 
 
@@ -108,15 +114,17 @@ class Guard:
         """Whether the frame may go out. A latched guard passes only frames that drive nothing, and
         one such frame clears the latch: the sequence has taken its command back."""
         wish = decode(payload)
+        if wish is NOTHING:
+            # Every row is about a driven valve.
+            self._state.latched, self.blocked_row = False, None
+            self._state.on_since_us = [None] * VALVES
+            return True
         self.blocked_row = self._judge(wish, seen)
         if self.blocked_row is None and self._state.latched:
-            if any(wish.driven):
-                self.blocked_row = 1
-            else:
-                self._state.latched = False
+            self.blocked_row = 1
         if self.blocked_row is not None:
             self.blocks += 1
-            self._state.on_since_us = [None] * 9
+            self._state.on_since_us = [None] * VALVES
             return False
         for valve, driven in enumerate(wish.driven):
             since = self._state.on_since_us[valve]
@@ -140,4 +148,6 @@ def decode(payload: bytes) -> Wish:
     if len(payload) != FRAME_LENGTH:
         raise ValueError(f"valve command of {len(payload)} bytes, allowed is {FRAME_LENGTH}")
     actions = int.from_bytes(payload[ACTION_BYTES], "little")
-    return Wish(tuple((actions >> 2 * valve) & 3 in (ON_NOW, ON_AT) for valve in range(9)))
+    if not actions & DRIVEN_BITS:
+        return NOTHING
+    return Wish(tuple((actions >> 2 * valve) & 3 in (ON_NOW, ON_AT) for valve in range(VALVES)))

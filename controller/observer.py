@@ -69,6 +69,7 @@ class Observer:
             self.view.sleeves_main(sleeves, self.clock.stamp(sleeves.sample_time_us, now_us))
         for aux in inputs.sleeves_aux:
             self.view.sleeves_aux(aux, self.clock.stamp(aux.sample_time_us, now_us))
+        self.view.work_out()
         for sensors in inputs.sensors:
             self.view.clutch_closed = sensors.clutch_position_fraction
         self.valves = inputs.valve_status or self.valves

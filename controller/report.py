@@ -8,6 +8,7 @@ from typing import Final
 from controller.header import RunHeader
 from controller.kinematics import slip_rad_s, wrap_to_pitch
 from controller.observer import Observer
+from controller.predictor import LayshaftState
 from controller.publish import estimates, etc1, etc2, outcome, prediction
 from controller.sequence import Moment, ShiftSequence
 from dbc.frame import Frame
@@ -30,14 +31,19 @@ class Reporter:
         self._observer = observer
         self._sequence = sequence
         self._steps = 0
+        self._gear = -1
         self._previous = (0, 0, 0)
 
     def frames(self, transmitter: Transmitter, moment: Moment) -> list[Frame]:
         """Estimates, J1939 messages, and this step's prediction and outcome where there are any."""
         sequence, sheet = self._sequence, self._header.sheet
-        messages: list[Message] = [self._estimates(moment), self._etc1(moment)]
+        layshaft = self._observer.layshaft_at(moment.now_us)
+        self._gear = current = self._gear_number()
+        messages: list[Message] = [
+            self._estimates(moment, layshaft),
+            self._etc1(moment, layshaft),
+        ]
         if self._steps % ETC2_EVERY == 0:
-            current = self._gear_number()
             target = sequence.target
             messages.append(etc2(sheet, current, target.number if target else max(current, 0)))
         shift = sequence.shift or sequence.finished
@@ -56,11 +62,10 @@ class Reporter:
         target = self._sequence.target
         if target is not None:
             return target.main
-        current = DRIVE_GEARS.get(self._gear_number())
+        current = DRIVE_GEARS.get(self._gear)
         return current.main if current else None
 
-    def _estimates(self, moment: Moment) -> ControllerEstimates:
-        layshaft = self._observer.layshaft_at(moment.now_us)
+    def _estimates(self, moment: Moment, layshaft: LayshaftState | None) -> ControllerEstimates:
         main, gear = moment.main, self._gear_in_focus()
         slip, phase, phase_sd = 0.0, None, 0.0
         if layshaft is not None and main is not None and gear is not None:
@@ -82,7 +87,7 @@ class Reporter:
             phase_sd,
         )
 
-    def _etc1(self, moment: Moment) -> ETC1:
+    def _etc1(self, moment: Moment, layshaft: LayshaftState | None) -> ETC1:
         state = self._sequence.state
         shifting = state not in (
             ControllerState.STARTING,
@@ -90,8 +95,7 @@ class Reporter:
             ControllerState.NEUTRAL,
         )
         view, sheet = self._observer.view, self._header.sheet
-        layshaft = self._observer.layshaft_at(moment.now_us)
-        gear = DRIVE_GEARS.get(self._gear_number())
+        gear = DRIVE_GEARS.get(self._gear)
         output = input_ = None
         if moment.main is not None and gear is not None:
             output = moment.main.omega_rad_s * sheet.range_mesh(gear.range_).ratio
@@ -108,7 +112,7 @@ class Reporter:
         receiver: Receiver,
         guard_blocks: int,
     ) -> ControllerStatus:
-        """The frame that lets a log repeat this step."""
+        """The frame that lets a log repeat this step; after `frames` of the same step."""
         sequence = self._sequence
         target = sequence.target
         previous = self._previous
@@ -122,8 +126,8 @@ class Reporter:
             previous_consumed_crc=previous[2],
             run_hash=self._run_hash,
             state=sequence.state,
-            current_gear=self._gear_number(),
-            target_gear=target.number if target else max(self._gear_number(), 0),
+            current_gear=self._gear,
+            target_gear=target.number if target else max(self._gear, 0),
             strategy=self._header.settings.strategy,
             estimator=self._header.settings.estimator,
             reference_known=self._observer.references.mask,

@@ -41,6 +41,7 @@ class Command(NamedTuple):
     before: bool
 
 
+FOREVER_US: Final = 1 << 62
 OFF: Final = Command(-(1 << 62), False, False)
 
 
@@ -50,19 +51,24 @@ class ValveBoard:
     def __init__(self, timing: ValveTiming) -> None:
         self._timing = timing
         self._commands: dict[Valve, Command] = dict.fromkeys(Valve, OFF)
+        self._message: ValveCommand | None = None
+        self._message_until_us = 0
 
     def schedule(self, valve: Valve, on: bool, time_us: int, now_us: int) -> None:
         """Switch the valve at a sensor time; replaces what was still to come."""
         before = self.driven(valve, now_us)
         self._commands[valve] = Command(time_us, on, before)
+        self._message = None
 
     def all_off(self) -> None:
         """Everything off at once."""
         self._commands = dict.fromkeys(Valve, OFF)
+        self._message = None
 
     def off(self, valve: Valve) -> None:
         """This valve off at once."""
         self._commands[valve] = OFF
+        self._message = None
 
     def driven(self, valve: Valve, time_us: int) -> bool:
         """Whether the valve is driven at a sensor time, as commanded."""
@@ -81,13 +87,25 @@ class ValveBoard:
         return min(times, default=None)
 
     def message(self, now_us: int) -> ValveCommand:
-        """The command frame's content at a sensor time."""
+        """The command frame's content at a sensor time; made anew when something changes."""
+        if self._message is None or now_us >= self._message_until_us:
+            self._message = self._make_message(now_us)
+            self._message_until_us = self._unchanged_until_us(now_us)
+        return self._message
+
+    def _make_message(self, now_us: int) -> ValveCommand:
         fields: dict[str, ValveAction | int] = {}
         for valve, command in self._commands.items():
             action, time_us = self._action(command, now_us)
             fields[f"{NAMES[valve]}_action"] = action
             fields[f"{NAMES[valve]}_time_us"] = time_us
         return ValveCommand(**fields)  # type: ignore[arg-type]
+
+    def _unchanged_until_us(self, now_us: int) -> int:
+        """When the message says something else although nothing is commanded anew."""
+        held_us = 0 if self._timing is ValveTiming.IMMEDIATE else HELD_US + 1
+        times = [c.time_us + held_us for c in self._commands.values()]
+        return min((time_us for time_us in times if time_us > now_us), default=FOREVER_US)
 
     def _action(self, command: Command, now_us: int) -> tuple[ValveAction, int]:
         if self._timing is ValveTiming.IMMEDIATE:

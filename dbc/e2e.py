@@ -138,7 +138,7 @@ def check_counter(previous: int | None, counter: int, max_delta: int) -> Status:
 class StateMachine:
     """The state of one cyclic channel from the statuses of its frames (AUTOSAR E2E_SM)."""
 
-    __slots__ = ("_errors", "_limits", "_mask", "_oks", "state", "status")
+    __slots__ = ("_errors", "_limits", "_mask", "_oks", "is_steady", "state", "status")
 
     def __init__(self, limits: Limits = DEFAULT_LIMITS) -> None:
         self._limits = limits
@@ -147,12 +147,14 @@ class StateMachine:
         self._errors = 0
         self.state = ChannelState.NO_DATA
         self.status = Status.NOT_AVAILABLE
+        self.is_steady = False
+        """VALID with a window full of OK, the most frequent case: one more changes nothing."""
 
     def update(self, status: Status) -> None:
         """Take the status of one frame, or NO_NEW_DATA, and move to the next state."""
         self.status = status
-        if status is Status.OK and self._oks == self._mask and self.state is ChannelState.VALID:
-            return  # the undisturbed case, by far the most frequent: a window full of OK stays so
+        if status is Status.OK and self.is_steady:
+            return
         finding = self._find(status)
         state = _TRANSITIONS[self.state][finding]
         if finding is Finding.SILENT or (
@@ -160,6 +162,7 @@ class StateMachine:
         ):
             self._oks = self._errors = 0
         self.state = state
+        self.is_steady = state is ChannelState.VALID and self._oks == self._mask
 
     def _find(self, status: Status) -> Finding:
         """Shift the status into the window, and say what the window amounts to."""

@@ -64,6 +64,7 @@ _OF_STATUS: Final = {
     Status.REPEATED: _REFUSED[Verdict.REPEATED],
     Status.WRONG_SEQUENCE: _REFUSED[Verdict.WRONG_SEQUENCE],
 }
+_OK: Final = Verdict.OK
 _KNOWN_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
 
 
@@ -117,12 +118,13 @@ class _Channel:
 
     __slots__ = (
         "codec",
-        "counter",
         "data_id",
+        "decode",
         "is_fd",
         "length",
         "machine",
         "max_delta",
+        "next_counter",
         "silence",
     )
 
@@ -132,7 +134,8 @@ class _Channel:
         self.length = spec.length
         self.is_fd = spec.is_fd
         self.data_id = spec.data_id
-        self.counter: int | None = None
+        self.decode = codec.decode
+        self.next_counter: int | None = None
         # Events come when they come: only a repeated counter is wrong, no gap is.
         self.max_delta = limits.max_delta_counter if spec.is_cyclic else COUNTER_MODULUS
         self.machine = StateMachine(limits)
@@ -175,26 +178,38 @@ class Receiver:
             return _FOREIGN
         if len(data) != channel.length or is_fd != channel.is_fd:
             return self._refuse_format(channel)
-        if channel.data_id is not None:
-            status = self._check(channel, data, channel.data_id)
-            if status is not Status.OK:
-                self.e2e_errors += 1
-                channel.machine.update(status)
-                return _OF_STATUS[status]
-        message = channel.codec.decode(data)
+        data_id = channel.data_id
+        if data_id is not None:
+            if not check_crc(data, data_id):
+                return self._refuse_protection(channel, Status.ERROR)
+            counter = data[2]
+            if counter != channel.next_counter:
+                status = self._check_counter(channel, counter)
+                if status is not Status.OK:
+                    return self._refuse_protection(channel, status)
+            channel.next_counter = (counter + 1) % COUNTER_MODULUS
+        message = channel.decode(data)
         if message is None:
             return self._refuse_format(channel)
-        channel.machine.update(Status.OK)
+        machine = channel.machine
+        if machine.is_steady:
+            machine.status = Status.OK
+        else:
+            machine.update(Status.OK)
         channel.silence.is_heard = True
-        return _new(Received, (Verdict.OK, message))
+        return _new(Received, (_OK, message))
 
-    def _check(self, channel: _Channel, data: bytes, data_id: int) -> Status:
-        if not check_crc(data, data_id):
-            return Status.ERROR
-        counter = data[2]
-        status = check_counter(channel.counter, counter, channel.max_delta)
-        channel.counter = counter
-        return status
+    def _check_counter(self, channel: _Channel, counter: int) -> Status:
+        """Judges a counter that is not the next one."""
+        expected = channel.next_counter
+        previous = None if expected is None else (expected - 1) % COUNTER_MODULUS
+        channel.next_counter = (counter + 1) % COUNTER_MODULUS
+        return check_counter(previous, counter, channel.max_delta)
+
+    def _refuse_protection(self, channel: _Channel, status: Status) -> Received:
+        self.e2e_errors += 1
+        channel.machine.update(status)
+        return _OF_STATUS[status]
 
     def _refuse_format(self, channel: _Channel) -> Received:
         self.format_errors += 1

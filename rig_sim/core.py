@@ -26,9 +26,9 @@ from rig_sim.valves import Order
 from rig_sim.world import World
 
 NODES: Final = (Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE)
-COMMANDS: Final = frozenset(
-    CODECS[kind.__name__].spec.can_id for kind in (ValveCommand, ClutchCommand, BenchCommand)
-)
+PROMPT: Final = CODECS[ValveCommand.__name__].spec.can_id
+"""What is obeyed at once. The clutch actuator, like one on the bus, and the bench's script look at
+their commands every 10 ms."""
 
 
 class RigCore:
@@ -47,19 +47,20 @@ class RigCore:
         self._commanded = False
         self._start_us: int | None = None
         self._last_sequence: int | None = None
+        self._last_valves: ValveCommand | None = None
         self.truth = Truth(self._world)
 
     @property
     def next_step_us(self) -> int:
-        """The next read; at once where a command waits or nothing has been stepped yet."""
+        """The next read; at once where a valve command waits or nothing has been stepped yet."""
         if self._commanded or self._start_us is None:
             return 0
         return self._start_us + self._world.next_read_us
 
     def receive(self, frame: Frame) -> None:
-        """Keep a frame for the next step; a command asks for that step at once."""
+        """Keep a frame for the next step; a valve command asks for that step at once."""
         self._inbox.append(frame)
-        if frame.can_id in COMMANDS:
+        if frame.can_id == PROMPT:
             self._commanded = True
 
     def step(self, now_us: int) -> Step:
@@ -94,7 +95,7 @@ class RigCore:
     def _obey(self, message: Message, time_us: int) -> None:
         if isinstance(message, ValveCommand):
             if self.receiver.valid(ValveCommand):
-                self._world.command_valves(_orders(message), time_us)
+                self._command_valves(message, time_us)
         elif isinstance(message, ClutchCommand):
             if self.receiver.valid(ClutchCommand):
                 self._world.clutch.command(message.action is ClutchAction.CLOSE, time_us)
@@ -103,6 +104,12 @@ class RigCore:
             if asked and message.sequence != self._last_sequence:
                 self._last_sequence = message.sequence
                 self._world.return_to_gear(message.gear, message.main_speed_rad_s, time_us)
+
+    def _command_valves(self, command: ValveCommand, time_us: int) -> None:
+        if command == self._last_valves and self._world.renew_valves(time_us):
+            return
+        self._last_valves = command
+        self._world.command_valves(_orders(command), time_us)
 
     def _send_records(self, frames: list[Frame]) -> None:
         engagement = self._world.engagement

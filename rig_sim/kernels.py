@@ -247,7 +247,9 @@ def settled(turns: int, rest: float) -> tuple[int, float]:
     extra = math.floor(rest / TAU)
     rest -= extra * TAU
     if rest < 0.0:
-        return turns + extra - 1, rest + TAU
+        rest += TAU
+        # A rest of next to nothing below zero rounds up to a whole turn.
+        return (turns + extra - 1, rest) if rest < TAU else (turns + extra, 0.0)
     if rest >= TAU:
         return turns + extra + 1, rest - TAU
     return turns + extra, rest

@@ -101,6 +101,7 @@ class ValveBank:
     def __init__(self) -> None:
         self._drivers = [_Driver() for _ in Valve]
         self._expiry_us: int | None = None
+        self._pending_us: int | None = None
         self.refused = 0
         self.expired = 0
 
@@ -117,10 +118,9 @@ class ValveBank:
     @property
     def next_us(self) -> int | None:
         """When the next activation or the expiry is due; None: nothing is."""
-        times = [driver.pending.time_us for driver in self._drivers if driver.pending]
-        if self._expiry_us is not None:
-            times.append(self._expiry_us)
-        return min(times, default=None)
+        if self._pending_us is None or self._expiry_us is None:
+            return self._expiry_us
+        return min(self._pending_us, self._expiry_us)
 
     def command(self, orders: tuple[Order, ...], now_us: int) -> list[Change]:
         """A valid frame, consumed now: one order a valve."""
@@ -129,6 +129,15 @@ class ValveBank:
             self.refused += driver.order(order, now_us)
         self._expiry_us = now_us + EXPIRY_US
         return self._changes(before, now_us)
+
+    def renew(self, now_us: int) -> bool:
+        """The orders of the command before, once more: nothing changes but the expiry.
+
+        False, and nothing done, after an expiry, which may have switched off what they ask for."""
+        if self._expiry_us is None:
+            return False
+        self._expiry_us = now_us + EXPIRY_US
+        return True
 
     def run(self, now_us: int) -> list[Change]:
         """Do what is due now (not later: call at `next_us`)."""
@@ -152,6 +161,8 @@ class ValveBank:
             driver.energised, driver.pending = False, None
 
     def _changes(self, before: tuple[bool, ...], now_us: int) -> list[Change]:
+        times = [driver.pending.time_us for driver in self._drivers if driver.pending]
+        self._pending_us = min(times, default=None)
         changed = [
             Change(valve, after, now_us)
             for valve, was, after in zip(Valve, before, self.energised, strict=True)

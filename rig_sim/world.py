@@ -74,6 +74,10 @@ class World:
         """A valid valve command, consumed now."""
         self._switched(self.valves.command(orders, now_us + self.clock_start_us))
 
+    def renew_valves(self, now_us: int) -> bool:
+        """The same valve command once more; False where it has to be taken in full."""
+        return self.valves.renew(now_us + self.clock_start_us)
+
     def all_valves_off(self, now_us: int) -> None:
         """Shutdown: no valve is driven from now on."""
         self._switched(self.valves.all_off(now_us + self.clock_start_us))

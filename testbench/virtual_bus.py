@@ -6,6 +6,7 @@ so a burst of eight edge frames takes 2.6 ms here as on the wire.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from functools import cache
 from typing import Final, NamedTuple
@@ -26,6 +27,9 @@ CLASSIC_OVERHEAD_BITS: Final = 54 + 12
 """Everything of a classic extended frame that is not data."""
 
 
+IDLE: Final = math.inf
+
+
 @cache
 def duration_us(length: int, is_fd: bool) -> int:
     """How long a frame occupies the bus."""
@@ -36,10 +40,11 @@ def duration_us(length: int, is_fd: bool) -> int:
     return round(nominal + data)
 
 
-class Delivery(NamedTuple):
-    """A frame that has crossed the bus."""
+class Waiting(NamedTuple):
+    """A frame in a node's queue; the lowest key wins the bus."""
 
-    time_us: int
+    key: int
+    duration_us: int
     sender: int
     frame: Frame
 
@@ -48,12 +53,14 @@ class VirtualBus:
     """Each node's frames waiting for the bus, and the one on it.
 
     A node's own frames leave in the order given, as from a SocketCAN interface's queue; between
-    nodes the lowest identifier wins."""
+    nodes the lowest identifier wins. `next_us` is when the frame on the bus is through, infinite
+    while the bus is idle."""
 
     def __init__(self) -> None:
-        self._queues: dict[int, deque[tuple[int, Frame]]] = {}
-        self._on_bus: Delivery | None = None
+        self._queues: dict[int, deque[Waiting]] = {}
+        self._on_bus: Waiting | None = None
         self._free_us = 0
+        self.next_us: float = IDLE
         self.busy_us = 0
 
     def send(self, sender: int, frames: list[Frame], now_us: int) -> None:
@@ -62,34 +69,30 @@ class VirtualBus:
             return
         queue = self._queues.setdefault(sender, deque())
         for frame in frames:
+            can_id, data, is_fd, is_extended = frame
             # Standard identifiers win over extended ones that begin alike.
-            key = 2 * frame.can_id + 1 if frame.is_extended else frame.can_id << 19
-            queue.append((key, frame))
+            key = 2 * can_id + 1 if is_extended else can_id << 19
+            queue.append(Waiting(key, duration_us(len(data), is_fd), sender, frame))
         if self._on_bus is None:
             self._start(max(now_us, self._free_us))
 
     def _start(self, at_us: int) -> None:
         """Arbitration between the first waiting frames of all nodes, if there are any."""
-        waiting = [(queue[0][0], sender) for sender, queue in self._queues.items() if queue]
-        if not waiting:
+        first: deque[Waiting] | None = None
+        for queue in self._queues.values():
+            if queue and (first is None or queue[0] < first[0]):
+                first = queue
+        if first is None:
+            self._on_bus, self.next_us = None, IDLE
             return
-        sender = min(waiting)[1]
-        _, frame = self._queues[sender].popleft()
-        took_us = duration_us(len(frame.data), frame.is_fd)
-        self.busy_us += took_us
-        self._free_us = at_us + took_us
-        self._on_bus = Delivery(self._free_us, sender, frame)
+        self._on_bus = waiting = first.popleft()
+        self.busy_us += waiting.duration_us
+        self._free_us = self.next_us = at_us + waiting.duration_us
 
-    @property
-    def next_us(self) -> int | None:
-        """When the frame on the bus is through; None while the bus is idle."""
-        return self._on_bus.time_us if self._on_bus else None
-
-    def take(self) -> Delivery:
-        """The frame that is through now; the next one starts. Call at `next_us`."""
-        delivery = self._on_bus
-        if delivery is None:
+    def take(self) -> tuple[int, Frame]:
+        """Sender and frame that is through now; the next one starts. Call at `next_us`."""
+        through = self._on_bus
+        if through is None:
             raise RuntimeError("take from an idle bus")
-        self._on_bus = None
-        self._start(delivery.time_us)
-        return delivery
+        self._start(self._free_us)
+        return through.sender, through.frame

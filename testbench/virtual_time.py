@@ -59,15 +59,13 @@ class VirtualTime:
         Returns whether `until` was met."""
         heap, bus = self._heap, self._bus
         while True:
-            step_us, through_us = heap[0][0], bus.next_us
-            if through_us is not None and through_us <= step_us:
-                # A frame that is through comes before a step at the same microsecond.
-                if through_us > limit_us:
+            # A frame that is through comes before a step at the same microsecond.
+            while bus.next_us <= heap[0][0]:
+                if bus.next_us > limit_us:
                     return False
-                self.now_us = through_us
-                self._deliver()
-                continue
-            if step_us > limit_us:
+                self.now_us = int(bus.next_us)
+                self._deliver(*bus.take())
+            if heap[0][0] > limit_us:
                 return False
             self.now_us, _, node = heapq.heappop(heap)
             if self._due[node] == self.now_us:
@@ -75,18 +73,18 @@ class VirtualTime:
                 if until():
                     return True
 
-    def _deliver(self) -> None:
-        _, sender, frame = self._bus.take()
+    def _deliver(self, sender: int, frame: Frame) -> None:
+        now_us, due_us = self.now_us, self._due
         if self._on_frame is not None:
-            self._on_frame(self.now_us, frame)
+            self._on_frame(now_us, frame)
         route = self._routes.get((sender, frame.can_id))
         if route is None:
             route = self._routes[sender, frame.can_id] = self._route(sender, frame.can_id)
         for node, core in route:
             core.receive(frame)
-            if self._due[node] > self.now_us and core.next_step_us <= self.now_us:
-                self._due[node] = self.now_us
-                self._push(self.now_us, node)
+            if due_us[node] > now_us and core.next_step_us <= now_us:
+                due_us[node] = now_us
+                self._push(now_us, node)
 
     def _route(self, sender: int, can_id: int) -> list[tuple[int, Core]]:
         """The nodes that receive this identifier from this sender."""

@@ -29,6 +29,7 @@ def view_at(first_second: float, crawl_third: float, splitter: float, range_: fl
         0,
     )
     view.clutch_closed = 1.0
+    view.work_out()
     return view
 
 
