@@ -8,13 +8,16 @@ fewer than 27 came since, and the tooth number is never lost.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+import struct
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
 from controller.clock import SensorClock
+from controller.edge_kernels import BROKEN, Integers, chain_edges, merge_edges
 from controller.kernels import Vector
+
+LONG_AGO_US: Final = -(1 << 62)
 
 
 class EdgeFrame(Protocol):
@@ -59,65 +62,57 @@ class EdgeBatch(NamedTuple):
     theta_rad: Vector
 
 
-NO_EDGES = EdgeBatch(np.empty(0), np.empty(0))
+NO_EDGES: Final = EdgeBatch(np.empty(0), np.empty(0))
+STAMPS: Final = 27
+_PACK_STAMPS: Final = struct.Struct(f"={STAMPS}q").pack_into
+_ROOM: Final = 4 * STAMPS
 
 
-@dataclass
 class Polarity:
-    """One polarity of a wheel: the chain of its frames."""
+    """One polarity of a wheel: the chain of its frames, and the edges of this step."""
 
-    index: int = 0
-    """Running number of the newest edge, unwrapped."""
-    time_us: int = 0
-    """Its sensor time; meaningless while `index` is 0."""
-    started: bool = False
+    def __init__(self) -> None:
+        self._chain: Integers = np.zeros(3, np.int64)
+        # A tuple gets into an array fastest through the bytes that the array stands on.
+        self._packed = bytearray(8 * STAMPS)
+        self._low: Integers = np.frombuffer(self._packed, np.int64)
+        self.numbers: Integers = np.empty(_ROOM, np.int64)
+        self.times_us: Integers = np.empty(_ROOM, np.int64)
+        self.count = 0
+        """How many of `numbers` and `times_us` are edges of this step, oldest first."""
 
-    def read(self, frame: EdgeFrame, read_us: int) -> list[tuple[int, int]] | None:
-        """The edges since the last frame as (number, time), oldest first.
+    def begin(self) -> None:
+        """A new step: no edges yet."""
+        self.count = 0
 
-        None when the chain is broken: the wheel stood still or more edges came than one frame
+    def take(self, frame: EdgeFrame, read_us: int) -> bool:
+        """Appends the edges since the last frame.
+
+        False when the chain is broken: the wheel stood still or more edges came than one frame
         holds, so tooth numbers before and after cannot be tied together."""
-        if frame.valid_stamps == 0:
-            return []
-        fresh = (frame.newest_index - self.index) & 0xFFFF
-        if not self.started:
-            # With a long interval in the array only the newest edge can be placed.
-            fresh = 1 if frame.long_interval else frame.valid_stamps
-            self.index = frame.newest_index - fresh
-        if fresh == 0:
-            return []
-        lost = frame.stopped or fresh > frame.valid_stamps
-        edges = None if lost else self._chain(frame, read_us, fresh)
-        if edges is None:
-            # A wheel that has not begun to count has nothing to lose.
-            had_begun = self.started
-            self._restart(read_us)
-            return None if had_begun else []
-        self.started = True
-        self.index, self.time_us = edges[-1]
-        return edges
+        if self.count + STAMPS > self.numbers.size:
+            self.numbers = np.resize(self.numbers, 2 * self.numbers.size)
+            self.times_us = np.resize(self.times_us, 2 * self.times_us.size)
+        _PACK_STAMPS(self._packed, 0, *frame.timestamp_low_us)
+        count = chain_edges(
+            self._low,
+            frame.newest_index,
+            frame.valid_stamps,
+            frame.long_interval,
+            frame.stopped,
+            read_us,
+            self._chain,
+            self.numbers,
+            self.times_us,
+            self.count,
+        )
+        self.count = max(count, 0)
+        return count != BROKEN
 
-    def _chain(self, frame: EdgeFrame, read_us: int, fresh: int) -> list[tuple[int, int]] | None:
-        low = frame.timestamp_low_us
-        time_us = read_us - ((read_us - low[0]) & 0xFFFF)
-        number = self.index + fresh
-        edges = [(number, time_us)]
-        for k in range(1, fresh):
-            time_us -= (low[k - 1] - low[k]) & 0xFFFF
-            edges.append((number - k, time_us))
-        if self.started and fresh < frame.valid_stamps:
-            # The edge before the oldest new one is known already: the chain must lead to it.
-            if time_us - ((low[fresh - 1] - low[fresh]) & 0xFFFF) != self.time_us:
-                return None
-        elif self.started and frame.long_interval:
-            return None
-        edges.reverse()
-        return edges
-
-    def _restart(self, read_us: int) -> None:
-        self.started = False
-        self.index = 0
-        self.time_us = read_us
+    def edges(self) -> list[tuple[int, int]]:
+        """This step's edges as (number, time)."""
+        n = self.count
+        return list(zip(self.numbers[:n].tolist(), self.times_us[:n].tolist(), strict=True))
 
 
 class WheelEdges:
@@ -132,7 +127,7 @@ class WheelEdges:
         self._duty_share = duty_share
         self._rise, self._fall = Polarity(), Polarity()
         self._fall_shift: int | None = None
-        self._last_us = -(1 << 62)
+        self._last_us = LONG_AGO_US
         self.broken = 0
         """How often tooth numbers were lost: every phase reference of this wheel with them."""
         self.newest: Edge | None = None
@@ -141,7 +136,7 @@ class WheelEdges:
         """Forgets all numbers: the sensor side has restarted."""
         self._rise, self._fall = Polarity(), Polarity()
         self._fall_shift = None
-        self._last_us = -(1 << 62)
+        self._last_us = LONG_AGO_US
         self.newest = None
         self.broken += 1
 
@@ -149,40 +144,44 @@ class WheelEdges:
         self, rise: list[EdgeFrame], fall: list[EdgeFrame], clock: SensorClock, now_us: int
     ) -> EdgeBatch:
         """Takes this step's frames of both polarities; returns the new edges in order of time."""
-        risen = self._read(self._rise, rise, clock, now_us)
-        fallen = self._read(self._fall, fall, clock, now_us)
-        pitch = self.pitch_rad
-        edges = [(t, k * pitch) for k, t in risen]
+        risen, fallen = self._rise, self._fall
+        self._take(risen, rise, clock, now_us)
+        self._take(fallen, fall, clock, now_us)
         if self._fall_shift is None:
-            self._pair(risen, fallen)
-        if self._fall_shift is not None:
-            shift = self._fall_shift + self._duty_share
-            edges += [(t, (k + shift) * pitch) for k, t in fallen]
-        edges.sort()
-        if edges and edges[0][0] <= self._last_us:
-            # A polarity that was late must not turn time back in the filters.
-            edges = [edge for edge in edges if edge[0] > self._last_us]
-        if not edges:
+            self._pair(risen.edges(), fallen.edges())
+        # Falling edges that cannot be placed yet are left out.
+        falls = 0 if self._fall_shift is None else fallen.count
+        if risen.count + falls == 0:
             return NO_EDGES
-        self.newest = Edge(*edges[-1])
-        self._last_us = edges[-1][0]
-        table = np.array(edges, dtype=np.float64)
-        return EdgeBatch(table[:, 0].copy(), table[:, 1].copy())
+        edge_us, edge_rad = np.empty(risen.count + falls), np.empty(risen.count + falls)
+        n = merge_edges(
+            risen.numbers,
+            risen.times_us,
+            risen.count,
+            fallen.numbers,
+            fallen.times_us,
+            falls,
+            (self._fall_shift or 0) + self._duty_share,
+            self.pitch_rad,
+            self._last_us,
+            edge_us,
+            edge_rad,
+        )
+        if n == 0:
+            return NO_EDGES
+        self._last_us = int(edge_us[n - 1])
+        self.newest = Edge(self._last_us, float(edge_rad[n - 1]))
+        return EdgeBatch(edge_us[:n], edge_rad[:n])
 
-    def _read(
+    def _take(
         self, polarity: Polarity, frames: list[EdgeFrame], clock: SensorClock, now_us: int
-    ) -> list[tuple[int, int]]:
-        edges: list[tuple[int, int]] = []
+    ) -> None:
+        polarity.begin()
         for frame in frames:
-            fresh = polarity.read(frame, clock.stamp(frame.read_time_us, now_us))
-            if fresh is None:
-                edges.clear()
+            if not polarity.take(frame, clock.stamp(frame.read_time_us, now_us)):
                 self._fall_shift = None
                 self.newest = None
                 self.broken += 1
-            else:
-                edges += fresh
-        return edges
 
     def _pair(self, risen: list[tuple[int, int]], fallen: list[tuple[int, int]]) -> None:
         for (number, before), (_, after) in itertools.pairwise(risen):

@@ -43,7 +43,9 @@ def angle(theta_rad: float) -> float:
 
 def clip(value: float, top: float, bottom: float = 0.0) -> float:
     """The value within what its signal can hold; NaN becomes the top, the worst."""
-    return min(max(value, bottom), top) if value == value else top
+    if bottom <= value <= top:
+        return value
+    return bottom if value < bottom else top
 
 
 def estimates(

@@ -76,7 +76,7 @@ class _Sender:
     def __init__(self, codec: Codec) -> None:
         self.codec = codec
         self.buffer = bytearray(codec.spec.length)
-        self.counter = 0
+        self.counter = COUNTER_MODULUS - 1  # that of the frame before: the first one carries 0
 
 
 class Transmitter:
@@ -108,8 +108,8 @@ class Transmitter:
         except REFUSALS as error:
             raise EncodeError(f"{spec.name}.{why_refused(codec.fields, message)}") from error
         if spec.data_id is not None:
-            write_crc(buffer, spec.data_id, increment_counter=False)
-            sender.counter = (sender.counter + 1) % COUNTER_MODULUS
+            write_crc(buffer, spec.data_id)  # counts on by one, then protects
+            sender.counter = buffer[2]
         return _new(Frame, (spec.can_id, bytes(buffer), spec.is_fd, True))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final
 
 from dbc.messages import (
@@ -36,7 +35,8 @@ from rig_sim.settings import CLOCK_MODULUS
 from rig_sim.shafts import Angle
 from rig_sim.world import World
 
-EDGES: Final[tuple[Callable[..., Message], ...]] = (
+_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
+EDGES: Final[tuple[type[Message], ...]] = (
     EdgesInputRise,
     EdgesInputFall,
     EdgesLayshaftRise,
@@ -56,7 +56,7 @@ def read_messages(world: World, now_us: int) -> list[Message]:
     """All cyclic messages of the read at this instant, to which the world has been run."""
     clock_us = (world.clock_start_us + now_us) % CLOCK_MODULUS
     messages: list[Message] = [
-        edges(clock_us, index, valid, long, stopped, False, stamps)
+        _new(edges, (clock_us, index, valid, long, stopped, False, stamps))
         for edges, (index, valid, long, stopped, stamps) in zip(
             EDGES, world.edges.read(now_us, world.clock_start_us), strict=True
         )

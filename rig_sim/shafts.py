@@ -2,7 +2,7 @@
 
 Two angles are integrated, layshaft and main shaft; all others follow from them. The input shaft is
 the layshaft over the splitter, the propeller shaft the main shaft over the range, and a gear of the
-main box is X
+main box the layshaft over its mesh.
 """
 
 from __future__ import annotations

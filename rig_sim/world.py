@@ -16,7 +16,7 @@ from gearbox.gears import Sleeve, drive_gear
 from gearbox.sheet import RPM, GearboxSheet
 from rig_sim.bench_script import BenchScript
 from rig_sim.clutch import ClutchActuator, Engine
-from rig_sim.engagement import MAIN_VALVES, Engagement
+from rig_sim.engagement import MAIN_VALVES, ThesisEngagement
 from rig_sim.plant import ThesisPlant
 from rig_sim.sensors import EdgeCapture, Encoder
 from rig_sim.settings import RigSettings
@@ -41,7 +41,7 @@ class World:
         self.shafts = Shafts(sheet, start.angles, gear.split, gear.range_)
         self.plant = ThesisPlant(sheet, self.shafts, settings.main_speed_rpm * RPM)
         delays = Delays(rng, sheet)
-        self.engagement = Engagement(sheet, self.plant, delays, gear.main)
+        self.engagement = ThesisEngagement(sheet, self.plant, delays, gear.main)
         self.script = BenchScript(sheet, self.plant, self.engagement, delays, gear)
         self.plant.lock(gear.main, start.flank * sheet.dog.backlash_rad / 2.0)
         self.valves = ValveBank()
@@ -53,13 +53,18 @@ class World:
         self._brake_inputs: deque[tuple[float, bool]] = deque()
         self._read_us = 0
         self._stop_us: float | None = None
+        self._event: tuple[float, tuple[Sleeve, int] | None] | None = None
+        """What happens next, until something is commanded or happens."""
 
     def run_to(self, until_us: int) -> bool:
         """Go on to this instant, or to the next 10 ms read if that comes first: then True."""
         while True:
-            event_us, crossed = self._next_event()
+            if self._event is None:
+                self._event = self._next_event()
+            event_us, crossed = self._event
             if event_us > until_us:
                 return False
+            self._event = None
             self._move(event_us)
             if crossed is not None:
                 self.engagement.crossed(*crossed)
@@ -72,18 +77,23 @@ class World:
 
     def command_valves(self, orders: tuple[Order, ...], now_us: int) -> None:
         """A valid valve command, consumed now."""
+        self._event = None
         self._switched(self.valves.command(orders, now_us + self.clock_start_us))
 
     def renew_valves(self, now_us: int) -> bool:
         """The same valve command once more; False where it has to be taken in full."""
+        if self._event is not None and self._event[0] < self._read_us:
+            self._event = None  # it may have been the expiry
         return self.valves.renew(now_us + self.clock_start_us)
 
     def all_valves_off(self, now_us: int) -> None:
         """Shutdown: no valve is driven from now on."""
+        self._event = None
         self._switched(self.valves.all_off(now_us + self.clock_start_us))
 
     def return_to_gear(self, gear_number: int, main_rad_s: float, now_us: int) -> None:
         """The bench asks for the script."""
+        self._event = None
         self._move(float(now_us))
         self.script.start(gear_number, main_rad_s)
 

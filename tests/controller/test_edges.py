@@ -117,7 +117,9 @@ def test_the_chain_of_one_polarity_has_no_hole(wheel: Wheel, wanted: list[bool])
     polarity, got = Polarity(), []
     kept = keep_enough(wheel, wanted)
     for read_us in kept:
-        got += polarity.read(wheel.rise(read_us), read_us) or []
+        polarity.begin()
+        polarity.take(wheel.rise(read_us), read_us)
+        got += polarity.edges()
     truth = [(wheel.first + i, t) for i, t in enumerate(wheel.rise_us) if t <= kept[-1]]
     numbers = [number for number, _ in got]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
