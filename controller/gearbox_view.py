@@ -24,7 +24,8 @@ _NUMBER: Final = {(g.main, g.split, g.range_): n for n, g in DRIVE_GEARS.items()
 
 
 class SleeveTrack(NamedTuple):
-    """Ten samples of one sleeve, newest first, 1 ms apart."""
+    """Samples of one sleeve, newest first, 1 ms apart: the ten of a frame, and before them the
+    newest of the frame before where that came 10 ms earlier."""
 
     newest_us: int
     samples_m: tuple[float, ...]
@@ -72,6 +73,9 @@ class GearboxView:
         self._take(Sleeve.RANGE, time_us, message.sleeve_range_m)
 
     def _take(self, sleeve: Sleeve, time_us: int, samples_m: tuple[float, ...]) -> None:
+        before = self.tracks.get(sleeve)
+        if before is not None and time_us - before.newest_us == len(samples_m) * SAMPLE_US:
+            samples_m = (*samples_m, before.position_m)
         self.tracks[sleeve] = SleeveTrack(time_us, samples_m)
 
     @property

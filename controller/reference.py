@@ -8,6 +8,7 @@ count is lost: at power-up and at every stop.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 from controller.kinematics import raw_phase_rad, wrap_to_pitch
@@ -21,7 +22,7 @@ FLANK_SLIP_RAD_S = 0.2
 
 @dataclass
 class _Learning:
-    """A gear being watched: the flank it lies on and what was seen."""
+    """A gear being watched: the flank it lies on, 0 while that is not certain, and what was seen."""
 
     gear: MainGear
     flank: int
@@ -49,10 +50,8 @@ class PhaseReferences:
 
     def locked(self, gear: MainGear, slip_rad_s: float) -> None:
         """The gear has just locked after meeting its flank at this slip: begin to watch it."""
-        if abs(slip_rad_s) < FLANK_SLIP_RAD_S:
-            self._learning = None
-            return
-        self._learning = _Learning(gear, 1 if slip_rad_s > 0.0 else -1)
+        certain = abs(slip_rad_s) >= FLANK_SLIP_RAD_S
+        self._learning = _Learning(gear, int(math.copysign(certain, slip_rad_s)))
 
     def slips(self, slip_rad_s: float) -> None:
         """The gear in mesh still turns in its gap: it will lie on the flank it turns to at last."""
@@ -62,7 +61,7 @@ class PhaseReferences:
     def watch(self, gear: MainGear, theta_layshaft: float, theta_main: float) -> bool:
         """One look at the gear in mesh. True when its reference has just been stored."""
         learning = self._learning
-        if learning is None or learning.gear is not gear:
+        if learning is None or learning.gear is not gear or learning.flank == 0:
             return False
         mesh, dog = self._sheet.main_mesh(gear), self._sheet.dog
         raw = raw_phase_rad(mesh.ratio, theta_layshaft, theta_main)

@@ -12,7 +12,7 @@ from bus.options import BusOpenError
 from controller.header import HeaderError
 from gearbox.tables import TableError
 from rig_sim.settings import SettingsError
-from testbench.commands import demo, gearbox, nodes, replay, request, simulate
+from testbench.commands import demo, gearbox, nodes, pace, replay, request, simulate
 from testbench.errors import CommandError
 from testbench.exits import Exit
 from testbench.provenance import product_version
@@ -32,7 +32,7 @@ exit codes:
      not end, a replay that differs
   2  bad input: what was found and what is allowed is on standard error"""
 USER_ERRORS = (BusOpenError, CommandError, HeaderError, LogError, SettingsError, TableError)
-COMMANDS = (demo, simulate, replay, nodes, request, gearbox)
+COMMANDS = (demo, simulate, replay, nodes, request, pace, gearbox)
 
 
 def build_parser() -> argparse.ArgumentParser:

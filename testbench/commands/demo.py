@@ -29,6 +29,8 @@ from testbench.output import check_json, console, folder_for, rows_table, summar
 from testbench.plot import plot_shift
 from testbench.provenance import product_version, provenance
 from testbench.replay import LogReplay, Session, Verification
+from testbench.report import EXTRA, has_plotly
+from testbench.report_demo import write_demo_report
 from testbench.rows import ShiftRow, summarise
 from testbench.simulate import LAYSHAFT_RAD_S
 
@@ -43,7 +45,7 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "demo",
-        help="both nodes live, both strategies: a table, a picture, a verified log",
+        help="both nodes live, both strategies: a table, a picture, a report, a verified log",
         description="Starts controller and rig as two processes on a bus of their own (or on the "
         "one given), asks for upshifts with today's strategy and with phase aiming, prints one row "
         "a shift, and verifies its own log by replay. -i virtual runs all in one process.",
@@ -75,9 +77,10 @@ def run(namespace: argparse.Namespace) -> int:
     sheet = arguments.sheet_of(namespace)
     results: dict[str, LiveResult] = {}
     sessions: dict[str, Session] = {}
+    lives: dict[str, LiveRun] = {}
     with tempfile.TemporaryDirectory(prefix="meshpoint-") as private:
         for strategy in STRATEGIES:
-            live = _live_run(namespace, strategy, Path(private))
+            live = lives[strategy] = _live_run(namespace, strategy, Path(private))
             results[strategy] = _with_progress(namespace, strategy, live)
             rows = results[strategy].monitor.rows.rows
             out.print(rows_table(strategy, rows))
@@ -86,8 +89,14 @@ def run(namespace: argparse.Namespace) -> int:
     summaries = [summarise(name, results[name].monitor.rows.rows) for name in STRATEGIES]
     out.print(summary_table(summaries))
     _compare(out, summaries[0].gap_rate, summaries[1].gap_rate)
+    report = namespace.out / "report.html"
+    if has_plotly():
+        write_demo_report(report, lives, results, sessions)
     picture = _picture(namespace.out, results["target_phase"], sheet)
     values = {
+        "shifts": [
+            row.to_json() for result in results.values() for row in result.monitor.rows.rows
+        ],
         "strategies": {
             name: {
                 "shifts": [row.to_json() for row in result.monitor.rows.rows],
@@ -115,6 +124,7 @@ def run(namespace: argparse.Namespace) -> int:
     for name, session in sessions.items():
         out.print(f"log {_log_path(namespace.out, name)}: replay is {session}", markup=False)
     out.print(f"picture {picture}" if picture else "no shift to draw")
+    out.print(f"report {report}" if has_plotly() else f"no report: {EXTRA}", markup=False)
     return _exit_code(results, sessions)
 
 

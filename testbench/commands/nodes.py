@@ -6,6 +6,7 @@ import argparse
 import asyncio
 import sys
 from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from bus.clock import Clock, NodeClock
 from bus.options import add_bus_arguments, open_bus_from
 from bus.pace import PacedClock, PaceFile
 from bus.signals import stop_on_signals
-from controller.header import new_header
+from controller.header import RunHeader, new_header
 from controller.node import run_controller
 from gearbox.gears import DRIVE_GEARS
 from rig_sim.node import run_rig
@@ -25,6 +26,7 @@ from testbench.errors import CommandError
 from testbench.exits import Exit
 from testbench.output import folder_for
 from testbench.provenance import product_version
+from testbench.recording import recording, start_log
 
 
 def add_parser(commands: Any) -> None:
@@ -77,9 +79,10 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
         "--pace",
         type=Path,
         metavar="FILE",
-        help="bus time shared with the other nodes, as `python -m bus.pace FILE` keeps it: waits "
+        help="bus time shared with the other nodes, as `meshpoint pace FILE` keeps it: waits "
         "for whoever the machine keeps from running (default: wall time)",
     )
+    arguments.add_log(parser)
     parser.add_argument("-q", "--quiet", action="store_true", help="no lines about what happens")
     add_bus_arguments(parser)
 
@@ -95,13 +98,14 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
     async def run() -> None:
         stop = asyncio.Event()
         with stop_on_signals(stop):
-            await run_controller(
-                header,
-                _opener(namespace, f"run header {header.run_hash:016x}"),
-                _clock(namespace),
-                on_event=_printer(namespace),
-                stop=stop,
-            )
+            async with _recording(namespace, header):
+                await run_controller(
+                    header,
+                    _opener(namespace, f"run header {header.run_hash:016x}"),
+                    _clock(namespace),
+                    on_event=_printer(namespace),
+                    stop=stop,
+                )
 
     asyncio.run(run())
     return Exit.DONE
@@ -120,14 +124,15 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
     async def run() -> None:
         stop = asyncio.Event()
         with stop_on_signals(stop):
-            await run_rig(
-                sheet,
-                settings,
-                _opener(namespace, f"preset {settings.preset}, seed {settings.seed}"),
-                _clock(namespace),
-                on_event=_printer(namespace),
-                stop=stop,
-            )
+            async with _recording(namespace, None):
+                await run_rig(
+                    sheet,
+                    settings,
+                    _opener(namespace, f"preset {settings.preset}, seed {settings.seed}"),
+                    _clock(namespace),
+                    on_event=_printer(namespace),
+                    stop=stop,
+                )
 
     asyncio.run(run())
     return Exit.DONE
@@ -146,6 +151,17 @@ def _opener(namespace: argparse.Namespace, greeting: str) -> Callable[[], can.Bu
         return bus
 
     return open_bus
+
+
+def _recording(
+    namespace: argparse.Namespace, header: RunHeader | None
+) -> AbstractAsyncContextManager[None]:
+    """Records the bus beside the node, where --log asks for it."""
+    log = None
+    if namespace.log is not None:
+        log = start_log(namespace, header, channel="meshpoint")
+        _printer(namespace)(f"{namespace.command}: log {log.path}")
+    return recording(log, lambda: open_bus_from(namespace), _printer(namespace))
 
 
 def _clock(namespace: argparse.Namespace) -> NodeClock:

@@ -88,7 +88,6 @@ def channel() -> Iterator[str]:
         yield f"unix:{folder}/bus.sock"
 
 
-LIVE_MODULES = ("test_acceptance_demo", "test_acceptance_two_processes")
 STALL_LIMIT_S = 0.04
 """A valve command expires 100 ms after the last: a machine that stops its processes for half of
 that now and then cannot run the nodes in real time, whatever they do."""
@@ -106,11 +105,9 @@ def longest_stall_s() -> float:
     return longest
 
 
-@pytest.fixture(autouse=True)
-def real_time(request: pytest.FixtureRequest) -> None:
-    """Live tests want a machine that keeps time."""
-    if request.module.__name__.rpartition(".")[2] not in LIVE_MODULES:
-        return
-    stall_s = request.getfixturevalue("longest_stall_s")
+@pytest.fixture
+def real_time(longest_stall_s: float) -> None:
+    """For a test by the wall clock: it wants a machine that keeps time."""
+    stall_s = longest_stall_s
     if stall_s > STALL_LIMIT_S:
         pytest.skip(f"this machine stops processes for {1e3 * stall_s:.0f} ms: no real time here")

@@ -104,7 +104,8 @@ def test_provenance_names_seed_contract_sheet_and_version(issue_report: dict[str
     provenance = issue_report["provenance"]
     assert provenance["seed"] == 1
     assert provenance["dbc_sha256"] == hashlib.sha256(DBC_FILE.read_bytes()).hexdigest()
-    assert provenance["gearbox_sha256"] == hashlib.sha256(THESIS_SHEET.read_bytes()).hexdigest()
+    shown = run("gearbox", "show", "thesis", "--json", "-").json
+    assert provenance["gearbox_sha256"] == shown["sha256"]
     assert isinstance(provenance["version"], str) and provenance["version"]
 
 
@@ -226,10 +227,12 @@ def test_a_sheet_of_ones_own_takes_the_place_of_the_preset(tmp_path: Path) -> No
     assert_ended_well(outcome)
     report = outcome.json
     assert report["shifts"][0]["pitch_deg"] == pytest.approx(15.0)
-    assert (
-        report["provenance"]["gearbox_sha256"]
-        == hashlib.sha256((tmp_path / "other.toml").read_bytes()).hexdigest()
-    )
+    # The hash is of the values: a comment changes nothing, a tooth does.
+    sums = {}
+    for name, changed in (("comment", text + "\n# a comment\n"), ("thesis", text)):
+        (tmp_path / f"{name}.toml").write_text(changed)
+        sums[name] = run("gearbox", "show", tmp_path / f"{name}.toml", "--json", "-").json["sha256"]
+    assert sums["comment"] == sums["thesis"] != report["provenance"]["gearbox_sha256"]
 
 
 def test_no_shift_is_an_empty_list_or_a_clear_refusal() -> None:

@@ -134,3 +134,19 @@ def test_a_sleeve_that_stands_or_goes_back_crosses_nothing() -> None:
     back = SleeveTrack(0, tuple(4e-3 + k * 5e-4 for k in range(10)))
     for track in (stands, back):
         assert track.crossing_us(5e-3, 1) is None
+
+
+@pytest.mark.parametrize("back_ms", [0.5, 5.5, 9.5])
+def test_a_sleeve_is_seen_to_pass_a_level_wherever_between_two_frames_it_does(
+    back_ms: float,
+) -> None:
+    """A frame's ten samples reach 9 ms back, and frames come every 10 ms."""
+    view = GearboxView(SHEET)
+    passed_ms = 20.0 - back_ms
+    for newest_ms in (10, 20):
+        samples = [(newest_ms - k - passed_ms) * 1e-3 + 5e-3 for k in range(10)]
+        view.sleeves_main(
+            SleevesMain(sleeve_first_second_m=tuple(samples)), newest_us := newest_ms * 1000
+        )
+    crossed_us = view.tracks[Sleeve.FIRST_SECOND].crossing_us(5e-3, 1)
+    assert crossed_us == pytest.approx(newest_us - back_ms * 1000, abs=1.0)
