@@ -19,13 +19,15 @@ from typing import Final
 from controller.core import OWN_ADDRESS, ControllerCore
 from controller.header import HeaderError, RunHeader, architecture, load_header
 from dbc import DBC_SHA256
+from dbc.e2e import check_crc
 from dbc.frame import Frame
-from dbc.link import Receiver, Verdict
+from dbc.layout import CODECS
 from dbc.messages import ControllerStatus
-from dbc.node import Node
 from testbench.provenance import product_version
 
 RIG_ADDRESSES: Final = frozenset({0x80, 0x81, 0x00})
+KNOWN_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
+STATUS: Final = CODECS[ControllerStatus.__name__]
 LATE_FRAMES: Final = 12
 """How many frames around the end of a step may reach the logger in another order than the node."""
 UNKNOWN_FRAME: Final = Frame(0x1FFF_FFFF, b"", is_fd=False)
@@ -95,7 +97,6 @@ class LogReplay:
         self._change = change
         self._on_output = on_output
         self._on_event = on_event
-        self._decoder = Receiver(*Node)
         self._waiting: deque[Frame] = deque()
         self._sent: list[Frame] = []
         self._core: ControllerCore | None = None
@@ -115,14 +116,15 @@ class LogReplay:
 
     def take(self, frame: Frame) -> None:
         """One frame of the log, in order."""
-        received = self._decoder.receive(frame)
         if not (frame.is_extended and frame.can_id & 0xFF == OWN_ADDRESS):
-            if received.verdict is not Verdict.FOREIGN:
+            if frame.is_extended and frame.can_id in KNOWN_IDS:
                 self._waiting.append(frame)
             return
         self._sent.append(frame)
-        if isinstance(received.message, ControllerStatus):
-            step = _Recorded(received.message, self._sent)
+        status = _status(frame)
+        if status is not None:
+            sent = self._sent if status.step_number else _last_step(self._sent)
+            step = _Recorded(status, sent)
             self._sent = []
             self._close_step(step)
 
@@ -227,6 +229,27 @@ class LogReplay:
     def _take_away(self, waiting: list[Frame], skipped: int, chosen: list[Frame]) -> None:
         taken = {id(frame) for frame in chosen}
         self._waiting = deque(f for f in waiting[skipped:] if id(f) not in taken)
+
+
+def _last_step(frames: list[Frame]) -> list[Frame]:
+    """The frames of the last step alone: a controller that ended before has sent its last frames
+    without a status. Within a step identifiers rise."""
+    start = len(frames) - 1
+    while start > 0 and frames[start - 1].can_id < frames[start].can_id:
+        start -= 1
+    return frames[start:]
+
+
+def _status(frame: Frame) -> ControllerStatus | None:
+    """The status frame that closes a step, whatever its counter: a controller that has started
+    anew counts from zero."""
+    spec = STATUS.spec
+    if frame.can_id != spec.can_id or len(frame.data) != spec.length or spec.data_id is None:
+        return None
+    if not check_crc(frame.data, spec.data_id):
+        return None
+    status: ControllerStatus | None = STATUS.decode(frame.data)
+    return status
 
 
 def _crc(frames: list[Frame]) -> int:
