@@ -157,7 +157,10 @@ def test_replay_verifies_the_log_of_the_demo_again(demo: Demo) -> None:
 
 def test_reference_is_unknown_at_the_first_engagement_alone(demo: Demo) -> None:
     aimed = demo.report["shifts"][demo.shifts :]
-    assert [row["reference"] for row in aimed].count("unknown") <= 1
+    seen: set[int] = set()
+    for row in aimed:
+        assert (row["reference"] == "unknown") == (row["to"] not in seen), row
+        seen.add(row["to"])
     assert demo.report["shifts"][0]["reference"] == "unknown"
 
 
