@@ -28,6 +28,10 @@ class LogError(Exception):
         self.cause = cause
 
 
+class EmptyLogError(LogError):
+    """A log without a frame, but without a defect: a process killed just after it began one."""
+
+
 class LogReader:
     """The data frames of a log, in its order, each with its time in seconds.
 
@@ -48,13 +52,15 @@ class LogReader:
     def __iter__(self) -> Iterator[tuple[float, Frame]]:
         try:
             with self.path.open("rb") as file:
+                if os.fstat(file.fileno()).st_size == 0:
+                    raise EmptyLogError(self.path, "", "is empty")
                 yield from self._frames_of(_entries(file, self.path, self._max_bytes))
         except OSError as error:
             raise LogError(self.path, "", error.strerror or str(error)) from error
         except DefectError as defect:
             raise LogError(self.path, defect.position, defect.cause) from defect
         if self.frames + self.remote_frames + self.error_frames == 0:
-            raise LogError(self.path, "", "holds no frames")
+            raise EmptyLogError(self.path, "", "holds no frames")
 
     def _frames_of(self, entries: Entries) -> Iterator[tuple[float, Frame]]:
         for entry in entries:
@@ -75,8 +81,6 @@ def read_log(path: str | os.PathLike[str], max_bytes: int = MAX_LOG_BYTES) -> Lo
 
 def _entries(file: BinaryIO, path: Path, max_bytes: int) -> Entries:
     file_bytes = os.fstat(file.fileno()).st_size
-    if file_bytes == 0:
-        raise DefectError("", "is empty")
     if file_bytes > max_bytes:
         raise DefectError("", f"has {file_bytes} bytes, the limit is {max_bytes}")
     match path.suffix.lower():

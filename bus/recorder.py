@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
-from typing import Self, TextIO
+from typing import Protocol, Self, TextIO
 
 import can
 
@@ -27,6 +27,10 @@ _DEVICE_NAME = re.compile(r"[A-Za-z0-9_.-]{1,15}")
 # process leaves can be read.
 _BUFFER_BYTES = 1024 * 1024
 _LONGEST_LINE_BYTES = 400
+# A 64-byte CAN FD frame as a BLF object, 116 bytes, and the share of containers and compression.
+_LONGEST_OBJECT_BYTES = 200
+# What may still follow the frames: the last line of an ASC log, the header of a BLF container.
+_END_BYTES = 256
 _MAX_UNFLUSHED = _BUFFER_BYTES // _LONGEST_LINE_BYTES
 
 _Writer = can.CanutilsLogWriter | can.ASCWriter | can.BLFWriter
@@ -37,8 +41,10 @@ class LogWriter:
     is replaced.
 
     channel: the name of the bus in the log.
-    flush_every_s: flush when something is written so long after the last flush; None: only by
-        `flush` and `close`. With None, what is in a `.log` or `.blf` depends on the frames alone.
+    flush_every_s: flush when something is written so long after the last flush, so that a process
+        that is killed leaves all but that; None: only by `flush` and `close`.
+    by_frame_time: these seconds are those of the frames' own times, as a run in virtual time wants
+        it: then what is in a `.log` or `.blf` depends on the frames alone.
 
     Raises LogError, here and on writing, when the file cannot be written.
     """
@@ -49,15 +55,20 @@ class LogWriter:
         *,
         channel: str = DEFAULT_CHANNEL,
         flush_every_s: float | None = FLUSH_EVERY_S,
+        by_frame_time: bool = False,
     ) -> None:
         self.path = Path(path)
         self.frames = 0
         self._channel = channel
         self._flush_every_s = flush_every_s
-        self._flushed_at_s = time.monotonic()
+        self._by_frame_time = by_frame_time
+        self._flushed_at_s = None if by_frame_time else time.monotonic()
+        self._flushed_bytes = 0
         self._unflushed = 0
         with self._errors():
             self._writer = self._open()
+            # The head of the file, so that a process killed now leaves no part of one.
+            self._writer.file.flush()
 
     def write(self, time_s: float, frame: Frame, received: bool = True) -> None:
         """Writes a frame; `received` is false for one that the recording node sent itself."""
@@ -84,8 +95,10 @@ class LogWriter:
             self._unflushed += 1
             if self._unflushed >= _MAX_UNFLUSHED and not isinstance(self._writer, can.BLFWriter):
                 self._flush_text(self._writer)
-            if self._is_flush_due():
+            now_s = message.timestamp if self._by_frame_time else time.monotonic()
+            if self._is_flush_due(now_s):
                 self.flush()
+                self._flushed_at_s = now_s
 
     def flush(self) -> None:
         """Brings everything written so far into the file, which is complete then."""
@@ -96,7 +109,19 @@ class LogWriter:
                 self._reopen_blf(self._writer)
             else:
                 self._flush_text(self._writer)
-        self._flushed_at_s = time.monotonic()
+            self._flushed_bytes = self.path.stat().st_size
+        if not self._by_frame_time:
+            self._flushed_at_s = time.monotonic()
+
+    def has_room(self, max_bytes: int) -> bool:
+        """Whether one more frame surely leaves the log below `max_bytes`. Flushes where only the
+        file can tell."""
+        is_blf = isinstance(self._writer, can.BLFWriter)
+        longest = _LONGEST_OBJECT_BYTES if is_blf else _LONGEST_LINE_BYTES
+        if self._flushed_bytes + (self._unflushed + 1) * longest + _END_BYTES <= max_bytes:
+            return True
+        self.flush()
+        return self._flushed_bytes + longest + _END_BYTES <= max_bytes
 
     def close(self) -> None:
         """Completes the log."""
@@ -114,10 +139,12 @@ class LogWriter:
     ) -> None:
         self.close()
 
-    def _is_flush_due(self) -> bool:
+    def _is_flush_due(self, now_s: float) -> bool:
         if self._flush_every_s is None:
             return False
-        return time.monotonic() - self._flushed_at_s >= self._flush_every_s
+        if self._flushed_at_s is None:
+            self._flushed_at_s = now_s
+        return now_s - self._flushed_at_s >= self._flush_every_s
 
     def _open(self) -> _Writer:
         match self.path.suffix.lower():
@@ -153,9 +180,19 @@ class LogWriter:
             raise LogError(self.path, "", error.strerror or str(error)) from error
 
 
+class Log(Protocol):
+    """What a recorder needs of a log: `LogWriter`, or `bus.log_set.RotatingLog`."""
+
+    def write_message(self, message: can.Message) -> None:
+        """Writes a message of a bus."""
+
+    def flush(self) -> None:
+        """Brings everything written so far into the file."""
+
+
 async def record_bus(
     open_bus: OpenBus,
-    log: LogWriter,
+    log: Log,
     *,
     on_event: OnEvent,
     stop: asyncio.Event,
@@ -179,7 +216,7 @@ async def record_bus(
 class _Flushing:
     """A core that flushes the log once a second, also when no more frames come."""
 
-    def __init__(self, log: LogWriter) -> None:
+    def __init__(self, log: Log) -> None:
         self._log = log
         self.next_step_us = 0
 

@@ -83,6 +83,25 @@ class EngagementEvent(IntEnum):
     TOOTH_PASSED = 3
     LOCKED = 4
     RELEASED = 5
+    BLOCKED = 6
+    GIVEN_UP = 7
+
+class RigFault(IntEnum):
+    NO_FAULT = 0
+    HALL_DROPOUT = 1
+    HALL_MISSING_TOOTH = 2
+    HALL_DOUBLE_EDGE = 3
+    HALL_NOISE_BURST = 4
+    VALVE_STUCK = 5
+    VALVE_SLOW = 6
+    SUPPLY_DROP = 7
+    SLEEVE_JAMMED = 8
+    POSITION_OFFSET = 9
+    POSITION_FROZEN = 10
+    FROZEN_PAYLOAD = 11
+    BRAKE_FADE = 12
+    CLUTCH_STUCK = 13
+    ENGINE_DEAF = 14
 
 class BenchAction(IntEnum):
     IDLE = 0
@@ -571,6 +590,19 @@ class ReferenceEngagement(NamedTuple):
     drive_gear: int = ...
     """Ready: the gear number the rig stands in (0..14)."""
 
+    impact_energy_j: float = ...
+    """Locked, Blocked, GivenUp: energy lost in the flank's impact since the sleeve was fired,
+    saturated; 0 in the preset thesis (0..655.35)."""
+
+    face_time_us: int = ...
+    """Likewise: time tooth on tooth (0..16777215)."""
+
+    ratchets: int = ...
+    """Likewise: times a flank threw the sleeve back, saturated (0..127)."""
+
+    blocked: bool = ...
+    """Likewise: whether sleeve and gear have stuck tooth on tooth."""
+
 class ValveCommand(NamedTuple):
     """All valves in one frame. One pending slot a valve: the newest valid frame replaces or cancels
     it, resending an activation that has passed holds it; refused when first received over 2 ms late
@@ -992,6 +1024,27 @@ class BenchCommand(NamedTuple):
     main_speed_rad_s: float = ...
     """Main shaft speed to hold (0..523.598776)."""
 
+class BenchFault(NamedTuple):
+    """Bench to rig: inject a fault; never sent in a vehicle.
+
+    Bench -> GearboxIo, on events.
+    """
+
+    fault: RigFault = ...
+    """What goes wrong; NoFault ends all faults."""
+
+    target: int = ...
+    """Which channel, valve, shaft or sleeve, as listed by meshpoint rig --describe (0..255)."""
+
+    sequence: int = ...
+    """A new number injects once; repeats of the same number do nothing (0..65535)."""
+
+    duration_us: int = ...
+    """How long; 0 is until further notice (0..4294967295)."""
+
+    value: float = ...
+    """How much, in the fault's own unit (-2147483.65..2147483.65)."""
+
 Message: TypeAlias = (
     EdgesInputRise
     | EdgesInputFall
@@ -1020,6 +1073,7 @@ Message: TypeAlias = (
     | ShiftOutcome
     | TC1
     | BenchCommand
+    | BenchFault
 )
 
 MESSAGE_TYPES: Final[dict[str, type[Message]]]

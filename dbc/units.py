@@ -24,6 +24,7 @@ UNITS: Final[dict[str, Unit]] = {
     "bar": Unit("_pa", 1e5, 0.0, False),
     "mm": Unit("_m", 1e-3, 0.0, False),
     "degC": Unit("_k", 1.0, 273.15, False),
+    "J": Unit("_j", 1.0, 0.0, False),
     "%": Unit("_fraction", 1e-2, 0.0, False),
 }
 """Every unit a signal of the DBC may have, by its text in the DBC."""

@@ -38,7 +38,7 @@ RPM: Final = 2.0 * math.pi / 60.0
 BAR: Final = 1e5
 MS: Final = 1e-3
 MM: Final = 1e-3
-SHEET_NAMES: Final = ("thesis",)
+SHEET_NAMES: Final = ("thesis", "truck12")
 _MAIN_FIELD: Final = {gear: gear.name.lower() for gear in MAIN_GEARS}
 
 

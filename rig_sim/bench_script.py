@@ -11,7 +11,7 @@ Speeds change smoothly and no angle jumps. While the script runs, valves do not 
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Final
+from typing import Any, Final, Protocol
 
 from gearbox.gears import (
     DRIVE_GEARS,
@@ -24,13 +24,19 @@ from gearbox.gears import (
 )
 from gearbox.sheet import RPM, GearboxSheet
 from rig_sim.engagement import Engagement
-from rig_sim.plant import Plant
+from rig_sim.plant import Rotation
 from rig_sim.sleeves import NEVER_US, SECOND_US, ShiftingSleeve, SleeveState
-from rig_sim.start import Delays
 
 RELEASE_S: Final = 0.060
 RAMP_S: Final = 0.300
 SLIP_RAD_S: Final = 20.0 * RPM
+
+
+class DrawsDelays(Protocol):
+    """Where the delays of splitter and range come from."""
+
+    def draw_s(self) -> float:
+        """The next delay, s."""
 
 
 class ScriptPhase(IntEnum):
@@ -48,9 +54,9 @@ class BenchScript:
     def __init__(
         self,
         sheet: GearboxSheet,
-        plant: Plant,
-        engagement: Engagement,
-        delays: Delays,
+        plant: Rotation,
+        engagement: Engagement[Any],
+        delays: DrawsDelays,
         gear: DriveGear,
     ) -> None:
         self._sheet = sheet

@@ -9,21 +9,23 @@ from dbc.frame import Frame
 from dbc.layout import CODECS
 from dbc.link import Receiver, Transmitter
 from dbc.messages import (
+    TSC1,
     BenchAction,
     BenchCommand,
+    BenchFault,
     ClutchAction,
     ClutchCommand,
     Message,
+    TscOverrideMode,
     ValveCommand,
 )
 from dbc.node import Node
 from gearbox.sheet import GearboxSheet
 from rig_sim.frames import engagement_message, read_messages, valve_status
-from rig_sim.kernels import warm_up
+from rig_sim.presets import build_world
+from rig_sim.rig_world import EngineRequest, FaultOrder
 from rig_sim.settings import RigSettings
-from rig_sim.truth import Truth
 from rig_sim.valves import Order
-from rig_sim.world import World
 
 NODES: Final = (Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE)
 PROMPT: Final = CODECS[ValveCommand.__name__].spec.can_id
@@ -39,16 +41,17 @@ class RigCore:
     """
 
     def __init__(self, sheet: GearboxSheet, settings: RigSettings) -> None:
-        warm_up()
-        self._world = World(sheet, settings)
+        self._world = build_world(sheet, settings)
         self._transmitter = Transmitter(*NODES)
         self.receiver = Receiver(*NODES)
         self._inbox: list[Frame] = []
         self._commanded = False
         self._start_us: int | None = None
         self._last_sequence: int | None = None
+        self._last_fault: int | None = None
         self._last_valves: ValveCommand | None = None
-        self.truth = Truth(self._world)
+        self.truth = self._world.truth
+        self.as_built = self._world.as_built
 
     @property
     def next_step_us(self) -> int:
@@ -98,12 +101,18 @@ class RigCore:
                 self._command_valves(message, time_us)
         elif isinstance(message, ClutchCommand):
             if self.receiver.valid(ClutchCommand):
-                self._world.clutch.command(message.action is ClutchAction.CLOSE, time_us)
+                self._world.command_clutch(message.action is ClutchAction.CLOSE, time_us)
         elif isinstance(message, BenchCommand):
             asked = message.action is BenchAction.RETURN_TO_GEAR
             if asked and message.sequence != self._last_sequence:
                 self._last_sequence = message.sequence
                 self._world.return_to_gear(message.gear, message.main_speed_rad_s, time_us)
+        elif isinstance(message, BenchFault):
+            if message.sequence != self._last_fault:
+                self._last_fault = message.sequence
+                self._world.inject(_fault(message), time_us)
+        elif isinstance(message, TSC1):
+            self._world.command_engine(_engine_request(message), time_us)
 
     def _command_valves(self, command: ValveCommand, time_us: int) -> None:
         if command == self._last_valves and self._world.renew_valves(time_us):
@@ -112,17 +121,12 @@ class RigCore:
         self._world.command_valves(_orders(command), time_us)
 
     def _send_records(self, frames: list[Frame]) -> None:
-        engagement = self._world.engagement
-        for record in engagement.records:
+        for record in self._world.take_records():
             message = engagement_message(record, self._world.clock_start_us)
             frames.append(self._transmitter.encode(message))
-        engagement.records.clear()
 
     def _take_lines(self) -> list[str]:
-        engagement = self._world.engagement
-        lines = [f"{time_us / 1e6:.6f} s {text}" for time_us, text in engagement.lines]
-        engagement.lines.clear()
-        return lines
+        return [f"{time_us / 1e6:.6f} s {text}" for time_us, text in self._world.take_lines()]
 
 
 def _orders(command: ValveCommand) -> tuple[Order, ...]:
@@ -137,3 +141,16 @@ def _orders(command: ValveCommand) -> tuple[Order, ...]:
         Order(command.range_low_action, command.range_low_time_us),
         Order(command.range_high_action, command.range_high_time_us),
     )
+
+
+def _fault(message: BenchFault) -> FaultOrder:
+    return FaultOrder(int(message.fault), message.target, message.value, message.duration_us)
+
+
+def _engine_request(message: TSC1) -> EngineRequest:
+    """TSC1 as the engine takes it; torque limits (mode 3) are no request here."""
+    if message.override_control_mode is TscOverrideMode.SPEED_CONTROL:
+        return EngineRequest(message.requested_speed_rad_s, None)
+    if message.override_control_mode is TscOverrideMode.TORQUE_CONTROL:
+        return EngineRequest(None, message.requested_torque_fraction)
+    return EngineRequest(None, None)

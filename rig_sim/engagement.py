@@ -12,12 +12,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Final, Generic, NamedTuple, TypeVar
 
 from dbc.messages import EngagementEvent
 from gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
 from gearbox.sheet import RPM, GearboxSheet
-from rig_sim.plant import Crossing, Plant
+from rig_sim.plant import Crossing, Plant, Rotation
 from rig_sim.sleeves import Sleeve as SleeveAxis
 from rig_sim.sleeves import SleeveState
 from rig_sim.start import Delays
@@ -41,6 +41,18 @@ class Violation(IntEnum):
     BOTH_VALVES = 2  # both valves of one sleeve on
 
 
+class Tally(NamedTuple):
+    """What an engagement has cost so far, since its sleeve was fired."""
+
+    impact_j: float = 0.0
+    face_us: int = 0
+    ratchets: int = 0
+    blocked: bool = False
+
+
+NO_TALLY: Final = Tally()
+
+
 class Engaged(NamedTuple):
     """An event between gear and sleeve; slip before any impact. drive_gear: Ready only."""
 
@@ -50,23 +62,22 @@ class Engaged(NamedTuple):
     phase_rad: float
     slip_rad_s: float
     drive_gear: int = 0
+    tally: Tally = NO_TALLY
 
 
-class Engagement:
-    """The two main sleeves and what they do to the plant."""
+SleeveT = TypeVar("SleeveT", bound=SleeveAxis)
+
+
+class Engagement(Generic[SleeveT]):
+    """The two main sleeves, their valves, and the record of what happens; common to all presets."""
 
     def __init__(
-        self, sheet: GearboxSheet, plant: Plant, delays: Delays, engaged: MainGear
+        self, sheet: GearboxSheet, plant: Rotation, sleeves: dict[Sleeve, SleeveT]
     ) -> None:
         self._plant = plant
-        self._delays = delays
         self._half_rad = sheet.dog.backlash_rad / 2.0
         self._pitch_rad = sheet.dog.pitch_rad
-        where = SLEEVE_OF_MAIN[engaged]
-        self.sleeves = {
-            sleeve: SleeveAxis(sheet.sleeve, where.direction if sleeve is where.sleeve else 0)
-            for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
-        }
+        self.sleeves = sleeves
         self._energised: set[Valve] = set()
         self._blocked: set[Sleeve] = set()
         self.scripted = False
@@ -114,35 +125,6 @@ class Engagement:
                 sleeve.arrive(time_us)
                 self._blocked.discard(name)
 
-    def crossing(self, horizon_us: float) -> tuple[Crossing, Sleeve] | None:
-        """The first sleeve whose gear's tooth leaves the face or the gap before the horizon."""
-        found: list[tuple[Crossing, Sleeve]] = []
-        for name, sleeve in self.sleeves.items():
-            if sleeve.state not in (SleeveState.FACE, SleeveState.ENTER) or name in self._blocked:
-                continue
-            gear = self.gear_at(name)
-            phase = self._plant.shafts.phase_rad(gear)
-            span = (-self._half_rad, self._half_rad)
-            if sleeve.state is SleeveState.FACE:
-                phase += self._pitch_rad if phase < 0.0 else 0.0
-                span = (self._half_rad, self._pitch_rad - self._half_rad)
-            crossing = self._plant.crossing(gear, phase, span, horizon_us)
-            if crossing is not None:
-                found.append((crossing, name))
-        return min(found, default=None, key=lambda entry: (entry[0].time_us, entry[1]))
-
-    def crossed(self, name: Sleeve, side: int) -> None:
-        """The plant stands where the tooth leaves the face (to a gap) or the gap (to a flank)."""
-        sleeve, gear, time_us = self.sleeves[name], self.gear_at(name), self._plant.time_us
-        slip = self._plant.slip_rad_s(gear)
-        if sleeve.state is SleeveState.ENTER:
-            self._lock(name, side * self._half_rad)
-        elif self._another_meshed(name):
-            self._block(name, time_us)
-        else:
-            sleeve.enter(time_us)
-            self._record(EngagementEvent.TOOTH_PASSED, gear, -side * self._half_rad, slip)
-
     def script_release(self, time_us: float, duration_s: float) -> None:
         """The bench moves every main sleeve to neutral, within this time."""
         for sleeve in self.sleeves.values():
@@ -156,7 +138,8 @@ class Engagement:
     def script_engage(self, gear: MainGear, time_us: float) -> None:
         """The bench moves the sleeve of this gear in, with a delay drawn as ever."""
         where = SLEEVE_OF_MAIN[gear]
-        self.sleeves[where.sleeve].engage(time_us, where.direction, self._delays.draw_s())
+        delay_s = self._delay_s(where.sleeve, where.direction)
+        self.sleeves[where.sleeve].engage(time_us, where.direction, delay_s)
 
     def ready(self, gear: MainGear, drive_gear: int) -> None:
         """The bench's return to a gear has ended here."""
@@ -169,9 +152,9 @@ class Engagement:
         if not sleeve.stands(time_us):
             self._say(time_us, f"activation of {name.name} lost: {sleeve.state.name}")
         elif sleeve.state is SleeveState.NEUTRAL:
-            sleeve.engage(time_us, direction, self._delays.draw_s())
+            sleeve.engage(time_us, direction, self._delay_s(name, direction))
         elif sleeve.side == -direction:
-            sleeve.release(time_us, self._delays.draw_s())
+            sleeve.release(time_us, self._delay_s(name, direction))
 
     def _valve_off(self, name: Sleeve, direction: int, time_us: float) -> None:
         sleeve = self.sleeves[name]
@@ -183,33 +166,16 @@ class Engagement:
             sleeve.hold(time_us)
 
     def _contact(self, name: Sleeve, time_us: float) -> None:
-        gear = self.gear_at(name)
-        phase, slip = self._plant.shafts.phase_rad(gear), self._plant.slip_rad_s(gear)
-        sleeve = self.sleeves[name]
-        blocked = self._another_meshed(name)
-        if abs(phase) < self._half_rad and not blocked:
-            sleeve.enter(time_us)
-            self._record(EngagementEvent.GAP_CONTACT, gear, phase, slip)
-            return
-        sleeve.rest_on_tooth(time_us)
-        self._record(EngagementEvent.TOOTH_CONTACT, gear, phase, slip)
-        if blocked:
-            self._block(name, time_us)
-
-    def _lock(self, name: Sleeve, phase_rad: float) -> None:
-        gear = self.gear_at(name)
-        slip = self._plant.slip_rad_s(gear)
-        self._plant.lock(gear, phase_rad)
-        self.sleeves[name].lock()
-        self._record(EngagementEvent.LOCKED, gear, phase_rad, slip)
-        self._count_brake_in_gear(self._plant.time_us)
+        """The sleeve has reached the gear."""
+        raise NotImplementedError
 
     def _unmesh(self, name: Sleeve) -> None:
-        gear = self.gear_at(name)
-        phase, slip = self._plant.shafts.phase_rad(gear), self._plant.slip_rad_s(gear)
-        self._record(EngagementEvent.RELEASED, gear, phase, slip)
-        self.sleeves[name].unmesh()
-        self._plant.coast()
+        """The teeth leave each other."""
+        raise NotImplementedError
+
+    def _delay_s(self, name: Sleeve, direction: int) -> float:
+        """Delay from the valve's activation to contact or neutral; direction of the movement."""
+        raise NotImplementedError
 
     def _another_meshed(self, name: Sleeve) -> bool:
         return any(sleeve.meshed for other, sleeve in self.sleeves.items() if other is not name)
@@ -235,9 +201,12 @@ class Engagement:
         phase_rad: float,
         slip_rad_s: float,
         drive_gear: int = 0,
+        tally: Tally = NO_TALLY,
     ) -> None:
         time_us = self._plant.time_us
-        self.records.append(Engaged(event, gear, time_us, phase_rad, slip_rad_s, drive_gear))
+        self.records.append(
+            Engaged(event, gear, time_us, phase_rad, slip_rad_s, drive_gear, tally)
+        )
         where = f" drive gear {drive_gear}" if event is EngagementEvent.READY else ""
         self._say(
             time_us,
@@ -247,3 +216,80 @@ class Engagement:
 
     def _say(self, time_us: float, text: str) -> None:
         self.lines.append((time_us, text))
+
+
+class ThesisEngagement(Engagement[SleeveAxis]):
+    """The contact rule of the preset `thesis`: a sleeve without mass, teeth without friction."""
+
+    def __init__(
+        self, sheet: GearboxSheet, plant: Plant, delays: Delays, engaged: MainGear
+    ) -> None:
+        where = SLEEVE_OF_MAIN[engaged]
+        sleeves = {
+            sleeve: SleeveAxis(sheet.sleeve, where.direction if sleeve is where.sleeve else 0)
+            for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
+        }
+        super().__init__(sheet, plant, sleeves)
+        self._thesis = plant
+        self._delays = delays
+
+    def crossing(self, horizon_us: float) -> tuple[Crossing, Sleeve] | None:
+        """The first sleeve whose gear's tooth leaves the face or the gap before the horizon."""
+        found: list[tuple[Crossing, Sleeve]] = []
+        for name, sleeve in self.sleeves.items():
+            if sleeve.state not in (SleeveState.FACE, SleeveState.ENTER) or name in self._blocked:
+                continue
+            gear = self.gear_at(name)
+            phase = self._plant.shafts.phase_rad(gear)
+            span = (-self._half_rad, self._half_rad)
+            if sleeve.state is SleeveState.FACE:
+                phase += self._pitch_rad if phase < 0.0 else 0.0
+                span = (self._half_rad, self._pitch_rad - self._half_rad)
+            crossing = self._thesis.crossing(gear, phase, span, horizon_us)
+            if crossing is not None:
+                found.append((crossing, name))
+        return min(found, default=None, key=lambda entry: (entry[0].time_us, entry[1]))
+
+    def crossed(self, name: Sleeve, side: int) -> None:
+        """The plant stands where the tooth leaves the face (to a gap) or the gap (to a flank)."""
+        sleeve, gear, time_us = self.sleeves[name], self.gear_at(name), self._plant.time_us
+        slip = self._plant.slip_rad_s(gear)
+        if sleeve.state is SleeveState.ENTER:
+            self._lock(name, side * self._half_rad)
+        elif self._another_meshed(name):
+            self._block(name, time_us)
+        else:
+            sleeve.enter(time_us)
+            self._record(EngagementEvent.TOOTH_PASSED, gear, -side * self._half_rad, slip)
+
+    def _delay_s(self, name: Sleeve, direction: int) -> float:  # noqa: ARG002
+        return self._delays.draw_s()
+
+    def _contact(self, name: Sleeve, time_us: float) -> None:
+        gear = self.gear_at(name)
+        phase, slip = self._plant.shafts.phase_rad(gear), self._plant.slip_rad_s(gear)
+        sleeve = self.sleeves[name]
+        blocked = self._another_meshed(name)
+        if abs(phase) < self._half_rad and not blocked:
+            sleeve.enter(time_us)
+            self._record(EngagementEvent.GAP_CONTACT, gear, phase, slip)
+            return
+        sleeve.rest_on_tooth(time_us)
+        self._record(EngagementEvent.TOOTH_CONTACT, gear, phase, slip)
+        if blocked:
+            self._block(name, time_us)
+
+    def _lock(self, name: Sleeve, phase_rad: float) -> None:
+        gear = self.gear_at(name)
+        slip = self._plant.slip_rad_s(gear)
+        self._thesis.lock(gear, phase_rad)
+        self.sleeves[name].lock()
+        self._record(EngagementEvent.LOCKED, gear, phase_rad, slip)
+        self._count_brake_in_gear(self._plant.time_us)
+
+    def _unmesh(self, name: Sleeve) -> None:
+        gear = self.gear_at(name)
+        phase, slip = self._plant.shafts.phase_rad(gear), self._plant.slip_rad_s(gear)
+        self._record(EngagementEvent.RELEASED, gear, phase, slip)
+        self.sleeves[name].unmesh()
+        self._plant.coast()

@@ -30,10 +30,10 @@ from gearbox.gears import MainGear, Sleeve
 from gearbox.sheet import RPM
 from rig_sim.engagement import Engaged
 from rig_sim.kernels import TAU
-from rig_sim.sensors import ENCODER_MODULUS, ENCODER_STEPS_PER_TURN
+from rig_sim.rig_world import RigWorld, SensorRead
+from rig_sim.sensors import ENCODER_MODULUS, ENCODER_STEPS_PER_TURN, Shaft
 from rig_sim.settings import CLOCK_MODULUS
 from rig_sim.shafts import Angle
-from rig_sim.world import World
 
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 EDGES: Final[tuple[type[Message], ...]] = (
@@ -46,29 +46,29 @@ EDGES: Final[tuple[type[Message], ...]] = (
     EdgesPropellerRise,
     EdgesPropellerFall,
 )
-OIL_K: Final = 353.15
 SENSOR_MAX_PA: Final = 13.107e5  # the pressure signals saturate here, as their sensors would
 ENGINE_MAX_RAD_S: Final = 8031.875 * RPM  # likewise SPN 190
 COUNT_MODULUS: Final = 1 << 16
+MOST_IMPACT_J: Final = 655.35
+MOST_FACE_US: Final = (1 << 24) - 1
+MOST_RATCHETS: Final = 127
 
 
-def read_messages(world: World, now_us: int) -> list[Message]:
+def read_messages(world: RigWorld, now_us: int) -> list[Message]:
     """All cyclic messages of the read at this instant, to which the world has been run."""
     clock_us = (world.clock_start_us + now_us) % CLOCK_MODULUS
     messages: list[Message] = [
         _new(edges, (clock_us, index, valid, long, stopped, False, stamps))
         for edges, (index, valid, long, stopped, stamps) in zip(
-            EDGES, world.edges.read(now_us, world.clock_start_us), strict=True
+            EDGES, world.edge_reads(now_us), strict=True
         )
     ]
-    clutch = world.clutch.position(now_us)
-    messages.append(_sensors(world, clock_us, clutch))
+    sensors = world.sensors(now_us)
+    messages.append(_sensors(sensors, clock_us))
     messages.extend(_sleeves(world, now_us, clock_us))
     messages.append(valve_status(world, now_us))
-    input_rad_s = world.plant.layshaft_rad_s * world.shafts.input_mesh.ratio
-    engine_rad_s = world.engine.speed_rad_s(now_us, clutch, input_rad_s)
-    messages.append(EEC1(engine_speed_rad_s=min(engine_rad_s, ENGINE_MAX_RAD_S)))
-    angles, speeds = world.encoder.read(now_us)
+    messages.append(EEC1(engine_speed_rad_s=min(sensors.engine_rad_s, ENGINE_MAX_RAD_S)))
+    angles, speeds = world.encoder_read(now_us)
     messages.append(ReferenceEncoder(sample_time_us=clock_us, angle_rad=angles, speed_rad_s=speeds))
     messages.append(_phases(world, clock_us))
     return messages
@@ -76,6 +76,7 @@ def read_messages(world: World, now_us: int) -> list[Message]:
 
 def engagement_message(record: Engaged, clock_start_us: int) -> ReferenceEngagement:
     """An event between gear and sleeve; its time is rounded down to the microsecond."""
+    tally = record.tally
     return ReferenceEngagement(
         event_time_us=(clock_start_us + int(record.time_us)) % CLOCK_MODULUS,
         event=record.event,
@@ -83,10 +84,14 @@ def engagement_message(record: Engaged, clock_start_us: int) -> ReferenceEngagem
         phase_rad=record.phase_rad,
         slip_rad_s=record.slip_rad_s,
         drive_gear=record.drive_gear,
+        impact_energy_j=min(tally.impact_j, MOST_IMPACT_J),
+        face_time_us=min(tally.face_us, MOST_FACE_US),
+        ratchets=min(tally.ratchets, MOST_RATCHETS),
+        blocked=tally.blocked,
     )
 
 
-def valve_status(world: World, now_us: int) -> ValveStatus:
+def valve_status(world: RigWorld, now_us: int) -> ValveStatus:
     """What the valve drivers do at this instant."""
     valves = world.valves
     return ValveStatus._make(
@@ -100,18 +105,17 @@ def valve_status(world: World, now_us: int) -> ValveStatus:
     )
 
 
-def _sensors(world: World, clock_us: int, clutch: float) -> GearboxSensors:
-    air = world.sheet.air
+def _sensors(sensors: SensorRead, clock_us: int) -> GearboxSensors:
     return GearboxSensors(
         sample_time_us=clock_us,
-        brake_pressure_pa=min(air.atmosphere_pa + world.plant.brake_gauge_pa, SENSOR_MAX_PA),
-        supply_pressure_pa=min(air.atmosphere_pa + air.supply_gauge_pa, SENSOR_MAX_PA),
-        oil_temperature_k=OIL_K,
-        clutch_position_fraction=clutch,
+        brake_pressure_pa=min(sensors.brake_pa, SENSOR_MAX_PA),
+        supply_pressure_pa=min(sensors.supply_pa, SENSOR_MAX_PA),
+        oil_temperature_k=sensors.oil_k,
+        clutch_position_fraction=sensors.clutch,
     )
 
 
-def _sleeves(world: World, now_us: int, clock_us: int) -> list[Message]:
+def _sleeves(world: RigWorld, now_us: int, clock_us: int) -> list[Message]:
     return [
         SleevesMain(
             sample_time_us=clock_us,
@@ -126,16 +130,16 @@ def _sleeves(world: World, now_us: int, clock_us: int) -> list[Message]:
     ]
 
 
-def _phases(world: World, clock_us: int) -> ReferencePhase:
-    shafts = world.shafts
+def _phases(world: RigWorld, clock_us: int) -> ReferencePhase:
+    truth = world.truth
     return ReferencePhase(
         sample_time_us=clock_us,
-        main_angle_rad=_encoder_rad(shafts.main),
-        main_speed_rad_s=world.plant.main_rad_s,
-        phase_crawl_rad=shafts.phase_rad(MainGear.CRAWL),
-        phase_first_rad=shafts.phase_rad(MainGear.FIRST),
-        phase_second_rad=shafts.phase_rad(MainGear.SECOND),
-        phase_third_rad=shafts.phase_rad(MainGear.THIRD),
+        main_angle_rad=_encoder_rad(truth.angles[Shaft.MAIN]),
+        main_speed_rad_s=truth.speeds_rad_s[Shaft.MAIN],
+        phase_crawl_rad=truth.phase_rad(MainGear.CRAWL),
+        phase_first_rad=truth.phase_rad(MainGear.FIRST),
+        phase_second_rad=truth.phase_rad(MainGear.SECOND),
+        phase_third_rad=truth.phase_rad(MainGear.THIRD),
     )
 
 

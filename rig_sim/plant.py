@@ -70,12 +70,38 @@ class Segment(NamedTuple):
     shares: tuple[float, float, float, float]
 
 
-class Plant(Protocol):
-    """What the sleeves, the bench script and the sensors ask of the gearbox's rotating parts."""
+class Angles(Protocol):
+    """What sleeves and bench script ask of the gear train."""
 
-    shafts: Shafts
-    time_us: float
-    drive: Drive
+    split: Split
+    range_: Range
+
+    @property
+    def lock(self) -> Held | None:
+        """The main-box gear that drives the layshaft."""
+
+    def phase_rad(self, gear: MainGear) -> float:
+        """Angle of a gear tooth from the middle of the sleeve's gap, half a pitch either way."""
+
+
+class Held(Protocol):
+    """A gear in mesh."""
+
+    @property
+    def gear(self) -> MainGear:
+        """Which."""
+
+
+class Rotation(Protocol):
+    """What the sleeves and the bench script ask of the rotating parts; the same in all presets."""
+
+    @property
+    def shafts(self) -> Angles:
+        """The gear train."""
+
+    @property
+    def time_us(self) -> float:
+        """Time of the state."""
 
     @property
     def layshaft_rad_s(self) -> float:
@@ -92,6 +118,22 @@ class Plant(Protocol):
     def slip_rad_s(self, gear: MainGear) -> float:
         """Speed of the gear less that of its sleeve."""
 
+    def coast(self) -> None:
+        """No gear and no bench holds the layshaft."""
+
+    def script_layshaft(self, accel_rad_s2: float) -> None:
+        """The bench drives the layshaft at constant acceleration."""
+
+    def script_main(self, accel_rad_s2: float) -> None:
+        """The bench drives the main shaft at constant acceleration."""
+
+    def set_steps(self, split: Split, range_: Range) -> None:
+        """Splitter and range steps; angles are continuous."""
+
+
+class Plant(Rotation, Protocol):
+    """What the world of the preset `thesis` asks of its plant."""
+
     def crossing(
         self, gear: MainGear, phase_rad: float, span: tuple[float, float], horizon_us: float
     ) -> Crossing | None:
@@ -106,23 +148,11 @@ class Plant(Protocol):
     def set_brake(self, on: bool) -> None:
         """The brake valve's input; the caller has waited the valve's delay."""
 
-    def coast(self) -> None:
-        """No gear and no bench holds the layshaft."""
-
     def stop(self) -> None:
         """The layshaft has been braked to rest."""
 
     def lock(self, gear: MainGear, phase_rad: float) -> None:
         """A flank has been reached: the layshaft takes the main shaft's speed, phase stays."""
-
-    def script_layshaft(self, accel_rad_s2: float) -> None:
-        """The bench drives the layshaft at constant acceleration."""
-
-    def script_main(self, accel_rad_s2: float) -> None:
-        """The bench drives the main shaft at constant acceleration."""
-
-    def set_steps(self, split: Split, range_: Range) -> None:
-        """Splitter and range steps; angles are continuous."""
 
 
 class ThesisPlant:

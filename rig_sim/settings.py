@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from gearbox.gears import DRIVE_GEARS
+
+if TYPE_CHECKING:
+    from rig_sim.faults import ScheduledFault
 
 CLOCK_MODULUS: Final = 1 << 32
 MAX_MAIN_SPEED_RPM: Final = 5000.0
@@ -18,9 +22,13 @@ class SettingsError(ValueError):
 
 
 class Preset(StrEnum):
-    """Which physics the rig has. THESIS: equations 4.1-4.17 to the letter, nothing else."""
+    """Which physics the rig has.
+
+    THESIS: equations 4.1-4.17 to the letter, nothing else. TRUCK: a gearbox that misbehaves like
+    one (docs/gearbox.md)."""
 
     THESIS = "thesis"
+    TRUCK = "truck"
 
 
 @dataclass(frozen=True)
@@ -32,6 +40,8 @@ class RigSettings:
     main_speed_rpm  main shaft speed at the start; the default gives 1,400 rpm at the layshaft in
                     gear 8 of the sheet `thesis`
     clock_start_us  sensor clock at power-up, 0..2^32-1; None draws one 0.5-5 s before the wrap
+    as_built        values of the truck that are fixed, not drawn, by name (`as_built`)
+    faults          what goes wrong with the truck, and when
     """
 
     preset: Preset = Preset.THESIS
@@ -39,6 +49,8 @@ class RigSettings:
     start_gear: int = 8
     main_speed_rpm: float = 644.0
     clock_start_us: int | None = None
+    as_built: Mapping[str, float] = field(default_factory=dict)
+    faults: tuple[ScheduledFault, ...] = ()
 
     def __post_init__(self) -> None:
         if self.seed < 0:

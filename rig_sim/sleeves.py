@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import math
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 from gearbox.sheet import SleeveActuator
 
@@ -56,6 +56,7 @@ class SleeveEvent(IntEnum):
     AT_FLANK = 5  # the slip has brought the tooth to the flank
     HELD = 6  # a release given up before the teeth left each other
     ARRIVED = 7  # back in neutral
+    EJECTED = 8  # a flank met before the teeth overlap enough; preset truck only
 
 
 S, E = SleeveState, SleeveEvent
@@ -69,6 +70,7 @@ TRANSITIONS: Final[dict[tuple[SleeveState, SleeveEvent], SleeveState]] = {
     (S.ENTER, E.AT_FLANK): S.LOCKED,
     (S.ENTER, E.LET_GO): S.RETRACT,
     (S.ENTER, E.RELEASE): S.RETRACT,
+    (S.ENTER, E.EJECTED): S.FACE,
     (S.LOCKED, E.RELEASE): S.RETRACT,
     (S.RETRACT, E.HELD): S.LOCKED,
     (S.RETRACT, E.ARRIVED): S.NEUTRAL,
@@ -95,6 +97,21 @@ class Stroke(NamedTuple):
         return self.from_m + (self.to_m - self.from_m) * share**self.power
 
 
+class Movement(Protocol):
+    """Any law of axial movement; it holds from `since_us` on and rests from `end_us` on."""
+
+    @property
+    def since_us(self) -> float:
+        """When it begins to hold."""
+
+    @property
+    def end_us(self) -> float:
+        """When it is over."""
+
+    def at(self, time_us: float) -> float:
+        """Distance from neutral, m."""
+
+
 def resting(since_us: float, position_m: float) -> Stroke:
     """No movement."""
     return Stroke(since_us, since_us, since_us, position_m, position_m, 1)
@@ -108,7 +125,9 @@ class Sleeve:
         self._actuator = actuator
         self.side = engaged_side
         self.state = S.LOCKED if engaged_side else S.NEUTRAL
-        self._strokes = [resting(0.0, actuator.stroke_m if engaged_side else 0.0)]
+        self._strokes: list[Movement] = [
+            resting(0.0, actuator.stroke_m if engaged_side else 0.0)
+        ]
         self._sides = [engaged_side]
         self.contact_us = NEVER_US
         self.unmesh_us = NEVER_US
@@ -219,7 +238,7 @@ class Sleeve:
         end_us = time_us + (to_m - from_m) / self._actuator.speed_m_s * SECOND_US
         self._move(Stroke(time_us, time_us, end_us, from_m, to_m, 1))
 
-    def _move(self, stroke: Stroke) -> None:
+    def _move(self, stroke: Movement) -> None:
         oldest_us = stroke.since_us - HISTORY_US
         while len(self._strokes) > 1 and self._strokes[1].since_us < oldest_us:
             del self._strokes[0], self._sides[0]

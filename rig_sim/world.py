@@ -8,7 +8,7 @@ search for the next event always looks as far as the next scheduled one.
 from __future__ import annotations
 
 from collections import deque
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -16,17 +16,20 @@ from gearbox.gears import Sleeve, drive_gear
 from gearbox.sheet import RPM, GearboxSheet
 from rig_sim.bench_script import BenchScript
 from rig_sim.clutch import ClutchActuator, Engine
-from rig_sim.engagement import MAIN_VALVES, ThesisEngagement
+from rig_sim.engagement import MAIN_VALVES, Engaged, ThesisEngagement
 from rig_sim.plant import ThesisPlant
-from rig_sim.sensors import EdgeCapture, Encoder
+from rig_sim.rig_world import EncoderRead, EngineRequest, FaultOrder, SensorRead, Truth
+from rig_sim.sensors import EdgeCapture, EdgeRead, Encoder
 from rig_sim.settings import RigSettings
 from rig_sim.shafts import Shafts
 from rig_sim.sleeves import NEVER_US
 from rig_sim.start import Delays, draw_start, seeded
+from rig_sim.thesis_truth import ThesisTruth
 from rig_sim.valves import Change, Order, Valve, ValveBank
 
 READ_US: Final = 10_000
 SECOND_US: Final = 1e6
+OIL_K: Final = 353.15
 
 
 class World:
@@ -96,6 +99,58 @@ class World:
         self._event = None
         self._move(float(now_us))
         self.script.start(gear_number, main_rad_s)
+
+    def command_clutch(self, close: bool, now_us: int) -> None:
+        """A valid clutch command, consumed now."""
+        self.clutch.command(close, now_us)
+
+    def command_engine(self, request: EngineRequest, now_us: int) -> None:
+        """The thesis has no engine: nothing follows."""
+
+    def inject(self, order: FaultOrder, now_us: int) -> None:
+        """The thesis's gearbox has no faults: said in the log, once each."""
+        text = f"fault {order.kind} ignored: preset thesis has none, preset truck has"
+        self.engagement.lines.append((float(now_us), text))
+
+    def edge_reads(self, now_us: int) -> list[EdgeRead]:
+        """The read of all edge channels now, in the order of the wire contract."""
+        return self.edges.read(now_us, self.clock_start_us)
+
+    def sensors(self, now_us: int) -> SensorRead:
+        """The slow sensors now."""
+        air, clutch = self.sheet.air, self.clutch.position(now_us)
+        input_rad_s = self.plant.layshaft_rad_s * self.shafts.input_mesh.ratio
+        return SensorRead(
+            air.atmosphere_pa + self.plant.brake_gauge_pa,
+            air.atmosphere_pa + air.supply_gauge_pa,
+            OIL_K,
+            clutch,
+            self.engine.speed_rad_s(now_us, clutch, input_rad_s),
+        )
+
+    def encoder_read(self, now_us: int) -> EncoderRead:
+        """The reference encoder now."""
+        return EncoderRead(*self.encoder.read(now_us))
+
+    def take_records(self) -> list[Engaged]:
+        """What has happened between sleeves and gears since the last call."""
+        records, self.engagement.records = self.engagement.records, []
+        return records
+
+    def take_lines(self) -> list[tuple[float, str]]:
+        """Lines for the log since the last call, with their times."""
+        lines, self.engagement.lines = self.engagement.lines, []
+        return lines
+
+    @property
+    def truth(self) -> Truth:
+        """The state, for tests."""
+        return ThesisTruth(self)
+
+    @property
+    def as_built(self) -> dict[str, Any] | None:
+        """This gearbox is as its sheet says."""
+        return None
 
     @property
     def next_read_us(self) -> int:

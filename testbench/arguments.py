@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from pathlib import Path
 
+from bus.log_set import MIN_PART_BYTES
+from bus.logs import MAX_LOG_BYTES
 from controller.settings import (
     ESTIMATOR_NAMES,
     STRATEGY_NAMES,
@@ -15,9 +18,21 @@ from controller.settings import (
 from gearbox import GearboxSheet, load_sheet
 from gearbox.gears import DRIVE_GEARS, main_box_only
 from gearbox.sheet import SHEET_NAMES
+from rig_sim.as_built import load_as_built
+from rig_sim.faults import ScheduledFault
+from rig_sim.scenario import load_scenario
 from rig_sim.settings import Preset
 
 MAX_SHIFTS = 100_000
+_SIZE = re.compile(
+    r"(?P<number>\d{1,12}(\.\d{1,6})?) ?(?P<unit>[kmg]?i?b?)", re.IGNORECASE | re.ASCII
+)
+_UNITS = {
+    prefix + infix + suffix: float(base**power)
+    for power, prefix in enumerate(("", "k", "m", "g"))
+    for infix, base in (("", 1000), ("i", 1024))
+    for suffix in ("", "b")
+}
 
 
 def whole(low: int, high: int):  # type: ignore[no-untyped-def]
@@ -46,6 +61,20 @@ def speed(text: str) -> float:
     if not 1e-3 <= value <= 1e3:
         raise argparse.ArgumentTypeError(f"{text!r}, allowed is a number from 0.001 to 1000")
     return value
+
+
+def size_bytes(text: str) -> int:
+    """An argparse type: a size in bytes, as 500kB, 10MB, 1GiB."""
+    match = _SIZE.fullmatch(text.strip())
+    size = 0.0
+    if match is not None:
+        size = float(match["number"]) * _UNITS[match["unit"].lower()]
+    if not MIN_PART_BYTES <= size <= MAX_LOG_BYTES:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}, allowed is a size from {MIN_PART_BYTES // 1024}KiB to "
+            f"{MAX_LOG_BYTES // 1024**3}GiB, as 10MB"
+        )
+    return int(size)
 
 
 def pairs(text: str) -> tuple[tuple[int, int], ...]:
@@ -98,9 +127,22 @@ def add_rig(parser: argparse.ArgumentParser) -> None:
         "--preset",
         choices=tuple(preset.value for preset in Preset),
         default=Preset.THESIS.value,
-        help="physics of the rig (default: thesis, its equations 4.1-4.17 to the letter)",
+        help="physics of the rig: thesis, its equations 4.1-4.17 to the letter; truck, a gearbox "
+        "with friction, backlash and impacts, drawn from the seed (default: %(default)s)",
     )
     add_seed(parser)
+    parser.add_argument(
+        "--as-built",
+        type=Path,
+        metavar="FILE",
+        help="preset truck: fix these as-built values, TOML or a run's JSON; the rest is drawn",
+    )
+    parser.add_argument(
+        "--faults",
+        type=Path,
+        metavar="FILE",
+        help="preset truck: a scenario of faults, TOML (`meshpoint rig --describe` lists them)",
+    )
 
 
 def add_seed(parser: argparse.ArgumentParser) -> None:
@@ -129,6 +171,29 @@ def add_json(parser: argparse.ArgumentParser) -> None:
     """--json."""
     parser.add_argument(
         "--json", metavar="FILE|-", help="write the results as JSON to a file, or - for stdout"
+    )
+
+
+def add_log(parser: argparse.ArgumentParser) -> None:
+    """--log and --log-size."""
+    parser.add_argument(
+        "--log",
+        metavar="FILE|DIR/",
+        help="record the bus: .log (candump), .blf or .asc by ending; in a folder the log is named "
+        "as by candump -l. What a killed run leaves can be read up to its last second",
+    )
+    parser.add_argument(
+        "--log-size",
+        type=size_bytes,
+        metavar="SIZE",
+        help="no log file larger than this, as 10MB; goes on in FILE_001, FILE_002 ...",
+    )
+
+
+def add_report(parser: argparse.ArgumentParser) -> None:
+    """--report."""
+    parser.add_argument(
+        "--report", type=Path, metavar="FILE", help="write a page with every shift's traces (HTML)"
     )
 
 
@@ -162,3 +227,13 @@ def settings_of(namespace: argparse.Namespace, strategy: str | None = None) -> C
         strategy_name=strategy or getattr(namespace, "strategy", None),
         estimator_name=namespace.estimator,
     )
+
+
+def as_built_of(namespace: argparse.Namespace) -> dict[str, float]:
+    """The as-built values that are fixed."""
+    return {} if namespace.as_built is None else load_as_built(namespace.as_built)
+
+
+def faults_of(namespace: argparse.Namespace) -> tuple[ScheduledFault, ...]:
+    """The scenario of faults."""
+    return () if namespace.faults is None else load_scenario(namespace.faults)

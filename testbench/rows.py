@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from dbc.messages import (
     EngagementEvent,
@@ -24,6 +24,8 @@ from gearbox.gears import DRIVE_GEARS
 DEG: Final = math.pi / 180.0
 RPM: Final = math.pi / 30.0
 CONTACTS: Final = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOTH_CONTACT: "tooth"}
+ENDS: Final = (EngagementEvent.LOCKED, EngagementEvent.GIVEN_UP)
+OFF_FACE: Final = (EngagementEvent.TOOTH_PASSED, EngagementEvent.GIVEN_UP)
 HALF_WRAP_US: Final = 1 << 31
 
 
@@ -50,6 +52,14 @@ class ShiftRow:
     contact_us: int | None
     end_us: int
     fault: str
+    impact_j: float = 0.0
+    """Lost in flank impacts until the gear was locked, all attempts; 0 in the preset thesis."""
+    face_ms: float = 0.0
+    """Tooth on tooth, all attempts."""
+    ratchets: int = 0
+    """Times a flank threw the sleeve back."""
+    blocked: int = 0
+    """Attempts in which sleeve and gear stuck tooth on tooth."""
 
     @property
     def phase_error_pct_of_pitch(self) -> float | None:
@@ -75,6 +85,7 @@ class RowCollector:
         self._pitch_deg = sheet.dog.pitch_rad / DEG
         self._target_rad = target_phase_rad
         self._contacts: list[ReferenceEngagement] = []
+        self._events: list[ReferenceEngagement] = []
         self.rows: list[ShiftRow] = []
 
     def take(self, message: Message) -> None:
@@ -83,8 +94,10 @@ class RowCollector:
         if kind is not ReferenceEngagement and kind is not ShiftOutcome:
             return
         if isinstance(message, ReferenceEngagement):
+            self._events.append(message)
             if message.event is EngagementEvent.READY:
                 self._contacts.clear()
+                self._events.clear()
             elif message.event in CONTACTS:
                 self._contacts.append(message)
         elif isinstance(message, ShiftOutcome) and message.result is not ShiftResult.REFUSED:
@@ -93,7 +106,9 @@ class RowCollector:
     def _row(self, outcome: ShiftOutcome) -> ShiftRow:
         target = DRIVE_GEARS[outcome.to_gear].main
         contact = next((c for c in self._contacts if c.gear == MainGear(target)), None)
+        cost = _cost([event for event in self._events if event.gear == MainGear(target)])
         self._contacts.clear()
+        self._events.clear()
         known = outcome.reference is PhaseReference.KNOWN
         phase = slip = delay = None
         if contact is not None:
@@ -121,7 +136,37 @@ class RowCollector:
             contact_us=contact.event_time_us if contact else None,
             end_us=outcome.end_time_us,
             fault=outcome.fault.name.lower(),
+            impact_j=cost.impact_j,
+            face_ms=cost.face_us / 1000,
+            ratchets=cost.ratchets,
+            blocked=cost.blocked,
         )
+
+
+class _Cost(NamedTuple):
+    impact_j: float
+    face_us: int
+    ratchets: int
+    blocked: int
+
+
+def _cost(events: list[ReferenceEngagement]) -> _Cost:
+    """What all attempts of a shift have cost, by the rig's tallies; time on the face also from the
+    events, since the preset thesis keeps no tally."""
+    ends = [event for event in events if event.event in ENDS]
+    on_face_us, since_us = 0, None
+    for event in events:
+        if event.event is EngagementEvent.TOOTH_CONTACT:
+            since_us = event.event_time_us
+        elif since_us is not None and event.event in OFF_FACE:
+            on_face_us += span_us(event.event_time_us, since_us)
+            since_us = None
+    return _Cost(
+        impact_j=sum(end.impact_energy_j for end in ends),
+        face_us=max(on_face_us, sum(end.face_time_us for end in ends)),
+        ratchets=sum(end.ratchets for end in ends),
+        blocked=sum(end.blocked for end in ends),
+    )
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -20,6 +20,7 @@ from dbc.messages import ShiftOutcome
 from dbc.node import Node
 from gearbox import GearboxSheet
 from rig_sim.core import RigCore
+from rig_sim.faults import ScheduledFault
 from rig_sim.settings import Preset, RigSettings
 from testbench.bench import BenchCore, plan_shifts
 from testbench.monitor import Monitor
@@ -44,6 +45,8 @@ class Setup:
     seed: int = 1
     shifts: int = 20
     pairs: tuple[tuple[int, int], ...] = DEFAULT_PAIRS
+    as_built: Mapping[str, float] = field(default_factory=dict)
+    faults: tuple[ScheduledFault, ...] = ()
 
     @property
     def header(self) -> RunHeader:
@@ -61,6 +64,8 @@ class Result:
     simulated_s: float
     bus_load: float
     stuck: list[int] = field(default_factory=list)
+    as_built: dict[str, Any] | None = None
+    """What was drawn for the rig; None for the preset thesis."""
 
     def to_json(self, strategy: str) -> dict[str, Any]:
         """As `simulate --json` prints it."""
@@ -71,7 +76,7 @@ class Result:
             "simulated_s": self.simulated_s,
             "bus_load": round(self.bus_load, 4),
             "provenance": self.provenance,
-        }
+        } | ({} if self.as_built is None else {"as_built": self.as_built})
 
 
 def not_addressed_to(*nodes: Node) -> frozenset[int]:
@@ -101,7 +106,10 @@ def simulate(
         seed=setup.seed,
         start_gear=plan[0].from_ if plan else DEFAULT_PAIRS[0][0],
         main_speed_rpm=plan[0].main_rad_s * 30.0 / math.pi if plan else 600.0,
+        as_built=setup.as_built,
+        faults=setup.faults,
     )
+    rig = RigCore(setup.sheet, rig_settings)
     reported = 0
 
     def take(time_us: int, frame: Frame) -> None:
@@ -114,7 +122,7 @@ def simulate(
                 on_row(row)
             reported = len(monitor.rows.rows)
 
-    cores: list[Core] = [ControllerCore(setup.header), RigCore(setup.sheet, rig_settings), bench]
+    cores: list[Core] = [ControllerCore(setup.header), rig, bench]
     filters = [
         frozenset[int](),
         not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
@@ -131,4 +139,5 @@ def simulate(
         simulated_s=driver.now_us / 1e6,
         bus_load=driver.bus.busy_us / max(1, driver.now_us),
         stuck=bench.gave_up,
+        as_built=rig.as_built,
     )

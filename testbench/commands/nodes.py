@@ -118,6 +118,8 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
         seed=namespace.seed,
         start_gear=namespace.gear,
         main_speed_rpm=namespace.main_speed,
+        as_built=arguments.as_built_of(namespace),
+        faults=arguments.faults_of(namespace),
     )
     sheet = arguments.sheet_of(namespace)
 
@@ -157,9 +159,8 @@ def _recording(
     namespace: argparse.Namespace, header: RunHeader | None
 ) -> AbstractAsyncContextManager[None]:
     """Records the bus beside the node, where --log asks for it."""
-    log = None
-    if namespace.log is not None:
-        log = start_log(namespace, header, channel="meshpoint")
+    log = start_log(namespace, header, channel="meshpoint")
+    if log is not None:
         _printer(namespace)(f"{namespace.command}: log {log.path}")
     return recording(log, lambda: open_bus_from(namespace), _printer(namespace))
 

@@ -8,18 +8,21 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from bus.logs import LogError, read_log
+from bus.log_set import log_files, read_logs
+from bus.logs import LogError
 from controller.header import RunHeader
 from controller.settings import STRATEGY_NAMES
 from dbc.frame import Frame
 from dbc.link import Receiver
 from dbc.messages import ReferenceEngagement, ShiftOutcome
 from dbc.node import Node
-from gearbox import GearboxSheet
 from testbench import arguments
 from testbench.exits import Exit
 from testbench.output import console, rows_table, write_json
 from testbench.replay import LogReplay, Session, Verification
+from testbench.report import aim_rad, check_report, report_provenance, write_report
+from testbench.report_collect import MADE, ReportCollector
+from testbench.report_run import Report, Run
 from testbench.rows import RowCollector, ShiftRow
 
 EXIT_OF = {
@@ -38,7 +41,13 @@ def add_parser(commands: Any) -> None:
         "what it commands, shift by shift. The run header (header-*.json) is looked for beside "
         "the log.",
     )
-    parser.add_argument("log", type=Path, metavar="LOG", help=".log (candump), .blf or .asc")
+    parser.add_argument(
+        "log",
+        type=Path,
+        nargs="+",
+        metavar="LOG",
+        help=".log (candump), .blf or .asc; several in order, or a folder of logs, are one bus",
+    )
     parser.add_argument(
         "--verify",
         action="store_true",
@@ -51,21 +60,22 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument("--header-dir", type=Path, metavar="DIR", help="where the run headers are")
     arguments.add_json(parser)
+    arguments.add_report(parser)
     parser.set_defaults(run=run)
 
 
 class _Log:
     """The log's frames; remembers the defect that ended it early."""
 
-    def __init__(self, path: Path, rows: _Rows) -> None:
-        self._path = path
+    def __init__(self, files: list[Path], rows: _Rows) -> None:
+        self._files = files
         self._rows = rows
         self.defect: LogError | None = None
         self.frames = 0
 
     def __iter__(self) -> Iterator[Frame]:
         try:
-            for _, frame in read_log(self._path):
+            for _, frame in read_logs(self._files):
                 self.frames += 1
                 self._rows.logged(frame)
                 yield frame
@@ -78,22 +88,33 @@ class _Log:
 class _Rows:
     """Rows from the replayed controller's outcomes beside the logged truth."""
 
-    def __init__(self) -> None:
+    def __init__(self, for_report: bool = False) -> None:
+        self._for_report = for_report
         self._logged = Receiver(*Node)
         self._made = Receiver(Node.BENCH)
         self._collector: RowCollector | None = None
         self._truth: list[ReferenceEngagement] = []
+        self.report: ReportCollector | None = None
+        self.header: RunHeader | None = None
+        """Of the first session, which rows and report are made with."""
 
     def logged(self, frame: Frame) -> None:
-        """A frame of the log: of these only the truth is used."""
+        """A frame of the log: rows use the truth of it, a report all but the controller's."""
         message = self._logged.receive(frame).message
         if isinstance(message, ReferenceEngagement):
             self._truth.append(message)
+        if self.report is not None and message is not None and not isinstance(message, MADE):
+            self.report.take(message)
 
-    def start(self, sheet: GearboxSheet) -> None:
+    def start(self, header: RunHeader) -> None:
         """A session's data sheet is known."""
+        if self.report is not None:
+            self.report.restart()
         if self._collector is None:
-            self._collector = RowCollector(sheet)
+            self.header = header
+            self._collector = RowCollector(header.sheet, aim_rad(header))
+            if self._for_report:
+                self.report = ReportCollector(header.sheet, aim_rad(header))
 
     def made(self, frame: Frame) -> None:
         """A frame the replayed controller sent."""
@@ -103,6 +124,8 @@ class _Rows:
                 self._collector.take(truth)
             self._truth.clear()
             self._collector.take(message)
+        if self.report is not None and isinstance(message, MADE):
+            self.report.take(message)
 
     @property
     def rows(self) -> list[ShiftRow]:
@@ -113,10 +136,12 @@ class _Rows:
 def run(namespace: argparse.Namespace) -> int:
     """Replays, and verifies where asked."""
     other = namespace.strategy
-    rows = _Rows()
+    files = log_files(namespace.log)
+    check_report(namespace.report)
+    rows = _Rows(namespace.report is not None)
 
     def change(header: RunHeader) -> RunHeader:
-        rows.start(header.sheet)
+        rows.start(header)
         if other is None:
             return header
         return dataclasses.replace(
@@ -127,17 +152,19 @@ def run(namespace: argparse.Namespace) -> int:
     events: list[tuple[int, str]] = []
     verify = namespace.verify and other is None
     replay = LogReplay(
-        namespace.header_dir or namespace.log.parent,
+        namespace.header_dir or files[0].parent,
         verify,
         change,
         rows.made,
         lambda time_us, line: events.append((time_us, line)),
     )
-    log = _Log(namespace.log, rows)
+    log = _Log(files, rows)
     sessions = replay.run(log)
     if log.defect is not None:
         _end_early(sessions[-1], log.defect)
-    _show(namespace, out, sessions, rows.rows, events)
+    _show(namespace, out, files, sessions, rows.rows, events)
+    if namespace.report is not None:
+        _report(namespace, out, files, sessions, rows)
     return _exit_code(sessions, namespace.verify)
 
 
@@ -160,6 +187,7 @@ def _exit_code(sessions: list[Session], verify: bool) -> int:
 def _show(
     namespace: argparse.Namespace,
     out: Any,
+    files: list[Path],
     sessions: list[Session],
     rows: list[ShiftRow],
     events: list[tuple[int, str]],
@@ -168,20 +196,61 @@ def _show(
         write_json(
             namespace.json,
             {
-                "log": str(namespace.log),
+                "log": str(namespace.log[0]),
+                "logs": [str(path) for path in files],
                 "sessions": [_session_json(session) for session in sessions],
                 "shifts": [row.to_json() for row in rows],
                 "events": [{"time_us": time_us, "event": line} for time_us, line in events],
             },
         )
     if namespace.json != "-" and rows:
-        title = f"{namespace.log.name} as {namespace.strategy or 'recorded'} commands it"
+        title = f"{_name(files)} as {namespace.strategy or 'recorded'} commands it"
         out.print(rows_table(title, rows))
     for number, session in enumerate(sessions, 1):
         if namespace.verify or session.verdict is not Verification.IDENTICAL:
             out.print(f"run {number} of {len(sessions)}: {session}", markup=False)
         else:
             out.print(f"run {number} of {len(sessions)}: {session.steps} steps replayed")
+
+
+def _report(
+    namespace: argparse.Namespace,
+    out: Any,
+    files: list[Path],
+    sessions: list[Session],
+    rows: _Rows,
+) -> None:
+    """The page; without a run header there is no data sheet to draw anything by."""
+    header = rows.header
+    if header is None or rows.report is None:
+        out.print("no report: no run of this log could be repeated")
+        return
+    name = namespace.strategy or header.settings.strategy_name
+    notes = [f"run {n} of {len(sessions)}: {session}" for n, session in enumerate(sessions, 1)]
+    what = "as recorded" if namespace.strategy is None else f"as {namespace.strategy} commands it"
+    report = Report(
+        title=f"meshpoint replay: {_name(files)}",
+        subtitle=f"A recorded bus through the same controller, {what}; sensors, valves and truth "
+        "are those of the log.",
+        sheet=header.sheet,
+        runs=[Run(name, rows.report.finish(), notes if namespace.verify else [])],
+        provenance=report_provenance(
+            header.sheet,
+            seed=None,
+            preset=None,
+            **{
+                "log": ", ".join(path.name for path in files),
+                "recorded with version": header.version,
+                "run headers": ", ".join(f"{session.run_hash:016x}" for session in sessions),
+            },
+        ),
+    )
+    write_report(namespace.report, report)
+
+
+def _name(files: list[Path]) -> str:
+    more = f" and {len(files) - 1} more" if len(files) > 1 else ""
+    return f"{files[0].name}{more}"
 
 
 def _session_json(session: Session) -> dict[str, Any]:

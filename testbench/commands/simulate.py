@@ -4,19 +4,27 @@ from __future__ import annotations
 
 import argparse
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 
-from bus.recorder import LogWriter
 from dbc.frame import Frame
 from rig_sim.settings import Preset
 from testbench import arguments
 from testbench.exits import Exit
-from testbench.output import check_json, console, folder_for, rows_table, summary_table, write_json
+from testbench.output import check_json, console, rows_table, summary_table, write_json
+from testbench.recording import start_log, written
+from testbench.report import (
+    aim_rad,
+    check_report,
+    estimator_notes,
+    report_provenance,
+    write_report,
+)
+from testbench.report_collect import ReportCollector
+from testbench.report_run import Report, Run
 from testbench.rows import ShiftRow, summarise
-from testbench.simulate import Setup, simulate
+from testbench.simulate import Result, Setup, simulate
 
 LOG_CHANNEL = "virtual"
 
@@ -33,10 +41,9 @@ def add_parser(commands: Any) -> None:
     arguments.add_gearbox(parser)
     arguments.add_controller(parser)
     arguments.add_shifts(parser, default=20, least=1)
-    parser.add_argument(
-        "--log", type=Path, metavar="FILE", help="record the bus: .log (candump), .blf or .asc"
-    )
+    arguments.add_log(parser)
     arguments.add_json(parser)
+    arguments.add_report(parser)
     parser.set_defaults(run=run)
 
 
@@ -49,17 +56,19 @@ def run(namespace: argparse.Namespace) -> int:
         seed=namespace.seed,
         shifts=namespace.shifts,
         pairs=namespace.pairs,
+        as_built=arguments.as_built_of(namespace),
+        faults=arguments.faults_of(namespace),
     )
     out = console(namespace.json)
     check_json(namespace.json)
+    check_report(namespace.report)
+    collector = None
+    if namespace.report is not None:
+        collector = ReportCollector(setup.sheet, aim_rad(setup.header))
     with ExitStack() as stack:
-        log = None
-        if namespace.log is not None:
-            folder_for(namespace.log.parent)
-            log = stack.enter_context(
-                LogWriter(namespace.log, channel=LOG_CHANNEL, flush_every_s=None)
-            )
-            setup.header.save(namespace.log.parent)
+        log = start_log(namespace, setup.header, channel=LOG_CHANNEL, by_frame_time=True)
+        if log is not None:
+            stack.enter_context(log)
         progress = stack.enter_context(
             Progress(
                 SpinnerColumn(),
@@ -74,13 +83,19 @@ def run(namespace: argparse.Namespace) -> int:
         def on_frame(time_us: int, frame: Frame) -> None:
             if log is not None:
                 log.write(time_us / 1e6, frame)
+            if collector is not None:
+                collector.receive(frame)
 
         def on_row(_row: ShiftRow) -> None:
             progress.advance(task)
 
         result = simulate(setup, on_frame, on_row)
+    if collector is not None:
+        write_report(namespace.report, _report(setup, result, collector))
     if namespace.json is not None:
         write_json(namespace.json, result.to_json(setup.settings.strategy_name))
+    if log is not None:
+        out.print(f"log {written(log)}", markup=False)
     if namespace.json != "-":
         out.print(rows_table(f"{setup.settings.strategy_name}, seed {setup.seed}", result.rows))
         out.print()
@@ -91,3 +106,18 @@ def run(namespace: argparse.Namespace) -> int:
                 f"speed RMS {figures['speed_rms_rpm']} rpm (simulated)"
             )
     return Exit.DONE if not result.stuck else Exit.FAILED
+
+
+def _report(setup: Setup, result: Result, collector: ReportCollector) -> Report:
+    name = setup.settings.strategy_name
+    notes = estimator_notes(name, result.estimation)
+    return Report(
+        title=f"meshpoint simulate: {setup.shifts} shifts, {name}",
+        subtitle=f"Simulated in virtual time by the rig's preset {setup.preset.value}.",
+        sheet=setup.sheet,
+        runs=[Run(name, collector.finish(), notes)],
+        provenance=report_provenance(
+            setup.sheet, seed=setup.seed, preset=setup.preset.value,
+            **{"run header": f"{setup.header.run_hash:016x}"},
+        ),
+    )  # fmt: skip

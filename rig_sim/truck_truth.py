@@ -1,23 +1,27 @@
-"""What the rig knows of itself, for tests in the same process. Plain reads, no side effects."""
+"""What the truck knows of itself, for tests in the same process. Plain reads, no side effects."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from gearbox.gears import MainGear, Sleeve
+from rig_sim import truck_layout as at
 from rig_sim.bench_script import ScriptPhase
 from rig_sim.engagement import Violation
 from rig_sim.plant import Drive
 from rig_sim.shafts import Angle
 from rig_sim.sleeves import SleeveState
-from rig_sim.world import World
+from rig_sim.truck_plant import Energy
+
+if TYPE_CHECKING:
+    from rig_sim.truck_world import TruckWorld
 
 
-class Truth:
-    """The state at `time_us`, the newest event up to the last step. Angles are whole turns and a
-    rest in rad; speeds rad/s; phases rad; pressure Pa."""
+class TruckTruth:
+    """The state at `time_us`, the last grid point or event up to the last step."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: TruckWorld) -> None:
         self._world = world
 
     @property
@@ -33,23 +37,23 @@ class Truth:
     @property
     def angles(self) -> tuple[Angle, Angle, Angle, Angle]:
         """Sensor wheels of input, layshaft, main and propeller shaft."""
-        shafts = self._world.shafts
-        return (shafts.input, shafts.layshaft, shafts.main, shafts.propeller)
+        angle = self._world.plant.angle
+        return (angle(at.INPUT), angle(at.LAYSHAFT), angle(at.MAIN), angle(at.PROPELLER))
 
     @property
     def speeds_rad_s(self) -> tuple[float, float, float, float]:
         """Speeds of input, layshaft, main and propeller shaft."""
-        shafts, plant = self._world.shafts, self._world.plant
+        y = self._world.plant.y
         return (
-            plant.layshaft_rad_s * shafts.input_mesh.ratio,
-            plant.layshaft_rad_s,
-            plant.main_rad_s,
-            plant.main_rad_s * shafts.propeller_mesh.ratio,
+            float(y[at.SPEED + at.INPUT]),
+            float(y[at.SPEED + at.LAYSHAFT]),
+            float(y[at.SPEED + at.MAIN]),
+            float(y[at.SPEED + at.PROPELLER]),
         )
 
     def phase_rad(self, gear: MainGear) -> float:
         """Phase of a gear against its sleeve."""
-        return self._world.shafts.phase_rad(gear)
+        return self._world.plant.shafts.phase_rad(gear)
 
     def slip_rad_s(self, gear: MainGear) -> float:
         """Speed of a gear less that of its sleeve."""
@@ -57,8 +61,8 @@ class Truth:
 
     @property
     def locked_gear(self) -> MainGear:
-        """The main-box gear that drives the layshaft, or neutral."""
-        lock = self._world.shafts.lock
+        """The main-box gear in mesh, at a flank or between them; or neutral."""
+        lock = self._world.plant.shafts.lock
         return MainGear.NEUTRAL if lock is None else lock.gear
 
     @property
@@ -70,6 +74,11 @@ class Truth:
     def brake_gauge_pa(self) -> float:
         """Gauge pressure at the brake."""
         return self._world.plant.brake_gauge_pa
+
+    @property
+    def energy(self) -> Energy:
+        """The balance since power-up."""
+        return self._world.plant.energy
 
     def sleeve_state(self, sleeve: Sleeve) -> SleeveState:
         """State of one of the two main sleeves. KeyError for splitter and range."""

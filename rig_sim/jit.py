@@ -1,0 +1,39 @@
+"""How the truck's parts are compiled: small functions in their own files, one cached entry point.
+
+numba's file cache looks only at the file of the cached function, so a change in a part would go
+unseen. `part` therefore compiles without a cache and is inlined where it is called; `entry` caches,
+with a digest of all sources of this package in the cache's key. With NUMBA_DISABLE_JIT=1 both leave
+plain Python.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, TypeVar, cast
+
+import numba
+
+Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+
+
+def _digest() -> int:
+    hashed = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        hashed.update(path.read_bytes())
+    return int.from_bytes(hashed.digest()[:7])
+
+
+SOURCES: Final = _digest()
+"""A number that changes with any source of this package: entry points keep it in their closure."""
+
+
+def part(function: Kernel) -> Kernel:
+    """A piece of physics, compiled into the entry points that call it."""
+    return cast(Kernel, numba.njit(error_model="numpy")(function))
+
+
+def entry(function: Kernel) -> Kernel:
+    """A cached entry point; the function must read `SOURCES` through its closure."""
+    return cast(Kernel, numba.njit(cache=True, error_model="numpy")(function))

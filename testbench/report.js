@@ -1,0 +1,83 @@
+"use strict";
+// Draws one shift at a time; which one is said by the part of the address behind '#'.
+(() => {
+  const data = JSON.parse(document.getElementById("data").textContent);
+  const keys = Object.keys(data.shifts);
+  const buttons = ["zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d", "toImage"];
+  const config = { responsive: true, displaylogo: false, modeBarButtons: [buttons] };
+  const bare = { responsive: true, displayModeBar: false };
+  const figure = document.getElementById("figure");
+  let chosen = null;
+
+  function draw(key) {
+    const shift = data.shifts[key];
+    const layout = { ...data.common, annotations: shift.annotations };
+    layout.shapes = data.common.shapes.concat(shift.shapes);
+    for (const [name, own] of Object.entries(shift.axes)) {
+      layout[name] = { ...data.common[name], ...own };
+    }
+    Plotly.react(figure, shift.data, structuredClone(layout), config);
+  }
+
+  function tell(shift) {
+    document.getElementById("title").textContent = shift.title;
+    const rows = shift.account.map((cells) => {
+      const row = document.createElement("tr");
+      for (const [i, text] of cells.entries()) {
+        const cell = document.createElement("td");
+        cell.textContent = text;
+        if (i > 0) cell.className = "number";
+        row.append(cell);
+      }
+      return row;
+    });
+    document.querySelector("#account tbody").replaceChildren(...rows);
+  }
+
+  function choose(key, reveal) {
+    if (!(key in data.shifts) || key === chosen) return;
+    if (chosen) document.getElementById(chosen).classList.remove("chosen");
+    chosen = key;
+    const row = document.getElementById(key);
+    row.classList.add("chosen");
+    if (reveal) {
+      const box = row.closest(".scroll");
+      box.scrollTop = row.offsetTop - box.clientHeight / 2;
+    }
+    tell(data.shifts[key]);
+    draw(key);
+  }
+
+  function go(key) {
+    history.replaceState(null, "", "#" + key);
+    choose(key, true);
+  }
+
+  function step(by) {
+    const next = keys[keys.indexOf(chosen) + by];
+    if (next) go(next);
+  }
+
+  for (const [name, overview] of Object.entries(data.overview)) {
+    const place = document.getElementById(name);
+    Plotly.newPlot(place, overview.data, overview.layout, bare);
+    place.on("plotly_click", (event) => go(event.points[0].customdata));
+  }
+  if (keys.length === 0) return;
+  for (const key of keys) {
+    document.getElementById(key).addEventListener("click", (event) => {
+      event.preventDefault();
+      go(key);
+    });
+  }
+  document.getElementById("before").addEventListener("click", () => step(-1));
+  document.getElementById("after").addEventListener("click", () => step(1));
+  document.addEventListener("keydown", (event) => {
+    if (event.ctrlKey || event.altKey || event.metaKey) return;
+    if (event.key === "ArrowLeft") step(-1);
+    if (event.key === "ArrowRight") step(1);
+  });
+  window.addEventListener("hashchange", () => choose(location.hash.slice(1), true));
+  choose(location.hash.slice(1), true);
+  if (chosen === null) choose(data.first, true);
+})();

@@ -1,0 +1,134 @@
+"""`--log` of real processes, that end or are killed, and their replay."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from bus.log_set import log_files, read_logs
+from bus.logs import read_log
+from testbench.cli import main
+
+ROOT = Path(__file__).resolve().parents[2]
+START_S = 60.0
+STANDSTILL_S = 1.0
+"""How long the machine may keep a process from running."""
+
+
+def meshpoint(*arguments: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen(
+        [sys.executable, "-m", "testbench", *arguments],
+        cwd=ROOT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
+    )
+
+
+def kill(process: subprocess.Popen[bytes]) -> float:
+    """Kills it as `kill -9` does; the time of that."""
+    killed_s = time.time()
+    process.kill()
+    process.wait()
+    return killed_s
+
+
+def wait_for_bytes(folder: Path, least: int) -> None:
+    deadline = time.monotonic() + START_S
+    while sum(path.stat().st_size for path in folder.glob("*")) < least:
+        assert time.monotonic() < deadline, f"{folder} does not grow"
+        time.sleep(0.05)
+
+
+@pytest.fixture
+def channel() -> Iterator[list[str]]:
+    """A bus of its own; a socket's path must be short."""
+    folder = tempfile.mkdtemp(prefix="mpr-")
+    yield ["-i", "meshpoint", "-c", f"unix:{folder}/bus.sock"]
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def replay(logs: list[Path], capsys: pytest.CaptureFixture[str]) -> dict[str, object]:
+    """The one session of a log, verified."""
+    code = main(["replay", *map(str, logs), "--verify", "--json", "-"])
+    (session,) = json.loads(capsys.readouterr().out)["sessions"]
+    assert code == {"identical": 0, "not verifiable": 3}[session["verdict"]]
+    return dict(session)
+
+
+@pytest.mark.parametrize("ending", ["log", "blf", "asc"])
+def test_a_log_in_parts_replays_as_the_run_it_was(
+    ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """As a folder, as files in order; a missing part is noticed."""
+    target = str(tmp_path / f"run.{ending}")
+    size = {"log": "250kB", "blf": "80kB", "asc": "500kB"}[ending]
+    assert main(["simulate", "--shifts", "2", "--log", target, "--log-size", size]) == 0
+    capsys.readouterr()
+    files = log_files([tmp_path])
+    assert len(files) >= 3
+    whole = replay([tmp_path], capsys)
+    assert whole["verdict"] == "identical"
+    assert replay(files, capsys) == whole
+    holed = replay([files[0], *files[2:]], capsys)
+    assert holed["verdict"] == "not verifiable"
+
+
+def test_a_killed_simulation_leaves_a_log_that_replays_to_its_end(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    process = meshpoint("simulate", "--shifts", "100000", "--log", f"{tmp_path}/")
+    try:
+        wait_for_bytes(tmp_path, 1_500_000)
+    finally:
+        kill(process)
+    session = replay([tmp_path], capsys)
+    assert session["verdict"] == "identical"
+    times = [time_s for time_s, _ in read_logs(log_files([tmp_path]))]
+    assert times == sorted(times)
+    assert times[-1] > 3.0
+
+
+def test_killed_nodes_leave_logs_up_to_the_last_second(
+    tmp_path: Path, channel: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both record the bus. The controller's log begins before its first step, so it repeats it."""
+    parts, blf = tmp_path / "parts", tmp_path / "rig.blf"
+    parts.mkdir()
+    rig = meshpoint("rig", *channel, "--log", str(blf))
+    controller = meshpoint("controller", *channel, "--log", f"{parts}/", "--log-size", "1MB")
+    try:
+        wait_for_bytes(parts, 1_500_000)
+    finally:
+        killed_s = kill(controller)
+        kill(rig)
+    for newest in (blf, log_files([parts])[-1]):
+        assert killed_s - newest.stat().st_mtime < 1.0 + STANDSTILL_S
+    assert len(list(read_log(blf))) > 1000
+    assert len(log_files([parts])) >= 2
+    session = replay([parts], capsys)
+    assert session["verdict"] == "identical", session["reason"]
+    assert int(str(session["steps"])) > 50
+
+
+def test_a_size_without_a_log_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["simulate", "--shifts", "1", "--log-size", "10MB"]) == 2
+    assert "--log" in capsys.readouterr().err
+    for size in ("10", "10XB", "-1MB", "9GiB", "٣MB"):
+        with pytest.raises(SystemExit) as stop:
+            main(["simulate", "--log", "run.log", f"--log-size={size}"])
+        assert stop.value.code == 2
+        assert "64KiB" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,252 @@
+"""The report: what it draws is what was on the bus, and the page needs nothing but itself."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import binomtest
+
+from controller.settings import load_settings
+from gearbox import load_sheet
+from testbench.cli import main
+from testbench.errors import CommandError
+from testbench.report import report_data, report_provenance, write_report
+from testbench.report_collect import ReportCollector
+from testbench.report_overview import wilson
+from testbench.report_page import page
+from testbench.report_phase import onto_branch, unwrapped_deg
+from testbench.report_run import Report, Run
+from testbench.rows import ShiftRow
+from testbench.simulate import Setup, simulate
+
+SHEET = load_sheet("thesis")
+PITCH_DEG = 7.5
+HOSTILE = "</script><script>alert('no')</script><img src=x onerror=alert(1)>.log"
+PLOTLY_STUB = "window.Plotly = {};"
+SIZE_LIMIT = 8_000_000
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+
+
+@pytest.fixture(scope="module")
+def simulated() -> tuple[Report, list[ShiftRow]]:
+    """Four shifts, of which the last two could aim."""
+    setup = Setup(SHEET, load_settings(None, strategy_name="target_phase"), seed=3, shifts=4)
+    collector = ReportCollector(SHEET)
+    result = simulate(setup, lambda _time_us, frame: collector.receive(frame))
+    run = Run("target_phase", collector.finish(), [f"from {HOSTILE}"])
+    provenance = report_provenance(SHEET, seed=3, preset="thesis", log=HOSTILE)
+    return Report(f"report of {HOSTILE}", HOSTILE, SHEET, [run], provenance), result.rows
+
+
+@pytest.fixture(scope="module")
+def data(simulated: tuple[Report, list[ShiftRow]]) -> dict[str, Any]:
+    values: dict[str, Any] = report_data(simulated[0])
+    return values
+
+
+def trace(figure: dict[str, Any], axis: str, name: str) -> tuple[list[float], list[float]]:
+    """The points of a line without its breaks."""
+    (found,) = (t for t in figure["data"] if (t["yaxis"], t["name"]) == (axis, name))
+    points = [(x, y) for x, y in zip(found["x"], found["y"], strict=True) if y is not None]
+    return [x for x, _ in points], [y for _, y in points]
+
+
+def test_the_report_has_the_rows_of_the_run(simulated: tuple[Report, list[ShiftRow]]) -> None:
+    report, rows = simulated
+    assert [shift.row for shift in report.runs[0].shifts] == rows
+    assert len(rows) == 4
+
+
+def test_slip_and_phase_curves_lead_to_the_contact_that_the_rig_reported(
+    simulated: tuple[Report, list[ShiftRow]], data: dict[str, Any]
+) -> None:
+    """Curves come from encoder and phase frames, the contact from an event frame of its own."""
+    for shift, figure in zip(simulated[0].runs[0].shifts, data["shifts"].values(), strict=True):
+        contact_ms, row = shift.contact_ms, shift.row
+        assert contact_ms is not None
+        assert row.slip_rpm is not None
+        assert row.phase_error_pct_of_pitch is not None
+        times, slips = trace(figure, "y2", "truth")
+        before = [k for k, at_ms in enumerate(times) if at_ms < contact_ms][-4:]
+        curve = np.polyfit([times[k] - contact_ms for k in before], [slips[k] for k in before], 3)
+        assert curve[-1] == pytest.approx(row.slip_rpm, abs=0.1)
+        times, phases = trace(figure, "y6", "truth")
+        k = max(k for k, at_ms in enumerate(times) if at_ms < contact_ms)
+        moved = 100 / PITCH_DEG * 0.006 * row.slip_rpm * (contact_ms - times[k])
+        reached = phases[k] + moved - row.phase_error_pct_of_pitch
+        assert abs(math.remainder(reached, 100.0)) < 1.5
+
+
+def test_the_estimate_lies_around_the_truth_where_the_model_holds(
+    simulated: tuple[Report, list[ShiftRow]], data: dict[str, Any]
+) -> None:
+    """From the release to 20 ms before contact an aimed shift knows its slip within 1 rpm."""
+    shift, figure = simulated[0].runs[0].shifts[3], data["shifts"]["shift-1-4"]
+    assert shift.contact_ms is not None
+    times, estimate = trace(figure, "y2", "estimate")
+    truth = np.interp(times, *trace(figure, "y2", "truth"))
+    within = [k for k, at_ms in enumerate(times) if -100 < at_ms - shift.contact_ms < -20]
+    assert len(within) >= 7
+    assert max(abs(estimate[k] - truth[k]) for k in within) < 1.0
+
+
+def test_the_gap_is_drawn_as_wide_as_the_sheet_says(data: dict[str, Any]) -> None:
+    bands = [shape for shape in data["common"]["shapes"] if shape["yref"] == "y7"]
+    assert [(band["y0"], band["y1"]) for band in bands] == [(-10.0, 10.0)]
+
+
+def test_shifts_that_could_not_aim_show_no_prediction(data: dict[str, Any]) -> None:
+    names = [{t["name"] for t in figure["data"]} for figure in data["shifts"].values()]
+    assert ["prediction" in found for found in names] == [False, False, True, True]
+    assert data["first"] == "shift-1-3"
+
+
+def test_every_panel_has_its_quantity_and_unit_and_shares_the_time_axis(
+    data: dict[str, Any],
+) -> None:
+    titles = [data["common"][f"yaxis{n or ''}"]["title"]["text"] for n in ("", 2, 3, 5, 6, 7)]
+    for title, unit in zip(titles, ("rpm", "rpm", "bar", "mm", "% of pitch", "%"), strict=True):
+        assert unit in title
+    assert "ms" in data["common"]["xaxis"]["title"]["text"]
+    for figure in data["shifts"].values():
+        assert all("xaxis" not in t for t in figure["data"])
+
+
+def test_plotly_knows_every_attribute_of_every_figure(data: dict[str, Any]) -> None:
+    graph_objects = pytest.importorskip("plotly.graph_objects")
+    for figure in data["shifts"].values():
+        layout = data["common"] | figure["axes"]
+        layout["annotations"] = figure["annotations"]
+        layout["shapes"] = data["common"]["shapes"] + figure["shapes"]
+        graph_objects.Figure({"data": figure["data"], "layout": layout})
+    for figure in data["overview"].values():
+        graph_objects.Figure(figure)
+
+
+def test_names_from_outside_stay_text(
+    simulated: tuple[Report, list[ShiftRow]], data: dict[str, Any]
+) -> None:
+    text = page(simulated[0], data | {"extra": HOSTILE}, PLOTLY_STUB)
+    assert "<script>alert" not in text
+    assert "<img" not in text
+    assert text.count("<script") == text.count("</script>") == 3
+    assert text.count("&lt;/script&gt;") >= 4
+    (embedded,) = re.findall(r"id='data'>(.*?)</script>", text, re.DOTALL)
+    assert json.loads(embedded) == data | {"extra": HOSTILE}
+
+
+def test_the_page_refers_to_nothing_outside_itself(
+    simulated: tuple[Report, list[ShiftRow]], data: dict[str, Any]
+) -> None:
+    text = page(simulated[0], data, PLOTLY_STUB)
+    assert "http" not in text.replace("http-equiv", "")
+    assert "default-src 'none'" in text
+    assert not re.search(r"<(link|iframe|object|embed)|\ssrc=", text.replace("img src=x", ""))
+
+
+def test_sixty_shifts_stay_below_eight_megabytes(
+    simulated: tuple[Report, list[ShiftRow]], data: dict[str, Any]
+) -> None:
+    offline = pytest.importorskip("plotly.offline")
+    text = page(simulated[0], data, PLOTLY_STUB)
+    assert len(offline.get_plotlyjs()) + 60 / 4 * len(text) < SIZE_LIMIT
+
+
+def test_the_same_bus_gives_the_same_page(tmp_path: Path) -> None:
+    """Simulated, and replayed from its log; only names and notes differ."""
+    pytest.importorskip("plotly")
+    log, paths = tmp_path / "run.log", [tmp_path / "one.html", tmp_path / "two.html"]
+    arguments = ["simulate", "--shifts", "3", "--seed", "5", "--log", str(log)]
+    assert main([*arguments, "--report", str(paths[0])]) == 0
+    assert main(["replay", str(log), "--report", str(paths[1])]) == 0
+    found = [
+        re.findall(r"id='data'>(.*?)</script>", path.read_text(encoding="utf-8"), re.DOTALL)
+        for path in paths
+    ]
+    assert len(found[0]) == 1
+    assert found[0] == found[1]
+
+
+def test_a_report_without_plotly_names_the_extra_before_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "plotly.offline", None)
+    path = tmp_path / "report.html"
+    assert main(["simulate", "--shifts", "100000", "--report", str(path)]) == 2
+    assert "meshpoint[report]" in capsys.readouterr().err
+    with pytest.raises(CommandError, match="report"):
+        write_report(path, Report("", "", SHEET, [], {}))
+    assert not path.exists()
+
+
+def test_a_run_without_shifts_is_a_page_too(tmp_path: Path) -> None:
+    pytest.importorskip("plotly")
+    path = tmp_path / "report.html"
+    write_report(path, Report("empty", "", SHEET, [Run("target_phase", [])], {}))
+    assert "No shift" in path.read_text(encoding="utf-8")
+
+
+@settings(deadline=None)
+@given(
+    start_deg=st.floats(-3.7, 3.7),
+    slip_rpm=st.floats(-600.0, 600.0),
+    change_rpm_ms=st.floats(-3.0, 3.0),
+)
+def test_a_wrapped_phase_is_unwrapped_by_its_slip(
+    start_deg: float, slip_rpm: float, change_rpm_ms: float
+) -> None:
+    """A quadratic phase at up to 600 rpm, sampled every 10 ms, many pitches a sample."""
+    times = np.arange(0.0, 200.0, 10.0)
+    slips = slip_rpm + change_rpm_ms * times
+    phase = start_deg + 0.006 * (slip_rpm * times + change_rpm_ms * times**2 / 2)
+    wrapped = phase - PITCH_DEG * np.floor(phase / PITCH_DEG + 0.5)
+    curve = unwrapped_deg(times, wrapped, slips, PITCH_DEG)
+    assert curve - curve[0] == pytest.approx(phase - phase[0], abs=1e-6)
+    assert onto_branch(wrapped, phase + 3.0, PITCH_DEG) == pytest.approx(phase, abs=1e-6)
+
+
+@pytest.mark.parametrize(("hits", "trials"), [(0, 5), (1, 12), (10, 10), (58, 60), (1, 2)])
+def test_intervals_of_rates_are_those_of_scipy(hits: int, trials: int) -> None:
+    interval = binomtest(hits, trials).proportion_ci(0.95, method="wilson")
+    assert wilson(hits, trials) == pytest.approx((interval.low, interval.high), abs=1e-6)
+
+
+def browse(url: str, folder: Path) -> tuple[str, list[str]]:
+    """The page as a browser without any network has it, and what its console said."""
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        pytest.skip(f"no browser to open the report in: none of {', '.join(BROWSERS)} is here")
+    done = subprocess.run(
+        [
+            browser, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
+            f"--user-data-dir={folder / 'profile'}", "--host-resolver-rules=MAP * ~NOTFOUND",
+            "--virtual-time-budget=5000", "--window-size=1400,2400", "--dump-dom", url,
+        ],
+        capture_output=True, text=True, timeout=100, check=True,
+    )  # fmt: skip
+    return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+
+
+def test_a_browser_draws_the_shift_in_the_address_and_complains_of_nothing(
+    simulated: tuple[Report, list[ShiftRow]], tmp_path: Path
+) -> None:
+    pytest.importorskip("plotly")
+    path = tmp_path / "report & more.html"
+    write_report(path, simulated[0])
+    shown, console = browse(f"{path.as_uri()}#shift-1-4", tmp_path)
+    assert console == []
+    drawn = re.sub(r"<script.*?</script>", "", shown, flags=re.DOTALL)
+    assert "target_phase, shift 4: gear 10 to 12, tooth met gap" in drawn
+    assert drawn.count("main-svg") >= 3
+    assert 'id="shift-1-4" class="chosen"' in drawn
