@@ -26,12 +26,18 @@ HEARTBEAT_US = 2_000
 SLACK_US = 1_000
 TICK_S = 0.0005
 LONGEST_TICK_US = 2_000.0
-"""A pacemaker that was itself stopped goes on from where it was, not from where it would be."""
+"""Of bus time, at speed 1 and below. A pacemaker that was itself stopped goes on from where it was,
+not from where it would be."""
 GIVEN_UP_S = 1.0
 """A node that does not move for this long, by the pacemaker's time, is not waited for any more."""
 
 _ABSENT = -1
 _WORDS = 1 + len(PACED_NODES)
+
+
+def tick_s(speed: float) -> float:
+    """Wall seconds between two looks at the wall clock: half a millisecond of bus time."""
+    return TICK_S / min(1.0, speed)
 
 
 class PaceFile:
@@ -102,7 +108,7 @@ class PacedClock:
         left_us = until_us - self._file.now_us
         if left_us <= 0:
             return 0.0
-        return max(TICK_S, self.wall_s(min(left_us, self._heartbeat_us)))
+        return max(tick_s(self.speed), self.wall_s(min(left_us, self._heartbeat_us)))
 
     def wall_s(self, clock_us: int) -> float:
         """Wall seconds that a span of bus time takes on a machine that keeps up."""
@@ -120,7 +126,7 @@ class Pacemaker:
 
     def advance(self, elapsed_us: float, promises_us: Iterable[int | None]) -> int:
         """The bus time after `elapsed_us` of wall time, given what the nodes have promised."""
-        elapsed_us = min(elapsed_us, LONGEST_TICK_US)
+        elapsed_us = min(elapsed_us, LONGEST_TICK_US / min(1.0, self._speed))
         until_us = self.now_us + elapsed_us * self._speed
         for node, promise_us in enumerate(promises_us):
             moved = promise_us != self._seen[node]
@@ -138,7 +144,7 @@ def keep_pace(path: Path, speed: float, ending: threading.Event) -> None:
     pacemaker = Pacemaker(speed)
     before_s = perf_counter()
     while not ending.is_set():
-        sleep(TICK_S)
+        sleep(tick_s(speed))
         now_s = perf_counter()
         file.set_now(pacemaker.advance((now_s - before_s) * 1e6, file.promises_us()))
         before_s = now_s

@@ -8,8 +8,11 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from controller.jit import compiled
+
+from controller.jit import compiled
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -22,7 +25,7 @@ STARTED: Final = 2
 BROKEN: Final = -1
 
 
-@njit(cache=True)
+@compiled
 def chain_edges(
     low: Integers,
     newest_index: int,
@@ -75,7 +78,7 @@ def chain_edges(
     return int(count + fresh)
 
 
-@njit(cache=True)
+@compiled
 def merge_edges(
     rise_number: Integers,
     rise_us: Integers,

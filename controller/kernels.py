@@ -20,8 +20,9 @@ import math
 from typing import Final
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from controller.jit import compiled
 
 Vector = NDArray[np.float64]
 
@@ -33,7 +34,7 @@ SUPPLY_K: Final = 3
 US: Final = 1e-6
 
 
-@njit(cache=True)
+@compiled
 def hold(dt: float, model: Vector, phi: Vector, gamma: Vector) -> None:
     """Phi and Gamma over `dt` seconds. phi[0..5]: the six elements of Phi that are not 0 or 1,
     (0,1) (0,2) (1,1) (1,2) (2,2); gamma[0..2]. Written in place."""
@@ -57,7 +58,7 @@ def hold(dt: float, model: Vector, phi: Vector, gamma: Vector) -> None:
     gamma[2] = b * phi_b * model[3]
 
 
-@njit(cache=True)
+@compiled
 def advance(x: Vector, dt: float, u: float, model: Vector, phi: Vector, gamma: Vector) -> None:
     """One zero-order-hold step of the state, in place (thesis 5.17)."""
     hold(dt, model, phi, gamma)
@@ -66,7 +67,7 @@ def advance(x: Vector, dt: float, u: float, model: Vector, phi: Vector, gamma: V
     x[2] = phi[4] * x[2] + gamma[2] * u
 
 
-@njit(cache=True)
+@compiled
 def propagate(
     x: Vector, t_us: float, to_us: float, switch_us: Vector, switch_u: Vector, model: Vector
 ) -> None:
@@ -85,7 +86,7 @@ def propagate(
     advance(x, (to_us - t_us) * US, u, model, phi, gamma)
 
 
-@njit(cache=True)
+@compiled
 def time_at_speed(
     x: Vector, t_us: float, omega: float, switch_us: Vector, switch_u: Vector, model: Vector
 ) -> float:
@@ -112,7 +113,7 @@ def time_at_speed(
     return t_us
 
 
-@njit(cache=True)
+@compiled
 def spread(p: Vector, dt: float, phi: Vector, w: Vector) -> None:
     """Covariance prediction P = Phi P Phi' + Q (5.3) with Q = (w dt)(w dt)' (5.8), in place."""
     f01, f02, f11, f12, f22 = phi[0], phi[1], phi[2], phi[3], phi[4]
@@ -133,7 +134,7 @@ def spread(p: Vector, dt: float, phi: Vector, w: Vector) -> None:
     p[1, 0], p[2, 0], p[2, 1] = p[0, 1], p[0, 2], p[1, 2]
 
 
-@njit(cache=True)
+@compiled
 def correct(x: Vector, p: Vector, y: float, r: float) -> None:
     """Measurement update with C = [1, 0, ...] (5.4-5.7), in place; any number of states."""
     n = x.shape[0]
@@ -147,7 +148,7 @@ def correct(x: Vector, p: Vector, y: float, r: float) -> None:
             p[i, j] -= gain[i] * row[j]
 
 
-@njit(cache=True)
+@compiled
 def thesis_filter(
     x: Vector,
     p: Vector,
@@ -187,7 +188,7 @@ def thesis_filter(
     return t_us
 
 
-@njit(cache=True)
+@compiled
 def cruise_filter(
     x: Vector,
     p: Vector,

@@ -22,7 +22,7 @@ FLANK_SLIP_RAD_S = 0.2
 
 @dataclass
 class _Learning:
-    """A gear being watched: the flank it lies on, 0 while that is not certain, and what was seen."""
+    """A gear being watched: the flank it lies on, 0 while not certain, and what was seen."""
 
     gear: MainGear
     flank: int

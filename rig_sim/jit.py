@@ -9,13 +9,16 @@ plain Python.
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
-import numba
-
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
+
+
+DISABLED: Final = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
+"""Then numba is not even loaded, which is half of the start-up."""
 
 
 def _digest() -> int:
@@ -31,9 +34,17 @@ SOURCES: Final = _digest()
 
 def part(function: Kernel) -> Kernel:
     """A piece of physics, compiled into the entry points that call it."""
+    if DISABLED:
+        return function
+    import numba
+
     return cast(Kernel, numba.njit(error_model="numpy")(function))
 
 
 def entry(function: Kernel) -> Kernel:
     """A cached entry point; the function must read `SOURCES` through its closure."""
+    if DISABLED:
+        return function
+    import numba
+
     return cast(Kernel, numba.njit(cache=True, error_model="numpy")(function))

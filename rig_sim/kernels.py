@@ -24,9 +24,10 @@ import math
 from collections.abc import Callable
 from typing import Any, Final, TypeVar, cast
 
-import numba
 import numpy as np
 import numpy.typing as npt
+
+from rig_sim.jit import DISABLED
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
@@ -55,6 +56,10 @@ MAX_ITERATIONS: Final = 80
 
 def compiled(function: Kernel) -> Kernel:
     """numba's njit with its file cache, keeping the function's type for the type checker."""
+    if DISABLED:
+        return function
+    import numba
+
     return cast(Kernel, numba.njit(cache=True)(function))
 
 

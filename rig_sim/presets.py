@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 from gearbox.sheet import GearboxSheet
 from rig_sim.kernels import warm_up
 from rig_sim.rig_world import RigWorld
@@ -17,6 +15,6 @@ def build_world(sheet: GearboxSheet, settings: RigSettings) -> RigWorld:
     warm_up()
     if settings.preset is Preset.TRUCK:
         world = TruckWorld(sheet, settings)
-        world.plant.advance(-1.0, math.inf)  # compiles, and goes nowhere
+        world.plant.find_torques()  # compiles what is not compiled yet
         return world
     return World(sheet, settings)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Final
 
 from rig_sim.jit import SOURCES, entry, part
 from rig_sim.kernels import TAU, Floats, Integers, wrapped
@@ -398,20 +398,3 @@ def _make_advance(sources: int) -> Callable[..., tuple[float, int]]:
 
 
 advance = _make_advance(SOURCES)
-
-
-def _make_torques(sources: int) -> Callable[..., None]:
-    def torques(y: Floats, p: Floats, g: Floats, slots: Floats, scratch: Floats) -> None:
-        """Rates and torques at a state, into scratch[0] and scratch[5]."""
-        _ = sources
-        rates(y, p, g, slots, scratch[0], scratch[5])
-
-    return entry(torques)
-
-
-torques = _make_torques(SOURCES)
-
-
-def warm_up(*arguments: Any) -> None:
-    """Compile the entry points now, with a plant's own vectors and no time to go."""
-    advance(*arguments)

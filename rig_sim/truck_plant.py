@@ -22,7 +22,7 @@ from rig_sim.plant import Drive
 from rig_sim.shafts import Angle, Shafts
 from rig_sim.truck_constants import constants
 from rig_sim.truck_edges import TruckEdges
-from rig_sim.truck_kernels import WATCHES, advance, torques
+from rig_sim.truck_kernels import WATCHES, advance
 
 INDEX: Final = {gear: index for index, gear in enumerate(MAIN_GEARS)}
 
@@ -166,12 +166,12 @@ class TruckPlant:
 
     def main_box_nm(self) -> float:
         """What the gear in mesh puts on the main shaft now; 0 between the flanks."""
-        torques(self.y, self.p, self.g, self._slots, self._scratch)
+        self.find_torques()
         return float(self._scratch[5, at.LINK + at.MAIN_BOX])
 
     def load_nm(self, body: int) -> float:
         """Torque on a body from outside and from friction, now."""
-        torques(self.y, self.p, self.g, self._slots, self._scratch)
+        self.find_torques()
         return float(self._scratch[5, at.LOAD + body])
 
     def link_nm(self, link: int) -> float:
@@ -203,6 +203,10 @@ class TruckPlant:
             edges.ring,
         )
         return event
+
+    def find_torques(self) -> None:
+        """Rates and torques at the present state into the scratch, going nowhere."""
+        self.advance(-math.inf, math.inf)
 
     def watch(
         self, row: int, gear: MainGear, span: tuple[float, float], with_lash: bool
@@ -278,7 +282,7 @@ class TruckPlant:
 
     def stop(self) -> None:
         """The layshaft has come to rest: the brake holds it if it can, else it turns back."""
-        torques(self.y, self.p, self.g, self._slots, self._scratch)
+        self.find_torques()
         pull, hold = self._scratch[5, at.PULL], self._scratch[5, at.HOLD]
         for k in self.chain.group(at.LAYSHAFT):
             self.y[at.SPEED + k] = 0.0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -12,7 +13,6 @@ from bus.options import BusOpenError
 from controller.header import HeaderError
 from gearbox.tables import TableError
 from rig_sim.settings import SettingsError
-from testbench.commands import demo, gearbox, nodes, pace, replay, request, simulate
 from testbench.errors import CommandError
 from testbench.exits import Exit
 from testbench.provenance import product_version
@@ -32,11 +32,22 @@ exit codes:
      not end, a replay that differs
   2  bad input: what was found and what is allowed is on standard error"""
 USER_ERRORS = (BusOpenError, CommandError, HeaderError, LogError, SettingsError, TableError)
-COMMANDS = (demo, simulate, replay, nodes, request, pace, gearbox)
+MODULES = {
+    "demo": "demo",
+    "simulate": "simulate",
+    "replay": "replay",
+    "controller": "nodes",
+    "rig": "nodes",
+    "request": "request",
+    "pace": "pace",
+    "gearbox": "gearbox",
+}
+"""The module of `testbench.commands` that holds each command, in the order of the help."""
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """The parser with all commands."""
+def build_parser(command: str | None = None) -> argparse.ArgumentParser:
+    """The parser with all commands, or with that of one command alone: loading all of them would
+    take a node longer than all else that it does before its first step."""
     parser = argparse.ArgumentParser(
         prog="meshpoint",
         description=DESCRIPTION,
@@ -46,15 +57,17 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"meshpoint {product_version()}")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    for module in COMMANDS:
-        module.add_parser(commands)
+    wanted = [MODULES[command]] if command in MODULES else dict.fromkeys(MODULES.values())
+    for name in wanted:
+        importlib.import_module(f"testbench.commands.{name}").add_parser(commands)
     return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns its exit code."""
-    parser = build_parser()
-    namespace = parser.parse_args(arguments)
+    given = sys.argv[1:] if arguments is None else list(arguments)
+    parser = build_parser(next((word for word in given if not word.startswith("-")), None))
+    namespace = parser.parse_args(given)
     try:
         code: int = namespace.run(namespace)
     except USER_ERRORS as error:
