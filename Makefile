@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test acceptance lint types contracts stubs bench clean
+.PHONY: demo test acceptance vcan test-containers lint types contracts stubs bench clean
 
 $(VENV)/run.stamp: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -22,9 +22,17 @@ demo: $(VENV)/run.stamp
 test: $(VENV)/test.stamp
 	$(BIN)/python -m pytest -n 2 --dist loadfile --ignore=tests/acceptance
 
-# Real processes through the commands alone; wants a machine that keeps time.
+# Real processes through the commands alone; some minutes.
 acceptance: $(VENV)/test.stamp
 	$(BIN)/python -m pytest tests/acceptance
+
+# The nodes on a real vcan0: of this machine, or of one that is emulated for the purpose.
+vcan: $(VENV)/test.stamp
+	NUMBA_DISABLE_JIT=1 tools/with-vcan --install --timeout 900 $(CURDIR)/$(BIN)/python -u -m pytest tests/vcan \
+	    -v -p no:cacheprovider --timeout 900
+
+test-containers:
+	tools/test-containers
 
 lint: $(VENV)/test.stamp
 	$(BIN)/ruff check .

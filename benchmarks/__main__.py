@@ -2,8 +2,8 @@
 
 import sys
 
-from benchmarks import bench_codec, bench_filter, bench_virtual_time
+from benchmarks import bench_codec, bench_filter, bench_rig, bench_virtual_time
 
 if __name__ == "__main__":
-    codes = [bench.main([]) for bench in (bench_codec, bench_filter, bench_virtual_time)]
+    codes = [bench.main([]) for bench in (bench_codec, bench_filter, bench_rig, bench_virtual_time)]
     sys.exit(max(codes))

@@ -18,4 +18,8 @@ def compiled(function: Kernel) -> Kernel:
     # Loading it is a third of the start-up, so only where it is needed.
     from numba import njit
 
-    return cast(Kernel, njit(cache=True)(function))
+    try:
+        return cast(Kernel, njit(cache=True)(function))
+    except RuntimeError:
+        # Nowhere to keep what was compiled, as in a read-only container: each start compiles.
+        return cast(Kernel, njit(function))

@@ -1,8 +1,9 @@
 """The five bodies and their links: groups of rigidly linked bodies, and impacts between them.
 
-An impact at a link with ratio i (speed behind over speed before) and slip s = i w_before - w_behind:
+An impact at a link with ratio i (speed behind over speed before), slip s = i w_before - w_behind:
 
-    J_eq = 1 / (i^2 / J_before + 1 / J_behind),  impulse J_eq (1 + e) s,  loss J_eq s^2 (1 - e^2) / 2
+    J_eq = 1 / (i^2 / J_before + 1 / J_behind)
+    impulse J_eq (1 + e) s,  loss J_eq s^2 (1 - e^2) / 2
 
 on the groups' inertias felt at the link. A body whose speed the bench gives has infinite inertia.
 """
@@ -41,6 +42,10 @@ class Chain:
         y = self._y
         return float(ratio * y[at.SPEED + link] - y[at.SPEED + link + 1])
 
+    def is_driven(self, body: int) -> bool:
+        """Whether something gives the acceleration of the body's group."""
+        return any(k in self._forced for k in self.group(body))
+
     def force(self, body: int, accel_rad_s2: float) -> None:
         """From now on the body has this acceleration."""
         self._forced[body] = accel_rad_s2
@@ -59,14 +64,12 @@ class Chain:
 
     def join(
         self, link: int, ratio: float, low_nm: float = -UNLIMITED, high_nm: float = UNLIMITED
-    ) -> float:
-        """Link rigidly, with an impact that takes all slip; returns its loss, J. The link's torque
-        leaving low..high is an event."""
-        lost = self.impact(link, ratio, 0.0)
+    ) -> None:
+        """Link rigidly; an impact has brought both sides to one speed. The link's torque leaving
+        low..high is an event."""
         self._ratios[link] = ratio
         self._limit(link, low_nm, high_nm)
         self.rebuild()
-        return lost
 
     def place(self, link: int, ratio: float) -> None:
         """Link rigidly as a bench does: the smaller side takes the other's speed, nothing is lost
@@ -140,7 +143,7 @@ class Chain:
 
     def _inverse_inertia(self, body: int) -> float:
         members = self.group(body)
-        if any(k in self._forced for k in members):
+        if self.is_driven(body):
             return 0.0
         rates = self.rates(members, body)
         return float(1.0 / sum(self._p[at.INERTIA + k] * r**2 for k, r in rates.items()))

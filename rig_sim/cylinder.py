@@ -98,9 +98,7 @@ _travel = _make_travel(SOURCES)
 def travel(cylinder: Cylinder, supply_pa: float, atmosphere_pa: float, to_m: float) -> Travel:
     """The stroke from neutral to contact at a supply pressure (absolute)."""
     samples = np.zeros(SAMPLES)
-    time_s, speed, force, count = _travel(
-        tuple(cylinder), supply_pa, atmosphere_pa, to_m, samples
-    )
+    time_s, speed, force, count = _travel(tuple(cylinder), supply_pa, atmosphere_pa, to_m, samples)
     if time_s < 0.0:
         return Travel(float("inf"), 0.0, 0.0, samples[:count])
     return Travel(time_s, speed, force, samples[:count])

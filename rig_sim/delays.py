@@ -4,7 +4,7 @@ cylinder.
     t = t_v + (t_mean - t_v) (p_nom / p_supply)^n k_T + noise
 
 t_v the valve's delay, t_mean the sheet's delay plus what this gear has of its own, k_T = 1 + k (80
-degC - T). The noise is normal, cut by drawing again, as in the preset `thesis` (6.2: 45 ms +- 5 ms).
+degC - T). The noise is normal, cut by drawing again, as in preset `thesis` (6.2: 45 ms +- 5 ms).
 """
 
 from __future__ import annotations

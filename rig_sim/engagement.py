@@ -204,9 +204,7 @@ class Engagement(Generic[SleeveT]):
         tally: Tally = NO_TALLY,
     ) -> None:
         time_us = self._plant.time_us
-        self.records.append(
-            Engaged(event, gear, time_us, phase_rad, slip_rad_s, drive_gear, tally)
-        )
+        self.records.append(Engaged(event, gear, time_us, phase_rad, slip_rad_s, drive_gear, tally))
         where = f" drive gear {drive_gear}" if event is EngagementEvent.READY else ""
         self._say(
             time_us,

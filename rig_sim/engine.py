@@ -23,7 +23,7 @@ def demand_nm(
     least_nm: float,
     most_nm: float,
 ) -> float:
-    """What the engine is asked for; `target` is rad/s at the crankshaft, or Nm in torque control."""
+    """What the engine is asked for; `target` is rad/s, or Nm in torque control."""
     if mode == TORQUE_CONTROL:
         demand = target
     else:

@@ -42,7 +42,9 @@ KINDS: Final[dict[RigFault, Kind]] = {
     RigFault.HALL_DROPOUT: Kind("a Hall channel is silent", CHANNELS, 8, "-"),
     RigFault.HALL_MISSING_TOOTH: Kind("a tooth gives no edge", CHANNELS, 8, "tooth, from 0"),
     RigFault.HALL_DOUBLE_EDGE: Kind("each edge comes twice, 60 us apart", CHANNELS, 8, "-"),
-    RigFault.HALL_NOISE_BURST: Kind("each edge comes with a burst", CHANNELS, 8, "edges more, 1..8"),
+    RigFault.HALL_NOISE_BURST: Kind(
+        "each edge comes with a burst", CHANNELS, 8, "edges more, 1..8"
+    ),
     RigFault.VALVE_STUCK: Kind("a valve stays as it is", VALVES, 9, "-"),
     RigFault.VALVE_SLOW: Kind("a valve follows its coil late", VALVES, 9, "ms"),
     RigFault.SUPPLY_DROP: Kind("the tank leaks down to a pressure", "-", 0, "bar, absolute"),
@@ -164,7 +166,7 @@ def _channel(column: int, value: Callable[[FaultOrder], int]) -> Starter:
     return start
 
 
-def _freeze(world: TruckWorld, desk: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _freeze(_: TruckWorld, desk: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     freezer: Freezer[list[EdgeRead]] | Freezer[SensorRead]
     freezer = desk.edges if order.target == 0 else desk.slow
     freezer.frozen = True
@@ -224,7 +226,7 @@ def _repeat(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], 
     return lambda: world.positions.freeze(name, frozen=False)
 
 
-def _stick_clutch(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _stick_clutch(world: TruckWorld, *_: object) -> Callable[[], None]:
     clutch = world.clutch
     clutch.stuck = True
 
@@ -234,7 +236,7 @@ def _stick_clutch(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callabl
     return undo
 
 
-def _deafen(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _deafen(world: TruckWorld, *_: object) -> Callable[[], None]:
     engine = world.engine
     engine.deaf = True
 
@@ -248,9 +250,7 @@ _STARTERS: Final[dict[RigFault, Starter]] = {
     RigFault.HALL_DROPOUT: _channel(at.SILENT, lambda _: 1),
     RigFault.HALL_MISSING_TOOTH: _channel(at.MISSING, lambda order: int(order.value) + 1),
     RigFault.HALL_DOUBLE_EDGE: _channel(at.EXTRA, lambda _: 1),
-    RigFault.HALL_NOISE_BURST: _channel(
-        at.EXTRA, lambda order: min(max(int(order.value), 1), 8)
-    ),
+    RigFault.HALL_NOISE_BURST: _channel(at.EXTRA, lambda order: min(max(int(order.value), 1), 8)),
     RigFault.VALVE_STUCK: lambda _, desk, order: desk.stick(Valve(order.target)),
     RigFault.VALVE_SLOW: lambda _, desk, order: desk.slow_down(
         Valve(order.target), max(order.value, 0.0) * MS * SECOND_US

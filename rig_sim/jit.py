@@ -47,4 +47,8 @@ def entry(function: Kernel) -> Kernel:
         return function
     import numba
 
-    return cast(Kernel, numba.njit(cache=True, error_model="numpy")(function))
+    try:
+        return cast(Kernel, numba.njit(cache=True, error_model="numpy")(function))
+    except RuntimeError:
+        # Nowhere to keep what was compiled, as in a read-only container: each start compiles.
+        return cast(Kernel, numba.njit(error_model="numpy")(function))

@@ -60,7 +60,10 @@ def compiled(function: Kernel) -> Kernel:
         return function
     import numba
 
-    return cast(Kernel, numba.njit(cache=True)(function))
+    try:
+        return cast(Kernel, numba.njit(cache=True)(function))
+    except RuntimeError:  # as in `rig_sim.jit.entry`
+        return cast(Kernel, numba.njit(function))
 
 
 @compiled

@@ -25,7 +25,7 @@ class SensorRead(NamedTuple):
 
 
 class EncoderRead(NamedTuple):
-    """Layshaft angles (rad, modulo 256 turns) and speeds at the encoder's instants, newest first."""
+    """Layshaft angles (rad, modulo 256 turns) and speeds (rad/s), the newest first."""
 
     angle_rad: tuple[float, ...]
     speed_rad_s: tuple[float, ...]

@@ -1,11 +1,11 @@
 """A scenario of faults as a TOML file:
 
-    [[fault]]
-    kind = "hall_dropout"     # as listed by `meshpoint rig --describe`
-    target = 2                # which channel, valve or sleeve; 0 where left out
-    at_ms = 1500.0            # after power-up
-    for_ms = 200.0            # until further notice where left out
-    value = 0.0               # how much, in the kind's unit
+[[fault]]
+kind = "hall_dropout"     # as listed by `meshpoint rig --describe`
+target = 2                # which channel, valve or sleeve; 0 where left out
+at_ms = 1500.0            # after power-up
+for_ms = 200.0            # until further notice where left out
+value = 0.0               # how much, in the kind's unit
 """
 
 from __future__ import annotations

@@ -125,9 +125,7 @@ class Sleeve:
         self._actuator = actuator
         self.side = engaged_side
         self.state = S.LOCKED if engaged_side else S.NEUTRAL
-        self._strokes: list[Movement] = [
-            resting(0.0, actuator.stroke_m if engaged_side else 0.0)
-        ]
+        self._strokes: list[Movement] = [resting(0.0, actuator.stroke_m if engaged_side else 0.0)]
         self._sides = [engaged_side]
         self.contact_us = NEVER_US
         self.unmesh_us = NEVER_US

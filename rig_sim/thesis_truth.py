@@ -1,4 +1,4 @@
-"""What the rig of the preset `thesis` knows of itself, for tests in the same process. Plain reads, no side effects."""
+"""What the preset `thesis` knows of itself, for tests in the same process. Plain reads."""
 
 from __future__ import annotations
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from gearbox.gears import MainGear
 from gearbox.sheet import Clutch
 from rig_sim import truck_layout as at
 from rig_sim.rig_world import EngineRequest
@@ -96,7 +97,6 @@ class TruckEngine:
         self._plant = plant
         self._request = NO_REQUEST
         self._expiry_us = NEVER_US
-        self._held: tuple[float, ...] = ()
         self.deaf = False
         self.settle()
 
@@ -123,7 +123,8 @@ class TruckEngine:
     def settle(self) -> None:
         """Give the engine its mode, after any change of what is connected."""
         plant, request = self._plant, self._request
-        driving = len(plant.chain.group(at.ENGINE)) == at.BODIES
+        through = all(map(plant.chain.is_rigid, (at.CLUTCH, at.SPLITTER, at.RANGE)))
+        driving = through and plant.shafts.lock is not None
         if request.speed_rad_s is not None:
             mode, target = at.SPEED_CONTROL, request.speed_rad_s
         elif request.torque_share is not None:
@@ -139,9 +140,8 @@ class TruckEngine:
 
     def _cruise_rad_s(self) -> float:
         """The governor's target that just carries the road's resistance at the present speed."""
-        plant = self._plant
-        rates = plant.chain.rates(plant.chain.group(at.ENGINE), at.ENGINE)
-        load_nm = -plant.load_nm(at.PROPELLER) * rates[at.PROPELLER]
-        return float(
-            plant.y[at.SPEED + at.ENGINE] + load_nm / plant.p[at.GOVERNOR_NMS]
-        )
+        plant, shafts = self._plant, self._plant.shafts
+        gear = shafts.lock.gear if shafts.lock is not None else MainGear.THIRD
+        through = shafts.split_ratio * plant.ratio(gear) * shafts.range_ratio
+        load_nm = -plant.load_nm(at.PROPELLER) * through
+        return float(plant.y[at.SPEED + at.ENGINE] + load_nm / plant.p[at.GOVERNOR_NMS])

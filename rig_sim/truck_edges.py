@@ -1,8 +1,8 @@
 """The Hall sensors of the truck: wheels as they were made, and what a 10 ms read of them holds.
 
 The sensor's voltage is u = A sin(n theta') + 0, an edge where it passes the threshold u_0 (thesis
-4.5, 3.3): theta' = asin(u_0 / A) / n on the way up and (pi - asin(u_0 / A)) / n on the way down, less
-the duty's share. theta' is the angle on a wheel with pitch errors and an eccentricity e, which
+4.5, 3.3): theta' = asin(u_0 / A) / n on the way up and (pi - asin(u_0 / A)) / n on the way down,
+less the duty's share. theta' is the angle on a wheel with pitch errors and an eccentricity e, which
 shifts tooth k by (e / R) sin(theta_k + eta) and its air gap by e cos(theta_k + eta); the amplitude
 falls exponentially with the gap and linearly with temperature. So a threshold off the middle moves
 both edges of a tooth apart or together, tooth by tooth. `analog.py` is the same without a formula.
@@ -66,9 +66,7 @@ class WheelAsMade:
 class TruckEdges:
     """Eight capture channels and the reference encoder; `advance` fills the arrays in place."""
 
-    def __init__(
-        self, sheet: GearboxSheet, built: AsBuilt, y: Floats, laps: Integers
-    ) -> None:
+    def __init__(self, sheet: GearboxSheet, built: AsBuilt, y: Floats, laps: Integers) -> None:
         wheels = sheet.wheels
         order = (wheels.input_, wheels.layshaft, wheels.main, wheels.propeller)
         rng = np.random.Generator(np.random.PCG64(built.teeth_seed))

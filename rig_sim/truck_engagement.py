@@ -274,9 +274,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
             if bounce:
                 truck.leave_flank(gear)
             phase = side * self._half_rad
-            self._record(
-                EngagementEvent.LOCKED, gear, phase, slip, tally=self._tallies[name]
-            )
+            self._record(EngagementEvent.LOCKED, gear, phase, slip, tally=self._tallies[name])
             self._count_brake_in_gear(self._plant.time_us)
 
     def _unload(self, name: Sleeve, time_us: float) -> None:

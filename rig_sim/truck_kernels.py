@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable
 from typing import Final
 
+from rig_sim.engine import capacity_nm
 from rig_sim.jit import SOURCES, entry, part
 from rig_sim.kernels import TAU, Floats, Integers, wrapped
 from rig_sim.truck_layout import (
@@ -21,6 +22,7 @@ from rig_sim.truck_layout import (
     BEHIND,
     BODIES,
     BOTTOM,
+    BRAKE_PA,
     BRAKE_SIGN,
     CAN_RELEASE,
     CHANNELS,
@@ -74,13 +76,15 @@ from rig_sim.truck_layout import (
     WITH_LASH,
 )
 from rig_sim.truck_motion import rates
-from rig_sim.engine import capacity_nm
 
 SECOND_US: Final = 1e6
 ROOT_S: Final = 1e-11
 MAX_ITERATIONS: Final = 60
-FIRM_NM: Final = 0.02
+FIRM_NM: Final = 0.2
+TORQUE_S: Final = 1e-9
 WATCHES: Final = 2
+FINE_US: Final = 250.0
+QUIET_PA_S: Final = 1e4
 
 
 @part
@@ -230,6 +234,36 @@ def _torque_event(y: Floats, p: Floats, g: Floats, aux: Floats) -> int:
 
 
 @part
+def _torques_turn(
+    y: Floats,
+    after: Floats,
+    h: float,
+    p: Floats,
+    g: Floats,
+    slots: Floats,
+    k: Floats,
+    ahead: Floats,
+    aux: Floats,
+) -> tuple[int, float]:
+    """Whether a torque leaves its limits in the step, and when (bisected); `after` and its rates
+    `ahead` are then those of that instant."""
+    found, low, high, s = REACHED, 0.0, h, h
+    while True:
+        rates(after, p, g, slots, ahead, aux)
+        event = _torque_event(after, p, g, aux) if s > 0.0 else REACHED
+        if event != REACHED:
+            found, high = event, s
+        else:
+            low = s
+        if found == REACHED:
+            return REACHED, h
+        if high - low < TORQUE_S and s == high:
+            return found, high
+        s = high if high - low < TORQUE_S else 0.5 * (low + high)
+        step(y, after, s, p, g, slots, k, aux)
+
+
+@part
 def _time_in_step(start: float, end: float, v0: float, v1: float, h: float, at: float) -> float:
     """When the cubic from `start` to `end` with end slopes v0, v1 reaches `at`; in [0, h]."""
     way = end - start
@@ -328,6 +362,31 @@ def _settle(y: Floats, laps: Integers, pitch: float, watches: Floats) -> None:
                     watches[watch, OFFSET] += before - y[PHASE + gear]
 
 
+@part
+def _next_grid_us(t_us: float, p: Floats, rate: Floats) -> float:
+    """The next grid point; filling and exhausting have kinks, so a finer grid while air moves."""
+    grid_us: float = p[STEP_US]
+    if abs(rate[BRAKE_PA]) > QUIET_PA_S:
+        grid_us = min(grid_us, FINE_US)
+    return (math.floor(t_us / grid_us) + 1.0) * grid_us
+
+
+@part
+def _copy(source: Floats, target: Floats) -> None:
+    for i in range(STATES):
+        target[i] = source[i]
+
+
+@part
+def _remember(t_us: float, y: Floats, laps: Integers, history: Floats) -> None:
+    """The layshaft's angle and speed, every 2 ms, for the reference encoder."""
+    if t_us % HISTORY_US == 0.0:
+        row = int(t_us / HISTORY_US) % HISTORY
+        history[row, 0] = laps[LAYSHAFT]
+        history[row, 1] = y[ANGLE + LAYSHAFT]
+        history[row, 2] = y[SPEED + LAYSHAFT]
+
+
 def _make_advance(sources: int) -> Callable[..., tuple[float, int]]:
     def advance(
         t_us: float,
@@ -353,41 +412,38 @@ def _make_advance(sources: int) -> Callable[..., tuple[float, int]]:
         """Go on to the next event, to `stop_us`, or to the last grid point up to `until_us`.
 
         Everything is updated in place; returns the time reached and why it ended there. scratch is
-        (6, STATES): rates, three stages, the state after the step, torques.
+        (7, STATES): rates, three stages, the state after the step, torques, the rates there.
         """
         _ = sources
-        k, after, aux = scratch[:4], scratch[4], scratch[5]
-        grid_us = p[STEP_US]
-        end_us, event, is_first = t_us, REACHED, True
+        k, after, aux, ahead = scratch[:4], scratch[4], scratch[5], scratch[6]
+        end_us, is_first = t_us, True
         while True:
             if not is_first:
-                end_us = min((math.floor(t_us / grid_us) + 1.0) * grid_us, stop_us)
+                end_us = min(_next_grid_us(t_us, p, k[0]), stop_us)
                 if end_us > until_us:
                     return t_us, REACHED
             h = (end_us - t_us) / SECOND_US
             event = REACHED
+            _copy(y, after)
             if h > 0.0:
                 step(y, after, h, p, g, slots, k, aux)
                 event, s = _first_event(y, after, h, p, g, slots, watches, k, aux)
                 if event != REACHED:
                     h = s
                     end_us = t_us + s * SECOND_US
+            turned, s = _torques_turn(y, after, h, p, g, slots, k, ahead, aux)
+            if turned != REACHED and (event == REACHED or s < h - 2.0 * TORQUE_S):
+                event, h = turned, s
+                end_us = t_us + s * SECOND_US
             if h > 0.0:
                 _capture(
                     y, after, laps, t_us, h, teeth, table, first, jitter_s, pointers, faults, ring
                 )
-                for i in range(STATES):
-                    y[i] = after[i]
+                _copy(after, y)
                 _settle(y, laps, pitch, watches)
-            rates(y, p, g, slots, k[0], aux)
-            if h > 0.0 and event == REACHED:
-                event = _torque_event(y, p, g, aux)
+            _copy(ahead, k[0])
             t_us = end_us
-            if t_us % HISTORY_US == 0.0:
-                row = int(t_us / HISTORY_US) % HISTORY
-                history[row, 0] = laps[LAYSHAFT]
-                history[row, 1] = y[ANGLE + LAYSHAFT]
-                history[row, 2] = y[SPEED + LAYSHAFT]
+            _remember(t_us, y, laps, history)
             if event != REACHED:
                 return t_us, event
             if t_us == stop_us:

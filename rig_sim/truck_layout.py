@@ -109,7 +109,7 @@ SLOT: Final = 5
 GEAR, BOTTOM, TOP, OFFSET, WITH_LASH = range(5)  # gear -1: not watched
 WATCH: Final = 5
 
-# --- torques and the like found on the way, aux ----------------------------------------------------
+# --- torques and the like found on the way, aux -------------------------------------------------
 LOAD: Final = 0  # 5: torque on each body
 LINK: Final = 5  # 4: torque a rigid link puts on the body behind it
 SUM: Final = 9  # 5: of a group at its leader

@@ -137,9 +137,7 @@ def _loads(y: Floats, p: Floats, g: Floats, slots: Floats, rate: Floats, aux: Fl
     rate[WORK_J] = y[TORQUE] * y[SPEED + ENGINE]
     rate[BRAKE_J] = g[BRAKE_SIGN] * brake * y[SPEED + LAYSHAFT]
     rate[DRAG_J] = (
-        drag_input * y[SPEED + INPUT]
-        + drag * y[SPEED + LAYSHAFT]
-        + drag_main * y[SPEED + MAIN]
+        drag_input * y[SPEED + INPUT] + drag * y[SPEED + LAYSHAFT] + drag_main * y[SPEED + MAIN]
     )
     rate[ROAD_J] = road * speed
     rate[GRADE_J] = p[GRADE_N] * speed
@@ -194,9 +192,7 @@ def _accelerations(y: Floats, p: Floats, g: Floats, rate: Floats, aux: Floats) -
 
 
 @part
-def rates(
-    y: Floats, p: Floats, g: Floats, slots: Floats, rate: Floats, aux: Floats
-) -> None:
+def rates(y: Floats, p: Floats, g: Floats, slots: Floats, rate: Floats, aux: Floats) -> None:
     """dy/dt at state y into `rate`; torques into `aux`."""
     brake = _loads(y, p, g, slots, rate, aux)
     _accelerations(y, p, g, rate, aux)
@@ -209,9 +205,7 @@ def rates(
         needed += p[GEAR_DRAG_NMS] * rate[PHASE + gear]
         if int(g[MESHED]) == gear:
             needed = aux[LINK + MAIN_BOX]
-        rate[LASH + 1 + gear] = lash_rad_s(
-            y[LASH + 1 + gear], needed, p[LASH_MAIN_RAD], p[LASH_S]
-        )
+        rate[LASH + 1 + gear] = lash_rad_s(y[LASH + 1 + gear], needed, p[LASH_MAIN_RAD], p[LASH_S])
     rate[LASH] = lash_rad_s(y[LASH], -aux[LINK + SPLITTER], p[LASH_INPUT_RAD], p[LASH_S])
     rate[BRAKE_PA] = chamber_pa_s(
         y[BRAKE_PA],
@@ -225,12 +219,8 @@ def rates(
         p[CRITICAL],
     )
     filling = rate[BRAKE_PA] if g[VALVE] > 0.0 else 0.0
-    rate[SUPPLY_PA] = tank_pa_s(
-        y[SUPPLY_PA], g[GOVERNED_PA], p[RECOVERY], p[DROOP], filling
-    )
-    rate[DISC_K] = heating_k_s(
-        rate[BRAKE_J], y[DISC_K], p[OIL_K], p[HEAT_J_K], p[COOLING_W_K]
-    )
+    rate[SUPPLY_PA] = tank_pa_s(y[SUPPLY_PA], g[GOVERNED_PA], p[RECOVERY], p[DROOP], filling)
+    rate[DISC_K] = heating_k_s(rate[BRAKE_J], y[DISC_K], p[OIL_K], p[HEAT_J_K], p[COOLING_W_K])
     wanted = demand_nm(
         g[ENGINE_MODE],
         g[ENGINE_TARGET],

@@ -93,7 +93,7 @@ class TruckPlant:
         self.g: Floats = np.zeros(at.CONNECTED)
         self._slots: Floats = np.zeros((at.SLOTS, at.SLOT))
         self._watches: Floats = np.full((WATCHES, at.WATCH), -1.0)
-        self._scratch: Floats = np.zeros((6, max(at.STATES, at.AUX)))
+        self._scratch: Floats = np.zeros((7, max(at.STATES, at.AUX)))
         self.laps = np.zeros(at.BODIES, dtype=np.int64)
         self.shafts = TruckShafts(sheet, self, start.split, start.range_)
         self.chain = Chain(self.p, self.y, self.g)
@@ -183,8 +183,8 @@ class TruckPlant:
         edges = self.edges
         self.time_us, event = advance(
             self.time_us,
-            until_us,
-            stop_us,
+            float(until_us),
+            float(stop_us),
             self._sheet.dog.pitch_rad,
             self.y,
             self.laps,
@@ -208,9 +208,7 @@ class TruckPlant:
         """Rates and torques at the present state into the scratch, going nowhere."""
         self.advance(-math.inf, math.inf)
 
-    def watch(
-        self, row: int, gear: MainGear, span: tuple[float, float], with_lash: bool
-    ) -> None:
+    def watch(self, row: int, gear: MainGear, span: tuple[float, float], with_lash: bool) -> None:
         """Ask for the instant at which the gear's phase leaves a span, which it is in now: the
         phase is taken on the branch nearest to the span's middle."""
         index = INDEX[gear]
@@ -241,16 +239,20 @@ class TruckPlant:
 
     def strike(self, link: int, ratio: float, restitution: float) -> float:
         """An impact at a link that stays open; returns its loss, J."""
+        before = self.chain.kinetic_j()
         lost = self.chain.impact(link, ratio, restitution)
         self.impacts_j += lost
+        if self.chain.is_driven(link) or self.chain.is_driven(link + 1):
+            # what the bench drives goes on as before: the impulse is its work
+            self.y[at.WORK_J] += self.chain.kinetic_j() - before + lost
         return lost
 
     def join(
         self, link: int, ratio: float, low_nm: float = -UNLIMITED, high_nm: float = UNLIMITED
     ) -> float:
         """Link rigidly; returns what the impact has taken, J."""
-        lost = self.chain.join(link, ratio, low_nm, high_nm)
-        self.impacts_j += lost
+        lost = self.strike(link, ratio, 0.0)
+        self.chain.join(link, ratio, low_nm, high_nm)
         return lost
 
     def engage(self, gear: MainGear, flank: int, limited: bool) -> None:

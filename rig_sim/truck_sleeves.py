@@ -94,7 +94,7 @@ class TruckSleeve(Sleeve):
         self.speed_m_s = 2.0 * self._actuator.to_contact_m / moving_s
 
     def enter(self, time_us: float) -> None:
-        """The gear's tooth stands in the gap: on to full stroke, by force from the present speed."""
+        """The gear's tooth stands in the gap: on to full stroke, from the present speed."""
         if not self.axis.by_force:
             super().enter(time_us)
             way_m = self.axis.overlap_m

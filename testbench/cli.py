@@ -39,6 +39,7 @@ MODULES = {
     "controller": "nodes",
     "rig": "nodes",
     "request": "request",
+    "health": "health",
     "pace": "pace",
     "gearbox": "gearbox",
 }

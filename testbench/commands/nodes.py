@@ -22,6 +22,7 @@ from gearbox.gears import DRIVE_GEARS
 from rig_sim.node import run_rig
 from rig_sim.settings import Preset, RigSettings
 from testbench import arguments
+from testbench.describe import describe_rig
 from testbench.errors import CommandError
 from testbench.exits import Exit
 from testbench.output import folder_for
@@ -68,6 +69,11 @@ def add_parser(commands: Any) -> None:
         default=RigSettings().main_speed_rpm,
         metavar="RPM",
         help="main shaft speed at the start (default: %(default)g)",
+    )
+    rig.add_argument(
+        "--describe",
+        action="store_true",
+        help="print data sheet, as-built values of the seed and every fault, and end",
     )
     _add_common(rig)
     rig.set_defaults(run=run_rig_command)
@@ -122,6 +128,9 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
         faults=arguments.faults_of(namespace),
     )
     sheet = arguments.sheet_of(namespace)
+    if namespace.describe:
+        describe_rig(sheet, settings)
+        return Exit.DONE
 
     async def run() -> None:
         stop = asyncio.Event()

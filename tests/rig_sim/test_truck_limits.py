@@ -1,4 +1,4 @@
-"""The truck's dog teeth against limits that can be written down (docs/gearbox.md, limits 1 to 8)."""
+"""The truck's dog teeth against limits in closed form, numbered 1 to 8 (docs/gearbox.md)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def phases(seed: int) -> list[float]:
     return rng.uniform(-PITCH / 2.0, PITCH / 2.0, TRIALS).tolist()
 
 
-def test_limit_1_and_2_the_tooth_meets_a_tooth_as_often_as_there_is_tooth_and_slides_off_in_time() -> None:
+def test_limits_1_and_2_tooth_meets_tooth_by_its_share_and_slides_off_in_time() -> None:
     trials = Trials(limit_sheet(), limit_values())
     slip = 20.0 * RPM
     hits, waited = 0, []
@@ -85,7 +85,8 @@ def test_limit_4_from_rest_a_millimetre_takes_2_45_ms_and_above_204_rpm_it_ratch
 
 
 @pytest.mark.parametrize(
-    ("slip_rpm", "expected"), [(5.0, 0.192), (20.0, 0.168), (50.0, 0.12), (100.0, 0.04), (150.0, 0.0)]
+    ("slip_rpm", "expected"),
+    [(5.0, 0.192), (20.0, 0.168), (50.0, 0.12), (100.0, 0.04), (150.0, 0.0)],
 )
 def test_limit_5_the_first_pass_is_free_of_impact_while_the_gap_is_wide_enough(
     slip_rpm: float, expected: float

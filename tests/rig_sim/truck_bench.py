@@ -24,7 +24,7 @@ SHEET: Final = load_sheet("thesis")
 RPM: Final = math.pi / 30.0
 DEG: Final = math.pi / 180.0
 GEAR: Final = MainGear.SECOND
-TRIALS: Final = int(os.environ.get("MESHPOINT_TRIALS", "1500"))
+TRIALS: Final = int(os.environ.get("MESHPOINT_TRIALS", "500"))
 """Random trials a figure; MESHPOINT_TRIALS=20000 for the full campaign."""
 
 

@@ -148,3 +148,27 @@ def test_the_summary_counts_hits_where_it_could_aim() -> None:
 def test_no_shift_is_no_figure() -> None:
     summary = summarise("target_phase", [])
     assert summary.gap_rate is summary.mean_duration_ms is summary.phase_error_rms_deg is None
+
+
+def test_what_all_attempts_have_cost_is_in_the_row() -> None:
+    given_up = contact(3.0, EngagementEvent.GIVEN_UP, at_us=60_000)._replace(
+        face_time_us=34_000, blocked=True
+    )
+    locked = contact(0.75, EngagementEvent.LOCKED, at_us=160_000)._replace(
+        impact_energy_j=1.25, face_time_us=6_000, ratchets=2
+    )
+    other = contact(0.0, EngagementEvent.LOCKED, MainGear.FIRST)._replace(impact_energy_j=9.0)
+    (row,) = rows_of(
+        other, contact(3.0, EngagementEvent.TOOTH_CONTACT), given_up, locked, outcome(attempts=2)
+    )
+    assert (row.impact_j, row.face_ms, row.ratchets, row.blocked) == (1.25, 40.0, 2, 1)
+
+
+def test_time_on_the_face_comes_from_the_events_where_there_is_no_tally() -> None:
+    (row,) = rows_of(
+        contact(3.0, EngagementEvent.TOOTH_CONTACT, at_us=25_500),
+        contact(-0.75, EngagementEvent.TOOTH_PASSED, at_us=37_500),
+        contact(0.75, EngagementEvent.LOCKED, at_us=45_000),
+        outcome(),
+    )
+    assert row.face_ms == 12.0

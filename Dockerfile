@@ -1,0 +1,38 @@
+# meshpoint: controller, rig and the tools beside them, in one small image.
+#
+#   docker compose --profile local up     both nodes on a bus of their own, a log beside them
+#   docker compose --profile vcan up      the same on a real vcan0 (the host's kernel has it)
+FROM debian:12.11-slim AS build
+# For networks whose package index has a certificate authority of its own.
+ARG PIP_CERT
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends python3 python3-venv \
+    && rm -rf /var/lib/apt/lists/*
+WORKDIR /src
+COPY constraints.txt pyproject.toml README.md LICENSE ./
+COPY bus bus
+COPY controller controller
+COPY dbc dbc
+COPY gearbox gearbox
+COPY rig_sim rig_sim
+COPY testbench testbench
+RUN python3 -m venv /opt/meshpoint \
+    && /opt/meshpoint/bin/pip install --no-cache-dir -c constraints.txt .
+
+FROM debian:12.11-slim
+RUN apt-get update \
+    && apt-get install -y --no-install-recommends python3 can-utils iproute2 \
+    && rm -rf /var/lib/apt/lists/* \
+    && useradd --uid 10001 --no-create-home --home-dir /nonexistent meshpoint \
+    && install -d -o meshpoint -g meshpoint /run/meshpoint /log /var/cache/meshpoint
+COPY --from=build /opt/meshpoint /opt/meshpoint
+# Kernels are compiled here, once, for any processor of the architecture.
+ENV PATH=/opt/meshpoint/bin:$PATH \
+    PYTHONUNBUFFERED=1 \
+    NUMBA_CPU_NAME=generic \
+    NUMBA_CACHE_DIR=/var/cache/meshpoint
+USER meshpoint
+RUN meshpoint simulate --shifts 1 --json /dev/null
+WORKDIR /log
+ENTRYPOINT ["meshpoint"]
+CMD ["--help"]

@@ -1,0 +1,111 @@
+"""What goes in comes out: the truck's energy balance over random scenarios."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+from truck_bench import run, world
+
+from gearbox.gears import MainGear
+from rig_sim import truck_layout as at
+from rig_sim.rig_world import EngineRequest
+from rig_sim.truck_plant import Energy
+from rig_sim.truck_world import TruckWorld
+from rig_sim.valves import Valve
+
+MAIN_VALVES = (Valve.MAIN_FIRST, Valve.MAIN_SECOND, Valve.MAIN_CRAWL, Valve.MAIN_THIRD)
+
+
+def imbalance(energy: Energy) -> float:
+    """Put in less lost less stored, relative to all that has moved."""
+    residue = energy.put_in - energy.lost - energy.climbed - energy.kinetic
+    moved = abs(energy.put_in) + energy.lost + abs(energy.climbed) + abs(energy.kinetic)
+    return abs(residue) / moved
+
+
+acts = st.lists(
+    st.tuples(
+        st.integers(1_000, 150_000),
+        st.sampled_from(["brake", "sleeve", "split", "clutch", "engine", "script"]),
+        st.integers(0, 3),
+        st.booleans(),
+    ),
+    min_size=4,
+    max_size=14,
+)
+
+
+def act(truck: TruckWorld, now_us: int, what: str, which: int, on: bool) -> None:
+    if what == "brake":
+        truck._at(float(now_us), lambda: truck._switch(Valve.BRAKE, on))
+    elif what == "sleeve":
+        truck._at(float(now_us), lambda: truck._switch(MAIN_VALVES[which], on))
+    elif what == "split":
+        valve = (Valve.SPLIT_LOW, Valve.SPLIT_HIGH, Valve.RANGE_LOW, Valve.RANGE_HIGH)[which]
+        truck._at(float(now_us), lambda: truck._switch(valve, True))
+    elif what == "clutch":
+        truck.command_clutch(on, now_us)
+    elif what == "engine":
+        truck.command_engine(EngineRequest(100.0 + 20.0 * which if on else None, None), now_us)
+    else:
+        truck.return_to_gear(8 + which, 50.0, now_us)
+
+
+@settings(max_examples=20, deadline=None, phases=[Phase.explicit, Phase.generate])
+@given(seed=st.integers(0, 10_000), scenario=acts)
+def test_work_put_in_is_lost_or_stored(
+    seed: int, scenario: list[tuple[int, str, int, bool]]
+) -> None:
+    truck = world(seed=seed)
+    now_us = 0
+    for wait_us, what, which, on in scenario:
+        now_us += wait_us
+        run(truck, now_us)
+        act(truck, now_us, what, which, on)
+    run(truck, now_us + 500_000)
+    assert imbalance(truck.plant.energy) < 1e-6
+
+
+def test_a_braked_layshaft_heats_the_disc_by_what_it_loses() -> None:
+    truck = world({"disc.cooling_w_k": 0.0, "dog.free_play": 0, "clutch.kiss": 1.0})
+    truck.plant.coast()
+    before = truck.plant.energy
+    warm_k = float(truck.plant.y[at.DISC_K])
+    truck._at(0.0, lambda: truck._switch(Valve.BRAKE, True))
+    run(truck, 1_500_000)
+    after = truck.plant.energy
+    assert truck.plant.layshaft_rad_s == pytest.approx(0.0, abs=1e-9)
+    heat_j = after.brake - before.brake
+    assert heat_j > 1000.0
+    risen_k = float(truck.plant.y[at.DISC_K]) - warm_k
+    assert risen_k * truck.built["disc.heat_j_k"] == pytest.approx(heat_j, rel=1e-6)
+
+
+def test_a_rolling_truck_loses_speed_to_road_and_slope_as_newton_says() -> None:
+    truck = world({"vehicle.slope_percent": 2.0, "clutch.kiss": 1.0}, start_gear=12)
+    truck.plant.coast()
+    built, plant = truck.built, truck.plant
+    speed = (
+        plant.y[at.SPEED + at.PROPELLER]
+        * built["vehicle.wheel_radius_m"]
+        / built["vehicle.axle_ratio"]
+    )
+    run(truck, 100_000)
+    after = (
+        plant.y[at.SPEED + at.PROPELLER]
+        * built["vehicle.wheel_radius_m"]
+        / built["vehicle.axle_ratio"]
+    )
+    slope = math.atan(0.02)
+    force = (
+        built["vehicle.mass_kg"]
+        * 9.81
+        * (built["vehicle.rolling_resistance"] * math.cos(slope) + math.sin(slope))
+        + 0.6 * built["vehicle.drag_area_m2"] * speed**2
+    )
+    expected = -force / built["vehicle.mass_kg"] * 0.1
+    assert after - speed == pytest.approx(expected, rel=0.02)  # the shafts turn along
+    assert plant.shafts.lock is None or plant.shafts.lock.gear is not MainGear.CRAWL

@@ -1,0 +1,230 @@
+"""Every fault that can be injected does what it says, and ends."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from rig_bench import RigBench, upshift
+from truck_bench import run, world
+
+from dbc.messages import (
+    BenchFault,
+    EdgesMainRise,
+    EngagementEvent,
+    GearboxSensors,
+    RigFault,
+    SleevesMain,
+    ValveAction,
+    ValveCommand,
+)
+from gearbox.gears import Sleeve
+from rig_sim import RigSettings
+from rig_sim import truck_layout as at
+from rig_sim.faults import KINDS, ScheduledFault
+from rig_sim.rig_world import EngineRequest, FaultOrder
+from rig_sim.scenario import ScenarioError, load_scenario
+from rig_sim.settings import Preset
+from rig_sim.sleeves import SleeveState
+from rig_sim.truck_world import TruckWorld
+from rig_sim.valves import Valve
+
+MAIN_RISE = 4
+
+
+def counted(truck: TruckWorld, from_us: int, to_us: int) -> int:
+    run(truck, from_us)
+    before = int(truck.plant.edges.pointers[MAIN_RISE, at.COUNT])
+    run(truck, to_us)
+    return int(truck.plant.edges.pointers[MAIN_RISE, at.COUNT]) - before
+
+
+def with_fault(
+    kind: RigFault, target: int = 0, value: float = 0.0, at_us: int = 100_000, for_us: int = 100_000
+) -> TruckWorld:
+    order = FaultOrder(int(kind), target, value, for_us)
+    return world({"hall.jitter_us": 0.0}, faults=(ScheduledFault(at_us, order),))
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "share"),
+    [
+        (RigFault.HALL_DROPOUT, 0.0, 0.0),
+        (RigFault.HALL_DOUBLE_EDGE, 0.0, 2.0),
+        (RigFault.HALL_NOISE_BURST, 3.0, 4.0),
+    ],
+)
+def test_a_hall_channel_says_less_or_more_for_a_time(
+    kind: RigFault, value: float, share: float
+) -> None:
+    truck = with_fault(kind, MAIN_RISE, value)
+    usual = counted(truck, 10_000, 90_000)
+    wrong = counted(truck, 110_000, 190_000)
+    again = counted(truck, 210_000, 290_000)
+    assert wrong == pytest.approx(share * usual, abs=4)
+    assert again == pytest.approx(usual, abs=2)
+
+
+def test_a_missing_tooth_is_missing_once_a_turn() -> None:
+    truck = with_fault(RigFault.HALL_MISSING_TOOTH, MAIN_RISE, 7.0, at_us=0, for_us=0)
+    whole = world({"hall.jitter_us": 0.0})
+    turns = 5
+    until_us = int(turns * 60e6 / 644.0)
+    lost = counted(whole, 0, until_us) - counted(truck, 0, until_us)
+    assert lost == turns
+
+
+def test_a_stuck_valve_does_not_follow_its_coil_and_a_slow_one_later() -> None:
+    truck = with_fault(RigFault.VALVE_STUCK, int(Valve.BRAKE))
+    truck._at(110_000.0, lambda: truck._switch(Valve.BRAKE, True))
+    run(truck, 180_000)
+    assert truck.plant.brake_gauge_pa < 1e3
+    slow = with_fault(RigFault.VALVE_SLOW, int(Valve.BRAKE), value=30.0)
+    slow._at(110_000.0, lambda: slow._switch(Valve.BRAKE, True))
+    run(slow, 140_000)
+    assert slow.plant.brake_gauge_pa < 1e3
+    run(slow, 180_000)
+    assert slow.plant.brake_gauge_pa > 1e5
+
+
+def test_the_supply_drops_and_comes_back() -> None:
+    truck = with_fault(RigFault.SUPPLY_DROP, value=4.0)
+    run(truck, 150_000)
+    assert truck.sensors(150_000).supply_pa == pytest.approx(4e5, rel=0.01)
+    run(truck, 30_000_000)
+    assert truck.sensors(30_000_000).supply_pa > 8e5
+
+
+def test_a_jammed_sleeve_stays_in_its_gear() -> None:
+    truck = with_fault(RigFault.SLEEVE_JAMMED, int(Sleeve.FIRST_SECOND), for_us=0)
+    truck._at(150_000.0, lambda: truck._switch(Valve.MAIN_SECOND, True))
+    run(truck, 400_000)
+    assert truck.truth.sleeve_state(Sleeve.FIRST_SECOND) is SleeveState.LOCKED
+
+
+def test_a_position_sensor_lies_and_another_repeats_itself() -> None:
+    truck = with_fault(RigFault.POSITION_OFFSET, int(Sleeve.CRAWL_THIRD), value=2.0)
+    run(truck, 50_000)
+    before = truck.sleeve_samples_m(Sleeve.CRAWL_THIRD, 50_000)[0]
+    run(truck, 150_000)
+    after = truck.sleeve_samples_m(Sleeve.CRAWL_THIRD, 150_000)[0]
+    assert after - before == pytest.approx(2e-3, abs=3e-4)
+    frozen = with_fault(RigFault.POSITION_FROZEN, int(Sleeve.CRAWL_THIRD))
+    run(frozen, 90_000)
+    frozen.sleeve_samples_m(Sleeve.CRAWL_THIRD, 90_000)
+    run(frozen, 150_000)
+    read = {frozen.sleeve_samples_m(Sleeve.CRAWL_THIRD, now) for now in (130_000, 140_000)}
+    assert len(read) == 1
+
+
+def test_old_content_comes_under_a_live_counter() -> None:
+    order = FaultOrder(int(RigFault.FROZEN_PAYLOAD), 0, 0.0, 0)
+    settings = RigSettings(preset=Preset.TRUCK, faults=(ScheduledFault(200_000, order),))
+    bench = RigBench(settings)
+    bench.run(400_000)
+    edges = bench.of(EdgesMainRise)
+    assert len(edges) == 41  # each passed its counter check
+    assert len({frame.newest_index for frame in edges[22:]}) == 1
+    assert len({frame.newest_index for frame in edges[:20]}) == 20
+
+
+def test_a_faded_brake_brakes_less() -> None:
+    speeds = []
+    for share in (100.0, 30.0):
+        truck = with_fault(RigFault.BRAKE_FADE, value=share, at_us=0, for_us=0)
+        truck.plant.coast()
+        truck.plant.chain.open(at.CLUTCH)
+        truck.plant.set_brake(1.0)
+        before = truck.plant.layshaft_rad_s
+        run(truck, 200_000)
+        speeds.append(before - truck.plant.layshaft_rad_s)
+    assert speeds[1] < 0.6 * speeds[0]
+
+
+def test_a_stuck_clutch_stays_and_a_deaf_engine_does_not_follow() -> None:
+    truck = with_fault(RigFault.CLUTCH_STUCK, at_us=0, for_us=0)
+    for now_us in range(10_000, 400_000, 10_000):
+        run(truck, now_us)
+        truck.command_clutch(False, now_us)
+    assert truck.sensors(400_000).clutch == 1.0
+    deaf = with_fault(RigFault.ENGINE_DEAF, at_us=0, for_us=0)
+    run(deaf, 10_000)
+    deaf.command_engine(EngineRequest(200.0, None), 10_000)
+    run(deaf, 30_000)
+    assert deaf.plant.g[at.ENGINE_MODE] != at.SPEED_CONTROL
+
+
+def test_the_bench_injects_over_the_bus_and_ends_everything() -> None:
+    bench = RigBench(RigSettings(preset=Preset.TRUCK))
+    bench.run(50_000)
+    bench.core.receive(
+        bench._bench.encode(BenchFault(fault=RigFault.HALL_DROPOUT, target=4, sequence=1))
+    )
+    bench.run(200_000)
+    silent = {frame.newest_index for frame in bench.of(EdgesMainRise)[-12:]}
+    assert len(silent) == 1
+    bench.core.receive(bench._bench.encode(BenchFault(fault=RigFault.NO_FAULT, sequence=2)))
+    bench.run(400_000)
+    assert bench.of(EdgesMainRise)[-1].newest_index > max(silent) + 50
+    text = "\n".join(bench.lines)
+    assert "HALL_DROPOUT at 4 begins" in text
+    assert "HALL_DROPOUT at 4 ends" in text
+
+
+def test_the_thesis_says_that_it_has_no_faults() -> None:
+    bench = RigBench()
+    bench.core.receive(bench._bench.encode(BenchFault(fault=RigFault.HALL_DROPOUT, sequence=1)))
+    bench.run(50_000)
+    assert any("fault 1 ignored" in line for line in bench.lines)
+
+
+def test_a_scenario_file_says_what_when_and_how_long(tmp_path: Path) -> None:
+    path = tmp_path / "faults.toml"
+    path.write_text(
+        '[[fault]]\nkind = "valve_slow"\ntarget = 3\nat_ms = 900.5\nvalue = 20\n'
+        '[[fault]]\nkind = "hall_dropout"\ntarget = 2\nat_ms = 100\nfor_ms = 50\n'
+    )
+    first, second = load_scenario(path)
+    assert first == ScheduledFault(100_000, FaultOrder(int(RigFault.HALL_DROPOUT), 2, 0.0, 50_000))
+    assert second == ScheduledFault(900_500, FaultOrder(int(RigFault.VALVE_SLOW), 3, 20.0, 0))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('[[fault]]\nkind = "flood"', ["flood", "hall_dropout"]),
+        ('[[fault]]\nkind = "hall_dropout"\ntarget = 8', ["target", "0..7"]),
+        ('[[fault]]\nkind = "hall_dropout"\nat_ms = nan', ["at_ms", "nan"]),
+        ('[[fault]]\nkind = "hall_dropout"\nwhen = 1', ["when", "at_ms"]),
+        ("fault = 3", ["[[fault]]"]),
+        ("[other]", ["other"]),
+    ],
+)
+def test_a_wrong_scenario_is_told(tmp_path: Path, text: str, words: list[str]) -> None:
+    path = tmp_path / "faults.toml"
+    path.write_text(text)
+    with pytest.raises(ScenarioError) as error:
+        load_scenario(path)
+    assert all(word in str(error.value) for word in [*words, "faults.toml"])
+
+
+def test_every_fault_is_described() -> None:
+    assert set(KINDS) == set(RigFault)
+
+
+def test_a_shift_goes_on_in_spite_of_a_bad_order_from_the_bench() -> None:
+    bench = RigBench(RigSettings(preset=Preset.TRUCK))
+    bench.run(100_000)
+    bench.core.receive(
+        bench._bench.encode(BenchFault(fault=RigFault.VALVE_STUCK, target=200, sequence=9))
+    )
+
+    def valves(now_us: int) -> ValveCommand:
+        command = upshift(now_us)
+        return command if command else ValveCommand(brake_action=ValveAction.OFF_NOW)
+
+    bench.run(900_000, valves)
+    assert any("refused" in line for line in bench.lines)
+    assert bench.events(EngagementEvent.RELEASED)
+    assert bench.of(GearboxSensors)
+    assert bench.of(SleevesMain)

@@ -1,0 +1,74 @@
+"""With every non-linearity off the truck is the thesis's gearbox, integrated instead of solved."""
+
+from __future__ import annotations
+
+import pytest
+from rig_bench import RigBench, edges_of, release_first, upshift
+
+from dbc.messages import (
+    EdgesInputFall,
+    EdgesInputRise,
+    EdgesLayshaftFall,
+    EdgesLayshaftRise,
+    EdgesMainFall,
+    EdgesMainRise,
+    EdgesPropellerFall,
+    EdgesPropellerRise,
+    GearboxSensors,
+    ReferenceEncoder,
+    ReferenceEngagement,
+    SleevesMain,
+    ValveAction,
+    ValveCommand,
+)
+from rig_sim import RigSettings
+from rig_sim.as_built import linear
+from rig_sim.settings import Preset
+
+EDGES = (
+    EdgesInputRise, EdgesInputFall, EdgesLayshaftRise, EdgesLayshaftFall,
+    EdgesMainRise, EdgesMainFall, EdgesPropellerRise, EdgesPropellerFall,
+)  # fmt: skip
+
+
+def braked_to_rest(now_us: int) -> ValveCommand:
+    brake = ValveAction.ON_NOW if now_us >= 400_000 else ValveAction.OFF_NOW
+    return release_first(now_us)._replace(brake_action=brake)
+
+
+def pair(seed: int, valves: object, until_us: int) -> tuple[RigBench, RigBench]:
+    benches = (
+        RigBench(RigSettings(seed=seed)),
+        RigBench(RigSettings(seed=seed, preset=Preset.TRUCK, as_built=linear())),
+    )
+    for bench in benches:
+        bench.run(until_us, valves)  # type: ignore[arg-type]
+    return benches
+
+
+@pytest.mark.parametrize("seed", [1, 2, 7])
+@pytest.mark.parametrize("valves", [upshift, braked_to_rest])
+def test_every_edge_and_event_is_the_thesis_s_to_a_microsecond(seed: int, valves: object) -> None:
+    thesis, truck = pair(seed, valves, 1_200_000)
+    for kind in EDGES:
+        exact, integrated = edges_of(thesis.of(kind)), edges_of(truck.of(kind))
+        assert exact.keys() == integrated.keys()
+        assert max(abs(exact[i] - integrated[i]) for i in exact) <= 1
+    for a, b in zip(thesis.of(ReferenceEngagement), truck.of(ReferenceEngagement), strict=True):
+        assert (a.event, a.gear) == (b.event, b.gear)
+        assert abs(a.event_time_us - b.event_time_us) <= 1
+        assert b.slip_rad_s == pytest.approx(a.slip_rad_s, abs=1e-4)
+    for a, b in zip(thesis.of(GearboxSensors), truck.of(GearboxSensors), strict=True):
+        assert b == pytest.approx(a, abs=21.0)  # a step of the pressure signal
+    for a, b in zip(thesis.of(SleevesMain), truck.of(SleevesMain), strict=True):
+        assert b.sleeve_first_second_m == pytest.approx(a.sleeve_first_second_m, abs=1.1e-6)
+
+
+def test_the_reference_encoder_sees_the_same_motion() -> None:
+    thesis, truck = pair(3, upshift, 900_000)
+    for a, b in zip(thesis.of(ReferenceEncoder)[1:], truck.of(ReferenceEncoder)[1:], strict=True):
+        assert b.angle_rad == pytest.approx(a.angle_rad, abs=1e-6)
+        if all(speed > 0.0 for speed in a.speed_rad_s):
+            # at an event the two may be a sample to either side of the jump
+            close = [abs(x - y) < 1e-3 for x, y in zip(a.speed_rad_s, b.speed_rad_s, strict=True)]
+            assert sum(close) >= 4

@@ -1,0 +1,226 @@
+"""The truck as a world: same seed same gearbox, however it is asked; engine, clutch, steps."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rig_bench import CYCLE_US, RigBench, upshift
+from truck_bench import RPM, SHEET, run, world
+
+from dbc.messages import EngagementEvent, ReferenceEngagement
+from gearbox.gears import MainGear
+from rig_sim import RigSettings
+from rig_sim import truck_layout as at
+from rig_sim.as_built import (
+    AsBuiltError,
+    draw_as_built,
+    linear,
+    load_as_built,
+    nominal,
+    parameters,
+)
+from rig_sim.rig_world import EngineRequest
+from rig_sim.settings import Preset
+from rig_sim.truck_world import TruckWorld
+from rig_sim.valves import Valve
+
+TRUCK = RigSettings(seed=5, preset=Preset.TRUCK)
+SCRIPT = """
+import json, sys
+from truck_bench import world, run
+from rig_sim.valves import Valve
+truck = world(seed=11)
+truck.command_clutch(False, 0)
+truck._at(20_000.0, lambda: truck._switch(Valve(4), True))
+truck._at(150_000.0, lambda: truck._switch(Valve(0), True))
+truck._at(230_000.0, lambda: truck._switch(Valve(0), False))
+truck._at(240_000.0, lambda: truck._switch(Valve(4), True))
+run(truck, 420_000)
+lines = [(time_us, text) for time_us, text in truck.engagement.lines]
+edges = truck.plant.edges
+json.dump([lines, edges.ring.tolist(), edges.pointers.tolist(), truck.plant.y.tolist()], sys.stdout)
+"""
+
+
+def bench_of(settings: RigSettings, step_us: int = CYCLE_US) -> RigBench:
+    bench = RigBench(settings)
+    bench.run(1_000_000, upshift, step_us)
+    return bench
+
+
+def test_the_same_seed_says_the_same_bytes_and_another_does_not() -> None:
+    first, again = bench_of(TRUCK), bench_of(TRUCK)
+    assert first.frames == again.frames
+    assert first.lines == again.lines
+    other = bench_of(RigSettings(seed=6, preset=Preset.TRUCK))
+    assert other.frames != first.frames
+
+
+def test_it_does_not_matter_how_often_anybody_asks() -> None:
+    truck, asked = world(seed=4), world(seed=4)
+    rng = np.random.default_rng(1)
+    for plant in (truck, asked):
+        plant.command_clutch(False, 0)
+        plant._at(30_000.0, lambda plant=plant: plant._switch(Valve.MAIN_SECOND, True))
+        plant._at(90_000.0, lambda plant=plant: plant._switch(Valve.BRAKE, True))
+    run(truck, 400_000)
+    now_us = 0
+    while now_us < 400_000:
+        now_us = min(now_us + int(rng.integers(1, 3_000)), 400_000)
+        run(asked, now_us)
+    assert np.array_equal(truck.plant.y, asked.plant.y)
+    assert np.array_equal(truck.plant.edges.ring, asked.plant.edges.ring)
+    assert truck.engagement.lines == asked.engagement.lines
+
+
+def test_without_the_compiler_it_is_the_same_gearbox() -> None:
+    folder = str(Path(__file__).parent)
+    root = str(Path(__file__).parents[2])
+    results = []
+    for off in ("0", "1"):
+        environment = os.environ | {
+            "NUMBA_DISABLE_JIT": off, "PYTHONPATH": os.pathsep.join([root, folder])
+        }  # fmt: skip
+        done = subprocess.run(
+            [sys.executable, "-c", SCRIPT],
+            env=environment,
+            capture_output=True,
+            check=True,
+            text=True,
+        )
+        results.append(json.loads(done.stdout))
+    (lines, ring, pointers, y), (plain_lines, plain_ring, plain_pointers, plain_y) = results
+    assert [text for _, text in lines] == [text for _, text in plain_lines]
+    for (a, _), (b, _) in zip(lines, plain_lines, strict=True):
+        assert a == pytest.approx(b, abs=1e-3)  # a nanosecond
+    assert pointers == plain_pointers
+    assert ring == plain_ring
+    assert y == pytest.approx(plain_y, rel=1e-9, abs=1e-9)
+
+
+def test_a_finer_grid_moves_no_event_by_a_tenth_of_a_microsecond() -> None:
+    times = []
+    for step_us in (2000.0, 250.0):
+        truck = world({"numerics.step_us": step_us}, seed=9)
+        truck.command_clutch(False, 0)
+        truck._at(20_000.0, lambda truck=truck: truck._switch(Valve.MAIN_SECOND, True))
+        truck._at(150_000.0, lambda truck=truck: truck._switch(Valve.BRAKE, True))
+        truck._at(250_000.0, lambda truck=truck: truck._switch(Valve.BRAKE, False))
+        run(truck, 400_000)
+        times.append((truck.plant.y.copy(), truck.plant.edges.ring.copy()))
+    (coarse, ring), (fine, fine_ring) = times
+    omega = fine[at.SPEED + at.LAYSHAFT]
+    assert abs(coarse[at.ANGLE + at.LAYSHAFT] - fine[at.ANGLE + at.LAYSHAFT]) / omega < 1e-7
+    assert np.abs(ring - fine_ring).max() <= 1
+
+
+def test_as_built_is_drawn_within_its_ranges_and_a_file_fixes_it(tmp_path: Path) -> None:
+    drawn = [draw_as_built(seed) for seed in range(40)]
+    for name, parameter in parameters().items():
+        values = [built[name] for built in drawn]
+        assert all(parameter.low <= value <= parameter.high for value in values)
+        spread = parameter.deviation * (1.0 + 1e-4) + 1e-5 * abs(parameter.default)
+        assert all(abs(value - parameter.default) <= spread for value in values)
+        assert (len(set(values)) > 1) is (parameter.deviation > 0.0)
+    path = tmp_path / "run.json"
+    path.write_text(json.dumps({"as_built": drawn[3].to_json()}))
+    assert draw_as_built(99, load_as_built(path)) == drawn[3]
+    path = tmp_path / "some.toml"
+    path.write_text("[disc]\nheat_j_k = 5000\n")
+    fixed = draw_as_built(3, load_as_built(path))
+    assert fixed["disc.heat_j_k"] == 5000.0
+    assert fixed["oil.temperature_c"] == drawn[3]["oil.temperature_c"]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[disc]\nheat = 1", ["disc.heat", "rig --describe"]),
+        ("[disc]\nheat_j_k = nan", ["disc.heat_j_k", "nan", "100..100000"]),
+        ("[disc]\nheat_j_k = true", ["disc.heat_j_k", "True"]),
+        ("disc = 1", ["disc", "table"]),
+        ("x", ["TOML"]),
+    ],
+)
+def test_a_wrong_as_built_file_is_told(tmp_path: Path, text: str, words: list[str]) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text(text)
+    with pytest.raises(AsBuiltError) as error:
+        load_as_built(path)
+    assert all(word in str(error.value) for word in [*words, "wrong.toml"])
+
+
+def test_the_linear_file_names_parameters_that_exist() -> None:
+    assert set(linear()) <= set(parameters())
+
+
+def opened(fixed: dict[str, float]) -> TruckWorld:
+    """Clutch closed, no gear: input shaft and layshaft turn with the engine."""
+    truck = world(nominal() | fixed, seed=2)
+    truck.plant.coast()
+    return truck
+
+
+def test_the_engine_brings_the_layshaft_to_the_speed_asked_for_with_lag() -> None:
+    truck = opened({"vehicle.slope_percent": 0.0})
+    target = 1900.0 * RPM
+    for now_us in range(0, 1_500_000, 10_000):
+        run(truck, now_us)
+        truck.command_clutch(True, now_us)
+        truck.command_engine(EngineRequest(target, None), now_us)
+        if now_us == 20_000:
+            early = float(truck.plant.y[at.SPEED + at.ENGINE])
+    assert early < target - 20.0 * RPM
+    reached = float(truck.plant.y[at.SPEED + at.ENGINE])
+    assert reached == pytest.approx(target, rel=0.05)
+    split = SHEET.splitter.high.ratio
+    assert truck.plant.layshaft_rad_s == pytest.approx(reached * split, rel=1e-9)
+
+
+def test_an_open_clutch_leaves_the_engine_to_its_idle_speed() -> None:
+    truck = opened({})
+    for now_us in range(0, 4_000_000, 50_000):
+        run(truck, now_us)
+        truck.command_clutch(False, now_us)
+    assert truck.plant.y[at.SPEED + at.ENGINE] == pytest.approx(600.0 * RPM, rel=0.02)
+    assert truck.sensors(4_000_000).clutch == 0.0
+
+
+def test_the_splitter_s_valve_changes_the_step_through_its_cone() -> None:
+    truck = opened({"clutch.kiss": 1.0})
+    before = truck.plant.layshaft_rad_s
+    truck._at(1000.0, lambda: truck._switch(Valve.SPLIT_LOW, True))
+    run(truck, 600_000)
+    y = truck.plant.y
+    low = SHEET.splitter.low.ratio
+    assert y[at.SPEED + at.LAYSHAFT] / y[at.SPEED + at.INPUT] == pytest.approx(low, rel=1e-9)
+    assert truck.plant.energy.rubbing > 1.0
+    assert truck.plant.layshaft_rad_s < before
+
+
+def test_a_loaded_sleeve_stays_until_the_torque_goes() -> None:
+    truck = world(nominal() | {"vehicle.slope_percent": 8.0, "sleeve.back_taper_deg": 5.0}, seed=2)
+    for now_us in range(0, 900_000, 10_000):
+        run(truck, now_us)
+        truck.command_clutch(now_us < 500_000, now_us)
+        if now_us < 500_000:
+            truck.command_engine(EngineRequest(None, 0.8), now_us)
+        if now_us == 200_000:
+            truck._at(2e5, lambda: truck._switch(Valve.MAIN_SECOND, True))
+        if now_us == 490_000:
+            assert truck.truth.locked_gear is MainGear.FIRST
+    assert truck.truth.locked_gear is MainGear.NEUTRAL
+
+
+def test_outcomes_of_an_engagement_are_on_the_bus() -> None:
+    bench = bench_of(TRUCK)
+    events = [message.event for message in bench.of(ReferenceEngagement)]
+    assert EngagementEvent.RELEASED in events
+    locked = bench.events(EngagementEvent.LOCKED)
+    assert all(message.impact_energy_j >= 0.0 for message in locked)
