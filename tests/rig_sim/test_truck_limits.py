@@ -54,8 +54,9 @@ def test_limit_3_friction_at_the_face_blocks_what_is_too_slow(
     closed = 0.2 + min(0.8, slip**2 / (2.0 * alpha * PITCH))
     assert closed == pytest.approx(expected, abs=5e-4)
     outcomes = [trials.engage(phase, slip) for phase in phases(int(slip_rpm))]
-    assert all(outcome.blocked is not (outcome.locked is not None) for outcome in outcomes)
-    entered = sum(outcome.locked is not None for outcome in outcomes)
+    # one that gets in with hardly any slip left may take its time to the flank
+    assert all(outcome.blocked or outcome.in_gap for outcome in outcomes)
+    entered = sum(not outcome.blocked for outcome in outcomes)
     assert abs(share(entered, TRIALS, closed)) < 3.0
 
 

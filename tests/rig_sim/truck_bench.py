@@ -85,6 +85,11 @@ class Outcome(NamedTuple):
     slip_after_rad_s: float
 
     @property
+    def in_gap(self) -> bool:
+        """Whether the tooth got into a gap."""
+        return self.passed is not None or self.contact.event is EngagementEvent.GAP_CONTACT
+
+    @property
     def clean(self) -> bool:
         """Into a gap at first contact, and no flank before the overlap held."""
         gap = self.contact.event is EngagementEvent.GAP_CONTACT
