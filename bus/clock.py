@@ -20,6 +20,9 @@ class NodeClock(Protocol):
     def wall_s(self, clock_us: int) -> float:
         """Wall seconds that a span of clock time takes."""
 
+    def heard(self) -> None:
+        """A frame of another node has arrived."""
+
     def here(self) -> None:
         """The node has done all that was due by now."""
 
@@ -55,6 +58,9 @@ class Clock:
     def wall_s(self, clock_us: int) -> float:
         """Wall seconds that a span of `clock_us` clock microseconds takes."""
         return clock_us / (self.speed * US_PER_S)
+
+    def heard(self) -> None:
+        """The wall does not listen."""
 
     def here(self) -> None:
         """The wall waits for nobody."""

@@ -194,6 +194,7 @@ class _Node:
                 )
         else:
             counts.frames_received += 1
+            self._clock.heard()
             self._core.receive(
                 Frame(
                     message.arbitration_id,

@@ -3,8 +3,9 @@
 A machine under load stops a process, or all of them, for tenths of a second, while a valve command
 expires after 100 ms: on such a machine a live run shows the machine, not the gearbox. Here time is
 kept in a file that all nodes map. A pacemaker moves it on with the wall clock, but never further
-than every node has promised to look at it again, plus a millisecond. A machine that keeps up runs
-in real time; one that does not runs slower, and the nodes cannot tell.
+than every node has promised to look at it again, plus a millisecond; and a node that has heard others
+promises nothing while it hears nobody, so that frames on their way are waited for as well. A machine
+that keeps up runs in real time; one that does not runs slower, and the nodes cannot tell.
 
 One writer a word, and words of eight aligned bytes, so nothing needs a lock.
 """
@@ -24,6 +25,8 @@ PACED_NODES = ("rig", "controller", "bench")
 HEARTBEAT_US = 2_000
 """How long, at speed 1, a node may go without looking at the clock."""
 SLACK_US = 1_000
+SILENCE_US = 14_000
+"""How long a bus on which nodes speak every 10 ms may seem silent before time waits for frames."""
 TICK_S = 0.0005
 LONGEST_TICK_US = 2_000.0
 """Of bus time, at speed 1 and below. A pacemaker that was itself stopped goes on from where it was,
@@ -90,14 +93,28 @@ class PacedClock:
         self._file = file
         self._node = PACED_NODES.index(name)
         self._heartbeat_us = int(HEARTBEAT_US * max(1.0, speed))
+        self._heard_us: int | None = None
+        self._promised_us = 0
 
     def now_us(self) -> int:
         """Bus time in microseconds."""
         return self._file.now_us
 
+    def heard(self) -> None:
+        """A frame of another node has arrived."""
+        self._heard_us = self._file.now_us
+
     def here(self) -> None:
-        """The node has done all that was due."""
-        self._file.promise(self._node, self._file.now_us + self._heartbeat_us)
+        """The node has done all that was due. Where others have spoken and none does now, it
+        promises nothing further, until the pacemaker has given up and time has gone on."""
+        now_us = self._file.now_us
+        if self._heard_us is not None:
+            if now_us > self._promised_us + self._heartbeat_us + SLACK_US * max(1.0, self.speed):
+                self._heard_us = None  # given up: there is nobody to wait for
+            elif now_us - self._heard_us > SILENCE_US * max(1.0, self.speed):
+                return
+        self._promised_us = now_us + self._heartbeat_us
+        self._file.promise(self._node, self._promised_us)
 
     def leave(self) -> None:
         """The node ends."""

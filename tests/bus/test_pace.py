@@ -12,7 +12,15 @@ from hypothesis import strategies as st
 
 from bus.core import Step
 from bus.driver import run_node
-from bus.pace import HEARTBEAT_US, PACED_NODES, SLACK_US, PacedClock, PaceFile, Pacemaker
+from bus.pace import (
+    HEARTBEAT_US,
+    PACED_NODES,
+    SILENCE_US,
+    SLACK_US,
+    PacedClock,
+    PaceFile,
+    Pacemaker,
+)
 
 ELAPSED_US = st.floats(0.0, 400_000.0)
 NOBODY = [None] * len(PACED_NODES)
@@ -120,3 +128,25 @@ def _SilentBus():
     import can
 
     return can.Bus(interface="virtual", channel="pace-test")
+
+
+def test_time_waits_for_frames_on_their_way_and_gives_a_silent_bus_up(tmp_path):
+    file = PaceFile.create(tmp_path / "pace")
+    clock, pacemaker = PacedClock(file, "controller"), Pacemaker(speed=1.0)
+
+    def run(milliseconds):
+        for _ in range(milliseconds):
+            clock.here()
+            file.set_now(pacemaker.advance(1_000.0, file.promises_us()))
+
+    run(50)
+    assert file.now_us == 50_000, "nobody has been heard yet"
+    clock.heard()
+    run(500)
+    waited_us = file.now_us - 50_000
+    assert SILENCE_US <= waited_us <= SILENCE_US + HEARTBEAT_US + 2 * SLACK_US
+    clock.heard()
+    run(10)
+    assert file.now_us - 50_000 >= waited_us + 9_000, "time goes on with the frame"
+    run(2_500)
+    assert file.now_us > 1_000_000, "nobody speaks any more"
