@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from controller.jit import compiled
 
-from controller.jit import compiled
-
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
