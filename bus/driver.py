@@ -14,6 +14,7 @@ import can
 
 from bus.clock import NodeClock
 from bus.core import Core
+from bus.frames import frame_of
 from bus.reception import Reception, receive_from
 from bus.statistics import NodeStatistics
 from dbc.frame import Frame
@@ -195,14 +196,7 @@ class _Node:
         else:
             counts.frames_received += 1
             self._clock.heard()
-            self._core.receive(
-                Frame(
-                    message.arbitration_id,
-                    bytes(message.data),
-                    message.is_fd,
-                    message.is_extended_id,
-                )
-            )
+            self._core.receive(frame_of(message))
 
     def _send(self, frames: list[Frame], timeout_s: float = 0.0) -> None:
         counts = self.statistics

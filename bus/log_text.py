@@ -6,6 +6,7 @@ from typing import BinaryIO, TextIO, cast
 
 import can
 
+from bus.frames import frame_of
 from bus.log_entry import DefectError, Entries, Skipped, checked
 from dbc.frame import Frame
 
@@ -72,9 +73,7 @@ def asc_entries(file: BinaryIO) -> Entries:
             length = 0 if message.is_remote_frame else message.dlc
             if len(message.data) != length:
                 raise DefectError(lines.position, f"{len(message.data)} of {length} data bytes")
-            frame = Frame(
-                message.arbitration_id, bytes(message.data), message.is_fd, message.is_extended_id
-            )
+            frame = frame_of(message)
             yield message.timestamp, checked(frame, lines.position)
 
 

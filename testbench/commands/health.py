@@ -7,8 +7,8 @@ import sys
 import time
 from typing import Any, Final
 
+from bus.frames import frame_of
 from bus.options import add_bus_arguments, open_bus_from
-from dbc.frame import Frame
 from dbc.link import Receiver
 from dbc.messages import ControllerStatus, Message, ValveStatus
 from dbc.node import Node
@@ -47,9 +47,7 @@ def run(namespace: argparse.Namespace) -> int:
             message = bus.recv(left_s)
             if message is None:
                 continue
-            frame = Frame(
-                message.arbitration_id, bytes(message.data), message.is_fd, message.is_extended_id
-            )
+            frame = frame_of(message)
             heard += type(receiver.receive(frame).message) is kind
     if heard == FRAMES:
         print(f"{namespace.node} is at work")

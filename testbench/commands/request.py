@@ -9,8 +9,8 @@ from typing import Any
 
 import can
 
+from bus.frames import frame_of
 from bus.options import add_bus_arguments, open_bus_from
-from dbc.frame import Frame
 from dbc.link import Receiver, Transmitter
 from dbc.messages import TC1, ControllerState, ControllerStatus, ShiftOutcome, ShiftResult
 from dbc.node import Node
@@ -67,9 +67,7 @@ def _wait(bus: can.BusABC, request: can.Message, gear: int, timeout_s: float) ->
         received = bus.recv(min(0.05, end_s - now_s))
         if received is None:
             continue
-        frame = Frame(
-            received.arbitration_id, bytes(received.data), received.is_fd, received.is_extended_id
-        )
+        frame = frame_of(received)
         answer = receiver.receive(frame).message
         if isinstance(answer, ControllerStatus):
             heard = True
