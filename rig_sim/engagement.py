@@ -10,6 +10,7 @@ the main shaft.
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections import Counter
 from enum import IntEnum
 from typing import Final, Generic, NamedTuple, TypeVar
@@ -68,7 +69,7 @@ class Engaged(NamedTuple):
 SleeveT = TypeVar("SleeveT", bound=SleeveAxis)
 
 
-class Engagement(Generic[SleeveT]):
+class Engagement(ABC, Generic[SleeveT]):
     """The two main sleeves, their valves, and the record of what happens; common to all presets."""
 
     def __init__(
@@ -165,17 +166,17 @@ class Engagement(Generic[SleeveT]):
         elif sleeve.state is SleeveState.RETRACT and sleeve.meshed:
             sleeve.hold(time_us)
 
+    @abstractmethod
     def _contact(self, name: Sleeve, time_us: float) -> None:
         """The sleeve has reached the gear."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _unmesh(self, name: Sleeve) -> None:
         """The teeth leave each other."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _delay_s(self, name: Sleeve, direction: int) -> float:
         """Delay from the valve's activation to contact or neutral; direction of the movement."""
-        raise NotImplementedError
 
     def _another_meshed(self, name: Sleeve) -> bool:
         return any(sleeve.meshed for other, sleeve in self.sleeves.items() if other is not name)
