@@ -59,7 +59,9 @@ FALLING: Final = 17
 """Polarity of the last edge with a tooth."""
 STOPS: Final = 18
 """How often of LOST the wheel was slow or stood."""
-COUNTS: Final = 19
+SEARCHED: Final = 19
+"""Pitches since the search began."""
+COUNTS: Final = 20
 
 SEEKING, SEARCHING, COUNTING = range(3)
 """Modes: no steady speed yet; a speed, but not yet the place of the missing teeth; each edge gets
@@ -79,7 +81,7 @@ SCATTER: Final = 4
 ERROR: Final = 5
 """Of the edge that is judged, against its slot, pitches."""
 LEAST_RATE: Final = 6
-"""Below it the wheel may stand still within two pitches."""
+"""Below it the wheel may stand still within three pitches."""
 BEND: Final = 7
 """Half the largest acceleration, pitches/us^2."""
 QUANTITIES: Final = 8
@@ -231,8 +233,8 @@ def is_nearer(counts: Integers, floats: Floats, next_us: int, falling: int) -> b
 def search(counts: Integers, advance: Integers, candidates: Integers, step: int, gap: bool) -> None:
     """A rising edge came `step` pitches after the last: which tooth can it be of?
 
-    candidates (teeth,): 1 where the newest rising edge may be of that tooth. With one left, and
-    gaps enough seen, teeth are numbered again; LOST counts one that was numbered wrongly."""
+    candidates (teeth,): 1 where the newest rising edge may be of that tooth. With one left, after
+    a whole turn that fits, teeth are numbered again. LOST counts a wrong guess."""
     teeth, left, tooth = advance.size, 0, 0
     moved = np.zeros_like(candidates)
     for k in range(teeth):
@@ -248,18 +250,19 @@ def search(counts: Integers, advance: Integers, candidates: Integers, step: int,
         guess += advance[guess % teeth] if whole else step
         counts[GUESS] = guess
     counts[GAPS] += int(gap)
-    if left == 0:
-        begin_search(counts, advance, candidates)
+    counts[SEARCHED] += step
+    right = guess != UNKNOWN and guess % teeth == tooth
+    if left == 0 or (left == 1 and counts[GAPS] > 0 and guess != UNKNOWN and not right):
         counts[LOST] += int(guess != UNKNOWN)
         counts[GUESS] = UNKNOWN
-    elif left == 1 and counts[GAPS] >= (2 if guess == UNKNOWN else 1):
-        right = guess != UNKNOWN and guess % teeth == tooth
-        counts[LOST] += int(guess != UNKNOWN and not right)
+    if left == 0:
+        begin_search(counts, advance, candidates)
+    elif left == 1 and counts[SEARCHED] > teeth:
         shift = guess - counts[LAST] if right else (tooth - counts[LAST]) % teeth
         counts[LAST] += shift
         counts[LAST + 1] += shift
         counts[TOOTH] += shift
-        counts[MODE], counts[GAP_HITS] = COUNTING, 0
+        counts[MODE], counts[GAP_HITS], counts[GUESS] = COUNTING, 0, UNKNOWN
 
 
 @compiled
@@ -267,7 +270,7 @@ def begin_search(counts: Integers, advance: Integers, candidates: Integers) -> N
     """Every tooth is possible."""
     for k in range(advance.size):
         candidates[k] = int(advance[k] > 0)
-    counts[GAPS], counts[MODE] = 0, SEARCHING
+    counts[GAPS], counts[SEARCHED], counts[MODE] = 0, 0, SEARCHING
 
 
 @compiled
@@ -504,8 +507,8 @@ def new_state(pitch_rad: float, most_rad_s2: float) -> tuple[Integers, Floats]:
     """Counts and quantities of a wheel not seen yet; `most_rad_s2` bounds its acceleration."""
     counts, floats = np.zeros(COUNTS, np.int64), np.zeros(QUANTITIES)
     counts[GUESS] = UNKNOWN
-    # At omega^2 = 4 a pitch it takes two pitches to stop.
-    floats[LEAST_RATE] = np.sqrt(4.0 * most_rad_s2 / pitch_rad) * 1e-6
+    # At omega^2 = 6 a pitch it takes three pitches to stop.
+    floats[LEAST_RATE] = np.sqrt(6.0 * most_rad_s2 / pitch_rad) * 1e-6
     floats[BEND] = 0.5 * most_rad_s2 / pitch_rad * 1e-12
     return counts, floats
 

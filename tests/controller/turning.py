@@ -18,7 +18,7 @@ LEAD_US = 1 << 20
 
 @dataclass(frozen=True)
 class Turning:
-    """Angle in pitches at a time in s: speed and acceleration, braked to `least` at most."""
+    """Angle in pitches: speed and acceleration in pitches and s; what is braked stays standing."""
 
     teeth: int
     duty: float
@@ -28,6 +28,8 @@ class Turning:
     missing: tuple[int, ...] = ()
 
     def angle(self, time_s: float) -> float:
+        if self.bend < 0.0:
+            time_s = min(time_s, -self.rate / self.bend)
         return self.rate * time_s + 0.5 * self.bend * time_s * time_s
 
     def time_of(self, angle: float) -> float:
