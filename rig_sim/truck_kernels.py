@@ -14,7 +14,7 @@ from collections.abc import Callable
 from typing import Final
 
 from rig_sim.engine import capacity_nm
-from rig_sim.jit import SOURCES, entry, part
+from rig_sim.jit import SOURCES, entry, inlined, part
 from rig_sim.kernels import TAU, Floats, Integers, wrapped
 from rig_sim.truck_layout import (
     ANGLE,
@@ -25,6 +25,7 @@ from rig_sim.truck_layout import (
     BRAKE_PA,
     BRAKE_SIGN,
     CAN_RELEASE,
+    CARRIED,
     CHANNELS,
     CLUTCH,
     CLUTCH_NM,
@@ -101,34 +102,36 @@ def step(
         after[i] = y[i] + h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
 
 
-@part
-def _watched(y: Floats, watch: Floats) -> float:
-    phase: float = y[PHASE + int(watch[GEAR])] + watch[OFFSET]
-    if watch[WITH_LASH] != 0.0:
-        phase += y[LASH + 1 + int(watch[GEAR])]
+@inlined
+def _watched(y: Floats, watches: Floats, row: int) -> float:
+    gear = int(watches[row, GEAR])
+    phase: float = y[PHASE + gear] + watches[row, OFFSET]
+    if watches[row, WITH_LASH] != 0.0:
+        phase += y[LASH + 1 + gear]
     return phase
 
 
-@part
+@inlined
 def _beyond(y: Floats, event: int, slots: Floats, watches: Floats, g: Floats) -> float:
     """How far a state is beyond an event's limit: positive once the event has happened."""
     beyond: float
     if event >= STOPPED:
         beyond = -g[BRAKE_SIGN] * y[SPEED + LAYSHAFT]
     elif event >= NO_SLIP:
-        slot = slots[event - NO_SLIP]
-        ahead = slot[FRICTION_RATIO] * y[SPEED + int(slot[BEFORE])] - y[SPEED + int(slot[BEHIND])]
-        beyond = -slot[SIGN] * ahead
+        slot = event - NO_SLIP
+        before, behind = int(slots[slot, BEFORE]), int(slots[slot, BEHIND])
+        ahead = slots[slot, FRICTION_RATIO] * y[SPEED + before] - y[SPEED + behind]
+        beyond = -slots[slot, SIGN] * ahead
     elif event >= LEFT_BOTTOM:
-        watch = watches[event - LEFT_BOTTOM]
-        beyond = watch[BOTTOM] - _watched(y, watch)
+        row = event - LEFT_BOTTOM
+        beyond = watches[row, BOTTOM] - _watched(y, watches, row)
     else:
-        watch = watches[event - LEFT_TOP]
-        beyond = _watched(y, watch) - watch[TOP]
+        row = event - LEFT_TOP
+        beyond = _watched(y, watches, row) - watches[row, TOP]
     return beyond
 
 
-@part
+@inlined
 def _happened(
     y: Floats, after: Floats, event: int, slots: Floats, watches: Floats, g: Floats
 ) -> bool:
@@ -181,7 +184,7 @@ def _root(
     return high
 
 
-@part
+@inlined
 def _first_event(
     y: Floats,
     after: Floats,
@@ -197,14 +200,14 @@ def _first_event(
     found = REACHED
     stoppable = g[BRAKE_SIGN] != 0.0 and g[FORCED + int(g[LEAD + LAYSHAFT])] == 0.0
     for candidate in range(2 * WATCHES + SLOTS + 1):
-        if candidate < 2 * WATCHES:
-            watch = candidate // 2
-            event = watch + (LEFT_TOP if candidate % 2 == 0 else LEFT_BOTTOM)
-            asked = watches[watch, GEAR] >= 0.0
+        if candidate < WATCHES:
+            event, asked = LEFT_TOP + candidate, watches[candidate, GEAR] >= 0.0
+        elif candidate < 2 * WATCHES:
+            row = candidate - WATCHES
+            event, asked = LEFT_BOTTOM + row, watches[row, GEAR] >= 0.0
         elif candidate < 2 * WATCHES + SLOTS:
             slot = candidate - 2 * WATCHES
-            event = NO_SLIP + slot
-            asked = slots[slot, SIGN] != 0.0
+            event, asked = NO_SLIP + slot, slots[slot, SIGN] != 0.0
         else:
             event, asked = STOPPED, stoppable
         if asked and _happened(y, after, event, slots, watches, g):
@@ -213,11 +216,11 @@ def _first_event(
     return found, h
 
 
-@part
+@inlined
 def _torque_event(y: Floats, p: Floats, g: Floats, aux: Floats) -> int:
     """What the torques at the end of a step bring about."""
     for link in range(LINKS):
-        if g[LEAD + link] != g[LEAD + link + 1]:
+        if g[CARRIED + link] == 0.0:
             continue
         torque = aux[LINK + link]
         low, high = g[LOW + link], g[HIGH + link]
@@ -233,7 +236,7 @@ def _torque_event(y: Floats, p: Floats, g: Floats, aux: Floats) -> int:
     return REACHED
 
 
-@part
+@inlined
 def _torques_turn(
     y: Floats,
     after: Floats,
@@ -289,7 +292,7 @@ def _write(ring: Integers, channel: int, pointers: Integers, time_us: float) -> 
     pointers[channel, COUNT] += 1
 
 
-@part
+@inlined
 def _capture(
     y: Floats,
     after: Floats,
@@ -343,7 +346,7 @@ def _capture(
                 pointers[channel, LAP] += 1
 
 
-@part
+@inlined
 def _settle(y: Floats, laps: Integers, pitch: float, watches: Floats) -> None:
     """Angles back into a turn and free phases into a pitch; a watched phase keeps its branch."""
     for k in range(BODIES):
@@ -362,7 +365,7 @@ def _settle(y: Floats, laps: Integers, pitch: float, watches: Floats) -> None:
                     watches[watch, OFFSET] += before - y[PHASE + gear]
 
 
-@part
+@inlined
 def _next_grid_us(t_us: float, p: Floats, rate: Floats) -> float:
     """The next grid point; filling and exhausting have kinks, so a finer grid while air moves."""
     grid_us: float = p[STEP_US]
@@ -371,17 +374,18 @@ def _next_grid_us(t_us: float, p: Floats, rate: Floats) -> float:
     return (math.floor(t_us / grid_us) + 1.0) * grid_us
 
 
-@part
+@inlined
 def _copy(source: Floats, target: Floats) -> None:
     for i in range(STATES):
         target[i] = source[i]
 
 
-@part
+@inlined
 def _remember(t_us: float, y: Floats, laps: Integers, history: Floats) -> None:
     """The layshaft's angle and speed, every 2 ms, for the reference encoder."""
-    if t_us % HISTORY_US == 0.0:
-        row = int(t_us / HISTORY_US) % HISTORY
+    count = math.floor(t_us / HISTORY_US)
+    if count * HISTORY_US == t_us:
+        row = int(count) % HISTORY
         history[row, 0] = laps[LAYSHAFT]
         history[row, 1] = y[ANGLE + LAYSHAFT]
         history[row, 2] = y[SPEED + LAYSHAFT]
