@@ -7,7 +7,9 @@ from typing import Any, NamedTuple, Protocol
 
 from gearbox.gears import MainGear, Sleeve
 from rig_sim.engagement import Engaged, Violation
+from rig_sim.node_state import NodeState
 from rig_sim.plant import Drive
+from rig_sim.sensor_clock import SensorClock
 from rig_sim.sensors import EdgeRead
 from rig_sim.shafts import Angle
 from rig_sim.sleeves import SleeveState
@@ -101,8 +103,9 @@ class RigWorld(Protocol):
     """A gearbox in its own time, microseconds since power-up. Commands act at the instant given,
     to which the world has been run."""
 
-    clock_start_us: int
+    clock: SensorClock
     valves: ValveBank
+    node: NodeState
 
     @property
     def next_read_us(self) -> int:

@@ -142,5 +142,6 @@ FAULTS: Final = 3
 FIRST_EDGES: Final = 16
 JITTERS: Final = 4096
 EXTRA_EDGE_US: Final = 60.0
+RING: Final = 64  # captured edges kept a channel
 HISTORY: Final = 8
 HISTORY_US: Final = 2000

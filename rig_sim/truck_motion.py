@@ -204,7 +204,9 @@ def rates(y: Floats, p: Floats, g: Floats, slots: Floats, rate: Floats, aux: Flo
         needed += p[GEAR_DRAG_NMS] * rate[PHASE + gear]
         if int(g[MESHED]) == gear:
             needed = aux[LINK + MAIN_BOX]
-        rate[LASH + 1 + gear] = lash_rad_s(y[LASH + 1 + gear], needed, p[LASH_MAIN_RAD], p[LASH_RATE])
+        rate[LASH + 1 + gear] = lash_rad_s(
+            y[LASH + 1 + gear], needed, p[LASH_MAIN_RAD], p[LASH_RATE]
+        )
     rate[LASH] = lash_rad_s(y[LASH], -aux[LINK + SPLITTER], p[LASH_INPUT_RAD], p[LASH_RATE])
     rate[BRAKE_PA] = chamber_pa_s(
         y[BRAKE_PA],

@@ -22,7 +22,8 @@ from rig_sim.plant import Drive
 from rig_sim.shafts import Angle, Shafts
 from rig_sim.truck_constants import constants
 from rig_sim.truck_edges import TruckEdges
-from rig_sim.truck_kernels import WATCHES, advance
+from rig_sim.truck_events import WATCHES
+from rig_sim.truck_kernels import advance
 
 INDEX: Final = {gear: index for index, gear in enumerate(MAIN_GEARS)}
 
@@ -101,7 +102,25 @@ class TruckPlant:
         self._cones_nm = (built["synchro.splitter_nm"], built["synchro.range_nm"])
         self.constant_speed = built["vehicle.constant_speed"] >= 0.5
         self._load_angles(start)
-        self.edges = TruckEdges(sheet, built, self.y, self.laps)
+        self.edges = edges = TruckEdges(sheet, built, self.y, self.laps)
+        self._arguments = (
+            sheet.dog.pitch_rad,
+            self.y,
+            self.laps,
+            self.p,
+            self.g,
+            self._slots,
+            self._watches,
+            self._scratch,
+            edges.history,
+            edges.teeth,
+            edges.table,
+            edges.first,
+            edges.jitter_s,
+            edges.pointers,
+            edges.faults,
+            edges.ring,
+        )
         self._load_speeds(gear, main_rad_s, built)
         self._kinetic_j = self.chain.kinetic_j()
 
@@ -180,27 +199,8 @@ class TruckPlant:
 
     def advance(self, until_us: float, stop_us: float) -> int:
         """Go on to the next event, to `stop_us`, or to the last grid point up to `until_us`."""
-        edges = self.edges
         self.time_us, event = advance(
-            self.time_us,
-            float(until_us),
-            float(stop_us),
-            self._sheet.dog.pitch_rad,
-            self.y,
-            self.laps,
-            self.p,
-            self.g,
-            self._slots,
-            self._watches,
-            self._scratch,
-            edges.history,
-            edges.teeth,
-            edges.table,
-            edges.first,
-            edges.jitter_s,
-            edges.pointers,
-            edges.faults,
-            edges.ring,
+            self.time_us, float(until_us), float(stop_us), *self._arguments
         )
         return event
 

@@ -17,8 +17,10 @@ from gearbox.sheet import RPM, GearboxSheet
 from rig_sim.bench_script import BenchScript
 from rig_sim.clutch import ClutchActuator, Engine
 from rig_sim.engagement import MAIN_VALVES, Engaged, ThesisEngagement
+from rig_sim.node_state import NodeState
 from rig_sim.plant import ThesisPlant
 from rig_sim.rig_world import EncoderRead, EngineRequest, FaultOrder, SensorRead, Truth
+from rig_sim.sensor_clock import SensorClock
 from rig_sim.sensors import EdgeCapture, EdgeRead, Encoder
 from rig_sim.settings import RigSettings
 from rig_sim.shafts import Shafts
@@ -41,6 +43,8 @@ class World:
         gear = drive_gear(settings.start_gear)
         self.sheet = sheet
         self.clock_start_us = start.clock_us
+        self.clock = SensorClock(start.clock_us)
+        self.node = NodeState()
         self.shafts = Shafts(sheet, start.angles, gear.split, gear.range_)
         self.plant = ThesisPlant(sheet, self.shafts, settings.main_speed_rpm * RPM)
         delays = Delays(rng, sheet)
@@ -114,7 +118,7 @@ class World:
 
     def edge_reads(self, now_us: int) -> list[EdgeRead]:
         """The read of all edge channels now, in the order of the wire contract."""
-        return self.edges.read(now_us, self.clock_start_us)
+        return self.edges.read(now_us, self.clock)
 
     def sensors(self, now_us: int) -> SensorRead:
         """The slow sensors now."""
