@@ -2,10 +2,10 @@
 
     T = T_0 s(w / 1 rad/s) + c w
 
-s is `saturation.saturated`; c is the thesis's c_tot (4.11); the constant part has the shape of (EU) 2017/2400, Annex VI, which
-gives 12.5 Nm + 12.5 Nm n / 1000 rpm at the input of a 2,500 Nm box as the value of a gearbox that
-nobody has measured. Both parts grow as the oil gets thicker, exp(-k (T - 80 degC)), which is the
-local slope of the Vogel equation for gear oils.
+s is `saturation.saturated`; c is the thesis's c_tot (4.11); the constant part has the shape of
+(EU) 2017/2400, Annex VI, which gives 12.5 Nm + 12.5 Nm n / 1000 rpm at the input of a 2,500 Nm box
+as the value of a gearbox that nobody has measured. Both parts grow as the oil gets thicker,
+exp(-k (T - 80 degC)), which is the local slope of the Vogel equation for gear oils.
 """
 
 from __future__ import annotations

@@ -21,9 +21,9 @@ DISABLED: Final = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 """Then numba is not even loaded, which is half of the start-up."""
 
 
-OPTIONS: Final = {"error_model": "numpy", "_nrt": False}
-"""Without numba's runtime, which counts references to arrays: kernels neither make nor keep one, and
-the counting, atomic as it is, took half of their time."""
+OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
+"""Without numba's runtime, which counts references to arrays: kernels neither make nor keep one,
+and the counting, atomic as it is, took half of their time."""
 
 
 def _digest() -> int:

@@ -55,6 +55,9 @@ BISECTED_S: Final = 1e-14
 MAX_ITERATIONS: Final = 80
 
 
+WITHOUT_RUNTIME: Final[dict[str, Any]] = {"_nrt": False}
+
+
 def compiled(function: Kernel) -> Kernel:
     """numba's njit with its file cache, without its runtime (`jit.OPTIONS`), keeping the function's
     type for the type checker."""
@@ -63,9 +66,9 @@ def compiled(function: Kernel) -> Kernel:
     import numba
 
     try:
-        return cast(Kernel, numba.njit(cache=True, _nrt=False)(function))
+        return cast(Kernel, numba.njit(cache=True, **WITHOUT_RUNTIME)(function))
     except RuntimeError:  # as in `rig_sim.jit.entry`
-        return cast(Kernel, numba.njit(_nrt=False)(function))
+        return cast(Kernel, numba.njit(**WITHOUT_RUNTIME)(function))
 
 
 @compiled
@@ -330,7 +333,9 @@ def _clock_before(clock: Floats, time_us: float) -> int:
     piece = clock.shape[0] - 1
     while piece > 0 and time_us < clock[piece, 0]:
         piece -= 1
-    return int(clock[piece, 1]) + int(math.floor((time_us - clock[piece, 0]) * clock[piece, 2]))
+    since, base, rate = clock[piece, 0], int(clock[piece, 1]), clock[piece, 2]
+    shown: int = base + math.floor((time_us - since) * rate)
+    return shown
 
 
 @compiled
@@ -356,7 +361,7 @@ def read_ring(
     length = stamps.shape[1]
     newest = clock.shape[0] - 1
     since, base, rate = clock[newest, 0], int(clock[newest, 1]), clock[newest, 2]
-    now = base + int(math.floor((now_us - since) * rate))
+    now = base + math.floor((now_us - since) * rate)
     for channel in range(ring.shape[0]):
         count = counts[channel]
         slot = count % size
@@ -370,7 +375,7 @@ def read_ring(
         for entry in range(valid):
             slot = (slot if slot > 0 else size) - 1
             time_us = ring[channel, slot]
-            stamp = base + int(math.floor((time_us - since) * rate))
+            stamp = base + math.floor((time_us - since) * rate)
             if time_us < since:
                 stamp = _clock_before(clock, time_us)
             stamps[channel, entry] = stamp & 0xFFFF

@@ -33,6 +33,15 @@ class EncoderRead(NamedTuple):
     speed_rad_s: tuple[float, ...]
 
 
+class PhaseRead(NamedTuple):
+    """The truth that is on the bus beside the encoder: the main shaft's wheel and its speed, and
+    each gear's phase against its sleeve in the order of `MAIN_GEARS`, rad."""
+
+    main_angle: Angle
+    main_rad_s: float
+    phases_rad: tuple[float, ...]
+
+
 class EngineRequest(NamedTuple):
     """A TSC1 request: speed (rad/s) or torque (Nm share 0..1 of the highest); both None: none."""
 
@@ -154,6 +163,9 @@ class RigWorld(Protocol):
 
     def encoder_read(self, now_us: int) -> EncoderRead:
         """The reference encoder now."""
+
+    def phase_read(self) -> PhaseRead:
+        """Main shaft and phases now."""
 
     def take_records(self) -> list[Engaged]:
         """What has happened between sleeves and gears since the last call."""

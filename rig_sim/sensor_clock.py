@@ -1,7 +1,7 @@
 """The sensor clock: what the capture timer and the valve drivers call time, in microseconds.
 
-It starts at power-up and runs at the rate of the rig's own time, unless a fault makes it drift, step
-or start anew. Then it is a line in pieces; the newest few are kept, for edges captured before.
+It starts at power-up and runs at the rate of the rig's own time, unless a fault makes it drift,
+step or start anew. Then it is a line in pieces; the newest few are kept, for edges captured before.
 
 Here it is whole and unwrapped; frames carry its low 32 bits, edges their low 16.
 """
@@ -22,8 +22,8 @@ PPM: Final = 1e-6
 class SensorClock:
     """From microseconds since power-up to the clock, and back.
 
-    `pieces` is for `kernels.read_ring`: rows (since when, what it showed then, its rate), the newest
-    last.
+    `pieces` is for `kernels.read_ring`: rows (since when, what it showed then, its rate), the
+    newest last.
     """
 
     def __init__(self, start_us: int) -> None:
@@ -34,9 +34,11 @@ class SensorClock:
         """What the clock shows at an instant, rounded down."""
         if time_us >= self._since_us:
             return self._base_us + math.floor((time_us - self._since_us) * self._rate)
-        for since_us, base_us, rate in self.pieces[::-1].tolist():
-            if time_us >= since_us:
-                break
+        pieces: list[list[float]] = self.pieces.tolist()
+        since_us, base_us, rate = pieces[0]
+        for piece in pieces:
+            if time_us >= piece[0]:
+                since_us, base_us, rate = piece
         return int(base_us) + math.floor((time_us - since_us) * rate)
 
     def when(self, clock_us: int) -> float:

@@ -36,6 +36,9 @@ ENCODER_STEPS_PER_TURN: Final = 1 << 24
 ENCODER_MODULUS: Final = 1 << 32
 
 
+_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
+
+
 class Shaft(IntEnum):
     """The shafts in the order of the wire contract."""
 
@@ -69,10 +72,14 @@ class RingReader:
         self, now_us: int, on_us: float, clock: SensorClock, counts: Integers, ring: Floats
     ) -> list[EdgeRead]:
         """The read of all channels now (`kernels.read_ring`)."""
-        read_ring(now_us, on_us, clock.pieces, counts, ring, self._stamps, self._heads)
-        stamps, heads = self._unpack_stamps(self._stamps), self._unpack_heads(self._heads)
+        stamps_, heads_ = self._stamps, self._heads
+        read_ring(float(now_us), on_us, clock.pieces, counts, ring, stamps_, heads_)
+        stamps, heads = self._unpack_stamps(stamps_.data), self._unpack_heads(heads_.data)
         return [
-            EdgeRead(heads[i], heads[i + 1], heads[i + 2] == 1, heads[i + 3] == 1, stamps[row])
+            _new(
+                EdgeRead,
+                (heads[i], heads[i + 1], heads[i + 2] == 1, heads[i + 3] == 1, stamps[row]),
+            )
             for i, row in self._rows
         ]
 

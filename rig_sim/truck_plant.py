@@ -75,6 +75,12 @@ class TruckShafts:
         """Propeller speed over main shaft speed."""
         return self._sheet.range_mesh(self.range_).ratio
 
+    def phases_rad(self) -> tuple[float, ...]:
+        """`phase_rad` of all gears, in the order of `MAIN_GEARS`."""
+        ends = self._plant.y[at.PHASE : at.LASH + 5].tolist()
+        pitch_rad = self._pitch_rad
+        return tuple([wrapped(ends[i] + ends[i + 5], pitch_rad) for i in range(4)])
+
     def phase_rad(self, gear: MainGear) -> float:
         """Angle of a gear tooth from the middle of the sleeve's gap, half a pitch either way."""
         y, index = self._plant.y, INDEX[gear]

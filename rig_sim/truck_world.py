@@ -24,7 +24,14 @@ from rig_sim.engagement import MAIN_VALVES, Engaged
 from rig_sim.faults import FaultDesk
 from rig_sim.node_state import NodeState
 from rig_sim.position_sensors import PositionSensors
-from rig_sim.rig_world import EncoderRead, EngineRequest, FaultOrder, SensorRead, Truth
+from rig_sim.rig_world import (
+    EncoderRead,
+    EngineRequest,
+    FaultOrder,
+    PhaseRead,
+    SensorRead,
+    Truth,
+)
 from rig_sim.sensor_clock import SensorClock
 from rig_sim.sensors import EdgeRead
 from rig_sim.settings import RigSettings
@@ -167,11 +174,9 @@ class TruckWorld:
 
     def sleeve_samples_m(self, name: Sleeve, now_us: int) -> tuple[float, ...]:
         """Ten positions, 1 ms apart, the newest first, as the sensor has them."""
-        sleeve = self.engagement.sleeves.get(name)
-        steps = {Sleeve.SPLITTER: self.script.splitter, Sleeve.RANGE: self.script.range_}
-        moving = sleeve if sleeve is not None else steps[name]
+        moving = self.script.step_sleeve(name) or self.engagement.sleeves[name]
         if moving.moves_after(now_us - READ_US):
-            true_m = tuple(moving.position_m(now_us - 1000.0 * back) for back in range(10))
+            true_m = tuple([moving.position_m(now_us - 1000.0 * back) for back in range(10)])
         else:
             true_m = (moving.position_m(now_us),) * 10
         return self.positions.read(name, true_m, now_us)
@@ -179,6 +184,11 @@ class TruckWorld:
     def encoder_read(self, now_us: int) -> EncoderRead:
         """The reference encoder now."""
         return EncoderRead(*self.plant.edges.encoder(now_us, self.plant.layshaft_rad_s))
+
+    def phase_read(self) -> PhaseRead:
+        """Main shaft and phases now."""
+        plant = self.plant
+        return PhaseRead(plant.angle(at.MAIN), plant.main_rad_s, plant.shafts.phases_rad())
 
     def take_records(self) -> list[Engaged]:
         """What has happened between sleeves and gears since the last call."""

@@ -2,7 +2,8 @@
 
     F = m g (c_r cos a s(v / 0.1 m/s) + sin a) + rho/2 c_d A v |v|
 
-s is `saturation.saturated`; v = w_propeller r / i_axle; the mass is felt at the propeller shaft as m (r / i_axle)^2.
+s is `saturation.saturated`; v = w_propeller r / i_axle; the mass is felt at the propeller shaft as
+m (r / i_axle)^2.
 """
 
 from __future__ import annotations
