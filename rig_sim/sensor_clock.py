@@ -15,7 +15,7 @@ import numpy as np
 
 from rig_sim.kernels import Floats
 
-PIECES: Final = 4
+PIECES: Final = 8
 PPM: Final = 1e-6
 
 
