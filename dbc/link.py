@@ -90,6 +90,12 @@ class Transmitter:
             if codec.spec.sender in self._nodes
         }
 
+    def restart(self, node: Node) -> None:
+        """This node has started anew: its counters do as well."""
+        for sender in self._senders.values():
+            if sender.codec.spec.sender == node:
+                sender.counter = COUNTER_MODULUS - 1
+
     def encode(self, message: Message) -> Frame:
         """The frame of a message, protected where the DBC says so.
 

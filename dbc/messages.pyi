@@ -102,6 +102,10 @@ class RigFault(IntEnum):
     BRAKE_FADE = 12
     CLUTCH_STUCK = 13
     ENGINE_DEAF = 14
+    CLOCK_DRIFT = 15
+    CLOCK_STEP = 16
+    NODE_RESTART = 17
+    NODE_STALLED = 18
 
 class BenchAction(IntEnum):
     IDLE = 0
