@@ -72,6 +72,7 @@ class Observer:
         self.view.work_out()
         for sensors in inputs.sensors:
             self.view.clutch_closed = sensors.clutch_position_fraction
+            self.view.supply_pa = sensors.supply_pressure_pa
         self.valves = inputs.valve_status or self.valves
         self._lose_what_broke(events)
         self._main.edges(main)
@@ -114,6 +115,7 @@ class Observer:
                 tracker.model = layshaft_model(self._sheet, self._split)
         clutch_open = (view.clutch_closed or 0.0) < CLUTCH_OPEN_SHARE
         free = clutch_open and view.main_box_free and view.split is not None
+        free = free and view.range_ is not None
         newest = self._layshaft_wheel.newest
         if newest is not None:
             for tracker in self.trackers:

@@ -140,6 +140,7 @@ def _phases(world: RigWorld, clock_us: int) -> ReferencePhase:
         phase_first_rad=truth.phase_rad(MainGear.FIRST),
         phase_second_rad=truth.phase_rad(MainGear.SECOND),
         phase_third_rad=truth.phase_rad(MainGear.THIRD),
+        road_speed_m_s=truth.road_speed_m_s,
     )
 
 
