@@ -18,7 +18,7 @@ STALE_US: Final = 25_000
 the bus, the tick and the clock's lag that is known within 50 ms."""
 TEETH_LATE: Final = 3
 UNEVEN: Final = 1.7
-"""Intervals that differ by more than this factor hold a tooth too many or too few."""
+"""Neighbouring intervals that differ by more than this factor hold a tooth too many or too few."""
 WRAP: Final = 1 << 32
 HALF: Final = 1 << 31
 LOW: Final = 0xFFFF
@@ -64,17 +64,18 @@ class EdgeSpeed:
         self._speed = self._measure(newest_us, low[: frame.valid_stamps])
 
     def _measure(self, newest_us: int, low: tuple[int, ...]) -> Speed | None:
-        span_us = teeth = longest_us = 0
-        shortest_us, after = LOW, low[0]
+        span_us = teeth = last_us = 0
+        after = low[0]
         for before in low[1:]:
             interval_us = (after - before) & LOW
-            after = before
+            if teeth and not last_us < UNEVEN * interval_us < UNEVEN * UNEVEN * last_us:
+                return None
+            after, last_us = before, interval_us
             span_us += interval_us
             teeth += 1
-            longest_us, shortest_us = max(longest_us, interval_us), min(shortest_us, interval_us)
             if span_us >= SPAN_US:
                 break
-        if shortest_us == 0 or longest_us > UNEVEN * shortest_us:
+        if span_us == 0:
             return None
         self._interval_us = span_us // teeth
         omega = teeth * self._pitch_rad / (span_us * 1e-6)

@@ -111,6 +111,8 @@ class GuardState:
     spans: Spans = NO_SPANS
     """What was passed last."""
     latched_by: int = 0
+    pulls: frozenset[int] = frozenset()
+    """Main valves driven to pull a gear out, until they are off."""
     proofs: int = 0
     """Steps in a row in which everything was valid; the self-test is passed at PROOF_STEPS."""
     brake_off_us: int = -FOREVER_US
@@ -129,13 +131,24 @@ class Case(NamedTuple):
     limits: GuardLimits
 
     def engaging(self) -> list[tuple[int, Span]]:
-        """Main valves that push toward their gear and have not entered it."""
+        """Main valves that push toward their gear and have not entered it. One that has pulled the
+        other gear out pushes no further than neutral."""
         found = []
         for valve in MAIN_VALVES:
             span = self.spans[valve]
-            if span is not None and -NEUTRAL_M <= self.way_m(valve) <= self.limits.contact_m:
+            low_m = NEUTRAL_M if valve in self.state.pulls else -NEUTRAL_M
+            if span is not None and low_m <= self.way_m(valve) <= self.limits.contact_m:
                 found.append((valve, span))
         return found
+
+    def pulling(self) -> frozenset[int]:
+        """Main valves that are driven to pull a gear out, and have been since it was in mesh."""
+        return frozenset(
+            valve
+            for valve in MAIN_VALVES
+            if self.spans[valve] is not None
+            and (valve in self.state.pulls or self.way_m(valve) < -NEUTRAL_M)
+        )
 
     def way_m(self, valve: int) -> float:
         """How far a main sleeve is toward the gear of this valve."""
@@ -383,7 +396,7 @@ class Guard:
         if self.blocked_row is not None:
             self.blocks += 1
             wished = NO_SPANS
-        self._remember(wished, seen.now_us)
+        self._remember(wished, seen)
         return self.blocked_row is None
 
     def _judge(self, case: Case) -> int | None:
@@ -407,8 +420,9 @@ class Guard:
             state.brake_j += torque * layshaft.omega_rad_s * (seen.now_us - state.judged_us) * 1e-6
         state.judged_us = seen.now_us
 
-    def _remember(self, wished: Spans, now_us: int) -> None:
-        state = self._state
+    def _remember(self, wished: Spans, seen: Seen) -> None:
+        state, now_us = self._state, seen.now_us
+        state.pulls = Case(wished, seen, state, self._limits).pulling()
         was = state.spans[BRAKE]
         if was is not None and was.start_us <= now_us:
             state.brake_off_us = min(was.end_us, now_us)
