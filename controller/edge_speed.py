@@ -17,6 +17,8 @@ STALE_US: Final = 25_000
 """Without an edge for longer than this, and than three teeth took before, the speed is lost: with
 the bus, the tick and the clock's lag that is known within 50 ms."""
 TEETH_LATE: Final = 3
+HELD_US: Final = 45_000
+"""While a frame holds a tooth too many or too few, the speed before it stands for so long."""
 UNEVEN: Final = 1.7
 """Neighbouring intervals that differ by more than this factor hold a tooth too many or too few."""
 WRAP: Final = 1 << 32
@@ -44,6 +46,7 @@ class EdgeSpeed:
     def __init__(self, teeth: int) -> None:
         self._pitch_rad = 2.0 * math.pi / teeth
         self._speed: Speed | None = None
+        self._measured_us = 0
         self._interval_us = 0
         self._index = 0
         self.turned: Turned | None = None
@@ -61,7 +64,9 @@ class EdgeSpeed:
         new = (frame.newest_index - self._index) & LOW
         self._index = frame.newest_index
         self.turned = Turned(newest_us, before + new)
-        self._speed = self._measure(newest_us, low[: frame.valid_stamps])
+        measured = self._measure(newest_us, low[: frame.valid_stamps])
+        if measured is not None:
+            self._speed, self._measured_us = measured, newest_us
 
     def _measure(self, newest_us: int, low: tuple[int, ...]) -> Speed | None:
         span_us = teeth = last_us = 0
@@ -86,4 +91,6 @@ class EdgeSpeed:
         if self._speed is None or self.turned is None:
             return None
         limit_us = max(STALE_US, TEETH_LATE * self._interval_us)
-        return self._speed if now_us - self.turned.time_us <= limit_us else None
+        is_turning = now_us - self.turned.time_us <= limit_us
+        is_measured = now_us - self._measured_us <= max(HELD_US, limit_us)
+        return self._speed if is_turning and is_measured else None
