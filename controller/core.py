@@ -23,6 +23,7 @@ from controller.header import RunHeader
 from controller.inputs import StepInputs
 from controller.moment import Moment
 from controller.observer import Observer
+from controller.probe import ClockProbe
 from controller.report import Reporter
 from controller.sequence import ShiftSequence
 from controller.settings import ValveTiming
@@ -52,6 +53,8 @@ FOREIGN: Final = Verdict.FOREIGN
 _identifier = itemgetter(0)
 FRESH_US: Final = 45_000
 """A sample older than this is lost, even where frames with live counters go on repeating it."""
+QUIET_US: Final = 8_000
+"""A step's last frames may wait for so long behind the sensors' before they are on the bus."""
 SPEEDS: Final = (EdgesLayshaftRise, EdgesMainRise)
 POSITIONS: Final = (SleevesMain, SleevesAux, GearboxSensors)
 """Channels without which nothing may be shifted; and the valve side's own status."""
@@ -77,7 +80,10 @@ class ControllerCore:
         self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
         brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
         self._observer = Observer(sheet, settings, brake, (settings.estimator,))
-        self._board = ValveBoard(ValveTiming(settings.valve_timing))
+        timing = ValveTiming(settings.valve_timing)
+        self._board = ValveBoard(timing)
+        self._probe = ClockProbe(timing is ValveTiming.IMMEDIATE)
+        self._ahead_us = settings.timing.wire_us if timing is ValveTiming.IMMEDIATE else 0
         self._sequence = ShiftSequence(
             sheet, settings, self._board, brake, self._observer.references
         )
@@ -92,6 +98,7 @@ class ControllerCore:
 
     def receive(self, frame: Frame) -> None:
         """Keeps a frame for the next step."""
+        self._probe.receive(frame)
         if len(self._inbox) < INBOX_LIMIT:
             self._inbox.append(frame)
         else:
@@ -100,15 +107,18 @@ class ControllerCore:
     @property
     def next_step_us(self) -> int:
         """The next tick, or an activation for hardware that cannot schedule; 0 before the first."""
-        if self._due_us is None:
+        if self._due_us is None or self._probe.is_due:
             return 0
         return self._due_us if self._wake_us is None else min(self._due_us, self._wake_us)
 
     def step(self, now_us: int) -> Step:
         """The whole decision at `now_us` of the controller's clock."""
-        lateness_us = max(0, now_us - self.next_step_us) if self._due_us is not None else 0
+        lateness_us = self._lateness_us(now_us)
         events: list[str] = []
         inputs, consumed = self._consume(now_us, events)
+        read_us = self._probe.stamp(inputs, now_us)
+        if read_us is not None:
+            self._observer.clock.stamp(read_us, now_us)
         self._observer.take(inputs, now_us, events)
         self._speeds.take(inputs, self._observer.clock.now_us(now_us))
         moment = self._moment(now_us)
@@ -131,6 +141,12 @@ class ControllerCore:
         commands = (ValveCommand(), ClutchCommand())
         frames = [self._transmitter.encode(command) for command in commands]
         return Step(frames, [f"valves off at {now_us} us"])
+
+    def _lateness_us(self, now_us: int) -> int:
+        """How long after its tick or its moment the step comes; a probe has none."""
+        if self._due_us is None or self._probe.is_due:
+            return 0
+        return max(0, now_us - self.next_step_us)
 
     def _consume(self, now_us: int, events: list[str]) -> tuple[StepInputs, Consumed]:
         """Decodes the inbox in order of identifier."""
@@ -204,7 +220,7 @@ class ControllerCore:
     def _commands(self, inputs: StepInputs, moment: Moment, events: list[str]) -> list[Frame]:
         """Valve, clutch and engine commands; the valve frame goes out only past the guard."""
         guard, sequence = self._guard, self._sequence
-        frame = self._transmitter.encode(self._board.message(moment.now_us))
+        frame = self._transmitter.encode(self._board.message(moment.now_us + self._ahead_us))
         seen = self._guard_view.take(inputs, self._receiver, moment.now_us)
         if not guard.passes(frame.data, seen):
             events.append(f"guard blocked a valve command: row {guard.blocked_row}")
@@ -229,6 +245,11 @@ class ControllerCore:
         due_us = self._due_us if self._due_us is not None else now_us
         while due_us <= now_us:
             due_us += tick_us
+        sent_us = sensor_us + self._ahead_us
+        switch_us = self._board.next_switch_us(sent_us)
+        self._wake_us = None if switch_us is None else now_us + max(0, switch_us - sent_us)
+        if self._wake_us is not None and due_us < self._wake_us < due_us + QUIET_US:
+            # The tick's own frames would still stand before the command: leave this one out.
+            due_us += tick_us
         self._due_us = due_us
-        switch_us = self._board.next_switch_us(sensor_us)
-        self._wake_us = None if switch_us is None else now_us + max(0, switch_us - sensor_us)
+        self._probe.plan(now_us, self._wake_us)

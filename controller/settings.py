@@ -39,6 +39,10 @@ class Timing:
     """How far ahead of the controller's notion of sensor time an activation is placed at least:
     bus time, one tick of consuming, and the node's own lateness must fit into it."""
 
+    wire_us: int = count("wire_us", 0, 5000, default=900)
+    """Hardware that cannot schedule: the least time from a read to its frame's arrival and from a
+    command to its valve, which the switch is sent ahead by."""
+
     @property
     def tick_us(self) -> int:
         """Time between two steps."""

@@ -146,6 +146,7 @@ class BenchCore:
         """Goes on with the plan; sends what it asks for."""
         if self._since_us is None:
             self._since_us = now_us
+        self._receiver.tick(now_us)
         events = self._go_on(now_us)
         frames = self._frames(now_us)
         self._ticks += 1
