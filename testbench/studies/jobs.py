@@ -150,6 +150,8 @@ class _Collector:
             measured = span_us(outcome.measured_contact_time_us, outcome.fire_time_us) / 1000.0
         self.delays.append(measured)
         if tracing:
+            # an encoder frame holds its samples newest first
+            self._trace.samples.sort(key=lambda sample: sample.time_us)
             self._trace.switches = self._score.brake.arrays()
             self.traces.append(self._trace)
         self._trace = ShiftTrace()

@@ -11,8 +11,9 @@ import numpy as np
 
 from controller.kernels import Vector
 from gearbox import GearboxSheet
-from gearbox.tables import count, text
+from gearbox.tables import TableError, count, group, quantity, text
 from testbench.errors import CommandError
+from testbench.rows import RPM
 
 DIGITS: Final = 9
 """Significant digits of figures: less than the last bits, in which processors may differ."""
@@ -123,11 +124,27 @@ class Job(Protocol):
 
 
 @dataclass(frozen=True)
+class Braking:
+    """The upshift of sections 6.3 and 6.4: the layshaft is free from 0 on and turns at a speed,
+    brake on, brake off, and some time after."""
+
+    layshaft_rad_s: float = quantity("layshaft_rpm", 100.0, 5000.0, RPM)
+    on_ms: int = count("brake_on_ms", 0, 5000)
+    off_ms: int = count("brake_off_ms", 1, 5000)
+    until_ms: int = count("until_ms", 10, 10000)
+
+    def __post_init__(self) -> None:
+        if not self.on_ms < self.off_ms < self.until_ms:
+            raise TableError("brake_on_ms, brake_off_ms and until_ms must rise")
+
+
+@dataclass(frozen=True)
 class Common:
     """What all studies share."""
 
     seed: int = count("seed", 0, 2**31 - 1)
     gearbox: str = text("gearbox")
+    shift: Braking = group(Braking)
 
 
 S = TypeVar("S")

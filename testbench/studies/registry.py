@@ -16,7 +16,18 @@ from typing import Any, Final
 from testbench.errors import CommandError
 from testbench.studies.record import Study
 
-NAMES: Final = ("valve", "torque", "layshaft")
+NAMES: Final = (
+    "valve",
+    "torque",
+    "layshaft",
+    "linear",
+    "euler",
+    "hold",
+    "parameters",
+    "start_angle",
+    "start_speed",
+    "delay_error",
+)
 """In the order of the thesis, then what goes beyond it."""
 ALL: Final = "all"
 

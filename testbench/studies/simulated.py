@@ -16,24 +16,14 @@ from controller.kernels import US, Vector
 from controller.predictor import LayshaftState
 from gearbox import GearboxSheet, MainGear, Range, Split
 from gearbox.gears import MAIN_GEARS
-from gearbox.tables import count, quantity
 from rig_sim.plant import ThesisPlant
 from rig_sim.shafts import Shafts, StartAngles
+from testbench.studies.record import Braking
 
 RPM: Final = math.pi / 30.0
 DEG: Final = math.pi / 180.0
 TURN: Final = 2.0 * math.pi
 MS_US: Final = 1000.0
-
-
-@dataclass(frozen=True)
-class Braking:
-    """An upshift: the layshaft is free from 0 on, brake on, brake off, and some time after."""
-
-    layshaft_rad_s: float = quantity("layshaft_rpm", 100.0, 5000.0, RPM)
-    on_ms: int = count("brake_on_ms", 0, 5000)
-    off_ms: int = count("brake_off_ms", 1, 5000)
-    until_ms: int = count("until_ms", 10, 10000)
 
 
 @dataclass(frozen=True)
@@ -57,6 +47,10 @@ class SimulatedShift:
             float(self.omega_rad_s[index]),
             float(self.pressure_pa[index]),
         )
+
+    def at(self, time_ms: float) -> LayshaftState:
+        """The sample next to a time."""
+        return self.state(int(np.argmin(np.abs(self.time_us - time_ms * MS_US))))
 
     @property
     def time_ms(self) -> Vector:

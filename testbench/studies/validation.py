@@ -6,6 +6,7 @@ the main box comes free, and its own commands to the brake valve.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -17,11 +18,15 @@ from controller.settings import ControllerSettings
 from gearbox import GearboxSheet, Split
 from gearbox.tables import count, quantity
 from rig_sim.settings import Preset
+from testbench.errors import CommandError
 from testbench.studies.jobs import ClosedLoop, LoopResult, ShiftTrace
 from testbench.studies.record import Given
 
 RPM: Final = np.pi / 30.0
 BAR: Final = 1e5
+RISE_SHARE: Final = 1.0 - math.exp(-1.0)
+REACTION_SHARE: Final = 0.02
+"""A pressure that has risen by this share of the supply has begun to react."""
 SPLIT: Final = Split.HIGH
 """The splitter in the shifts 8 to 10 and 10 to 12."""
 
@@ -85,6 +90,29 @@ def pressures(sheet: GearboxSheet, trace: ShiftTrace) -> Compared:
     x = _model(sheet, trace, first.omega_rad_s, start)
     model = x[1:, 2] + sheet.air.atmosphere_pa
     return Compared((times - first.time_us) / 1e3, measured / BAR, model / BAR)
+
+
+def time_constant_s(sheet: GearboxSheet, measured: Compared) -> float:
+    """tau_valve as the thesis finds it (4.2.1): from the first reaction of the pressure to 63 % of
+    its final value, the supply's; interpolated between the sensor's reads."""
+    gauge = measured.measured - sheet.air.atmosphere_pa / BAR
+    final = sheet.air.supply_gauge_pa / BAR
+    at_63 = int(np.argmax(gauge >= RISE_SHARE * final))
+    first = int(np.argmax(gauge >= REACTION_SHARE * final))
+    if not 0 < first <= at_63:
+        raise CommandError("the brake's pressure does not rise to 63 %: tau cannot be told")
+    return (
+        _crossing(measured.time_ms, gauge, at_63, RISE_SHARE * final)
+        - _crossing(measured.time_ms, gauge, first, 0.0)
+    ) * 1e-3
+
+
+def _crossing(time_ms: Vector, gauge: Vector, index: int, level: float) -> float:
+    """When the pressure passed a level on its way to sample `index`; linear between samples, and
+    for the first reaction back along the rise that follows."""
+    before = index if level == 0.0 else index - 1
+    slope = (gauge[before + 1] - gauge[before]) / (time_ms[before + 1] - time_ms[before])
+    return float(time_ms[before] + (level - gauge[before]) / slope)
 
 
 def _model(sheet: GearboxSheet, trace: ShiftTrace, omega_rad_s: float, times: Vector) -> Vector:
