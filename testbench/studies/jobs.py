@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
@@ -34,6 +33,26 @@ class Delay(NamedTuple):
     gear: int
     measured_ms: float
     true_ms: float
+    on_tooth: bool
+
+
+@dataclass
+class Squares:
+    """Sums of squared errors of one estimator over one shift, for 5.10."""
+
+    samples: int = 0
+    angle_rad2: float = 0.0
+    speed_rad2_s2: float = 0.0
+
+    def add(self, sample: Sample) -> None:
+        """One encoder instant."""
+        self.samples += 1
+        self.angle_rad2 += sample.theta_error_rad**2
+        self.speed_rad2_s2 += sample.omega_error_rad_s**2
+
+
+Scores = dict[str, Squares]
+"""One shift's sums by estimator."""
 
 
 @dataclass
@@ -61,6 +80,8 @@ class LoopResult:
     """RMS by 5.10 over the whole run, by estimator."""
     delays: list[Delay]
     traces: list[ShiftTrace]
+    scores: list[Scores]
+    """One a shift, where the job asked for them."""
 
     @property
     def known(self) -> list[ShiftRow]:
@@ -70,7 +91,8 @@ class LoopResult:
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A job: controller, rig and bench for some shifts; traces of the first `keep`."""
+    """A job: controller, rig and bench for some shifts; traces of the first `keep`, and every
+    shift's scores where `scored`."""
 
     sheet: GearboxSheet
     settings: ControllerSettings
@@ -80,6 +102,7 @@ class ClosedLoop:
     pairs: tuple[tuple[int, int], ...] = DEFAULT_PAIRS
     as_built: AsBuilt = ()
     keep: int = 0
+    scored: bool = False
 
     def run(self) -> LoopResult:
         """Simulates it."""
@@ -92,14 +115,16 @@ class ClosedLoop:
             pairs=self.pairs,
             as_built=dict(self.as_built),
         )
-        collector = _Collector(self.sheet, self.settings, self.keep)
+        collector = _Collector(self)
         result = simulate(setup, lambda _time_us, frame: collector.take(frame))
         delays = [
-            Delay(row.to, measured, row.delay_ms)
+            Delay(row.to, measured, row.delay_ms, row.contact == "tooth")
             for row, measured in zip(result.rows, collector.delays, strict=True)
             if measured is not None and row.delay_ms is not None
         ]
-        return LoopResult(result.rows, result.estimation, delays, collector.traces)
+        return LoopResult(
+            result.rows, result.estimation, delays, collector.traces, collector.scores
+        )
 
 
 def linear_with_teeth() -> AsBuilt:
@@ -112,20 +137,22 @@ def linear_with_teeth() -> AsBuilt:
 class _Collector:
     """Reads delays off the outcomes and, for the first shifts, everything that traces need."""
 
-    def __init__(self, sheet: GearboxSheet, settings: ControllerSettings, keep: int) -> None:
+    def __init__(self, job: ClosedLoop) -> None:
         self._receiver = Receiver(*Node)
-        self._keep = keep
-        self._score = EstimationScore(sheet, settings, self._sample)
+        self._job = job
+        self._score = EstimationScore(job.sheet, job.settings, self._sample)
         self._all = identifiers(READ)
         self._trace = ShiftTrace()
+        self._squares: Scores = {}
         self._latest_us = 0
+        self.scores: list[Scores] = []
         self.delays: list[float | None] = []
         """One a shift; None where the sensor saw no contact, or not at the first attempt."""
         self.traces: list[ShiftTrace] = []
 
     def take(self, frame: Frame) -> None:
         """One frame in bus order."""
-        tracing = len(self.traces) < self._keep
+        tracing = self._job.scored or self._keeps
         if frame.can_id != OUTCOME_ID and not (tracing and frame.can_id in self._all):
             return
         message = self._receiver.receive(frame).message
@@ -139,27 +166,27 @@ class _Collector:
             self._trace.pressure_us.append(self._latest_us)
             self._trace.pressure_pa.append(message.brake_pressure_pa)
         elif isinstance(message, ShiftOutcome) and message.result is not ShiftResult.REFUSED:
-            self._end(message, tracing)
+            self._end(message)
+
+    @property
+    def _keeps(self) -> bool:
+        return len(self.traces) < self._job.keep
 
     def _sample(self, sample: Sample) -> None:
-        self._trace.samples.append(sample)
+        self._squares.setdefault(sample.estimator, Squares()).add(sample)
+        if self._keeps:
+            self._trace.samples.append(sample)
 
-    def _end(self, outcome: ShiftOutcome, tracing: bool) -> None:
+    def _end(self, outcome: ShiftOutcome) -> None:
         measured = None
         if outcome.attempts == 1 and outcome.measured_contact_time_us:
             measured = span_us(outcome.measured_contact_time_us, outcome.fire_time_us) / 1000.0
         self.delays.append(measured)
-        if tracing:
+        self.scores.append(self._squares)
+        self._squares = {}
+        if self._keeps:
             # an encoder frame holds its samples newest first
             self._trace.samples.sort(key=lambda sample: sample.time_us)
             self._trace.switches = self._score.brake.arrays()
             self.traces.append(self._trace)
         self._trace = ShiftTrace()
-
-
-def mean_and_spread(values: list[float]) -> tuple[float, float]:
-    """Mean and standard deviation; both 0 for nothing."""
-    if not values:
-        return 0.0, 0.0
-    mean = sum(values) / len(values)
-    return mean, math.sqrt(sum((value - mean) ** 2 for value in values) / len(values))

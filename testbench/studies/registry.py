@@ -20,6 +20,7 @@ NAMES: Final = (
     "valve",
     "torque",
     "layshaft",
+    "delay",
     "linear",
     "euler",
     "hold",
@@ -27,6 +28,8 @@ NAMES: Final = (
     "start_angle",
     "start_speed",
     "delay_error",
+    "speed_estimate",
+    "angle_estimate",
 )
 """In the order of the thesis, then what goes beyond it."""
 ALL: Final = "all"
