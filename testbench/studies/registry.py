@@ -30,6 +30,7 @@ NAMES: Final = (
     "delay_error",
     "speed_estimate",
     "angle_estimate",
+    "step",
 )
 """In the order of the thesis, then what goes beyond it."""
 ALL: Final = "all"
