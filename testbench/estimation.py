@@ -187,7 +187,7 @@ class EstimationScore:
     @property
     def brake(self) -> BrakeInput:
         """The brake valve's switches as commanded."""
-        return self._brake
+        return self._learning.brake
 
     def figures(self) -> dict[str, Any]:
         """Figures by estimator."""
