@@ -40,6 +40,12 @@ class BrakeInput:
             self._switches = kept[-KEPT:]
             self._arrays = None
 
+    def seen_through(self, valve_delay_us: int) -> BrakeInput:
+        """The same switches with another delay of the valve."""
+        other = BrakeInput(valve_delay_us)
+        other._switches = list(self._switches)
+        return other
+
     def cancel_pending(self, now_us: int) -> None:
         """Nothing is planned any more."""
         kept = [switch for switch in self._switches if switch.time_us <= now_us]

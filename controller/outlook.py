@@ -37,33 +37,37 @@ class Outlook:
     brake: BrakeInput
     model: Vector
     references: PhaseReferences
+    delay_us: int
+    """From a sleeve valve's activation to contact, expected."""
+    delay_sd_s: float
 
     def slip_rad_s(self, time_us: float, release_us: int | None = None) -> float:
         """Slip at a time with the brake as commanded, or released at `release_us`."""
-        return self._slip(self._layshaft_at(time_us, release_us))
+        return self._slip(self.layshaft_at(time_us, release_us))
 
     def _slip(self, state: LayshaftState) -> float:
         return slip_rad_s(self.i_gear, state.omega_rad_s, self.main.omega_rad_s)
 
     def phase_and_slip(self, time_us: float) -> tuple[float, float]:
         """Unwrapped phase and slip at a time. KeyError while the reference is unknown."""
-        state = self._layshaft_at(time_us, None)
+        state = self.layshaft_at(time_us, None)
         theta_main = self.main.theta_at(time_us)
         phase = self.references.phase_rad(self.gear, state.theta_rad, theta_main)
         return phase, self._slip(state)
 
-    def _layshaft_at(self, time_us: float, release_us: int | None) -> LayshaftState:
+    def layshaft_at(self, time_us: float, release_us: float | None) -> LayshaftState:
+        """The layshaft at a time with the brake as commanded, or released at `release_us`."""
         brake = self.brake
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
         return predict_hold(self.layshaft, time_us, switches, self.model)
 
-    def phase_sd_rad(self, time_us: float, delay_sd_s: float) -> float:
+    def phase_sd_rad(self, time_us: float) -> float:
         """Standard deviation of the phase at contact: angles, speeds to then, and delay."""
         horizon_s = (time_us - self.layshaft.time_us) * US
         layshaft = math.hypot(self.layshaft.theta_sd_rad, self.layshaft.omega_sd_rad_s * horizon_s)
         main = math.hypot(self.main.theta_sd_rad, self.main.omega_sd_rad_s * horizon_s)
         slip = self.slip_rad_s(time_us)
-        return math.hypot(self.i_gear * layshaft, main, slip * delay_sd_s)
+        return math.hypot(self.i_gear * layshaft, main, slip * self.delay_sd_s)
 
     def release_time_us(
         self, earliest_us: int, latest_us: int, slip_left_rad_s: float, settle_us: float
@@ -97,7 +101,7 @@ class Outlook:
         phase at that moment falls the later the release comes, a pitch in a few milliseconds. So
         the release nearest to `release_us`, not before `earliest_us`, is found by secant steps.
         None where no such release is found. KeyError while the reference is unknown."""
-        first = self._contact(release_us, slip_rad_s)
+        first = self.contact(release_us, slip_rad_s)
         if first is None:
             return None
         wanted = target_rad + pitch * round((first[1] - target_rad) / pitch)
@@ -112,7 +116,7 @@ class Outlook:
         self, release_us: int, slip_rad_s: float, wanted_rad: float, phase_rad: float
     ) -> tuple[int, int] | None:
         time_us, error = float(release_us), phase_rad - wanted_rad
-        probe = self._contact(time_us + PROBE_US, slip_rad_s)
+        probe = self.contact(time_us + PROBE_US, slip_rad_s)
         if probe is None:
             return None
         slope = (probe[1] - phase_rad) / PROBE_US
@@ -120,7 +124,7 @@ class Outlook:
             if slope >= 0.0:
                 return None
             step_us = -error / slope
-            found = self._contact(time_us + step_us, slip_rad_s)
+            found = self.contact(time_us + step_us, slip_rad_s)
             if found is None:
                 return None
             slope = (found[1] - wanted_rad - error) / step_us if abs(step_us) > 1.0 else slope
@@ -129,7 +133,7 @@ class Outlook:
                 return round(time_us), round(found[0])
         return None
 
-    def _contact(self, release_us: float, slip_rad_s: float) -> tuple[float, float] | None:
+    def contact(self, release_us: float, slip_rad_s: float) -> tuple[float, float] | None:
         """Time and unwrapped phase at which the slip has fallen to a value after a release."""
         state = self.layshaft
         switch_us, switch_u = self.brake.with_release(release_us)

@@ -67,6 +67,10 @@ class Moment:
     """The valve side reports the brake valve driven or about to be."""
 
 
+OutlookSource = Callable[[Outlook], Outlook]
+"""Makes another outlook of the one from the estimates; every reference then counts as known."""
+
+
 class ShiftSequence:
     """Decides; the valve board, the clutch action and the record are what it decides."""
 
@@ -93,6 +97,7 @@ class ShiftSequence:
         self.decision: Plan | None = None
         """This step's decision, for the prediction frame."""
         self.fault = FaultCode.NONE
+        self.outlook_source: OutlookSource | None = None
         self._free_outlook: Outlook | None = None
         """The last one before the sleeve entered its gear."""
         self._free_us = 0
@@ -108,6 +113,11 @@ class ShiftSequence:
             State.RETRACTING: self._retract,
             State.CLUTCH_CLOSING: self._close_clutch,
         }
+
+    def change_settings(self, settings: ControllerSettings) -> None:
+        """Other settings from the next decision on."""
+        self._settings = settings
+        self._strategist = Strategist(self._sheet, settings)
 
     def step(self, moment: Moment) -> None:
         """One decision. Goes on through states that have nothing to wait for."""
@@ -194,7 +204,7 @@ class ShiftSequence:
         """Predictions for a gear; None while a speed is missing."""
         if moment.main is None or not moment.layshaft.free:
             return None
-        return Outlook(
+        outlook = Outlook(
             gear,
             self._sheet.main_mesh(gear).ratio,
             moment.layshaft.latest(),
@@ -202,7 +212,13 @@ class ShiftSequence:
             self._brake,
             moment.layshaft.model,
             self._references,
+            round(self._sheet.sleeve.delay_s * 1e6),
+            self._sheet.sleeve.delay_sd_s,
         )
+        return outlook if self.outlook_source is None else self.outlook_source(outlook)
+
+    def _reference_known(self, gear: MainGear) -> bool:
+        return self.outlook_source is not None or self._references.known(gear)
 
     # -- states ------------------------------------------------------------------------------
 
@@ -312,13 +328,13 @@ class ShiftSequence:
         return None
 
     def _aims_at(self, gear: MainGear) -> bool:
-        return self._settings.strategy is Strategy.TARGET_PHASE and self._references.known(gear)
+        return self._settings.strategy is Strategy.TARGET_PHASE and self._reference_known(gear)
 
     def _plan_firing(self, outlook: Outlook, moment: Moment) -> None:
         shift = self._running
         valve = SLEEVE_VALVE[shift.target.main]
         if shift.attempts == 0:
-            shift.reference_known = self._references.known(shift.target.main)
+            shift.reference_known = self._reference_known(shift.target.main)
         aimed = self._aims_at(shift.target.main)
         shift.strategy = Strategy.TARGET_PHASE if aimed else Strategy.SPEED_WINDOW
         plan = None
