@@ -92,7 +92,7 @@ class Polarity:
             self.numbers = np.resize(self.numbers, 2 * self.numbers.size)
             self.times_us = np.resize(self.times_us, 2 * self.times_us.size)
         # A tuple gets into an array fastest through the bytes that the array stands on.
-        _PACK_STAMPS(self._low, 0, *frame.timestamp_low_us)
+        _PACK_STAMPS(self._low.data, 0, *frame.timestamp_low_us)
         count = chain_edges(
             self._low,
             frame.newest_index,

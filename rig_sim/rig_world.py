@@ -95,8 +95,10 @@ class Truth(Protocol):
     def brake_valve_delay_s(self) -> float:
         """From the brake valve's activation to the first change of pressure."""
 
-    def plant_copy(self) -> TruckPlant | None:
-        """What turns and carries air, to be run ahead; None for the thesis's closed form."""
+    @property
+    def plant(self) -> TruckPlant | None:
+        """What turns and carries air, to be copied and run ahead; None for the thesis's closed
+        form."""
 
     def sleeve_state(self, sleeve: Sleeve) -> SleeveState:
         """State of one of the two main sleeves. KeyError for splitter and range."""

@@ -84,8 +84,10 @@ class ThesisTruth:
         """From the brake valve's activation to the first change of pressure."""
         return self._world.sheet.brake.valve_delay_s
 
-    def plant_copy(self) -> None:
-        """The controller's own model is this gearbox's: nothing to run ahead."""
+    @property
+    def plant(self) -> None:
+        """The controller's own model is this gearbox's: there is nothing to run ahead."""
+        return None
 
     def sleeve_state(self, sleeve: Sleeve) -> SleeveState:
         """State of one of the two main sleeves. KeyError for splitter and range."""

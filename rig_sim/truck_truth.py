@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -92,9 +91,10 @@ class TruckTruth:
         """From the brake valve's activation to the first change of pressure."""
         return self._world.sheet.brake.valve_delay_s
 
-    def plant_copy(self) -> TruckPlant:
-        """What turns and carries air, to be run ahead on its own."""
-        return copy.deepcopy(self._world.plant)
+    @property
+    def plant(self) -> TruckPlant:
+        """What turns and carries air; not to be touched, but to be copied."""
+        return self._world.plant
 
     def sleeve_state(self, sleeve: Sleeve) -> SleeveState:
         """State of one of the two main sleeves. KeyError for splitter and range."""

@@ -29,7 +29,7 @@ SPREAD: Final[Mapping[str, tuple[float, float]]] = {
 NOISE_SD: Final = "sleeve.noise_sd_ms"
 
 
-def upshifts(sheet: GearboxSheet) -> tuple[tuple[int, int], ...]:
+def upshifts() -> tuple[tuple[int, int], ...]:
     """Every upshift of the main box alone by one main gear, as (from, to)."""
     found = []
     for from_, before in DRIVE_GEARS.items():

@@ -7,6 +7,7 @@ the preset truck predictions come from a copy of the rig's plant that is run ahe
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass, replace
 
@@ -19,6 +20,7 @@ from gearbox import GearboxSheet, MainGear
 from rig_sim.rig_world import Truth
 from rig_sim.sensors import Shaft
 from rig_sim.shafts import Angle
+from rig_sim.truck_plant import TruckPlant
 from testbench.campaign.forecast import Forecast
 
 TURN_RAD = 2.0 * math.pi
@@ -75,6 +77,8 @@ class Oracle:
         self._sheet = sheet
         self._truth = truth
         self._forecast: Forecast | None = None
+        self._ahead: TruckPlant | None = None
+        """A copy of the plant that is run ahead."""
 
     def __call__(self, outlook: Outlook) -> Outlook:
         """The outlook with the truth of this instant in place of the estimates."""
@@ -107,11 +111,13 @@ class Oracle:
         gear, switches = known.gear, known.brake.arrays()
         if forecast is not None and forecast.holds(gear, *switches, time_us, truth.phase_rad(gear)):
             return
-        plant = truth.plant_copy()
-        pitch_rad = self._sheet.dog.pitch_rad
-        self._forecast = (
-            None if plant is None else Forecast(plant, gear, pitch_rad, truth.clock_start_us)
-        )
+        live = truth.plant
+        if live is None:
+            return
+        if self._ahead is None:
+            self._ahead = copy.deepcopy(live)
+        pitch_rad, start_us = self._sheet.dog.pitch_rad, truth.clock_start_us
+        self._forecast = Forecast(self._ahead, live.snapshot(), gear, pitch_rad, start_us)
 
 
 def _angle_rad(angle: Angle) -> float:
