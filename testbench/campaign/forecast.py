@@ -26,7 +26,7 @@ NODE_SAMPLES: Final = 20
 BRANCH_SAMPLES: Final = 75
 TRUNK_SAMPLES: Final = 500
 SAMPLE_S: Final = SAMPLE_US * 1e-6
-SAME_RAD: Final = 2e-5
+SAME_RAD: Final = 2e-4
 """A forecast that the truth follows this closely still holds."""
 
 
