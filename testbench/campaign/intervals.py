@@ -28,16 +28,17 @@ def rate_interval(hits: NDArray[np.bool_], clusters: Integers) -> Interval:
     n = hits.size
     if n == 0:
         return 0.0, 1.0
-    return wilson(
-        float(hits.mean()) * n / design_effect(hits, clusters), n / design_effect(hits, clusters)
-    )
+    effective = n / design_effect(hits, clusters)
+    return wilson(float(hits.mean()) * effective, effective)
 
 
 def design_effect(hits: NDArray[np.bool_], clusters: Integers) -> float:
     """Variance of the rate over what independent shifts would have; never taken below 1."""
     n, rate = hits.size, float(hits.mean())
     count = int(clusters.max()) + 1
-    if count < 2 or rate in (0.0, 1.0):
+    if rate in (0.0, 1.0):
+        return n / count  # nothing is seen of the differences between runs: the worst is taken
+    if count == 1:
         return 1.0
     residual = np.bincount(clusters, hits - rate, minlength=count)
     variance = count / (count - 1) * float(residual @ residual) / n**2

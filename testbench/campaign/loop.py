@@ -14,6 +14,7 @@ from bus.core import Core
 from controller.core import ControllerCore
 from controller.header import new_header
 from controller.settings import ControllerSettings
+from dbc.frame import Frame
 from dbc.layout import CODECS
 from dbc.messages import ControllerStatus, ReferenceEngagement, ShiftOutcome
 from dbc.node import Node
@@ -42,9 +43,16 @@ class ClosedLoop:
     """Controller, rig, bench operator and scorer on one virtual bus."""
 
     def __init__(
-        self, sheet: GearboxSheet, settings: ControllerSettings, preset: Preset, drawn: Draw
+        self,
+        sheet: GearboxSheet,
+        settings: ControllerSettings,
+        preset: Preset,
+        drawn: Draw,
+        log: list[tuple[int, Frame]] | None = None,
     ) -> None:
+        """`log`: every frame of the bus with its time is put in here; a copy has its own."""
         self._sheet = sheet
+        self.log = log
         first = drawn.plan[0]
         self._rig = RigCore(
             sheet,
@@ -65,6 +73,7 @@ class ClosedLoop:
         self._driver = VirtualTime(
             cores,
             [*tick_phases(drawn.seed), NEVER_US],
+            on_frame=None if log is None else self._write,
             rejected=[
                 frozenset(),
                 not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
@@ -92,6 +101,10 @@ class ClosedLoop:
         if not self._driver.run(lambda: bench.index > index, limit_us):
             raise TimeoutError(f"shift {index + 1}: not over after {LIMIT_US_PER_SHIFT / 1e6:g} s")
         return rows[-1] if len(rows) > before else None
+
+    def _write(self, time_us: int, frame: Frame) -> None:
+        if self.log is not None:
+            self.log.append((time_us, frame))
 
     def fork(self) -> ClosedLoop:
         """A copy that goes on as this one would."""
