@@ -67,7 +67,7 @@ class ControllerCore:
         self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
         self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
         brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
-        self._observer = Observer(sheet, settings, brake, (settings.estimator,))
+        self._observer = Observer(sheet, settings, brake, settings.estimator)
         self._board = ValveBoard(ValveTiming(settings.valve_timing))
         self._sequence = ShiftSequence(
             sheet, settings, self._board, brake, self._observer.references
@@ -111,7 +111,7 @@ class ControllerCore:
         inputs, consumed = self._consume(now_us, events)
         self._observer.take(inputs, now_us, events)
         moment = self._moment(now_us)
-        self._observer.learn(moment.now_us, events)
+        self._observer.learn(events)
         self._decide(inputs.requested_gear, moment, events)
         frames = self._commands(moment, events)
         frames += self._reporter.frames(self._transmitter, moment)

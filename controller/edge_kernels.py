@@ -84,26 +84,31 @@ def merge_edges(
     fall_number: Integers,
     fall_us: Integers,
     falls: int,
-    fall_shift: float,
+    fall_shift: int,
+    duty_share: float,
     pitch_rad: float,
     after_us: int,
     edge_us: Floats,
     edge_rad: Floats,
+    tooth: Integers,
+    falling: Integers,
 ) -> int:
-    """Both polarities in order of time, with the angles they stand for; returns how many.
+    """Both polarities in order of time, with teeth and the angles they stand for; how many.
 
-    Rising edge k stands for k pitches, falling edge k for k + `fall_shift`. Edges not later than
+    Rising edge k is that of tooth k and stands for k pitches; falling edge k is that of tooth
+    k + `fall_shift` and stands for `duty_share` of a pitch more. Edges not later than
     `after_us` are left out: a polarity that was late must not turn time back in the filters."""
     i = j = n = 0
     while i < rises or j < falls:
         if j == falls or (i < rises and rise_us[i] <= fall_us[j]):
-            time_us, angle = rise_us[i], rise_number[i] * pitch_rad
+            time_us, number, falls_here = rise_us[i], rise_number[i], 0
             i += 1
         else:
-            time_us, angle = fall_us[j], (fall_number[j] + fall_shift) * pitch_rad
+            time_us, number, falls_here = fall_us[j], fall_number[j] + fall_shift, 1
             j += 1
         if time_us > after_us:
-            edge_us[n], edge_rad[n] = time_us, angle
+            edge_us[n], tooth[n], falling[n] = time_us, number, falls_here
+            edge_rad[n] = (number + falls_here * duty_share) * pitch_rad
             n += 1
     return n
 
@@ -113,4 +118,4 @@ def warm_up() -> None:
     low, chain, room = np.zeros(1, np.int64), np.zeros(3, np.int64), np.zeros(1, np.int64)
     chain_edges(low, 1, 1, False, False, 1, chain, room, room, 0)
     edge = np.zeros(1)
-    merge_edges(room, room, 0, room, room, 0, 0.0, 1.0, 0, edge, edge)
+    merge_edges(room, room, 0, room, room, 0, 0, 0.5, 1.0, 0, edge, edge, room, room)

@@ -56,13 +56,20 @@ class Edge(NamedTuple):
 
 
 class EdgeBatch(NamedTuple):
-    """New edges of one wheel, both polarities, rising in time."""
+    """New edges of one wheel, both polarities, rising in time. Arrays of one length.
+
+    theta_rad is that of a perfect wheel: tooth x pitch, and the duty share of a pitch more for a
+    falling edge."""
 
     time_us: Vector
     theta_rad: Vector
+    tooth: Integers
+    """Running number of the tooth that the edge belongs to, a falling one to the rising before."""
+    falling: Integers
+    """1 for a falling edge, 0 for a rising one."""
 
 
-NO_EDGES: Final = EdgeBatch(np.empty(0), np.empty(0))
+NO_EDGES: Final = EdgeBatch(np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64))
 STAMPS: Final = 27
 _PACK_STAMPS: Final = struct.Struct(f"={STAMPS}q").pack_into
 _ROOM: Final = 4 * STAMPS
@@ -152,7 +159,9 @@ class WheelEdges:
         falls = 0 if self._fall_shift is None else fallen.count
         if risen.count + falls == 0:
             return NO_EDGES
-        edge_us, edge_rad = np.empty(risen.count + falls), np.empty(risen.count + falls)
+        room = risen.count + falls
+        edge_us, edge_rad = np.empty(room), np.empty(room)
+        tooth, falling = np.empty(room, np.int64), np.empty(room, np.int64)
         n = merge_edges(
             risen.numbers,
             risen.times_us,
@@ -160,17 +169,20 @@ class WheelEdges:
             fallen.numbers,
             fallen.times_us,
             falls,
-            (self._fall_shift or 0) + self._duty_share,
+            self._fall_shift or 0,
+            self._duty_share,
             self.pitch_rad,
             self._last_us,
             edge_us,
             edge_rad,
+            tooth,
+            falling,
         )
         if n == 0:
             return NO_EDGES
         self._last_us = int(edge_us[n - 1])
         self.newest = Edge(self._last_us, float(edge_rad[n - 1]))
-        return EdgeBatch(edge_us[:n], edge_rad[:n])
+        return EdgeBatch(edge_us[:n], edge_rad[:n], tooth[:n], falling[:n])
 
     def _take(
         self, polarity: Polarity, frames: list[EdgeFrame], clock: SensorClock, now_us: int

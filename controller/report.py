@@ -7,8 +7,8 @@ from typing import Final
 
 from controller.header import RunHeader
 from controller.kinematics import slip_rad_s, wrap_to_pitch
+from controller.motion import LayshaftState
 from controller.observer import Observer
-from controller.predictor import LayshaftState
 from controller.publish import estimates, etc1, etc2, outcome, prediction
 from controller.sequence import Moment, ShiftSequence
 from dbc.frame import Frame

@@ -20,7 +20,11 @@ STRATEGY_NAMES: Final = {
     "speed_window": Strategy.SPEED_WINDOW,
     "target_phase": Strategy.TARGET_PHASE,
 }
-ESTIMATOR_NAMES: Final = {"window": Estimator.WINDOW, "thesis": Estimator.THESIS}
+ESTIMATOR_NAMES: Final = {
+    "window": Estimator.WINDOW,
+    "thesis": Estimator.THESIS,
+    "crossing": Estimator.CROSSING,
+}
 
 
 class ValveTiming(StrEnum):
@@ -116,11 +120,45 @@ class CruiseFilter:
 
 
 @dataclass(frozen=True)
+class CrossingFilterTuning:
+    """What the crossing-time filter takes its noises to be (facts in docs/estimation.md)."""
+
+    edge_time_s: float = quantity("edge_time_us", 0.1, 200.0, 1e-6, default=10e-6)
+    """Standard deviation of an edge's time."""
+    tooth_error_rad: float = quantity("tooth_error_deg", 1e-4, 5.0, DEG, default=0.2 * DEG)
+    """Of an edge's place on a wheel whose teeth have not been learned."""
+    gate_sd: float = quantity("gate_sd", 2.0, 100.0, default=5.0)
+    """An edge further off than this many standard deviations is not believed."""
+    torque_disturbance_nm: float = quantity("torque_disturbance_nm", 0.0, 200.0, default=1.0)
+    disturbance_s: float = quantity("disturbance_ms", 0.5, 5000.0, 1e-3, default=0.02)
+    """Torques at the layshaft that nobody models, and how long they last."""
+    gain_sd: float = quantity("gain_sd_percent", 0.0, 50.0, 0.01, default=0.1)
+    """Of the brake torque before it has been learned."""
+    gain_walk: float = quantity("gain_walk_percent", 0.0, 50.0, 0.01, default=0.02)
+    """By how much it wanders in a second: friction changes with speed and temperature."""
+    drag_sd_nm: float = quantity("drag_sd_nm", 0.0, 100.0, default=5.0)
+    """Of the steady drag before it has been learned."""
+    drag_walk_nm: float = quantity("drag_walk_nm", 0.0, 100.0, default=1.0)
+    """By how much it wanders in a second."""
+    pressure_sd_pa: float = quantity("pressure_sd_bar", 1e-4, 5.0, 1e5, default=0.01e5)
+    pressure_start_sd_pa: float = quantity("pressure_start_sd_bar", 0.0, 5.0, 1e5, default=0.2e5)
+    pressure_walk_pa: float = quantity("pressure_walk_bar", 0.0, 50.0, 1e5, default=0.5e5)
+    """Of the measured pressure; of it when the model begins to hold; model error in a second."""
+    follow_rad_s2: float = quantity("follow_rad_s2", 0.1, 1e5, default=60.0)
+    follow_s: float = quantity("follow_ms", 0.5, 5000.0, 1e-3, default=0.01)
+    """Accelerations of a layshaft that turns with a gear in mesh, and how long they last."""
+    main_rad_s2: float = quantity("main_rad_s2", 0.01, 1e4, default=2.0)
+    main_s: float = quantity("main_ms", 0.5, 5000.0, 1e-3, default=0.1)
+    main_walk_rad_s2: float = quantity("main_walk_rad_s2", 0.0, 1e4, default=5.0)
+    """The same of the main shaft, and by how much its acceleration wanders in a second."""
+
+
+@dataclass(frozen=True)
 class ControllerSettings:
     """All settings of a controller."""
 
     strategy_name: str = text("strategy", *STRATEGY_NAMES, default="target_phase")
-    estimator_name: str = text("estimator", *ESTIMATOR_NAMES, default="thesis")
+    estimator_name: str = text("estimator", *ESTIMATOR_NAMES, default="crossing")
     valve_timing: str = text("valve_timing", *ValveTiming, default="scheduled")
     timing: Timing = group(Timing, default=Timing())
     window: Window = group(Window, default=Window())
@@ -128,6 +166,9 @@ class ControllerSettings:
     limits: Limits = group(Limits, default=Limits())
     thesis_filter: ThesisFilter = group(ThesisFilter, default=ThesisFilter())
     cruise_filter: CruiseFilter = group(CruiseFilter, default=CruiseFilter())
+    crossing_filter: CrossingFilterTuning = group(
+        CrossingFilterTuning, default=CrossingFilterTuning()
+    )
 
     @property
     def strategy(self) -> Strategy:

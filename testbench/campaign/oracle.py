@@ -12,8 +12,8 @@ import math
 from dataclasses import dataclass, replace
 
 from controller.kinematics import raw_phase_rad
+from controller.motion import LayshaftState, first_order_law
 from controller.outlook import Outlook
-from controller.predictor import LayshaftState
 from controller.reference import PhaseReferences
 from controller.shafts import ShaftState
 from gearbox import GearboxSheet, MainGear
@@ -66,7 +66,7 @@ class ForecastOutlook(Outlook):
     def _layshaft(self, time_us: float, phase_rad: float, slip_rad_s: float) -> LayshaftState:
         zero = self.references.phase_rad(self.gear, 0.0, 0.0)
         theta = (phase_rad - zero + self.main.theta_at(time_us)) / self.i_gear
-        omega = (slip_rad_s + self.main.omega_rad_s) / self.i_gear
+        omega = (slip_rad_s + self.main.omega_at(time_us)) / self.i_gear
         return LayshaftState(time_us, theta, omega, 0.0)
 
 
@@ -76,6 +76,7 @@ class Oracle:
     def __init__(self, sheet: GearboxSheet, truth: Truth) -> None:
         self._sheet = sheet
         self._truth = truth
+        self._law = first_order_law(1.0 / sheet.brake.time_constant_s, sheet.air.supply_gauge_pa)
         self._forecast: Forecast | None = None
         self._ahead: TruckPlant | None = None
         """A copy of the plant that is run ahead."""
@@ -95,6 +96,7 @@ class Oracle:
             ),
             main=ShaftState(time_us, main_rad, omega[Shaft.MAIN], 0.0, 0.0),
             brake=outlook.brake.seen_through(round(truth.brake_valve_delay_s * 1e6)),
+            model=outlook.model._replace(law=self._law),
             references=TrueReferences(self._sheet, offset),
             delay_us=round(mean_s * 1e6),
             delay_sd_s=sd_s,

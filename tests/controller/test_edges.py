@@ -66,6 +66,8 @@ def run(
         fallen = [wheel.fall(read_us)] if read_us in falls else []
         batch = edges.read(risen, fallen, clock, read_us - SENSOR_AHEAD_US + 2_000)
         got += zip(batch.time_us.astype(int).tolist(), batch.theta_rad.tolist(), strict=True)
+        nominal = (batch.tooth + DUTY * batch.falling) * edges.pitch_rad
+        assert np.allclose(batch.theta_rad, nominal, rtol=1e-12)
     return edges, [(t + wrapped_us, theta / edges.pitch_rad) for t, theta in got]
 
 
@@ -182,6 +184,25 @@ def test_a_falling_edge_belongs_to_the_rising_edge_before_it(wheel: Wheel, start
     truth = wheel.angle_of(DUTY)
     assert {round((angle - truth[t]) % 65_536, 6) for t, angle in got} <= {0.0, 65_536.0}
     assert any(t in set(wheel.fall_us) for t, _ in got)
+
+
+@settings(deadline=None, max_examples=15)
+@given(wheel=wheels())
+def test_a_batch_says_tooth_and_polarity_of_each_edge(wheel: Wheel) -> None:
+    edges, clock = WheelEdges(TEETH, DUTY), SensorClock()
+    read_us = reads(wheel)[3]
+    batch = edges.read([wheel.rise(read_us)], [wheel.fall(read_us)], clock, read_us)
+    edges_us = {wrap(t): (k, 0) for k, t in enumerate(wheel.rise_us, wheel.first)}
+    edges_us |= {wrap(t): (k, 1) for k, t in enumerate(wheel.fall_us, wheel.first)}
+    for time_us, tooth, falling in zip(
+        batch.time_us.astype(int).tolist(),
+        batch.tooth.tolist(),
+        batch.falling.tolist(),
+        strict=True,
+    ):
+        true_tooth, truly_falling = edges_us[wrap(time_us)]
+        assert falling == truly_falling
+        assert (tooth - true_tooth) % 65_536 == 0
 
 
 def test_a_restart_forgets_all_numbers() -> None:
