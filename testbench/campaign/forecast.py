@@ -1,8 +1,8 @@
 """The truck's plant run ahead: phase and slip of a gear for any moment of letting the brake go.
 
-One trunk with the brake as commanded but never released, and from nodes of it branches with the
-brake let go. What a release changes, beyond the slip it begins with, depends on when it comes only
-through speed and temperature; so between two nodes it is interpolated.
+One trunk with the brake as commanded but never released, and from its samples branches with the
+brake let go. What a release changes, beyond the slip it begins with, is interpolated between the
+branches of two samples: of neighbours while the brake still fills, wider ones later.
 """
 
 from __future__ import annotations
@@ -21,10 +21,12 @@ Floats = NDArray[np.float64]
 Switches = tuple[tuple[float, float], ...]
 """When the brake's pressure begins to react, in the plant's time, and u from then on."""
 SAMPLE_US: Final = 4_000
-NODE_SAMPLES: Final = 20
-"""A branch each 80 ms."""
 BRANCH_SAMPLES: Final = 75
 TRUNK_SAMPLES: Final = 500
+FILLING_US: Final = 250_000
+"""So long after it was switched on the brake's pressure stands, and a release changes what it
+changes whenever it comes, but for friction."""
+COARSE: Final = 20
 SAMPLE_S: Final = SAMPLE_US * 1e-6
 SAME_RAD: Final = 2e-4
 """A forecast that the truth follows this closely still holds."""
@@ -42,36 +44,33 @@ class Path:
         self._gear = gear
         self._switches = list(switches)
         self._pitch = pitch
-        self._state = start
         self._is_at_rest = False
         self.start_us = start.time_us
         plant.restore(start)
         self.phase = [plant.shafts.phase_rad(gear)]
         self.slip = [plant.slip_rad_s(gear)]
-        self._snapshots: dict[int, Snapshot] = {0: start}
+        self._snapshots = [start]
 
     def extend(self, count: int) -> None:
         """At least `count` samples."""
         if len(self.slip) >= count:
             return
         plant = self._plant
-        plant.restore(self._state)
+        plant.restore(self._snapshots[-1])
         while len(self.slip) < count:
             self._run_to(self.start_us + SAMPLE_US * len(self.slip))
             slip = -plant.main_rad_s if self._is_at_rest else plant.slip_rad_s(self._gear)
             expected = self.phase[-1] + (slip + self.slip[-1]) / 2.0 * SAMPLE_S
             found = expected if self._is_at_rest else plant.shafts.phase_rad(self._gear)
             turns = math.floor((expected - found) / self._pitch + 0.5)
-            if len(self.slip) % NODE_SAMPLES == 0:
-                self._snapshots[len(self.slip)] = plant.snapshot()
             self.phase.append(found + self._pitch * turns)
             self.slip.append(slip)
-        self._state = plant.snapshot()
+            self._snapshots.append(plant.snapshot())
 
-    def node(self, number: int) -> Snapshot:
-        """The plant at a node."""
-        self.extend(NODE_SAMPLES * number + 1)
-        return self._snapshots[NODE_SAMPLES * number]
+    def snapshot(self, sample: int) -> Snapshot:
+        """The plant at a sample."""
+        self.extend(sample + 1)
+        return self._snapshots[sample]
 
     def at(self, time_us: float) -> tuple[float, float]:
         """Phase and slip at a time, slip linear between samples."""
@@ -107,7 +106,7 @@ class Path:
 
 
 class Branch:
-    """What letting go at a node adds to going on at the node's slip: phase and slip by sample."""
+    """What letting go at a sample adds to going on at its slip: phase and slip by sample."""
 
     def __init__(self, path: Path) -> None:
         path.extend(BRANCH_SAMPLES)
@@ -218,20 +217,23 @@ class Forecast:
         return path
 
     def _curve(self, trunk: Switches, path: Path, release_us: float) -> tuple[Floats, Floats]:
-        place = (release_us - path.start_us) / (SAMPLE_US * NODE_SAMPLES)
+        filled_us = (trunk[-1][0] if trunk else path.start_us) + FILLING_US
+        apart = COARSE if release_us > filled_us else 1
+        place = (release_us - path.start_us) / (SAMPLE_US * apart)
         node = int(place)
         share = place - node
-        first, second = self._branch(trunk, path, node), self._branch(trunk, path, node + 1)
+        first = self._branch(trunk, path, apart * node)
+        second = self._branch(trunk, path, apart * (node + 1))
         return (
             first.slip + share * (second.slip - first.slip),
             first.phase + share * (second.phase - first.phase),
         )
 
-    def _branch(self, trunk: Switches, path: Path, node: int) -> Branch:
-        branch = self._branches.get((trunk, node))
+    def _branch(self, trunk: Switches, path: Path, sample: int) -> Branch:
+        branch = self._branches.get((trunk, sample))
         if branch is None:
-            start = path.node(node)
+            start = path.snapshot(sample)
             let_go = ((start.time_us, 0.0),)
             branch = Branch(Path(self._plant, start, self._gear, let_go, self._pitch))
-            self._branches[trunk, node] = branch
+            self._branches[trunk, sample] = branch
         return branch
