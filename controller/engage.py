@@ -44,7 +44,7 @@ def _look_for_contact(desk: ShiftDesk, moment: Moment) -> None:
     if crossing is None:
         return
     shift.measured_contact_us = round(crossing)
-    if desk.free_outlook is not None and desk.references.known(shift.target.main):
+    if desk.free_outlook is not None and desk.reference_known(shift.target.main):
         shift.estimated_phase_rad = desk.strategist.plan_at(
             desk.free_outlook, round(crossing), ShiftDecision.NONE
         ).phase_rad

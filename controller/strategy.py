@@ -40,8 +40,6 @@ class Strategist:
 
     def __init__(self, sheet: GearboxSheet, settings: ControllerSettings) -> None:
         self._dog = sheet.dog
-        self._delay_us = round(sheet.sleeve.delay_s * US_PER_S)
-        self._delay_sd_s = sheet.sleeve.delay_sd_s
         self._window = settings.window
         half_gap = self._dog.backlash_rad / 2.0
         self._target_rad = settings.aim.target_rad_share * half_gap
@@ -59,13 +57,13 @@ class Strategist:
         slip_now = outlook.slip_rad_s(now_us)
         if slip_now > self._window.fire_slip_rad_s:
             return None
-        return self.plan_at(outlook, earliest_us + self._delay_us, ShiftDecision.FIRE)
+        return self.plan_at(outlook, earliest_us + outlook.delay_us, ShiftDecision.FIRE)
 
     def target_phase(self, outlook: Outlook, earliest_us: int) -> Plan | None:
         """Fire so that the gap's target meets the tooth with the slip inside its window.
 
         None where no such moment lies within the horizon."""
-        first_us = earliest_us + self._delay_us
+        first_us = earliest_us + outlook.delay_us
         contact_us = self._next_contact(outlook, float(first_us), first_us + HORIZON_US)
         if contact_us is None:
             return None
@@ -86,7 +84,7 @@ class Strategist:
         if aimed and release_us < latest_us:
             pitch = self._dog.pitch_rad
             both = outlook.aimed_release_us(release_us, earliest_us, slip, self._target_rad, pitch)
-            if both is not None and both[1] >= earliest_us + self._delay_us:
+            if both is not None and both[1] >= earliest_us + outlook.delay_us:
                 return both
         return release_us, release_us + round(settle_us)
 
@@ -95,10 +93,10 @@ class Strategist:
         if outlook.references.known(outlook.gear):
             raw, slip = outlook.phase_and_slip(contact_us)
             phase = wrap_to_pitch(raw, self._dog.pitch_rad)
-            phase_sd = outlook.phase_sd_rad(contact_us, self._delay_sd_s)
+            phase_sd = outlook.phase_sd_rad(contact_us)
         else:
             phase, phase_sd, slip = 0.0, 0.0, outlook.slip_rad_s(contact_us)
-        fire_us = contact_us - self._delay_us
+        fire_us = contact_us - outlook.delay_us
         return Plan(decision, fire_us, contact_us, phase, phase_sd, slip)
 
     def _next_contact(self, outlook: Outlook, time_us: float, until_us: float) -> float | None:

@@ -121,14 +121,14 @@ def _plan_release(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> None:
 
 
 def _aims_at(desk: ShiftDesk, gear: MainGear) -> bool:
-    return desk.settings.strategy is Strategy.TARGET_PHASE and desk.references.known(gear)
+    return desk.settings.strategy is Strategy.TARGET_PHASE and desk.reference_known(gear)
 
 
 def _plan_firing(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> None:
     shift, strategist = desk.running, desk.strategist
     valve = SLEEVE_VALVE[shift.target.main]
     if shift.attempts == 0:
-        shift.reference_known = desk.references.known(shift.target.main)
+        shift.reference_known = desk.reference_known(shift.target.main)
     aimed = _aims_at(desk, shift.target.main)
     shift.strategy = Strategy.TARGET_PHASE if aimed else Strategy.SPEED_WINDOW
     plan = None
