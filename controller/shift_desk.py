@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Final
 
@@ -11,6 +12,7 @@ from controller.outlook import Outlook
 from controller.reference import PhaseReferences
 from controller.settings import ControllerSettings
 from controller.shift import ShiftRecord, Trigger
+from controller.sleeve_delay import SleeveDelays
 from controller.strategy import Plan, Strategist
 from controller.valves import Valve, ValveBoard
 from dbc.messages import ClutchAction, FaultCode, ShiftResult
@@ -58,6 +60,7 @@ class ShiftDesk:
         self.brake = brake
         self.references = references
         self.strategist = Strategist(sheet, settings)
+        self.delays = SleeveDelays(sheet)
         self.state = State.STARTING
         self.since_us = 0
         self.clutch = ClutchAction.OPEN
@@ -129,6 +132,8 @@ class ShiftDesk:
         """Predictions for a gear; None while a speed is missing or the model does not hold."""
         if moment.main is None or not moment.layshaft.free:
             return None
+        if math.isfinite(moment.supply_pa):
+            self.delays.supply_pa = moment.supply_pa - self.sheet.air.atmosphere_pa
         outlook = Outlook(
             gear,
             self.sheet.main_mesh(gear).ratio,
@@ -137,8 +142,8 @@ class ShiftDesk:
             self.brake,
             moment.layshaft.model,
             self.references,
-            round(self.sheet.sleeve.delay_s * 1e6),
-            self.sheet.sleeve.delay_sd_s,
+            self.delays.delay_us(gear),
+            self.delays.delay_sd_s(gear),
         )
         return outlook if self.outlook_source is None else self.outlook_source(outlook)
 
