@@ -13,6 +13,7 @@ batch least squares for the teeth, in any motion that the filter's model follows
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
@@ -196,3 +197,40 @@ def carry(by_tooth: Vector, f: Vector) -> None:
         by_tooth[0, c], by_tooth[1, c] = theta, omega
         by_tooth[2, c] *= f[2, 2]
         by_tooth[3, c] *= f[2, 3]
+
+
+@compiled
+def inverse_of_positive(matrix: Vector) -> Vector:
+    """The inverse of a symmetric positive definite matrix (n, n) by Cholesky's factors; NaN where
+    it is not one. A wheel's equations are small: threads of a linear algebra library would cost
+    more than the sum, and need not add up in the same order twice."""
+    n = matrix.shape[0]
+    lower = np.zeros((n, n))
+    for j in range(n):
+        rest = matrix[j, j]
+        for k in range(j):
+            rest -= lower[j, k] * lower[j, k]
+        if not rest > 0.0:
+            return np.full((n, n), np.nan)
+        lower[j, j] = math.sqrt(rest)
+        for i in range(j + 1, n):
+            s = matrix[i, j]
+            for k in range(j):
+                s -= lower[i, k] * lower[j, k]
+            lower[i, j] = s / lower[j, j]
+    half = np.zeros((n, n))
+    for c in range(n):
+        half[c, c] = 1.0 / lower[c, c]
+        for i in range(c + 1, n):
+            s = 0.0
+            for k in range(c, i):
+                s -= lower[i, k] * half[c, k]
+            half[c, i] = s / lower[i, i]
+    inverse = np.empty((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(i, n):
+                s += half[i, k] * half[j, k]
+            inverse[i, j] = inverse[j, i] = s
+    return inverse
