@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.jit import compiled
+from controller.jit import compiled, part
 from controller.motion_kernels import (
     DRAG,
     GAIN,
@@ -33,6 +33,7 @@ from controller.motion_kernels import (
     input_at,
     longest_in_segment,
     measure,
+    mirror,
     spread_over,
     transition,
 )
@@ -104,10 +105,11 @@ def crossing_filter(
                     follow(by_tooth, gain, row)
             k += 1
         x[GAIN] = max(x[GAIN], LEAST_GAIN)
+    mirror(p)
     return t_us
 
 
-@compiled
+@part
 def move(
     x: Vector, p: Vector, t_us: float, to_us: float, i: int, switch_us: Vector, switch_u: Vector,
     motion: Vector, law: Vector, noise: Vector, f: Vector, by_tooth: Vector,
@@ -135,7 +137,7 @@ def move(
     return i
 
 
-@compiled
+@part
 def take_edge(
     x: Vector, p: Vector, innovation: float, sensor: Vector, counts: Integers, agreement: Vector,
     gain: Vector,
@@ -161,7 +163,7 @@ def take_edge(
     return measure(x, p, THETA, innovation, r, gain)
 
 
-@compiled
+@part
 def learn(
     by_tooth: Vector, place: int, innovation: float, s: float, normal: Vector, right: Vector,
     row: Vector,
@@ -178,7 +180,7 @@ def learn(
             normal[c, d] += weighted * row[d]
 
 
-@compiled
+@part
 def follow(by_tooth: Vector, gain: Vector, row: Vector) -> None:
     """The derivatives by the tooth errors after an update."""
     for state in range(STATES):
@@ -186,7 +188,7 @@ def follow(by_tooth: Vector, gain: Vector, row: Vector) -> None:
             by_tooth[state, c] += gain[state] * row[c]
 
 
-@compiled
+@part
 def carry(by_tooth: Vector, f: Vector) -> None:
     """The derivatives by the tooth errors after a step."""
     for c in range(by_tooth.shape[1]):

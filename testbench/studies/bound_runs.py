@@ -21,6 +21,7 @@ from controller.brake_model import BrakeModel, Carried
 from controller.crossing import NO_PRESSURES, Pressures
 from controller.crossing_tracker import CrossingTracker
 from controller.edges import EdgeBatch
+from controller.kernels import Vector
 from controller.layshaft import LayshaftModels, LayshaftTracker
 from controller.motion import LayshaftState, diagonal, following_motion, free_motion, predict
 from controller.predictor import layshaft_model, predict_linear
