@@ -16,6 +16,7 @@ from dbc.messages import (
     Message,
     ReferenceEncoder,
     ReferenceEngagement,
+    ReferencePhase,
     ShiftOutcome,
     SleevesAux,
     SleevesMain,
@@ -28,10 +29,10 @@ from testbench.rows import RowCollector
 
 READ: Final = (
     EdgesLayshaftRise, EdgesLayshaftFall, SleevesMain, SleevesAux, GearboxSensors, ValveCommand,
-    ControllerStatus, ReferenceEncoder, ReferenceEngagement, ShiftOutcome,
+    ControllerStatus, ReferenceEncoder, ReferenceEngagement, ReferencePhase, ShiftOutcome,
 )  # fmt: skip
 """What rows and estimation need in a shift: less than half of the bus; the rest stays undecoded."""
-READ_AT_REST: Final = (ControllerStatus, ReferenceEngagement, ShiftOutcome)
+READ_AT_REST: Final = (ControllerStatus, ReferenceEngagement, ReferencePhase, ShiftOutcome)
 
 
 def identifiers(kinds: tuple[type[Message], ...]) -> frozenset[int]:
