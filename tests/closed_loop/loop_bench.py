@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -19,6 +19,8 @@ from dbc.messages import (
     ControllerState,
     ControllerStatus,
     ShiftOutcome,
+    ValveAction,
+    ValveCommand,
     ValveStatus,
 )
 from dbc.node import Node
@@ -107,6 +109,8 @@ class Loop:
     toward: int = 0
     """The gear that will be asked for: the main shaft turns so that both gears are possible."""
 
+    phases_us: Sequence[int] = tuple(PHASES_US)
+
     def __post_init__(self) -> None:
         plan = plan_shifts(self.sheet, [(8, 10), (10, 12)], self.shifts, LAYSHAFT_RAD_S)
         self.operator = BenchCore(plan) if plan else Operator(self.requests)
@@ -117,7 +121,7 @@ class Loop:
         self.events: list[str] = []
         self._decoder = Receiver(*Node)
         cores: list[Core] = [self.controller, self.rig, self.operator]
-        self.time = VirtualTime(cores, PHASES_US, self._take, self._event)
+        self.time = VirtualTime(cores, list(self.phases_us), self._take, self._event)
 
     @property
     def header(self) -> RunHeader:
@@ -171,6 +175,20 @@ class Loop:
     def of(self, kind: type[Any]) -> list[Any]:
         """All messages of a kind that were on the bus."""
         return [message for _, message in self.messages if type(message) is kind]
+
+    def switched(self, field_: str, action: ValveAction) -> list[int]:
+        """Sensor times, 32 bits, at which the valve side was first told of an action."""
+        core = self.rig.core
+        assert isinstance(core, RigCore)
+        start_us = core.truth.clock_start_us - self.phases_us[1]
+        times, before = [], None
+        for time_us, message in self.messages:
+            if type(message) is ValveCommand:
+                now = getattr(message, field_)
+                if now is action and before not in (None, action):
+                    times.append((start_us + time_us) % (1 << 32))
+                before = now
+        return times
 
     def last(self, kind: type[Any]) -> Any:
         return next((m for _, m in reversed(self.messages) if type(m) is kind), None)
