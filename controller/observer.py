@@ -7,7 +7,7 @@ from controller.clock import SensorClock
 from controller.edges import EdgeBatch, EdgeFrame, WheelEdges
 from controller.gearbox_view import GearboxView
 from controller.inputs import StepInputs
-from controller.kinematics import slip_rad_s
+from controller.kinematics import are_finite, slip_rad_s
 from controller.layshaft import LayshaftTracker
 from controller.predictor import LayshaftState, layshaft_model
 from controller.reference import PhaseReferences
@@ -123,11 +123,13 @@ class Observer:
 
     def main_at(self, time_us: float) -> ShaftState | None:
         """The main shaft at a sensor time."""
-        return self._main.at(time_us)
+        state = self._main.at(time_us)
+        return state if state is not None and are_finite(state) else None
 
     def layshaft_at(self, time_us: float) -> LayshaftState | None:
         """The layshaft at a sensor time."""
-        return self.layshaft.at(time_us)
+        state = self.layshaft.at(time_us)
+        return state if state is not None and are_finite(state) else None
 
     def learn(self, time_us: float, events: list[str]) -> None:
         """Watches a gear that has just locked until its phase reference is known."""

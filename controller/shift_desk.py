@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from controller.brake_input import BrakeInput
+from controller.kinematics import are_finite
 from controller.moment import Moment
 from controller.outlook import Outlook
 from controller.reference import PhaseReferences
@@ -123,10 +124,13 @@ class ShiftDesk:
         """Predictions for a gear; None while a speed is missing or the model does not hold."""
         if moment.main is None or not moment.layshaft.free:
             return None
+        layshaft = moment.layshaft.latest()
+        if not are_finite(layshaft):
+            return None
         return Outlook(
             gear,
             self.sheet.main_mesh(gear).ratio,
-            moment.layshaft.latest(),
+            layshaft,
             moment.main,
             self.brake,
             moment.layshaft.model,

@@ -18,6 +18,7 @@ from dbc.messages import (
     TC1,
     ControllerState,
     ControllerStatus,
+    RigFault,
     ShiftOutcome,
     ValveAction,
     ValveCommand,
@@ -27,6 +28,7 @@ from dbc.node import Node
 from gearbox import GearboxSheet, load_sheet
 from rig_sim.core import RigCore
 from rig_sim.faults import ScheduledFault
+from rig_sim.rig_world import FaultOrder
 from rig_sim.settings import Preset, RigSettings
 from testbench.bench import BenchCore, plan_shifts
 from testbench.provenance import product_version
@@ -103,6 +105,7 @@ class Loop:
     """What becomes of frames on their way into the controller."""
     sheet: GearboxSheet = SHEET
     start_gear: int = 8
+    pairs: Sequence[tuple[int, int]] = ((8, 10), (10, 12))
     preset: Preset = Preset.THESIS
     as_built: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[ScheduledFault, ...] = ()
@@ -112,7 +115,7 @@ class Loop:
     phases_us: Sequence[int] = tuple(PHASES_US)
 
     def __post_init__(self) -> None:
-        plan = plan_shifts(self.sheet, [(8, 10), (10, 12)], self.shifts, LAYSHAFT_RAD_S)
+        plan = plan_shifts(self.sheet, list(self.pairs), self.shifts, LAYSHAFT_RAD_S)
         self.operator = BenchCore(plan) if plan else Operator(self.requests)
         self.controller = Tapped(ControllerCore(self.header), self.receiving)
         self.rig = Tapped(self.new_rig(self.seed))
@@ -122,6 +125,13 @@ class Loop:
         self._decoder = Receiver(*Node)
         cores: list[Core] = [self.controller, self.rig, self.operator]
         self.time = VirtualTime(cores, list(self.phases_us), self._take, self._event)
+
+    def fault(self, kind: RigFault, target: int = 0, value: float = 0.0, for_us: int = 0) -> None:
+        """The rig goes wrong from now on, or for so long."""
+        core = self.rig.core
+        assert isinstance(core, RigCore)
+        order = FaultOrder(int(kind), target, value, for_us)
+        core._world.inject(order, self.time.now_us - self.phases_us[1])
 
     @property
     def header(self) -> RunHeader:
