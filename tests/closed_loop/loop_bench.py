@@ -112,10 +112,11 @@ class Loop:
     toward: int = 0
     """The gear that will be asked for: the main shaft turns so that both gears are possible."""
 
+    layshaft_rad_s: float = LAYSHAFT_RAD_S
     phases_us: Sequence[int] = tuple(PHASES_US)
 
     def __post_init__(self) -> None:
-        plan = plan_shifts(self.sheet, list(self.pairs), self.shifts, LAYSHAFT_RAD_S)
+        plan = plan_shifts(self.sheet, list(self.pairs), self.shifts, self.layshaft_rad_s)
         self.operator = BenchCore(plan) if plan else Operator(self.requests)
         self.controller = Tapped(ControllerCore(self.header), self.receiving)
         self.rig = Tapped(self.new_rig(self.seed))
@@ -140,7 +141,7 @@ class Loop:
     def new_rig(self, seed: int, clock_start_us: int | None = None) -> RigCore:
         """A rig as at power-up."""
         pair = (self.start_gear, self.toward or self.start_gear)
-        start = plan_shifts(self.sheet, [pair], 1, LAYSHAFT_RAD_S)
+        start = plan_shifts(self.sheet, [pair], 1, self.layshaft_rad_s)
         rpm = start[0].main_rad_s * 30.0 / math.pi
         return RigCore(
             self.sheet,
