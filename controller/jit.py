@@ -21,7 +21,7 @@ FOLDER: Final = Path(__file__).parent
 
 def _digest() -> str:
     hashed = hashlib.sha256(Path(__file__).read_bytes())
-    for path in sorted(FOLDER.glob("*kernels.py")) + [FOLDER / "edge_gate.py"]:
+    for path in [*sorted(FOLDER.glob("*kernels.py")), FOLDER / "edge_gate.py"]:
         hashed.update(path.read_bytes())
     return hashed.hexdigest()[:12]
 
@@ -31,8 +31,10 @@ def compiled(function: Kernel) -> Kernel:
     if DISABLED:
         return function
     # Loading it is a third of the start-up, so only where it is needed.
-    from numba import config, njit
+    from numba import config as numba_config
+    from numba import njit
 
+    config: Any = numba_config
     before = config.CACHE_DIR
     config.CACHE_DIR = before or str(FOLDER / "__pycache__" / f"kernels-{_DIGEST}")
     try:
@@ -53,7 +55,8 @@ def part(function: Kernel) -> Kernel:
         return function
     from numba import njit
 
-    return cast(Kernel, njit(error_model="numpy", forceinline=True, _nrt=False)(function))
+    options: dict[str, Any] = {"error_model": "numpy", "forceinline": True, "_nrt": False}
+    return cast(Kernel, njit(**options)(function))
 
 
 _DIGEST: Final = "" if DISABLED else _digest()

@@ -163,7 +163,7 @@ class GuardSettings:
     """Absolute pressure below which nothing new is actuated."""
     torque_factor: float = quantity("torque_factor", 1.0, 3.0, default=1.4)
     """How much stronger than its sheet the brake may be."""
-    drag_torque_nm: float = quantity("drag_torque_nm", 0.0, 200.0, default=25.0)
+    drag_torque_nm: float = quantity("drag_torque_nm", 0.0, 200.0, default=15.0)
     """Drag at the layshaft beyond the sheet's friction, at most."""
 
 
