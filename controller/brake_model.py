@@ -1,4 +1,7 @@
-"""Brake and drag as learned from shift to shift: gain, drag, pressure law, delays.
+"""Brake and drag as learned from shift to shift: gain, drag, touch, pressure law, delays.
+
+The brake's torque is gain x C_db x (p - p_touch) once its pads touch, so the filter's pressure is
+the one above the touch: never negative, and the law holds it at zero there.
 
 The pressure law is p' = f_u(p), piecewise linear between knots at shares of the supply pressure, so
 that a first-order valve (thesis 4.1) and one that chokes (ISO 6358) are both met. Each knot's rate
@@ -39,6 +42,10 @@ PROBE: Final = 1e-3
 LEAST_B: Final = 1e-3
 
 
+TOUCH_SD_PA: Final = 0.15e5
+MOST_TOUCH_PA: Final = 1.0e5
+
+
 @dataclass
 class Carried:
     """A figure carried from shift to shift, with its standard deviation."""
@@ -55,6 +62,8 @@ class BrakeModel:
         self.supply_pa = sheet.air.supply_gauge_pa
         self.gain = Carried(1.0, gain_sd)
         self.drag_nm = Carried(0.0, drag_sd_nm)
+        self.touch_pa = Carried(0.0, TOUCH_SD_PA)
+        """Gauge pressure at which the pads touch."""
         delay = sheet.brake.valve_delay_s
         self._mean: Vector = np.zeros(PARAMETERS)
         self._mean[[OFF_DELAY, ON_DELAY]] = delay
@@ -66,17 +75,30 @@ class BrakeModel:
 
     @property
     def off_delay_us(self) -> int:
-        """From switching off to the first fall of the pressure."""
+        """From switching off to the first fall of the torque."""
         return round(float(self._mean[OFF_DELAY]) / US)
 
     @property
     def on_delay_us(self) -> int:
-        """From switching on to the first rise."""
-        return round(float(self._mean[ON_DELAY]) / US)
+        """From switching on to the first torque: the valve's delay, then the fill to the touch."""
+        at_zero = self._rate * self.supply_pa * math.exp(float(self._mean[RATES]))
+        return round((float(self._mean[ON_DELAY]) + self.touch_pa.value / at_zero) / US)
 
-    def law(self) -> Vector:
-        """The pressure law for `motion_kernels`."""
-        return self._law(self._mean)
+    def law(self, touch_pa: float | None = None) -> Vector:
+        """The law of the pressure above the touch, for `motion_kernels`."""
+        touch = self.touch_pa.value if touch_pa is None else touch_pa
+        whole = self._law(self._mean)
+        law = np.full((2, SEGMENTS, 3), np.inf)
+        law[:, :, 1:] = LEAST_B, 0.0
+        law[:, 1 : RATES + 1] = whole[:, :RATES]
+        law[:, 1 : RATES + 1, 2] -= law[:, 1 : RATES + 1, 1] * touch
+        law[:, 1:, 0] -= touch
+        # Below the touch nothing acts: held at zero emptying, passed at once filling.
+        law[0, 0] = -np.inf, LEAST_B, 0.0
+        law[0, 1, 0] = 0.0
+        law[1, 0], law[1, 1, 0] = law[1, 1], 0.0
+        law[1, 0, 0] = -np.inf
+        return law
 
     def _law(self, parameters: Vector) -> Vector:
         law = np.full((2, SEGMENTS, 3), np.inf)

@@ -15,6 +15,7 @@ from controller.brake_input import BrakeInput
 from controller.brake_model import BrakeModel, Carried
 from controller.crossing import NO_PRESSURES, CrossingFilter, Pressures
 from controller.edges import EdgeBatch
+from controller.free_run import FreeRun
 from controller.kernels import Vector
 from controller.layshaft import LayshaftModels
 from controller.motion import LayshaftState, MotionModel, diagonal, following_motion
@@ -71,6 +72,9 @@ class _Shaft:
         if teeth.learner.running:
             teeth.learner.take(batch, place, pressures, switches, model)
 
+    def _angles(self, batch: EdgeBatch) -> Vector:
+        return self.teeth.angles(batch, self.teeth.place(batch))
+
     def _start(self, batch: EdgeBatch) -> None:
         self._seed.edges(batch)
         newest, omega = self._seed.newest, self._seed.omega_rad_s
@@ -104,6 +108,7 @@ class CrossingTracker(_Shaft):
         self._inertia_kgm2 = 1.0
         self._free = False
         self._free_edges = 0
+        self._run = FreeRun(tuning)
 
     @property
     def free(self) -> bool:
@@ -135,9 +140,14 @@ class CrossingTracker(_Shaft):
 
     def edges(self, batch: EdgeBatch, pressures: Pressures) -> None:
         """Takes new edges and pressures."""
-        model = self.model if self._free else self._following
-        given = pressures if self._free else NO_PRESSURES
-        self._take(batch, given, self._brake.arrays(), model)
+        switches = self._brake.arrays()
+        if not self._free:
+            self._take(batch, NO_PRESSURES, switches, self._following)
+            return
+        self._run.add(batch.time_us, self._angles(batch), pressures)
+        touch_pa = self._known.touch_pa.value
+        above = Pressures(pressures.time_us, np.maximum(pressures.pressure_pa - touch_pa, 0.0))
+        self._take(batch, above, switches, self.model)
         self._free_edges += batch.time_us.size
 
     def at(self, time_us: float) -> LayshaftState | None:
@@ -168,6 +178,7 @@ class CrossingTracker(_Shaft):
             state.p[THETA, THETA] += tuning.tooth_error_rad**2
         p = diagonal(2.0 * tuning.tooth_error_rad, 1.0, pressure_sd, torque_sd, gain_sd, drag_sd)
         self.teeth.learner.begin(state.time_us, x, p)
+        self._run.begin(state.time_us, state.x, state.p)
         self._free, self._free_edges = True, 0
 
     def _end_free(self, events: list[str]) -> None:
@@ -181,6 +192,9 @@ class CrossingTracker(_Shaft):
         if self._free_edges >= LEAST_FREE_EDGES and np.isfinite(x).all():
             known.gain = Carried(float(x[GAIN]), float(sd[GAIN]))
             known.drag_nm = Carried(float(x[DRAG]) * inertia, float(sd[DRAG]) * inertia)
+            if known.learn(*self._run.pressures, *self._brake.commands) and self.teeth.learned:
+                sd_rad = self.teeth.sd_rad
+                self._run.learn_touch(known, sd_rad, self._brake.arrays(), self.model)
         # What drives it now is unknown.
         follow = self._tuning.follow_rad_s2
         x[DISTURBANCE], x[DRAG] = 0.0, 0.0

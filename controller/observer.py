@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 
 from controller.baseline_tracker import BaselineTracker
@@ -33,8 +31,6 @@ from dbc.messages import (
 from gearbox import GearboxSheet, MainGear, Split
 
 CLUTCH_OPEN_SHARE = 0.05
-PRESSURES_KEPT: Final = 100
-"""Samples of one shift from which the brake's law is learned: a second."""
 
 
 class Observer:
@@ -68,8 +64,6 @@ class Observer:
         else:
             self.layshaft = BaselineTracker(estimator, settings, brake, wheels.layshaft.pitch_rad)
             self._main = CruiseTracker(settings.cruise_filter, wheels.main.pitch_rad)
-        self._pressure_us: list[float] = []
-        self._pressure_pa: list[float] = []
         self._model_layshaft()
         self.valves: ValveStatus | None = None
         self._lost = (0, 0, 0)
@@ -111,10 +105,8 @@ class Observer:
             self.view.clutch_closed = sample.clutch_position_fraction
             time_us[k] = self.clock.stamp(sample.sample_time_us, now_us)
             pressure_pa[k] = sample.brake_pressure_pa - atmosphere_pa
+            self.view.supply_pa = sample.supply_pressure_pa
             self.brake.supply_pa = sample.supply_pressure_pa - atmosphere_pa
-        if self._learns and self.layshaft.free:
-            self._pressure_us += time_us.tolist()
-            self._pressure_pa += pressure_pa.tolist()
         return Pressures(time_us, pressure_pa)
 
     def _read(
@@ -150,6 +142,7 @@ class Observer:
             self._model_layshaft()
         clutch_open = (view.clutch_closed or 0.0) < CLUTCH_OPEN_SHARE
         free = clutch_open and view.main_box_free and view.split is not None
+        free = free and view.range_ is not None
         newest = self._layshaft_wheel.newest
         if newest is None:
             return
@@ -158,15 +151,6 @@ class Observer:
         if isinstance(self._main, MainTracker):
             self._main.set_free(free, events)
         if was_free and not free:
-            self._learn_brake()
-
-    def _learn_brake(self) -> None:
-        """The layshaft is no longer free: what its brake did is known now."""
-        time_us = np.array(self._pressure_us[-PRESSURES_KEPT:])
-        pressure_pa = np.array(self._pressure_pa[-PRESSURES_KEPT:])
-        self._pressure_us.clear()
-        self._pressure_pa.clear()
-        if self._learns and self.brake.learn(time_us, pressure_pa, *self._brake_input.commands):
             self._model_layshaft()
 
     def main_at(self, time_us: float) -> ShaftState | None:

@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
 
 from controller.brake_input import BrakeInput
-from controller.kernels import US
+from controller.kernels import US, Vector
 from controller.kinematics import slip_rad_s
 from controller.motion import LayshaftState, MotionModel, predict, predict_spread
 from controller.motion_kernels import DRAG, time_at_speed
+from controller.plan_kernels import course
 from controller.reference import PhaseReferences
 from controller.shafts import ShaftState
 from gearbox import MainGear
@@ -23,6 +27,15 @@ SECANT_STEPS = 8
 PROBE_US = 200
 """A release moved by this much moves the phase at contact by about half a degree."""
 CLOSE_RAD = 1e-4
+
+
+class Course(NamedTuple):
+    """Phase (unwrapped) and slip at equal steps of time."""
+
+    first_us: float
+    step_us: float
+    phase_rad: Vector
+    slip_rad_s: Vector
 
 
 @dataclass(frozen=True)
@@ -64,10 +77,10 @@ class Outlook:
     def phase_sd_rad(self, time_us: float) -> float:
         """Standard deviation of the phase at contact: angles, speeds to then, and delay."""
         layshaft_sd = self._layshaft_sd_rad(time_us)
-        horizon_s = (time_us - self.main.time_us) * US
-        main_sd = math.hypot(self.main.theta_sd_rad, self.main.omega_sd_rad_s * horizon_s)
         slip = self.slip_rad_s(time_us)
-        return math.hypot(self.i_gear * layshaft_sd, main_sd, slip * self.delay_sd_s)
+        return math.hypot(
+            self.i_gear * layshaft_sd, self._main_sd_rad(time_us), slip * self.delay_sd_s
+        )
 
     def _layshaft_sd_rad(self, time_us: float) -> float:
         state = self.layshaft
@@ -75,6 +88,32 @@ class Outlook:
             return predict_spread(state, time_us, self.brake.arrays(), self.model).theta_sd_rad
         horizon_s = (time_us - state.time_us) * US
         return math.hypot(state.theta_sd_rad, state.omega_sd_rad_s * horizon_s)
+
+    def estimate_variance(self, time_us: float) -> float:
+        """Variance of the phase at a time without what the delay adds, rad2."""
+        sd = math.hypot(self.i_gear * self._layshaft_sd_rad(time_us), self._main_sd_rad(time_us))
+        return sd * sd
+
+    def _main_sd_rad(self, time_us: float) -> float:
+        horizon_s = (time_us - self.main.time_us) * US
+        return math.hypot(self.main.theta_sd_rad, self.main.omega_sd_rad_s * horizon_s)
+
+    def course(
+        self, first_us: float, step_us: float, count: int, release_us: float | None = None
+    ) -> Course:
+        """Phase and slip at `count` times from `first_us` on, the brake as commanded or released
+        at `release_us`. KeyError while the reference is unknown."""
+        main, state, brake = self.main, self.layshaft, self.brake
+        switches = brake.arrays() if release_us is None else brake.with_release(release_us)
+        offset = -self.references.phase_rad(self.gear, 0.0, 0.0)
+        mesh = np.array([self.i_gear, offset, *main[:3], main.acceleration_rad_s2])
+        found = Course(first_us, step_us, np.empty(count), np.empty(count))
+        model = self.model
+        course(
+            state.vector, state.time_us, first_us, step_us, *switches, model.motion, model.law,
+            mesh, found.phase_rad, found.slip_rad_s,
+        )  # fmt: skip
+        return found
 
     def release_time_us(
         self, earliest_us: int, latest_us: int, slip_left_rad_s: float, settle_us: float
