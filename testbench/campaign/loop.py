@@ -32,7 +32,7 @@ from testbench.rows import ShiftRow
 from testbench.simulate import not_addressed_to, tick_phases
 from testbench.virtual_time import VirtualTime
 
-PAUSES: Final = Pauses(settle_us=20_000, learn_us=100_000)
+PAUSES: Final = Pauses(settle_us=200_000, learn_us=300_000, learned_us=60_000)
 """A campaign asks for the next shift as soon as the gearbox stands in its gear."""
 RETURN_RAMP_S: Final = 0.1
 """Nor does it take its time to bring the shafts to the speeds of the old gear."""
