@@ -1,7 +1,8 @@
-"""Controller and rig on one bench: virtual time, demo, replay, campaigns, the command line."""
+"""Controller and rig on one bench: virtual time, demo, replay, campaigns, reports and the command line."""
 
 import os
 
-# Before numpy is loaded: the matrices here are small, threads of a BLAS would only wait for each
-# other (20 ms a solve on a busy machine), and how sums are split among them must change no result.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# All matrices here are small: a thread pool waits longer than they take, and two processes with a
+# pool each wait for each other. It must be said before numpy is loaded.
+for _library in ("OPENBLAS", "MKL", "OMP"):
+    os.environ.setdefault(f"{_library}_NUM_THREADS", "1")
