@@ -1,4 +1,4 @@
-"""Controller and rig on one bench: virtual time, demo, replay, campaigns, reports and the command line."""
+"""Controller and rig on one bench: virtual time, demo, replay, campaigns, reports, the commands."""
 
 import os
 
