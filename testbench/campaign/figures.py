@@ -105,9 +105,10 @@ def gap_curve(records: list[Record], names: tuple[str, ...], title: str, of: Val
 
 def _bins(values: np.ndarray[Any, Any]) -> list[np.ndarray[Any, Any]]:
     """Which values belong together: equal ones where there are few, else equally many."""
-    different = np.unique(values.round(9))
-    if different.size <= BINS:
-        groups = [np.flatnonzero(values.round(9) == value) for value in different]
-    else:
-        groups = list(np.array_split(np.argsort(values, kind="stable"), BINS))
-    return [group for group in groups if group.size >= min(LEAST_IN_A_BIN, values.size)]
+    rounded = values.round(9)
+    different = np.unique(rounded)
+    if different.size <= BINS and different.size * LEAST_IN_A_BIN <= values.size:
+        return [np.flatnonzero(rounded == value) for value in different]
+    count = max(1, min(BINS, values.size // LEAST_IN_A_BIN))
+    groups = np.array_split(np.argsort(values, kind="stable"), count)
+    return [group for group in groups if group.size]

@@ -21,8 +21,8 @@ Floats = NDArray[np.float64]
 Switches = tuple[tuple[float, float], ...]
 """When the brake's pressure begins to react, in the plant's time, and u from then on."""
 SAMPLE_US: Final = 4_000
-BRANCH_SAMPLES: Final = 125
-"""Half a second: further than a plan looks."""
+BRANCH_SAMPLES: Final = 100
+"""0.4 s: further than a plan looks."""
 TRUNK_SAMPLES: Final = 500
 FILLING_US: Final = 250_000
 """So long after it was switched on the brake's pressure stands, and a release changes what it
@@ -36,10 +36,17 @@ SAME_RAD: Final = 2e-4
 class Path:
     """Phase (unwrapped) and slip of one gear each 4 ms, run on only as far as they are asked for.
 
-    `plant` is a copy that all paths run in turn; each keeps where it stands."""
+    `plant` is a copy that all paths run in turn; each keeps where it stands, and one from which
+    branches may begin (`keeps`) where it stood at every sample."""
 
     def __init__(
-        self, plant: TruckPlant, start: Snapshot, gear: MainGear, switches: Switches, pitch: float
+        self,
+        plant: TruckPlant,
+        start: Snapshot,
+        gear: MainGear,
+        switches: Switches,
+        pitch: float,
+        keeps: bool = True,
     ) -> None:
         self._plant = plant
         self._gear = gear
@@ -50,6 +57,7 @@ class Path:
         plant.restore(start)
         self.phase = [plant.shafts.phase_rad(gear)]
         self.slip = [plant.slip_rad_s(gear)]
+        self._keeps = keeps
         self._snapshots = [start]
 
     def extend(self, count: int) -> None:
@@ -66,7 +74,10 @@ class Path:
             turns = math.floor((expected - found) / self._pitch + 0.5)
             self.phase.append(found + self._pitch * turns)
             self.slip.append(slip)
-            self._snapshots.append(plant.snapshot())
+            if self._keeps:
+                self._snapshots.append(plant.snapshot())
+        if not self._keeps:
+            self._snapshots = [plant.snapshot()]
 
     def snapshot(self, sample: int) -> Snapshot:
         """The plant at a sample."""
@@ -264,6 +275,6 @@ class Forecast:
         if branch is None:
             start = path.snapshot(sample)
             let_go = ((start.time_us, 0.0),)
-            branch = Branch(Path(self._plant, start, self._gear, let_go, self._pitch))
+            branch = Branch(Path(self._plant, start, self._gear, let_go, self._pitch, keeps=False))
             self._branches[trunk, sample] = branch
         return branch

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -72,6 +73,16 @@ def test_the_json_says_what_was_asked(by_one: Outcome) -> None:
         ):  # fmt: skip
             assert isinstance(figures[key], (int, float))
     assert "target_phase/speed_window" in values["ratios"]
+
+
+def test_the_report_draws_every_figure_without_a_network(by_one: Outcome) -> None:
+    page = (by_one.folder / "report.html").read_text()
+    assert "default-src 'none'" in page
+    text = page.partition("id='data'>")[2].partition("</script>")[0]
+    for name, figure in json.loads(text).items():
+        assert f'id="{name}"' in page
+        assert {trace["name"] for trace in figure["data"]} == set(by_one.values["strategies"])
+        assert all(trace["x"] for trace in figure["data"])
 
 
 def test_an_interrupted_campaign_goes_on_to_the_same_result(
