@@ -74,12 +74,13 @@ class EdgeBatch(NamedTuple):
 
 
 class EdgeHealth(NamedTuple):
-    """Edges left out as extra, teeth stepped over, how often a tooth was in doubt, and whether
-    teeth are numbered now."""
+    """Edges left out as extra, edges that were missing, how often a tooth was in doubt, how often
+    of the losses the wheel was slow or stood, and whether teeth are numbered now."""
 
     extra: int
     missed: int
     doubts: int
+    stops: int
     counting: bool
 
 
@@ -176,6 +177,7 @@ class WheelEdges:
             int(c[edge_gate.EXTRA]),
             int(c[edge_gate.MISSED]),
             int(c[edge_gate.DOUBTS]),
+            int(c[edge_gate.STOPS]),
             bool(c[edge_gate.MODE] == edge_gate.COUNTING),
         )
 

@@ -42,6 +42,7 @@ MODULES = {
     "health": "health",
     "pace": "pace",
     "gearbox": "gearbox",
+    "captures": "captures",
 }
 """The module of `testbench.commands` that holds each command, in the order of the help."""
 
