@@ -162,7 +162,7 @@ class WheelEdges:
         self._advance = edge_gate.advances(teeth, missing)
         self._candidates = np.zeros_like(self._advance)
         self._rise, self._fall = Polarity(), Polarity()
-        self._counts, self._floats = edge_gate.new_state(self.pitch_rad, most_rad_s2)
+        self._counts, self._floats = edge_gate.new_state(self.pitch_rad, most_rad_s2, self._advance)
         self.broken = 0
         """How often tooth numbers were lost: every phase reference of this wheel with them."""
         self.newest: Edge | None = None

@@ -23,3 +23,29 @@ def compiled(function: Kernel) -> Kernel:
     except RuntimeError:
         # Nowhere to keep what was compiled, as in a read-only container: each start compiles.
         return cast(Kernel, njit(function))
+
+
+BARE: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
+"""Without counting references to arrays, for kernels that neither make nor keep one."""
+
+
+def bare(function: Kernel) -> Kernel:
+    """A kernel that only works on the arrays it is given; compiled and cached as `compiled`."""
+    if DISABLED:
+        return function
+    from numba import njit
+
+    try:
+        return cast(Kernel, njit(cache=True, **BARE)(function))
+    except RuntimeError:
+        return cast(Kernel, njit(**BARE)(function))
+
+
+def inlined(function: Kernel) -> Kernel:
+    """A piece of bare kernels of the same file (numba's cache sees no other file), copied to where
+    it is called: handing over its arrays would cost more than its work."""
+    if DISABLED:
+        return function
+    from numba import njit
+
+    return cast(Kernel, njit(forceinline=True, **BARE)(function))

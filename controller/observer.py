@@ -105,6 +105,7 @@ class Observer:
             self.view.clutch_closed = sample.clutch_position_fraction
             time_us[k] = self.clock.stamp(sample.sample_time_us, now_us)
             pressure_pa[k] = sample.brake_pressure_pa - atmosphere_pa
+            self.view.supply_pa = sample.supply_pressure_pa
             self.brake.supply_pa = sample.supply_pressure_pa - atmosphere_pa
         return Pressures(time_us, pressure_pa)
 
@@ -141,6 +142,7 @@ class Observer:
             self._model_layshaft()
         clutch_open = (view.clutch_closed or 0.0) < CLUTCH_OPEN_SHARE
         free = clutch_open and view.main_box_free and view.split is not None
+        free = free and view.range_ is not None
         newest = self._layshaft_wheel.newest
         if newest is None:
             return

@@ -78,6 +78,10 @@ class Truth(Protocol):
     def speeds_rad_s(self) -> tuple[float, float, float, float]:
         """Speeds of input, layshaft, main and propeller shaft."""
 
+    @property
+    def road_speed_m_s(self) -> float:
+        """Speed of the vehicle; 0 where there is none."""
+
     def phase_rad(self, gear: MainGear) -> float:
         """Phase of a gear against its sleeve."""
 

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from gearbox.gears import MAIN_GEARS, MainGear, Range, Split
+from gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
 from gearbox.sheet import GearboxSheet
 from rig_sim import truck_layout as at
 from rig_sim.as_built import AsBuilt
@@ -324,16 +324,20 @@ class TruckPlant:
         if not self.constant_speed:
             self.chain.free(at.MAIN)
 
-    def set_steps(self, split: Split, range_: Range) -> None:
-        """Splitter and range sleeves have arrived; no angle jumps. While the bench drives the
-        shafts speeds follow at once, as work of the bench; else the cones bring them together."""
+    def set_steps(self, split: Split, range_: Range, moving: frozenset[Sleeve]) -> None:
+        """Splitter or range sleeve has arrived, but for those still moving; no angle jumps. While
+        the bench drives the shafts speeds follow at once, as work of the bench; else the cones
+        bring them together."""
         self.shafts.split, self.shafts.range_ = split, range_
         scripted = self.chain.is_forced(at.LAYSHAFT) and not self.g[at.HELD]
         before = self.chain.kinetic_j()
-        for link, slot, ratio, torque_nm in (
-            (at.SPLITTER, at.CONE_SPLITTER, self.shafts.split_ratio, self._cones_nm[0]),
-            (at.RANGE, at.CONE_RANGE, self.shafts.range_ratio, self._cones_nm[1]),
+        splitter_nm, range_nm = self._cones_nm
+        for name, link, slot, ratio, torque_nm in (
+            (Sleeve.SPLITTER, at.SPLITTER, at.CONE_SPLITTER, self.shafts.split_ratio, splitter_nm),
+            (Sleeve.RANGE, at.RANGE, at.CONE_RANGE, self.shafts.range_ratio, range_nm),
         ):
+            if name in moving and not scripted:
+                continue  # between its steps, without a cone
             if scripted:
                 self.smooth(slot)
                 self.chain.place(link, ratio)

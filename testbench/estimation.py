@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from controller.brake_input import BrakeInput
 from controller.clock import unwrap
@@ -39,6 +39,17 @@ SCHEDULED: Final = (ValveAction.ON_AT, ValveAction.OFF_AT)
 RESTING: Final = (ControllerState.STARTING, ControllerState.IN_GEAR, ControllerState.NEUTRAL)
 
 
+class Sample(NamedTuple):
+    """An estimator at an encoder instant: its error and what the encoder said (rad, rad/s)."""
+
+    estimator: str
+    time_us: int
+    theta_error_rad: float
+    omega_error_rad_s: float
+    theta_rad: float
+    omega_rad_s: float
+
+
 class _Score:
     """One estimator with an observer of its own, and its squared errors."""
 
@@ -51,14 +62,17 @@ class _Score:
         self._angle_sum = self._offset_sum = self._speed_sum = 0.0
         self._count = 0
 
-    def add(self, state: LayshaftState, theta_rad: float, omega_rad_s: float) -> None:
-        """One encoder instant. The encoder counts from tooth 0, the wheel from any tooth."""
+    def add(self, state: LayshaftState, theta_rad: float, omega_rad_s: float) -> float:
+        """One encoder instant. The encoder counts from tooth 0, the wheel from any tooth.
+
+        Returns the angle's error."""
         error = state.theta_rad - theta_rad
         error -= self._pitch_rad * math.floor(error / self._pitch_rad + 0.5)
         self._angle_sum += error * error
         self._offset_sum += error
         self._speed_sum += (state.omega_rad_s - omega_rad_s) ** 2
         self._count += 1
+        return error
 
     def figures(self) -> dict[str, Any]:
         """RMS by thesis 5.10, the angle's about its mean; None without a scored instant.
@@ -85,7 +99,14 @@ class _Score:
 class EstimationScore:
     """Scores every estimator over one run, fed with messages in bus order."""
 
-    def __init__(self, sheet: GearboxSheet, settings: ControllerSettings) -> None:
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        settings: ControllerSettings,
+        on_sample: Callable[[Sample], None] | None = None,
+    ) -> None:
+        """`on_sample` sees every scored instant of every estimator."""
+        self._on_sample = on_sample
         self._scores = {
             name: _Score(sheet, settings, estimator) for name, estimator in ESTIMATOR_NAMES.items()
         }
@@ -147,16 +168,26 @@ class EstimationScore:
             time_us = newest_us - k * ENCODER_STEP_US
             if self._after_contact(time_us):
                 continue
-            for score in self._scores.values():
+            for name, score in self._scores.items():
                 tracker = score.observer.layshaft
                 state = tracker.at(time_us)
-                if state is not None and tracker.free:
-                    score.add(state, theta, message.speed_rad_s[k])
+                if state is None or not tracker.free:
+                    continue
+                omega = message.speed_rad_s[k]
+                error = score.add(state, theta, omega)
+                if self._on_sample is not None:
+                    omega_error = state.omega_rad_s - omega
+                    self._on_sample(Sample(name, time_us, error, omega_error, theta, omega))
 
     def _after_contact(self, time_us: int) -> bool:
         if self._contact_us is None:
             return False
         return time_us >= unwrap(self._contact_us, time_us)
+
+    @property
+    def brake(self) -> BrakeInput:
+        """The brake valve's switches as commanded."""
+        return self._learning.brake
 
     def figures(self) -> dict[str, Any]:
         """Figures by estimator."""
