@@ -8,6 +8,7 @@ fewer than 27 came since, and the tooth number is never lost.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -189,7 +190,7 @@ class WheelEdges:
         self.broken += 1
 
     def read(
-        self, rise: list[EdgeFrame], fall: list[EdgeFrame], clock: SensorClock, now_us: int
+        self, rise: Sequence[EdgeFrame], fall: Sequence[EdgeFrame], clock: SensorClock, now_us: int
     ) -> EdgeBatch:
         """Takes this step's frames of both polarities; returns the new edges in order of time."""
         risen, fallen = self._rise, self._fall
@@ -242,7 +243,9 @@ class WheelEdges:
         return EdgeBatch(edge_us[:n], edge_rad[:n], tooth[:n], falling[:n])
 
     @staticmethod
-    def _take(polarity: Polarity, frames: list[EdgeFrame], clock: SensorClock, now_us: int) -> int:
+    def _take(
+        polarity: Polarity, frames: Sequence[EdgeFrame], clock: SensorClock, now_us: int
+    ) -> int:
         """The time of the last frame; long ago where there is none."""
         read_us = LONG_AGO_US
         for frame in frames:

@@ -179,7 +179,8 @@ def check_marks(capture: Capture, wheel: FoundWheel, edges: NumberedEdges) -> tu
         at = np.searchsorted(time_us, capture.second_us, "right") - 1
         teeth = tooth[at[at >= 0]]
         return teeth.size, int((teeth != teeth[:1]).sum())
-    ratio = dict(zip(capture.rise_us[1:].tolist(), local_ratio(capture.rise_us), strict=True))
+    clean_us = np.setdiff1d(capture.rise_us, edges.extra_us)
+    ratio = dict(zip(clean_us[1:].tolist(), local_ratio(clean_us), strict=True))
     behind = {(m + 1) % wheel.teeth for m in wheel.missing} - set(wheel.missing)
     seen = np.array([ratio.get(t, 1.0) for t in time_us.tolist()])
     said = np.isin(tooth, list(behind))
