@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import bisect
 import itertools
+from collections import deque
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -18,6 +19,7 @@ from controller.edges import WheelEdges
 from testbench.capture_files import (
     GAP,
     Capture,
+    Floats,
     FoundWheel,
     Integers,
     find_wheel,
@@ -30,8 +32,11 @@ from testbench.errors import CommandError
 READ_US: Final = 10_000
 LONG_US: Final = 65_535
 AHEAD: Final = 10
-TURNS_A_CYCLE: Final = 2
+CYCLES: Final = (1, 2)
+"""Turns after which a pattern may come back: of a wheel, of a four-stroke engine's crank."""
 LEARNED_CYCLES: Final = 2
+SCORE_SHARE: Final = 0.05
+"""What the newest error counts for where predictors are compared."""
 CRANK_RAD_S2: Final = 150.0
 """What the speed of a cranked or idling engine changes by."""
 DUTY_SHARE: Final = 0.5
@@ -83,14 +88,14 @@ class CaptureRow:
     gaps_wrong: int
     extra_s: list[float]
     constant_speed_rms_us: float | None
-    pattern_rms_us: float | None
+    learned_rms_us: float | None
 
     @property
     def ratio(self) -> float | None:
-        """Pattern over constant speed."""
-        if self.pattern_rms_us is None or not self.constant_speed_rms_us:
+        """Learned over constant speed."""
+        if self.learned_rms_us is None or not self.constant_speed_rms_us:
             return None
-        return self.pattern_rms_us / self.constant_speed_rms_us
+        return self.learned_rms_us / self.constant_speed_rms_us
 
     def to_json(self) -> dict[str, Any]:
         """The row as plain values."""
@@ -188,31 +193,59 @@ def check_marks(capture: Capture, wheel: FoundWheel, edges: NumberedEdges) -> tu
     return int(said.sum()), int(wrong.sum())
 
 
+class Contest:
+    """Predictors side by side; each time the one speaks whose errors were least so far."""
+
+    def __init__(self, count: int) -> None:
+        self._square_us2 = np.zeros(count)
+        self._pending: deque[list[float]] = deque()
+
+    def said(self, predictions: list[float], time_us: float) -> float:
+        """Takes what all say of the edge AHEAD edges ahead, and the edge that has just come."""
+        if len(self._pending) == AHEAD:
+            square = (np.array(self._pending.popleft()) - time_us) ** 2
+            self._square_us2 += SCORE_SHARE * (square - self._square_us2)
+        self._pending.append(predictions)
+        return predictions[int(np.argmin(self._square_us2))]
+
+    def restart(self) -> None:
+        """Edges were lost: predictions of before say nothing."""
+        self._pending.clear()
+
+
 def predict(wheel: FoundWheel, edges: NumberedEdges) -> tuple[float | None, float | None]:
     """RMS of the time of the tooth edge AHEAD edges ahead, by constant speed over the last AHEAD
-    edges and by the learned pattern, over the same edges after LEARNED_CYCLES cycles."""
+    edges, and by what has been best so far of that and the patterns of one turn and of two; over
+    the same edges, from when LEARNED_CYCLES cycles of two turns are learned."""
     rises = edges.falling == 0
     time_us, tooth, part = edges.time_us[rises], edges.tooth[rises], edges.part[rises]
-    cycle = TURNS_A_CYCLE * wheel.teeth
-    present = np.array([k for k in range(cycle) if k % wheel.teeth not in wheel.missing])
-    slots = np.searchsorted(present, tooth % cycle)
-    pattern = CyclePattern(present / cycle)
-    follows = np.r_[False, (np.diff(part) == 0) & (np.diff(slots) % present.size == 1)]
+    present = np.array([k for k in range(wheel.teeth) if k not in wheel.missing])
+    place = np.searchsorted(present, tooth % wheel.teeth)
+    follows = np.r_[False, (np.diff(part) == 0) & (np.diff(place) % present.size == 1)]
     unbroken = np.cumsum(~follows)
-    constant, learned = [], []
+    patterns = [CyclePattern(_places(present, wheel.teeth, turns)) for turns in CYCLES]
+    slots = [place + present.size * (tooth // wheel.teeth % turns) for turns in CYCLES]
+    contest, constant, learned = Contest(1 + len(CYCLES)), [], []
     for k in range(tooth.size):
-        if not follows[k]:
-            pattern.restart()
-        pattern.edge(int(slots[k]), float(time_us[k]))
-        due = pattern.ahead_us(AHEAD)
-        ready = pattern.cycles >= LEARNED_CYCLES and AHEAD <= k < tooth.size - AHEAD
-        if not ready or due is None or unbroken[k - AHEAD] != unbroken[k + AHEAD]:
+        for pattern, slot in zip(patterns, slots, strict=True):
+            if not follows[k]:
+                pattern.restart()
+            pattern.edge(int(slot[k]), float(time_us[k]))
+        if k < AHEAD or k + AHEAD >= tooth.size or unbroken[k - AHEAD] != unbroken[k + AHEAD]:
+            contest.restart()
             continue
         us_a_pitch = (time_us[k] - time_us[k - AHEAD]) / (tooth[k] - tooth[k - AHEAD])
-        straight = time_us[k] + us_a_pitch * (tooth[k + AHEAD] - tooth[k])
-        constant.append(straight - time_us[k + AHEAD])
-        learned.append(due - time_us[k + AHEAD])
+        straight = float(time_us[k] + us_a_pitch * (tooth[k + AHEAD] - tooth[k]))
+        best = contest.said([straight, *(p.ahead_us(AHEAD) for p in patterns)], float(time_us[k]))
+        if patterns[-1].cycles >= LEARNED_CYCLES:
+            constant.append(straight - float(time_us[k + AHEAD]))
+            learned.append(best - float(time_us[k + AHEAD]))
     return _rms(constant), _rms(learned)
+
+
+def _places(present: Integers, teeth: int, turns: int) -> Floats:
+    """Where in a cycle of so many turns the edges of the drawing lie, as shares."""
+    return np.concatenate([present + turn * teeth for turn in range(turns)]) / (turns * teeth)
 
 
 def _rms(errors: list[float]) -> float | None:

@@ -60,10 +60,8 @@ class CyclePattern:
         if slot == 0 and len(self._times) > self.shares.size:
             self._learn()
 
-    def ahead_us(self, edges: int) -> float | None:
-        """When the edge after so many will come; None before there is a speed."""
-        if len(self._times) < 2:
-            return None
+    def ahead_us(self, edges: int) -> float:
+        """When the edge after so many will come; there must have been two."""
         return float(self._x[0] + self._x[1] * self.between(self._slots[-1], edges))
 
     def _update(self, share: float, time_us: float) -> None:

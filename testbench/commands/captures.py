@@ -16,7 +16,7 @@ from testbench.output import console, write_json
 
 COLUMNS = (
     "file", "wheel", "edges", "numbered", "locked after ms", "lost", "of it stood", "doubts",
-    "marks", "wrong", "extra", "constant speed us", "pattern us", "ratio",
+    "marks", "wrong", "extra", "constant speed us", "learned us", "ratio",
 )  # fmt: skip
 
 
@@ -27,7 +27,8 @@ def add_parser(commands: Any) -> None:
         help="edges captured from real sensors, through the node's edge gate",
         description="Reads each .csv of a folder (time in s and one level a channel after each "
         "change, or time and voltage), finds the wheel, numbers its teeth as the node does and "
-        f"predicts the edge {AHEAD} edges ahead: by constant speed, and by the pattern learned. "
+        f"predicts the edge {AHEAD} edges ahead: by constant speed, and by the patterns learned of "
+        "one turn and of two where they have been better. "
         "lost: tooth numbers lost after lock; doubts: times edges were withheld until a gap had "
         "shown the count right; marks: gaps or edges of the second channel after lock, wrong: "
         "those that disagree with the count.",
@@ -60,7 +61,7 @@ def _table(rows: list[CaptureRow]) -> Table:
     for column in COLUMNS:
         table.add_column(column, justify="left" if column in ("file", "wheel") else "right")
     for row in rows:
-        rms = [row.constant_speed_rms_us, row.pattern_rms_us]
+        rms = [row.constant_speed_rms_us, row.learned_rms_us]
         table.add_row(
             row.file,
             row.wheel,
