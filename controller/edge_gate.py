@@ -86,11 +86,16 @@ LEAST_RATE: Final = 6
 """Below it the wheel may stand still within three pitches."""
 BEND: Final = 7
 """Half the largest acceleration, pitches/us^2."""
-QUANTITIES: Final = 8
+MOST_RATE: Final = 8
+"""Edges that come faster are noise."""
+QUANTITIES: Final = 9
 
+MOST_RAD_S: Final = 630.0
+"""6,000 rpm, what a data sheet allows."""
 RUN: Final = 4
 """Intervals in a row of about one length: then there is a speed."""
-SHORTER, LONGER = 0.65, 1.5
+LONGER, LONGER_ERRATIC = 1.25, 1.5
+"""One length: up to this factor between neighbours; more where missing teeth check the count."""
 IN_TURN: Final = 0.4
 """An edge this near to where the next one is due is that one, pitches; less after a wrong edge."""
 AFTER_REJECTED: Final = 0.25
@@ -304,6 +309,7 @@ def seek(
 ) -> bool:
     """Looks for intervals of about one length; they give speed and duty. Drops what precedes."""
     r, f = counts[NEXT], counts[NEXT + 1]
+    factor = LONGER if counts[WIDEST] == 1 else LONGER_ERRATIC
     found = False
     while not found and r + RUN < rises:
         while f < falls and fall_us[f] <= rise_us[r]:
@@ -313,9 +319,9 @@ def seek(
         for k in range(r, r + RUN):
             interval = rise_us[k + 1] - rise_us[k]
             before = rise_us[k] - rise_us[k - 1] if k > r else interval
-            if not SHORTER * before < interval < LONGER * before:
+            if not before < factor * interval < factor * factor * before:
                 found = False
-            if interval * floats[LEAST_RATE] > 1.0 or interval <= 0:
+            if interval * floats[LEAST_RATE] > 1.0 or interval * floats[MOST_RATE] < 1.0:
                 found = False
             while found and at < falls and fall_us[at] < rise_us[k + 1]:
                 duty += (fall_us[at] - rise_us[k]) / interval
@@ -512,6 +518,7 @@ def new_state(pitch_rad: float, most_rad_s2: float, advance: Integers) -> tuple[
     counts[GUESS], counts[WIDEST] = UNKNOWN, advance.max()
     # At omega^2 = 6 a pitch it takes three pitches to stop.
     floats[LEAST_RATE] = np.sqrt(6.0 * most_rad_s2 / pitch_rad) * 1e-6
+    floats[MOST_RATE] = MOST_RAD_S / pitch_rad * 1e-6
     floats[BEND] = 0.5 * most_rad_s2 / pitch_rad * 1e-12
     return counts, floats
 

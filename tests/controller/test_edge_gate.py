@@ -84,7 +84,7 @@ def apply(faults: list, motion: Turning, edges: list[dict[int, float]]) -> list[
     return [(polarity, at) for polarity, at in extra if 0.0 < at < motion.until_s]
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=150, derandomize=True)
 @given(motion=motions(), faults=FAULTS, seed=st.integers(0, 99))
 def test_a_tooth_is_right_or_declared_lost(motion: Turning, faults: list, seed: int) -> None:
     edges = edges_with_jitter(motion, seed)
@@ -93,7 +93,7 @@ def test_a_tooth_is_right_or_declared_lost(motion: Turning, faults: list, seed: 
     assert max(seen.teeth_wrong(motion), default=0.0) < WRONG
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=60, derandomize=True)
 @given(motion=motions((17, 43, 44)), faults=FAULTS, seed=st.integers(0, 99))
 def test_on_a_wheel_with_missing_teeth_the_tooth_is_that_of_the_drawing(
     motion: Turning, faults: list, seed: int
