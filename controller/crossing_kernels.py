@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.jit import compiled, part
+from controller.jit import compiled, inlined
 from controller.motion_kernels import (
     DRAG,
     GAIN,
@@ -109,7 +109,7 @@ def crossing_filter(
     return t_us
 
 
-@part
+@inlined
 def move(
     x: Vector, p: Vector, t_us: float, to_us: float, i: int, switch_us: Vector, switch_u: Vector,
     motion: Vector, law: Vector, noise: Vector, f: Vector, by_tooth: Vector,
@@ -137,7 +137,7 @@ def move(
     return i
 
 
-@part
+@inlined
 def take_edge(
     x: Vector, p: Vector, innovation: float, sensor: Vector, counts: Integers, agreement: Vector,
     gain: Vector,
@@ -163,7 +163,7 @@ def take_edge(
     return measure(x, p, THETA, innovation, r, gain)
 
 
-@part
+@inlined
 def learn(
     by_tooth: Vector, place: int, innovation: float, s: float, normal: Vector, right: Vector,
     row: Vector,
@@ -180,7 +180,7 @@ def learn(
             normal[c, d] += weighted * row[d]
 
 
-@part
+@inlined
 def follow(by_tooth: Vector, gain: Vector, row: Vector) -> None:
     """The derivatives by the tooth errors after an update."""
     for state in range(STATES):
@@ -188,7 +188,7 @@ def follow(by_tooth: Vector, gain: Vector, row: Vector) -> None:
             by_tooth[state, c] += gain[state] * row[c]
 
 
-@part
+@inlined
 def carry(by_tooth: Vector, f: Vector) -> None:
     """The derivatives by the tooth errors after a step."""
     for c in range(by_tooth.shape[1]):

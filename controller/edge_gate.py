@@ -24,7 +24,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.jit import compiled
+from controller.jit import bare, inlined
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -61,7 +61,9 @@ STOPS: Final = 18
 """How often of LOST the wheel was slow or stood."""
 SEARCHED: Final = 19
 """Pitches since the search began."""
-COUNTS: Final = 20
+WIDEST: Final = 20
+"""The widest gap of the wheel, pitches."""
+COUNTS: Final = 21
 
 SEEKING, SEARCHING, COUNTING = range(3)
 """Modes: no steady speed yet; a speed, but not yet the place of the missing teeth; each edge gets
@@ -84,11 +86,16 @@ LEAST_RATE: Final = 6
 """Below it the wheel may stand still within three pitches."""
 BEND: Final = 7
 """Half the largest acceleration, pitches/us^2."""
-QUANTITIES: Final = 8
+MOST_RATE: Final = 8
+"""Edges that come faster are noise."""
+QUANTITIES: Final = 9
 
+MOST_RAD_S: Final = 630.0
+"""6,000 rpm, what a data sheet allows."""
 RUN: Final = 4
 """Intervals in a row of about one length: then there is a speed."""
-SHORTER, LONGER = 0.65, 1.5
+LONGER, LONGER_ERRATIC = 1.25, 1.5
+"""One length: up to this factor between neighbours; more where missing teeth check the count."""
 IN_TURN: Final = 0.4
 """An edge this near to where the next one is due is that one, pitches; less after a wrong edge."""
 AFTER_REJECTED: Final = 0.25
@@ -119,14 +126,14 @@ NONE, RIGHT, WRONG, GAP, DOUBT, GONE = range(6)
 has the tooth in GUESS; or the first after a stop."""
 
 
-@compiled
+@inlined
 def error_at(counts: Integers, floats: Floats, time_us: int, slot: int, share: float) -> float:
     """How far past a slot the wheel is at a time, pitches."""
     turned = floats[LAG] + (time_us - counts[TIME]) * floats[RATE]
     return float(turned + (counts[TOOTH] - slot) + (floats[AT] - share))
 
 
-@compiled
+@inlined
 def judge(counts: Integers, floats: Floats, advance: Integers, time_us: int, falling: int) -> int:
     """What an edge is; its tooth into SLOT, its distance from there into ERROR.
 
@@ -149,7 +156,7 @@ def judge(counts: Integers, floats: Floats, advance: Integers, time_us: int, fal
     return judge_late(counts, floats, advance, time_us, falling)
 
 
-@compiled
+@inlined
 def judge_late(
     counts: Integers, floats: Floats, advance: Integers, time_us: int, falling: int
 ) -> int:
@@ -159,7 +166,7 @@ def judge_late(
     turned = floats[LAG] + passed * floats[RATE]
     expected = (slot - counts[TOOTH]) + (share - floats[AT])
     counts[GUESS] = slot if counts[MODE] == COUNTING and advance.size > 1 else counts[GUESS]
-    longest = advance.max() if counts[MODE] == SEARCHING else expected
+    longest = counts[WIDEST] if counts[MODE] == SEARCHING else expected
     if passed * floats[LEAST_RATE] > max(longest, 1.0):
         return DOUBT if advance.size > 1 and counts[MODE] == COUNTING else GONE
     hole = turned > max(expected, 0.0) + HOLE
@@ -185,7 +192,7 @@ def judge_late(
     return RIGHT
 
 
-@compiled
+@inlined
 def judge_gap(counts: Integers, floats: Floats, advance: Integers, falling: int) -> int:
     """The same while the pattern of missing teeth is searched, behind a hole."""
     seen = floats[ERROR] + 1.0
@@ -202,7 +209,7 @@ def judge_gap(counts: Integers, floats: Floats, advance: Integers, falling: int)
     return GAP
 
 
-@compiled
+@inlined
 def accept(counts: Integers, floats: Floats, time_us: int, falling: int) -> None:
     """The edge has the tooth in SLOT: moves the filter on."""
     error, share = floats[ERROR], floats[DUTY] if falling == 1 else 0.0
@@ -219,7 +226,7 @@ def accept(counts: Integers, floats: Floats, time_us: int, falling: int) -> None
     counts[REJECTED] = 0
 
 
-@compiled
+@inlined
 def is_nearer(counts: Integers, floats: Floats, next_us: int, falling: int) -> bool:
     """Whether the next edge of the polarity is nearer to the slot than the one just judged."""
     share = floats[DUTY] if falling == 1 else 0.0
@@ -229,21 +236,22 @@ def is_nearer(counts: Integers, floats: Floats, next_us: int, falling: int) -> b
     return bool(abs(error) + BETTER < abs(floats[ERROR]))
 
 
-@compiled
+@inlined
 def search(counts: Integers, advance: Integers, candidates: Integers, step: int, gap: bool) -> None:
     """A rising edge came `step` pitches after the last: which tooth can it be of?
 
-    candidates (teeth,): 1 where the newest rising edge may be of that tooth. With one left, after
-    a whole turn that fits, teeth are numbered again. LOST counts a wrong guess."""
+    candidates (teeth,): 1 where the first edge of the search may be of that tooth. With one left,
+    after a whole turn that fits, teeth are numbered again. LOST counts a wrong guess."""
     teeth, left, tooth = advance.size, 0, 0
-    moved = np.zeros_like(candidates)
-    for k in range(teeth):
-        to = (k + step) % teeth
+    for first in range(teeth):
+        before = (first + counts[SEARCHED]) % teeth
+        now = (before + step) % teeth
         # Without a hole in time a longer step is an edge that the sensor has missed.
-        fits = advance[k] == step if gap or step == 1 else advance[to] > 0
-        if candidates[k] == 1 and fits:
-            moved[to], left, tooth = 1, left + 1, to
-    candidates[:] = moved
+        fits = advance[before] == step if gap or step == 1 else advance[now] > 0
+        if candidates[first] == 1 and fits:
+            left, tooth = left + 1, now
+        else:
+            candidates[first] = 0
     guess = counts[GUESS]
     if guess != UNKNOWN:
         whole = gap or step == 1
@@ -265,7 +273,7 @@ def search(counts: Integers, advance: Integers, candidates: Integers, step: int,
         counts[MODE], counts[GAP_HITS], counts[GUESS] = COUNTING, 0, UNKNOWN
 
 
-@compiled
+@inlined
 def begin_search(counts: Integers, advance: Integers, candidates: Integers) -> None:
     """Every tooth is possible."""
     for k in range(advance.size):
@@ -273,7 +281,7 @@ def begin_search(counts: Integers, advance: Integers, candidates: Integers) -> N
     counts[GAPS], counts[SEARCHED], counts[MODE] = 0, 0, SEARCHING
 
 
-@compiled
+@bare
 def lose(counts: Integers) -> bool:
     """Teeth cannot be numbered on: the next edges are those of a wheel not known yet. Whether there
     was a number to lose."""
@@ -288,7 +296,7 @@ def forget(counts: Integers) -> None:
     counts[MODE], counts[GUESS], counts[REJECTED] = SEEKING, UNKNOWN, 0
 
 
-@compiled
+@inlined
 def seek(
     counts: Integers,
     floats: Floats,
@@ -301,6 +309,7 @@ def seek(
 ) -> bool:
     """Looks for intervals of about one length; they give speed and duty. Drops what precedes."""
     r, f = counts[NEXT], counts[NEXT + 1]
+    factor = LONGER if counts[WIDEST] == 1 else LONGER_ERRATIC
     found = False
     while not found and r + RUN < rises:
         while f < falls and fall_us[f] <= rise_us[r]:
@@ -310,9 +319,9 @@ def seek(
         for k in range(r, r + RUN):
             interval = rise_us[k + 1] - rise_us[k]
             before = rise_us[k] - rise_us[k - 1] if k > r else interval
-            if not SHORTER * before < interval < LONGER * before:
+            if not before < factor * interval < factor * factor * before:
                 found = False
-            if interval * floats[LEAST_RATE] > 1.0 or interval <= 0:
+            if interval * floats[LEAST_RATE] > 1.0 or interval * floats[MOST_RATE] < 1.0:
                 found = False
             while found and at < falls and fall_us[at] < rise_us[k + 1]:
                 duty += (fall_us[at] - rise_us[k]) / interval
@@ -328,7 +337,7 @@ def seek(
     return found
 
 
-@compiled
+@inlined
 def settle(
     counts: Integers,
     floats: Floats,
@@ -385,7 +394,7 @@ def settle(
     return bool(counts[MODE] == COUNTING)
 
 
-@compiled
+@inlined
 def weigh(
     counts: Integers,
     floats: Floats,
@@ -409,7 +418,7 @@ def weigh(
     return RIGHT
 
 
-@compiled
+@inlined
 def put(
     counts: Integers,
     n: int,
@@ -428,7 +437,7 @@ def put(
         counts[FOUND_US] = counts[TIME]
 
 
-@compiled
+@bare
 def gate_edges(
     counts: Integers,
     floats: Floats,
@@ -503,20 +512,21 @@ def advances(teeth: int, missing: tuple[int, ...]) -> Integers:
     return steps
 
 
-def new_state(pitch_rad: float, most_rad_s2: float) -> tuple[Integers, Floats]:
+def new_state(pitch_rad: float, most_rad_s2: float, advance: Integers) -> tuple[Integers, Floats]:
     """Counts and quantities of a wheel not seen yet; `most_rad_s2` bounds its acceleration."""
     counts, floats = np.zeros(COUNTS, np.int64), np.zeros(QUANTITIES)
-    counts[GUESS] = UNKNOWN
+    counts[GUESS], counts[WIDEST] = UNKNOWN, advance.max()
     # At omega^2 = 6 a pitch it takes three pitches to stop.
     floats[LEAST_RATE] = np.sqrt(6.0 * most_rad_s2 / pitch_rad) * 1e-6
+    floats[MOST_RATE] = MOST_RAD_S / pitch_rad * 1e-6
     floats[BEND] = 0.5 * most_rad_s2 / pitch_rad * 1e-12
     return counts, floats
 
 
 def warm_up() -> None:
     """Compiles all, or loads what was compiled before."""
-    counts, floats = new_state(1.0, 1.0)
     one, room = np.ones(1, np.int64), np.zeros(8, np.int64)
+    counts, floats = new_state(1.0, 1.0, one)
     edge = np.zeros(8)
     gate_edges(
         counts, floats, one, room, room, room, 0, room, 0, 0.5, 1.0, edge, edge, room, room, room

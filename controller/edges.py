@@ -8,6 +8,7 @@ fewer than 27 came since, and the tooth number is never lost.
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
@@ -74,12 +75,13 @@ class EdgeBatch(NamedTuple):
 
 
 class EdgeHealth(NamedTuple):
-    """Edges left out as extra, teeth stepped over, how often a tooth was in doubt, and whether
-    teeth are numbered now."""
+    """Edges left out as extra, edges that were missing, how often a tooth was in doubt, how often
+    of the losses the wheel was slow or stood, and whether teeth are numbered now."""
 
     extra: int
     missed: int
     doubts: int
+    stops: int
     counting: bool
 
 
@@ -160,7 +162,7 @@ class WheelEdges:
         self._advance = edge_gate.advances(teeth, missing)
         self._candidates = np.zeros_like(self._advance)
         self._rise, self._fall = Polarity(), Polarity()
-        self._counts, self._floats = edge_gate.new_state(self.pitch_rad, most_rad_s2)
+        self._counts, self._floats = edge_gate.new_state(self.pitch_rad, most_rad_s2, self._advance)
         self.broken = 0
         """How often tooth numbers were lost: every phase reference of this wheel with them."""
         self.newest: Edge | None = None
@@ -175,6 +177,7 @@ class WheelEdges:
             int(c[edge_gate.EXTRA]),
             int(c[edge_gate.MISSED]),
             int(c[edge_gate.DOUBTS]),
+            int(c[edge_gate.STOPS]),
             bool(c[edge_gate.MODE] == edge_gate.COUNTING),
         )
 
@@ -186,7 +189,7 @@ class WheelEdges:
         self.broken += 1
 
     def read(
-        self, rise: list[EdgeFrame], fall: list[EdgeFrame], clock: SensorClock, now_us: int
+        self, rise: Sequence[EdgeFrame], fall: Sequence[EdgeFrame], clock: SensorClock, now_us: int
     ) -> EdgeBatch:
         """Takes this step's frames of both polarities; returns the new edges in order of time."""
         risen, fallen = self._rise, self._fall
@@ -239,7 +242,9 @@ class WheelEdges:
         return EdgeBatch(edge_us[:n], edge_rad[:n], tooth[:n], falling[:n])
 
     @staticmethod
-    def _take(polarity: Polarity, frames: list[EdgeFrame], clock: SensorClock, now_us: int) -> int:
+    def _take(
+        polarity: Polarity, frames: Sequence[EdgeFrame], clock: SensorClock, now_us: int
+    ) -> int:
         """The time of the last frame; long ago where there is none."""
         read_us = LONG_AGO_US
         for frame in frames:

@@ -1,7 +1,7 @@
 """numba's compiler for the kernels, or none: with NUMBA_DISABLE_JIT=1 numba is not even loaded.
 
-`compiled` makes an entry point, kept in numba's file cache; `part` a piece of one, copied to where
-it is called. numba looks only at the file of a cached function, so a change in a part in another
+`compiled` and `bare` make an entry point, kept in numba's file cache; `inlined` a piece of one,
+copied to where it is called. numba looks only at the file of a cached function, so a change in a part in another
 file would go unseen: the cache's folder therefore bears a digest of all kernels.
 """
 
@@ -26,8 +26,32 @@ def _digest() -> str:
     return hashed.hexdigest()[:12]
 
 
+BARE: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
+"""Without numba's runtime, whose atomic counting of references takes longer than a small piece of
+work: for kernels that neither make nor keep an array."""
+
+
 def compiled(function: Kernel) -> Kernel:
     """The function compiled, with numba's file cache; as it is where compiling is switched off."""
+    return _entry(function, {"error_model": "numpy"})
+
+
+def bare(function: Kernel) -> Kernel:
+    """A kernel that only works on the arrays it is given; compiled and cached as `compiled`."""
+    return _entry(function, BARE)
+
+
+def inlined(function: Kernel) -> Kernel:
+    """A piece of a kernel that makes no array of its own, copied to where it is called: a call
+    hands over each array as seven words."""
+    if DISABLED:
+        return function
+    from numba import njit
+
+    return cast(Kernel, njit(forceinline=True, **BARE)(function))
+
+
+def _entry(function: Kernel, options: dict[str, Any]) -> Kernel:
     if DISABLED:
         return function
     # Loading it is a third of the start-up, so only where it is needed.
@@ -38,25 +62,12 @@ def compiled(function: Kernel) -> Kernel:
     before = config.CACHE_DIR
     config.CACHE_DIR = before or str(FOLDER / "__pycache__" / f"kernels-{_DIGEST}")
     try:
-        return cast(Kernel, njit(cache=True, error_model="numpy")(function))
+        return cast(Kernel, njit(cache=True, **options)(function))
     except RuntimeError:
         # Nowhere to keep what was compiled, as in a read-only container: each start compiles.
-        return cast(Kernel, njit(error_model="numpy")(function))
+        return cast(Kernel, njit(**options)(function))
     finally:
         config.CACHE_DIR = before
-
-
-def part(function: Kernel) -> Kernel:
-    """A piece of a kernel that makes no array of its own.
-
-    Without numba's runtime, whose atomic counting of references takes longer than such a piece, and
-    copied to where it is called: a call hands over each array as seven words."""
-    if DISABLED:
-        return function
-    from numba import njit
-
-    options: dict[str, Any] = {"error_model": "numpy", "forceinline": True, "_nrt": False}
-    return cast(Kernel, njit(**options)(function))
 
 
 _DIGEST: Final = "" if DISABLED else _digest()

@@ -24,7 +24,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.jit import compiled, part
+from controller.jit import compiled, inlined
 
 Vector = NDArray[np.float64]
 
@@ -60,7 +60,7 @@ LONGEST_S: Final = 5e-3
 CLOSE: Final = 1e-6
 
 
-@part
+@inlined
 def segment(law: Vector, u: int, pressure: float) -> int:
     """Which segment of the law holds at a pressure."""
     i = 0
@@ -69,7 +69,7 @@ def segment(law: Vector, u: int, pressure: float) -> int:
     return i
 
 
-@part
+@inlined
 def longest_in_segment(law: Vector, u: int, pressure: float, dt: float) -> float:
     """How much of `dt` passes before the pressure leaves its segment."""
     i = segment(law, u, pressure)
@@ -89,7 +89,7 @@ def longest_in_segment(law: Vector, u: int, pressure: float, dt: float) -> float
     return float(min(dt, max(1e-7, -math.log(share) / b)))
 
 
-@part
+@inlined
 def transition(x: Vector, dt: float, u: int, motion: Vector, law: Vector, f: Vector) -> None:
     """Derivatives of the state after `dt` by the state now, f (2, 6) for theta and omega and
     f[2, 2..3] for pressure and disturbance; moves the state there, in place.
@@ -127,7 +127,7 @@ def transition(x: Vector, dt: float, u: int, motion: Vector, law: Vector, f: Vec
     x[3] *= e_d
 
 
-@part
+@inlined
 def spread_over(p: Vector, dt: float, f: Vector, motion: Vector, noise: Vector, x: Vector) -> None:
     """Covariance prediction P = F P F' + Q, in place; p (6, 6), its upper half; f of `transition`.
 
@@ -172,7 +172,7 @@ def spread_over(p: Vector, dt: float, f: Vector, motion: Vector, noise: Vector, 
     p[5, 5] = p55 + q_s
 
 
-@part
+@inlined
 def measure(x: Vector, p: Vector, i: int, innovation: float, r: float, gain: Vector) -> float:
     """Measurement update with the i-th state measured, in place; p its upper half. Returns the
     innovation's variance; gain (6,) is written: the Kalman gain used."""
@@ -187,7 +187,7 @@ def measure(x: Vector, p: Vector, i: int, innovation: float, r: float, gain: Vec
     return float(s)
 
 
-@part
+@inlined
 def mirror(p: Vector) -> None:
     """The lower half from the upper one, in place."""
     for j in range(1, STATES):
@@ -195,7 +195,7 @@ def mirror(p: Vector) -> None:
             p[j, k] = p[k, j]
 
 
-@part
+@inlined
 def input_at(t_us: float, switch_us: Vector) -> int:
     """How many switches lie at or before a time."""
     i = 0

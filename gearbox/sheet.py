@@ -26,6 +26,7 @@ from gearbox.gears import MAIN_GEARS, DriveGear, MainGear, Range, Split
 from gearbox.tables import (
     TableError,
     count,
+    counts,
     group,
     load_toml,
     quantity,
@@ -39,6 +40,8 @@ BAR: Final = 1e5
 MS: Final = 1e-3
 MM: Final = 1e-3
 SHEET_NAMES: Final = ("thesis", "truck12")
+LEAST_RUN: Final = 6
+"""Teeth in a row that a sensor wheel needs somewhere, to see its speed."""
 _MAIN_FIELD: Final = {gear: gear.name.lower() for gear in MAIN_GEARS}
 
 
@@ -115,10 +118,23 @@ class Wheel:
 
     teeth: int = count("teeth", 8, 120)
     duty_share: float = quantity("duty_percent", 20.0, 80.0, 0.01)
+    missing: tuple[int, ...] = counts("missing", 0, 119, default=())
+    """Teeth that were left out (58 and 59 of a 60-2 wheel): they tell which tooth is which."""
+
+    def __post_init__(self) -> None:
+        if not self.missing:
+            return
+        if self.missing[-1] >= self.teeth:
+            raise TableError(f"missing = {list(self.missing)}, allowed are 0 to {self.teeth - 1}")
+        left = "".join("-" if k in self.missing else "#" for k in range(self.teeth))
+        if "#" * LEAST_RUN not in left + left:
+            raise TableError(f"missing must leave {LEAST_RUN} teeth in a row")
+        if left in (left + left)[1:-1]:
+            raise TableError("missing must tell each tooth from all others, its pattern repeats")
 
     @property
     def pitch_rad(self) -> float:
-        """Angle from rising edge to rising edge."""
+        """Angle from rising edge to rising edge, where no tooth is missing."""
         return 2.0 * math.pi / self.teeth
 
 
@@ -291,5 +307,9 @@ def _build(cls: Any, values: dict[str, Any]) -> Any:
     built = {}
     for field in cls.__dataclass_fields__.values():
         inner = field.metadata.get("group")
-        built[field.name] = _build(inner, values[field.name]) if inner else values[field.name]
+        value = values[field.name]
+        # JSON has no tuples.
+        built[field.name] = (
+            _build(inner, value) if inner else tuple(value) if isinstance(value, list) else value
+        )
     return cls(**built)

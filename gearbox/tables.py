@@ -37,6 +37,8 @@ class Rule:
         """The allowed values in words."""
         if self.kind is bool:
             return "true or false"
+        if self.kind is tuple:
+            return f"a list of whole numbers from {self.low:g} to {self.high:g}, rising"
         if self.kind is str:
             return f"one of {', '.join(self.choices)}" if self.choices else "a text"
         noun = "a whole number" if self.kind is int else "a number"
@@ -53,6 +55,11 @@ def quantity(key: str, low: float, high: float, si: float = 1.0, **default: Any)
 def count(key: str, low: int, high: int, **default: Any) -> Any:
     """A whole number."""
     return dataclasses.field(metadata={"rule": Rule(key, int, low, high)}, **default)
+
+
+def counts(key: str, low: int, high: int, **default: Any) -> Any:
+    """Whole numbers, each larger than the one before; a tuple."""
+    return dataclasses.field(metadata={"rule": Rule(key, tuple, low, high)}, **default)
 
 
 def text(key: str, *choices: str, **default: Any) -> Any:
@@ -132,10 +139,20 @@ def _read(field: dataclasses.Field[Any], value: Any, where: str) -> Any:
         str: isinstance(value, str) and (not rule.choices or value in rule.choices),
         int: isinstance(value, int) and is_number and rule.low <= value <= rule.high,
         float: is_number and math.isfinite(value) and rule.low <= value <= rule.high,
+        tuple: _is_rising(value, rule),
     }[rule.kind]
     if not fits:
         raise TableError(f"{where} = {value!r}, allowed is {rule.allowed()}")
+    if rule.kind is tuple:
+        return tuple(value)
     return value * rule.si if rule.kind is float else value
+
+
+def _is_rising(value: Any, rule: Rule) -> bool:
+    if not isinstance(value, list) or not all(type(item) is int for item in value):
+        return False
+    inside = all(rule.low <= item <= rule.high for item in value)
+    return inside and value == sorted(set(value))
 
 
 def group(cls: type, **default: Any) -> Any:

@@ -26,6 +26,7 @@ from rig_sim.kernels import (
 )
 from rig_sim.plant import US, Segment
 from rig_sim.sensor_clock import SensorClock
+from rig_sim.settings import SettingsError
 from rig_sim.shafts import Angle
 
 RING: Final = 64
@@ -89,6 +90,8 @@ class EdgeCapture:
 
     def __init__(self, wheels: Wheels, angles: tuple[Angle, ...]) -> None:
         order = (wheels.input_, wheels.layshaft, wheels.main, wheels.propeller)
+        if any(wheel.missing for wheel in order):
+            raise SettingsError("preset thesis: wheels.*.missing, allowed are whole wheels only")
         channels = 2 * len(order)
         self._teeth = np.array([wheel.teeth for wheel in order], dtype=np.int64)
         self._offsets = np.array([offset for wheel in order for offset in (0.0, wheel.duty_share)])

@@ -40,7 +40,9 @@ class WheelAsMade:
 
     def __init__(self, rng: np.random.Generator, wheel: Wheel, built: AsBuilt) -> None:
         n = wheel.teeth
-        self.teeth = n
+        self.pitches = n
+        self.present = np.array([k for k in range(n) if k not in wheel.missing])
+        self.teeth = len(self.present)
         largest = math.radians(built["hall.pitch_error_deg"])
         errors = largest * rng.uniform(-1.0, 1.0, n)
         self.eccentric_rad = float(rng.uniform(0.0, TAU))
@@ -55,12 +57,13 @@ class WheelAsMade:
         self.threshold = built["hall.threshold_share"]
 
     def edges_rad(self) -> tuple[Floats, Floats]:
-        """Wheel angles of the rising and the falling edge of each tooth."""
-        n = self.teeth
+        """Wheel angles of the rising and the falling edge of each tooth that is there."""
+        n = self.pitches
         share = np.clip(self.threshold / self.amplitude, -CROSSING_LIMIT, CROSSING_LIMIT)
         later = np.arcsin(share) / n
         middle = TAU / n * np.arange(n) + self.errors_rad
-        return middle + later, middle + self.duty * TAU / n - later
+        there = self.present
+        return (middle + later)[there], (middle + self.duty * TAU / n - later)[there]
 
 
 class TruckEdges:
@@ -71,7 +74,7 @@ class TruckEdges:
         order = (wheels.input_, wheels.layshaft, wheels.main, wheels.propeller)
         rng = np.random.Generator(np.random.PCG64(built.teeth_seed))
         self.wheels = [WheelAsMade(rng, wheel, built) for wheel in order]
-        self.teeth = np.array([wheel.teeth for wheel in order], dtype=np.int64)
+        self.teeth = np.array([made.teeth for made in self.wheels], dtype=np.int64)
         self.table: Floats = np.zeros((at.CHANNELS, int(self.teeth.max())))
         for shaft, wheel in enumerate(self.wheels):
             for row, edges in enumerate(wheel.edges_rad()):

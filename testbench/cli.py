@@ -43,6 +43,7 @@ MODULES = {
     "health": "health",
     "pace": "pace",
     "gearbox": "gearbox",
+    "captures": "captures",
     "study": "study",
 }
 """The module of `testbench.commands` that holds each command, in the order of the help."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-import numpy as np
 from wheel import READ_US, capture
 
 from controller.clock import SensorClock
@@ -79,16 +78,23 @@ class Seen:
         return wrong
 
 
-def run(motion: Turning, rise_s: list[float], fall_s: list[float], most_rad_s2: float) -> Seen:
-    """All reads of 10 ms with these edges in them, each frame received."""
+def run(
+    motion: Turning,
+    rise_s: list[float],
+    fall_s: list[float],
+    most_rad_s2: float,
+    just_powered_up: bool = False,
+) -> Seen:
+    """All reads of 10 ms with these edges in them, each frame received. Frames are full from the
+    first on, as a sensor's that has been powered for long, unless it has not."""
     rise = sorted({LEAD_US + round(t * 1e6) for t in rise_s})
     fall = sorted({LEAD_US + round(t * 1e6) for t in fall_s})
     wheel = WheelEdges(motion.teeth, motion.duty, motion.missing, most_rad_s2)
     clock, seen = SensorClock(), Seen()
+    before = [] if just_powered_up else [LEAD_US - 100_000 * k for k in range(27, 0, -1)]
     for read_us in range(LEAD_US, LEAD_US + round(motion.until_s * 1e6) + 1, READ_US):
-        # As a sensor long since powered up: frames are full from the first on.
-        risen = EdgesMainRise(**capture(_full(rise), 1, read_us))
-        fallen = EdgesMainFall(**capture(_full(fall), 1, read_us))
+        risen = EdgesMainRise(**capture(before + rise, 1, read_us))
+        fallen = EdgesMainFall(**capture(before + fall, 1, read_us))
         batch = wheel.read([risen], [fallen], clock, read_us)
         seen.time_us += batch.time_us.astype(int).tolist()
         seen.place += (batch.tooth + motion.duty * batch.falling).tolist()
@@ -96,11 +102,3 @@ def run(motion: Turning, rise_s: list[float], fall_s: list[float], most_rad_s2: 
         seen.part += [wheel.broken] * batch.time_us.size
     seen.edges = wheel
     return seen
-
-
-def _full(times_us: list[int]) -> list[int]:
-    return [LEAD_US - 90_000 - 100_000 * k for k in range(27, 0, -1)] + times_us
-
-
-def jittered(rng: np.random.Generator, edges: dict[int, float], jitter_s: float) -> list[float]:
-    return [t + jitter_s * float(rng.standard_normal()) for t in edges.values()]

@@ -80,6 +80,34 @@ def test_the_canonical_form_gives_the_sheet_back() -> None:
     assert again.sha256 == sheet.sha256
 
 
+def test_a_wheel_may_have_missing_teeth(tmp_path: Path) -> None:
+    text = TEXT.replace("[wheels.main]\n", "[wheels.main]\nmissing = [43, 44]\n")
+    sheet = load_text(tmp_path, text)
+    assert sheet.wheels.main.missing == (43, 44)
+    assert sheet.wheels.layshaft.missing == ()
+    assert sheet_from_canonical(json.loads(sheet.canonical())) == sheet
+
+
+@pytest.mark.parametrize(
+    ("missing", "named"),
+    [
+        ("[44, 43]", "rising"),
+        ("[45]", "44"),
+        ("[-1]", "from 0"),
+        ("[1.5]", "whole"),
+        ("[14, 29, 44]", "repeats"),
+        ("[0, 6, 12, 18, 24, 30, 36, 42]", "6 teeth"),
+        ("7", "list"),
+    ],
+)
+def test_missing_teeth_that_tell_nothing_are_refused(
+    tmp_path: Path, missing: str, named: str
+) -> None:
+    text = TEXT.replace("[wheels.main]\n", f"[wheels.main]\nmissing = {missing}\n")
+    with pytest.raises(SheetError, match=named):
+        load_text(tmp_path, text)
+
+
 def test_the_hash_is_of_the_values_and_not_of_the_file(tmp_path: Path) -> None:
     sheet = load_sheet("thesis")
     commented = TEXT.replace("[dog]", "# the dog teeth\n\n[dog]   # here")

@@ -25,7 +25,7 @@ def edges_of_sine(
 def edges_of_angles(wheel: WheelAsMade, theta: Floats) -> tuple[list[int], list[int]]:
     """Sample numbers of the rising and the falling edges of a wheel at these angles. Each tooth's
     sine has the tooth's own place and amplitude; duty 50 %."""
-    n = wheel.teeth
+    n = wheel.pitches
     pitch = TAU / n
     # which tooth is under the sensor: from a quarter pitch before its middle rise, all around
     tooth = np.floor(theta / pitch + 0.25).astype(int) % n
