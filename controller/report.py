@@ -7,10 +7,11 @@ from typing import Final
 
 from controller.header import RunHeader
 from controller.kinematics import slip_rad_s, wrap_to_pitch
+from controller.moment import Moment
+from controller.motion import LayshaftState
 from controller.observer import Observer
-from controller.predictor import LayshaftState
 from controller.publish import estimates, etc1, etc2, outcome, prediction
-from controller.sequence import Moment, ShiftSequence
+from controller.sequence import ShiftSequence
 from dbc.frame import Frame
 from dbc.link import Receiver, Transmitter
 from dbc.messages import ETC1, ControllerEstimates, ControllerState, ControllerStatus, Message
@@ -33,6 +34,11 @@ class Reporter:
         self._steps = 0
         self._gear = -1
         self._previous = (0, 0, 0)
+
+    def change_header(self, header: RunHeader) -> None:
+        """Another run header from the next status frame on."""
+        self._header = header
+        self._run_hash = header.run_hash
 
     def frames(self, transmitter: Transmitter, moment: Moment) -> list[Frame]:
         """Estimates, J1939 messages, and this step's prediction and outcome where there are any."""

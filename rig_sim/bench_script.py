@@ -164,4 +164,9 @@ class BenchScript:
             split = Split.HIGH if self.splitter.side > 0 else Split.LOW
         if self.range_.arrival_us == NEVER_US:
             range_ = Range.HIGH if self.range_.side > 0 else Range.LOW
-        self._plant.set_steps(split, range_)
+        moving = frozenset(
+            name
+            for name, sleeve in ((Sleeve.SPLITTER, self.splitter), (Sleeve.RANGE, self.range_))
+            if sleeve.arrival_us != NEVER_US
+        )
+        self._plant.set_steps(split, range_, moving)

@@ -133,7 +133,9 @@ def _sleeves(world: RigWorld, now_us: int, clock_us: int) -> list[Message]:
 
 def _phases(world: RigWorld, clock_us: int) -> ReferencePhase:
     angle, speed_rad_s, phases_rad = world.phase_read()
-    return ReferencePhase._make((clock_us, _encoder_rad(angle), speed_rad_s, *phases_rad))
+    return ReferencePhase._make(
+        (clock_us, _encoder_rad(angle), speed_rad_s, *phases_rad, world.truth.road_speed_m_s)
+    )
 
 
 def _encoder_rad(angle: Angle) -> float:

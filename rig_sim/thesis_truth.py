@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from gearbox.gears import MainGear
 from rig_sim.common_truth import CommonTruth
 from rig_sim.shafts import Angle
 
@@ -35,3 +36,23 @@ class ThesisTruth(CommonTruth):
             plant.main_rad_s,
             plant.main_rad_s * shafts.propeller_mesh.ratio,
         )
+
+    @property
+    def road_speed_m_s(self) -> float:
+        """The thesis has no vehicle: its main shaft keeps its speed (4.16)."""
+        return 0.0
+
+    def delay_s(self, gear: MainGear) -> tuple[float, float]:  # noqa: ARG002
+        """From a sleeve valve's activation now to contact: mean and standard deviation."""
+        sleeve = self._world.sheet.sleeve
+        return sleeve.delay_s, sleeve.delay_sd_s
+
+    @property
+    def brake_valve_delay_s(self) -> float:
+        """From the brake valve's activation to the first change of pressure."""
+        return self._world.sheet.brake.valve_delay_s
+
+    @property
+    def plant(self) -> None:
+        """The controller's own model is this gearbox's: there is nothing to run ahead."""
+        return None

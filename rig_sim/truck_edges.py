@@ -87,7 +87,6 @@ class TruckEdges:
         self.history: Floats = np.zeros((at.HISTORY, 3))
         self.history[:] = (laps[at.LAYSHAFT], y[at.ANGLE + at.LAYSHAFT], 0.0)
         self.pointers: Integers = np.zeros((at.CHANNELS, at.POINTER), dtype=np.int64)
-        self._counts = self.pointers[:, at.COUNT]
         self._reader = RingReader(at.CHANNELS)
         self._on_us = 0.0
         for channel in range(at.CHANNELS):
@@ -113,7 +112,8 @@ class TruckEdges:
     def read(self, now_us: int, clock: SensorClock) -> list[EdgeRead]:
         """The read of all channels now, in the order of the wire contract. An extra edge that is
         still to come is not in it."""
-        return self._reader.read(now_us, self._on_us, clock, self._counts, self.ring)
+        counts = self.pointers[:, at.COUNT]
+        return self._reader.read(now_us, self._on_us, clock, counts, self.ring)
 
     def power_up(self, time_us: float) -> None:
         """The sensors start anew: counts from zero, the first edges wrong again."""

@@ -8,11 +8,11 @@ for the instant at which a gear's phase leaves a span.
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from gearbox.gears import MAIN_GEARS, MainGear, Range, Split
+from gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
 from gearbox.sheet import GearboxSheet
 from rig_sim import truck_layout as at
 from rig_sim.as_built import AsBuilt
@@ -54,6 +54,13 @@ class InMesh(NamedTuple):
 
     gear: MainGear
     flank: int
+
+
+class Snapshot(NamedTuple):
+    """What moves in a plant at an instant; what is linked to what only as the kernels see it."""
+
+    time_us: float
+    arrays: tuple[np.ndarray[Any, Any], ...]
 
 
 class TruckShafts:
@@ -143,6 +150,13 @@ class TruckPlant:
         return float(self.y[at.SPEED + at.MAIN])
 
     @property
+    def road_speed_m_s(self) -> float:
+        """Speed of the vehicle."""
+        is_rigid = self.p[at.STIFF_NM_RAD] == 0.0
+        omega = self.y[at.SPEED + at.PROPELLER if is_rigid else at.WHEELS_RAD_S]
+        return float(omega * self.p[at.WHEEL_M])
+
+    @property
     def brake_gauge_pa(self) -> float:
         """Gauge pressure between valve and brake."""
         return float(self.y[at.BRAKE_PA] - self.p[at.ATMOSPHERE_PA])
@@ -212,6 +226,19 @@ class TruckPlant:
             self.time_us, float(until_us), float(stop_us), *self._arguments
         )
         return event
+
+    def snapshot(self) -> Snapshot:
+        """Copies of all that `advance` reads and changes, but the edges found."""
+        return Snapshot(self.time_us, tuple(array.copy() for array in self._moving()))
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Stand as at that instant; of this plant or of one of the same gearbox."""
+        self.time_us = snapshot.time_us
+        for array, copied in zip(self._moving(), snapshot.arrays, strict=True):
+            array[:] = copied
+
+    def _moving(self) -> tuple[np.ndarray[Any, Any], ...]:
+        return self.y, self.g, self._slots, self.laps, self.edges.pointers
 
     def find_torques(self) -> None:
         """Rates and torques at the present state into the scratch, going nowhere."""
@@ -328,16 +355,20 @@ class TruckPlant:
         if not self.constant_speed:
             self.chain.free(at.MAIN)
 
-    def set_steps(self, split: Split, range_: Range) -> None:
-        """Splitter and range sleeves have arrived; no angle jumps. While the bench drives the
-        shafts speeds follow at once, as work of the bench; else the cones bring them together."""
+    def set_steps(self, split: Split, range_: Range, moving: frozenset[Sleeve]) -> None:
+        """Splitter or range sleeve has arrived, but for those still moving; no angle jumps. While
+        the bench drives the shafts speeds follow at once, as work of the bench; else the cones
+        bring them together."""
         self.shafts.split, self.shafts.range_ = split, range_
         scripted = self.chain.is_forced(at.LAYSHAFT) and not self.g[at.HELD]
         before = self.chain.kinetic_j()
-        for link, slot, ratio, torque_nm in (
-            (at.SPLITTER, at.CONE_SPLITTER, self.shafts.split_ratio, self._cones_nm[0]),
-            (at.RANGE, at.CONE_RANGE, self.shafts.range_ratio, self._cones_nm[1]),
+        splitter_nm, range_nm = self._cones_nm
+        for name, link, slot, ratio, torque_nm in (
+            (Sleeve.SPLITTER, at.SPLITTER, at.CONE_SPLITTER, self.shafts.split_ratio, splitter_nm),
+            (Sleeve.RANGE, at.RANGE, at.CONE_RANGE, self.shafts.range_ratio, range_nm),
         ):
+            if name in moving and not scripted:
+                continue  # between its steps, without a cone
             if scripted:
                 self.smooth(slot)
                 self.chain.place(link, ratio)

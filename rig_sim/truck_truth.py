@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from gearbox.gears import MainGear
 from rig_sim import truck_layout as at
 from rig_sim.common_truth import CommonTruth
 from rig_sim.shafts import Angle
-from rig_sim.truck_plant import Energy
+from rig_sim.truck_plant import Energy, TruckPlant
 
 if TYPE_CHECKING:
     from rig_sim.truck_world import TruckWorld
@@ -41,3 +42,24 @@ class TruckTruth(CommonTruth):
     def energy(self) -> Energy:
         """The balance since power-up."""
         return self._world.plant.energy
+
+    @property
+    def road_speed_m_s(self) -> float:
+        """Speed of the vehicle (`vehicle.py`)."""
+        return self._world.plant.road_speed_m_s
+
+    def delay_s(self, gear: MainGear) -> tuple[float, float]:
+        """From a sleeve valve's activation now to contact: mean and standard deviation."""
+        world = self._world
+        mean_s = world.delays.mean_gear_s(gear, world.plant.supply_gauge_pa)
+        return mean_s, world.delays.sd_s
+
+    @property
+    def brake_valve_delay_s(self) -> float:
+        """From the brake valve's activation to the first change of pressure."""
+        return self._world.sheet.brake.valve_delay_s
+
+    @property
+    def plant(self) -> TruckPlant:
+        """What turns and carries air; not to be touched, but to be copied."""
+        return self._world.plant

@@ -16,12 +16,12 @@ from controller.settings import (
     load_settings,
 )
 from gearbox import GearboxSheet, load_sheet
-from gearbox.gears import DRIVE_GEARS, main_box_only
 from gearbox.sheet import SHEET_NAMES
 from rig_sim.as_built import load_as_built
 from rig_sim.faults import ScheduledFault
 from rig_sim.scenario import load_scenario
 from rig_sim.settings import Preset
+from testbench.schedules import NAMES, UPSHIFTS, Pairs, check_preset, pairs
 
 MAX_SHIFTS = 100_000
 _SIZE = re.compile(
@@ -77,23 +77,6 @@ def size_bytes(text: str) -> int:
     return int(size)
 
 
-def pairs(text: str) -> tuple[tuple[int, int], ...]:
-    """An argparse type: `8-10,10-12`, upshifts of the main box alone."""
-    parsed = []
-    for item in text.split(","):
-        before, _, after = item.partition("-")
-        try:
-            from_, to = int(before), int(after)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"{item!r}, allowed is FROM-TO, as 8-10") from None
-        if from_ not in DRIVE_GEARS or to not in DRIVE_GEARS or not main_box_only(from_, to):
-            raise argparse.ArgumentTypeError(
-                f"{item!r} moves more than the main box, or nothing; as 8-10, 7-9, 10-12"
-            )
-        parsed.append((from_, to))
-    return tuple(parsed)
-
-
 def add_gearbox(parser: argparse.ArgumentParser) -> None:
     """--gearbox."""
     parser.add_argument(
@@ -122,7 +105,20 @@ def add_controller(parser: argparse.ArgumentParser, strategy: bool = True) -> No
 
 
 def add_rig(parser: argparse.ArgumentParser) -> None:
-    """--preset and --seed."""
+    """--preset, --seed, --as-built and --faults."""
+    add_preset(parser)
+    add_seed(parser)
+    add_as_built(parser)
+    parser.add_argument(
+        "--faults",
+        type=Path,
+        metavar="FILE",
+        help="preset truck: a scenario of faults, TOML (`meshpoint rig --describe` lists them)",
+    )
+
+
+def add_preset(parser: argparse.ArgumentParser) -> None:
+    """--preset."""
     parser.add_argument(
         "--preset",
         choices=tuple(preset.value for preset in Preset),
@@ -130,18 +126,15 @@ def add_rig(parser: argparse.ArgumentParser) -> None:
         help="physics of the rig: thesis, its equations 4.1-4.17 to the letter; truck, a gearbox "
         "with friction, backlash and impacts, drawn from the seed (default: %(default)s)",
     )
-    add_seed(parser)
+
+
+def add_as_built(parser: argparse.ArgumentParser) -> None:
+    """--as-built."""
     parser.add_argument(
         "--as-built",
         type=Path,
         metavar="FILE",
         help="preset truck: fix these as-built values, TOML or a run's JSON; the rest is drawn",
-    )
-    parser.add_argument(
-        "--faults",
-        type=Path,
-        metavar="FILE",
-        help="preset truck: a scenario of faults, TOML (`meshpoint rig --describe` lists them)",
     )
 
 
@@ -204,20 +197,28 @@ def add_shifts(parser: argparse.ArgumentParser, default: int, least: int) -> Non
         type=whole(least, MAX_SHIFTS),
         default=default,
         metavar="N",
-        help=f"number of upshifts (default: {default})",
+        help=f"number of shifts (default: {default})",
     )
     parser.add_argument(
         "--pairs",
         type=pairs,
-        default=((8, 10), (10, 12)),
+        default=UPSHIFTS,
         metavar="LIST",
-        help="shifts to cycle through, main box alone (default: 8-10,10-12)",
+        help=f"shifts to cycle through: {', '.join(NAMES)}, or a list (default: 8-10,10-12); all "
+        "but upshifts of the main box need --preset truck",
     )
 
 
 def sheet_of(namespace: argparse.Namespace) -> GearboxSheet:
     """The data sheet asked for."""
     return load_sheet(namespace.gearbox)
+
+
+def pairs_of(namespace: argparse.Namespace, sheet: GearboxSheet, preset: Preset) -> Pairs:
+    """The shifts asked for. TableError where the preset cannot make one."""
+    chosen: Pairs = namespace.pairs
+    check_preset(chosen, sheet, preset)
+    return chosen
 
 
 def settings_of(namespace: argparse.Namespace, strategy: str | None = None) -> ControllerSettings:

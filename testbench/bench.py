@@ -25,7 +25,7 @@ from dbc.messages import (
     ShiftOutcome,
 )
 from dbc.node import Node
-from gearbox import GearboxSheet, drive_gear
+from gearbox import DriveGear, GearboxSheet, drive_gear
 
 TICK_US: Final = 10_000
 COMMAND_EVERY: Final = 2
@@ -49,6 +49,14 @@ MOVING: Final = frozenset(ControllerState) - {
 
 
 @dataclass(frozen=True)
+class Pauses:
+    """How long the bench rests in the old gear before a request, and in the new one after it."""
+
+    settle_us: int = SETTLE_US
+    learn_us: int = LEARN_US
+
+
+@dataclass(frozen=True)
 class PlannedShift:
     """From a gear to a gear, with the main shaft at a speed."""
 
@@ -60,16 +68,26 @@ class PlannedShift:
 def plan_shifts(
     sheet: GearboxSheet, pairs: list[tuple[int, int]], shifts: int, layshaft_rad_s: float
 ) -> list[PlannedShift]:
-    """`shifts` shifts cycling through `pairs`; main speed such that the layshaft starts at the
-    given speed, or less where the input shaft would turn too fast."""
+    """`shifts` shifts cycling through `pairs`; main speed such that the layshaft, in the old gear
+    or in the new, turns at the given speed where it turns faster, or at less where the input shaft
+    would turn too fast."""
     planned = []
     for i in range(shifts):
         from_, to = pairs[i % len(pairs)]
-        gear = drive_gear(from_)
-        top = 0.9 * sheet.limits.input_max_rad_s * sheet.split_mesh(gear.split).ratio
-        main = min(layshaft_rad_s, top) * sheet.main_mesh(gear.main).ratio
-        planned.append(PlannedShift(from_, to, main))
+        before, after = drive_gear(from_), drive_gear(to)
+        main = _most_main_rad_s(sheet, before, layshaft_rad_s)
+        then = _most_main_rad_s(sheet, after, layshaft_rad_s)
+        if after.range_ is not before.range_:
+            ratio = sheet.range_mesh(after.range_).ratio
+            then *= ratio / sheet.range_mesh(before.range_).ratio
+        planned.append(PlannedShift(from_, to, min(main, then)))
     return planned
+
+
+def _most_main_rad_s(sheet: GearboxSheet, gear: DriveGear, layshaft_rad_s: float) -> float:
+    """The main shaft's speed at which a gear turns its layshaft or input shaft at the limit."""
+    top = 0.9 * sheet.limits.input_max_rad_s * sheet.split_mesh(gear.split).ratio
+    return min(layshaft_rad_s, top) * sheet.main_mesh(gear.main).ratio
 
 
 class Phase(Enum):
@@ -95,8 +113,9 @@ class _Seen:
 class BenchCore:
     """Runs a plan of shifts."""
 
-    def __init__(self, plan: list[PlannedShift]) -> None:
+    def __init__(self, plan: list[PlannedShift], pauses: Pauses | None = None) -> None:
         self._plan = plan
+        self._pauses = pauses or Pauses()
         self._receiver = Receiver(Node.BENCH)
         self._transmitter = Transmitter(Node.BENCH)
         self._seen = _Seen()
@@ -136,6 +155,7 @@ class BenchCore:
         """Goes on with the plan; sends what it asks for."""
         if self._since_us is None:
             self._since_us = now_us
+        self._receiver.tick(now_us)
         events = self._go_on(now_us)
         frames = self._frames(now_us)
         self._ticks += 1
@@ -172,13 +192,13 @@ class BenchCore:
             case Phase.RETURNING:
                 return seen.ready_in == shift.from_ and in_old_gear
             case Phase.SETTLING:
-                return waited_us >= SETTLE_US
+                return waited_us >= self._pauses.settle_us
             case Phase.REQUESTING:
                 return seen.outcome or (status is not None and status.state in MOVING)
             case Phase.SHIFTING:
                 return seen.outcome
             case _:
-                return waited_us >= LEARN_US
+                return waited_us >= self._pauses.learn_us
 
     def _advance(self, now_us: int) -> list[str]:
         following = {

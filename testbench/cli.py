@@ -35,6 +35,7 @@ USER_ERRORS = (BusOpenError, CommandError, HeaderError, LogError, SettingsError,
 MODULES = {
     "demo": "demo",
     "simulate": "simulate",
+    "campaign": "campaign",
     "replay": "replay",
     "controller": "nodes",
     "rig": "nodes",
@@ -42,6 +43,7 @@ MODULES = {
     "health": "health",
     "pace": "pace",
     "gearbox": "gearbox",
+    "study": "study",
 }
 """The module of `testbench.commands` that holds each command, in the order of the help."""
 

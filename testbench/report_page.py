@@ -2,22 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from html import escape
-from importlib import resources
 from typing import Any, Final
 
+from testbench.html import NUMBER, Cell, definitions, document, table, table_row
 from testbench.report_overview import shift_key, wilson
 from testbench.report_run import Report, Run, account, figure, shift_title
 from testbench.rows import ShiftRow, Summary
-
-POLICY: Final = (
-    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
-)
-"""The browser itself refuses whatever would come from elsewhere."""
-Cell = tuple[str, str]
-"""Text and class of a table's cell."""
-NUMBER: Final = "number"
 
 
 def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
@@ -34,20 +25,8 @@ def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
         body += [OVERVIEW, "<h2>Shifts</h2>", _shifts(report.runs), VIEWER]
     else:
         body.append("<p>No shift to draw.</p>")
-    body += ["<h2>Provenance</h2>", _provenance(report.provenance)]
-    return "".join(
-        (
-            "<!doctype html>\n<html lang='en'>\n<head>\n<meta charset='utf-8'>\n",
-            f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n',
-            "<meta name='viewport' content='width=device-width, initial-scale=1'>\n",
-            f"<title>{escape(report.title)}</title>\n<style>\n{_own('report.css')}</style>\n",
-            "</head>\n<body>\n",
-            "\n".join(body),
-            f"\n<script type='application/json' id='data'>{_json(data)}</script>\n",
-            f"<script>{plotly_js}</script>\n<script>\n{_own('report.js')}</script>\n",
-            "</body>\n</html>\n",
-        )
-    )
+    body += ["<h2>Provenance</h2>", definitions(report.provenance)]
+    return document(report.title, body, data, plotly_js, "report.js")
 
 
 OVERVIEW: Final = """<div class="overview">
@@ -70,29 +49,6 @@ def _notes(runs: list[Run]) -> str:
     return f"<ul>\n{items}</ul>" if items else ""
 
 
-def _own(name: str) -> str:
-    return (resources.files("testbench") / name).read_text(encoding="utf-8")
-
-
-def _json(values: dict[str, Any]) -> str:
-    """JSON that cannot end the script element it stands in."""
-    text = json.dumps(values, separators=(",", ":"), allow_nan=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def _table(head: list[Cell], rows: list[str]) -> str:
-    cells = "".join(f"<th{_class(style)}>{escape(text)}</th>" for text, style in head)
-    return f"<table><thead><tr>{cells}</tr></thead><tbody>\n{''.join(rows)}</tbody></table>"
-
-
-def _class(style: str) -> str:
-    return f' class="{style}"' if style else ""
-
-
-def _row(cells: list[Cell]) -> str:
-    return "".join(f"<td{_class(style)}>{escape(text)}</td>" for text, style in cells)
-
-
 def _number(value: float | None, digits: int, signed: bool = False) -> Cell:
     if value is None:
         return "–", NUMBER
@@ -107,7 +63,7 @@ def _summary(runs: list[Run]) -> str:
             "phase error RMS, deg", "mean duration, ms",
         )
     ]  # fmt: skip
-    return _table(head, [f"<tr>{_row(_summary_cells(run.summary))}</tr>\n" for run in runs])
+    return table(head, [f"<tr>{table_row(_summary_cells(run.summary))}</tr>\n" for run in runs])
 
 
 def _summary_cells(summary: Summary) -> list[Cell]:
@@ -144,8 +100,8 @@ def _shifts(runs: list[Run]) -> str:
         for s, shift in enumerate(run.shifts):
             key = shift_key(r, s)
             link = f'<td><a href="#{key}">{s + 1}</a></td>'
-            rows.append(f'<tr id="{key}">{link}{_row(_shift_cells(shift.row))}</tr>\n')
-    return f'<div class="scroll">{_table(SHIFT_HEAD, rows)}</div>'
+            rows.append(f'<tr id="{key}">{link}{table_row(_shift_cells(shift.row))}</tr>\n')
+    return f'<div class="scroll">{table(SHIFT_HEAD, rows)}</div>'
 
 
 def _shift_cells(row: ShiftRow) -> list[Cell]:
@@ -168,14 +124,6 @@ def _shift_cells(row: ShiftRow) -> list[Cell]:
         (str(row.attempts), NUMBER),
         (result, ""),
     ]
-
-
-def _provenance(values: dict[str, str]) -> str:
-    items = "".join(
-        f"<dt>{escape(name)}</dt><dd><code>{escape(value)}</code></dd>\n"
-        for name, value in values.items()
-    )
-    return f"<dl>\n{items}</dl>"
 
 
 def shift_words(report: Report) -> dict[str, dict[str, Any]]:

@@ -1,0 +1,1 @@
+"""The thesis reproduced: one study a figure or table, ours beside the thesis's statement."""

@@ -1,0 +1,128 @@
+"""Charts and tables into files: PNG by matplotlib, CSV beside it."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from testbench.errors import CommandError
+from testbench.output import folder_for
+from testbench.report_layout import BLUE, GREEN, GREY, INK, ORANGE, PURPLE
+from testbench.studies.record import DIGITS, Chart, Finding, Line, Panel, Style, Table
+
+COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE, INK, "#e69f00", "#56b4e9", GREY)
+EXTRA: Final = "studies need the extras: pip install 'meshpoint[plot,report]'"
+WIDTH_IN, PANEL_IN, DPI = 9.0, 3.1, 100
+
+
+def check_extras() -> None:
+    """CommandError where a study could not be drawn."""
+    try:
+        import matplotlib.figure  # noqa: F401
+        import plotly.offline  # noqa: F401
+    except ImportError as error:
+        raise CommandError(EXTRA) from error
+
+
+def write_files(finding: Finding, folder: Path) -> list[str]:
+    """Writes all charts and tables of a study; returns the names of the files."""
+    folder_for(folder)
+    names = []
+    for chart in finding.charts:
+        _draw(chart, folder / f"{chart.name}.png")
+        _write_csv(folder / f"{chart.name}.csv", ("panel", "line", "x", "y"), chart_rows(chart))
+        names += [f"{chart.name}.png", f"{chart.name}.csv"]
+    for table in finding.tables:
+        _write_csv(folder / f"{table.name}.csv", table.columns, table_rows(table))
+        names.append(f"{table.name}.csv")
+    return names
+
+
+def chart_rows(chart: Chart) -> list[list[str]]:
+    """Every point of a chart: panel, line, x, y."""
+    return [
+        [panel.y_title, line.name, _text(x), _text(y)]
+        for panel in chart.panels
+        for line in panel.lines
+        for x, y in zip(line.x, line.y, strict=True)
+    ]
+
+
+def table_rows(table: Table) -> list[list[str]]:
+    """A table's rows as the CSV has them."""
+    return [[_text(value) for value in row] for row in table.rows]
+
+
+def _text(value: Any) -> str:
+    if value is None:
+        return ""
+    return f"{value:.{DIGITS}g}" if isinstance(value, (float, np.floating)) else str(value)
+
+
+def _write_csv(path: Path, head: tuple[str, ...], rows: list[list[str]]) -> None:
+    try:
+        with path.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(head)
+            writer.writerows(rows)
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _draw(chart: Chart, path: Path) -> None:
+    from matplotlib.figure import Figure
+
+    panels = len(chart.panels)
+    figure = Figure(figsize=(WIDTH_IN, 0.8 + PANEL_IN * panels), layout="constrained")
+    axes = figure.subplots(panels, 1, sharex=True, squeeze=False)[:, 0]
+    for axis, panel in zip(axes, chart.panels, strict=True):
+        _draw_panel(axis, panel)
+    if chart.log_x:
+        axes[-1].set_xscale("log")
+    axes[-1].set_xlabel(chart.x_title)
+    figure.suptitle(f"{chart.title} (simulated)")
+    try:
+        figure.savefig(path, dpi=DPI, metadata={"Software": None})
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _draw_panel(axis: Any, panel: Panel) -> None:
+    for line, colour in zip(panel.lines, _cycle(panel), strict=True):
+        _draw_line(axis, line, colour)
+    for name, level in panel.levels.items():
+        axis.axhline(level, color=GREY, lw=0.9, ls="-.", label=name)
+    for name, moment in panel.moments.items():
+        axis.axvline(moment, color=GREY, lw=0.9, ls=":")
+        axis.annotate(
+            name, (moment, 1.0), xycoords=("data", "axes fraction"), fontsize="x-small", color=GREY
+        )
+    if panel.log_y:
+        axis.set_yscale("log")
+    if panel.y_range is not None:
+        axis.set_ylim(*panel.y_range)
+    axis.set_ylabel(panel.y_title)
+    axis.grid(alpha=0.3)
+    axis.legend(loc="best", fontsize="x-small")
+
+
+def _draw_line(axis: Any, line: Line, colour: str) -> None:
+    if line.style is Style.BARS:
+        x = np.asarray(line.x, dtype=np.float64)
+        width = 0.9 * float(np.min(np.diff(x))) if x.size > 1 else 1.0
+        axis.bar(x, line.y, width=width, color=colour, alpha=0.6, label=line.name)
+        return
+    styles: dict[Style, dict[str, Any]] = {
+        Style.LINE: {"ls": "-"},
+        Style.DASHED: {"ls": "--"},
+        Style.POINTS: {"ls": "none", "marker": ".", "ms": 4},
+        Style.JOINED: {"ls": "-", "marker": "o", "ms": 3},
+    }
+    axis.plot(line.x, line.y, color=colour, lw=1.3, label=line.name, **styles[line.style])
+
+
+def _cycle(panel: Panel) -> list[str]:
+    return [COLOURS[i % len(COLOURS)] for i in range(len(panel.lines))]

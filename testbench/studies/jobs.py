@@ -1,0 +1,193 @@
+"""Closed-loop runs as jobs: shifts in virtual time, and what studies read off their frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+from controller.clock import unwrap
+from controller.kernels import Vector
+from controller.settings import ControllerSettings
+from dbc.frame import Frame
+from dbc.layout import CODECS
+from dbc.link import Receiver
+from dbc.messages import GearboxSensors, ShiftOutcome, ShiftResult
+from dbc.node import Node
+from gearbox import GearboxSheet
+from rig_sim.as_built import linear
+from rig_sim.settings import Preset
+from testbench.estimation import EstimationScore, Sample
+from testbench.monitor import READ, identifiers
+from testbench.rows import ShiftRow, span_us
+from testbench.schedules import UPSHIFTS, Pairs
+from testbench.simulate import Setup, simulate
+
+AsBuilt = tuple[tuple[str, float], ...]
+"""As-built values that are fixed, by name; the rest is drawn from the seed."""
+ENGAGEMENT: Final = ("dog.", "sleeve.entry_law")
+OUTCOME_ID: Final = CODECS["ShiftOutcome"].spec.can_id
+
+
+class Delay(NamedTuple):
+    """Valve to contact, ms: as the position sensor showed it, and by the rig's truth."""
+
+    gear: int
+    measured_ms: float
+    true_ms: float
+    on_tooth: bool
+
+
+@dataclass
+class Squares:
+    """Sums of squared errors of one estimator over one shift, for 5.10."""
+
+    samples: int = 0
+    angle_rad2: float = 0.0
+    speed_rad2_s2: float = 0.0
+
+    def add(self, sample: Sample) -> None:
+        """One encoder instant."""
+        self.samples += 1
+        self.angle_rad2 += sample.theta_error_rad**2
+        self.speed_rad2_s2 += sample.omega_error_rad_s**2
+
+
+Scores = dict[str, Squares]
+"""One shift's sums by estimator."""
+
+
+@dataclass
+class ShiftTrace:
+    """One shift while the model holds, from neutral to contact; sensor time in us."""
+
+    samples: list[Sample] = field(default_factory=list)
+    pressure_us: list[int] = field(default_factory=list)
+    pressure_pa: list[float] = field(default_factory=list)
+    """Absolute, as the sensor says; also before and after the model holds."""
+    switches: tuple[Vector, Vector] | None = None
+    """When the brake's pressure reacts, and u from then on."""
+
+    def of(self, estimator: str) -> list[Sample]:
+        """The samples of one estimator."""
+        return [sample for sample in self.samples if sample.estimator == estimator]
+
+
+@dataclass
+class LoopResult:
+    """What came of a closed-loop run."""
+
+    rows: list[ShiftRow]
+    estimation: dict[str, dict[str, float | int | None]]
+    """RMS by 5.10 over the whole run, by estimator."""
+    delays: list[Delay]
+    traces: list[ShiftTrace]
+    scores: list[Scores]
+    """One a shift, where the job asked for them."""
+
+    @property
+    def known(self) -> list[ShiftRow]:
+        """The shifts that could aim."""
+        return [row for row in self.rows if row.reference == "known"]
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """A job: controller, rig and bench for some shifts; traces of the first `keep`, and every
+    shift's scores where `scored`."""
+
+    sheet: GearboxSheet
+    settings: ControllerSettings
+    preset: Preset
+    seed: int
+    shifts: int
+    pairs: Pairs = UPSHIFTS
+    as_built: AsBuilt = ()
+    keep: int = 0
+    scored: bool = False
+
+    def run(self) -> LoopResult:
+        """Simulates it."""
+        setup = Setup(
+            sheet=self.sheet,
+            settings=self.settings,
+            preset=self.preset,
+            seed=self.seed,
+            shifts=self.shifts,
+            pairs=self.pairs,
+            as_built=dict(self.as_built),
+        )
+        collector = _Collector(self)
+        result = simulate(setup, lambda _time_us, frame: collector.take(frame))
+        delays = [
+            Delay(row.to, measured, row.delay_ms, row.contact == "tooth")
+            for row, measured in zip(result.rows, collector.delays, strict=True)
+            if measured is not None and row.delay_ms is not None
+        ]
+        return LoopResult(
+            result.rows, result.estimation, delays, collector.traces, collector.scores
+        )
+
+
+def linear_with_teeth() -> AsBuilt:
+    """The thesis's linear gearbox with the truck's dog teeth: faces that rub, flanks that strike;
+    all else exactly as the data sheet says. The teeth's values are those of truck.toml."""
+    values = {k: v for k, v in linear().items() if not k.startswith(ENGAGEMENT)}
+    return tuple(sorted(values.items()))
+
+
+class _Collector:
+    """Reads delays off the outcomes and, for the first shifts, everything that traces need."""
+
+    def __init__(self, job: ClosedLoop) -> None:
+        self._receiver = Receiver(*Node)
+        self._job = job
+        self._score = EstimationScore(job.sheet, job.settings, self._sample)
+        self._all = identifiers(READ)
+        self._trace = ShiftTrace()
+        self._squares: Scores = {}
+        self._latest_us = 0
+        self.scores: list[Scores] = []
+        self.delays: list[float | None] = []
+        """One a shift; None where the sensor saw no contact, or not at the first attempt."""
+        self.traces: list[ShiftTrace] = []
+
+    def take(self, frame: Frame) -> None:
+        """One frame in bus order."""
+        tracing = self._job.scored or self._keeps
+        if frame.can_id != OUTCOME_ID and not (tracing and frame.can_id in self._all):
+            return
+        message = self._receiver.receive(frame).message
+        if message is None:
+            return
+        if tracing:
+            self._score.take(message)
+        if isinstance(message, GearboxSensors):
+            stamp = message.sample_time_us
+            self._latest_us = unwrap(stamp, self._latest_us) if self._latest_us else stamp
+            self._trace.pressure_us.append(self._latest_us)
+            self._trace.pressure_pa.append(message.brake_pressure_pa)
+        elif isinstance(message, ShiftOutcome) and message.result is not ShiftResult.REFUSED:
+            self._end(message)
+
+    @property
+    def _keeps(self) -> bool:
+        return len(self.traces) < self._job.keep
+
+    def _sample(self, sample: Sample) -> None:
+        self._squares.setdefault(sample.estimator, Squares()).add(sample)
+        if self._keeps:
+            self._trace.samples.append(sample)
+
+    def _end(self, outcome: ShiftOutcome) -> None:
+        measured = None
+        if outcome.attempts == 1 and outcome.measured_contact_time_us:
+            measured = span_us(outcome.measured_contact_time_us, outcome.fire_time_us) / 1000.0
+        self.delays.append(measured)
+        self.scores.append(self._squares)
+        self._squares = {}
+        if self._keeps:
+            # an encoder frame holds its samples newest first
+            self._trace.samples.sort(key=lambda sample: sample.time_us)
+            self._trace.switches = self._score.brake.arrays()
+            self.traces.append(self._trace)
+        self._trace = ShiftTrace()
