@@ -2,6 +2,7 @@
 
     RELEASE   60 ms   the main sleeves go to neutral
     RAMP      300 ms  constant acceleration of layshaft and main shaft; splitter and range change
+                      (or as long as is set)
     ENGAGE            the layshaft keeps its speed, 20 rpm of slip, while the sleeve goes in by the
                       contact rule; at full stroke and locked the bench says Ready
 
@@ -25,10 +26,10 @@ from gearbox.gears import (
 from gearbox.sheet import RPM, GearboxSheet
 from rig_sim.engagement import Engagement
 from rig_sim.plant import Rotation
+from rig_sim.settings import RETURN_RAMP_S
 from rig_sim.sleeves import NEVER_US, SECOND_US, ShiftingSleeve, SleeveState
 
 RELEASE_S: Final = 0.060
-RAMP_S: Final = 0.300
 SLIP_RAD_S: Final = 20.0 * RPM
 
 
@@ -66,6 +67,7 @@ class BenchScript:
         self._gear: DriveGear | None = gear
         self._main_rad_s = plant.main_rad_s
         self._phase_end_us = NEVER_US
+        self.ramp_s = RETURN_RAMP_S
         self.phase = ScriptPhase.IDLE
         self.splitter = ShiftingSleeve(sheet.sleeve, 1 if gear.split is Split.HIGH else -1)
         self.range_ = ShiftingSleeve(sheet.sleeve, 1 if gear.range_ is Range.HIGH else -1)
@@ -122,13 +124,13 @@ class BenchScript:
     def _ramp(self) -> None:
         plant, time_us = self._plant, self._plant.time_us
         self.phase = ScriptPhase.RAMP
-        self._phase_end_us = time_us + RAMP_S * SECOND_US
-        plant.script_main((self._main_rad_s - plant.main_rad_s) / RAMP_S)
+        self._phase_end_us = time_us + self.ramp_s * SECOND_US
+        plant.script_main((self._main_rad_s - plant.main_rad_s) / self.ramp_s)
         if self._gear is None:
             return
         ratio = self._sheet.main_mesh(self._gear.main).ratio
         target_rad_s = (self._main_rad_s + SLIP_RAD_S) / ratio
-        plant.script_layshaft((target_rad_s - plant.layshaft_rad_s) / RAMP_S)
+        plant.script_layshaft((target_rad_s - plant.layshaft_rad_s) / self.ramp_s)
         for sleeve, is_high in (
             (self.splitter, self._gear.split is Split.HIGH),
             (self.range_, self._gear.range_ is Range.HIGH),

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 CLOCK_MODULUS: Final = 1 << 32
 MAX_MAIN_SPEED_RPM: Final = 5000.0
+RETURN_RAMP_S: Final = 0.300
 
 
 class SettingsError(ValueError):
@@ -41,6 +42,7 @@ class RigSettings:
                     gear 8 of the sheet `thesis`
     clock_start_us  sensor clock at power-up, 0..2^32-1; None draws one 0.5-5 s before the wrap
     as_built        values of the truck that are fixed, not drawn, by name (`as_built`)
+    return_ramp_s   how long the bench script takes to change the speeds (`bench_script`)
     faults          what goes wrong with the truck, and when
     """
 
@@ -51,6 +53,7 @@ class RigSettings:
     clock_start_us: int | None = None
     as_built: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[ScheduledFault, ...] = ()
+    return_ramp_s: float = RETURN_RAMP_S
 
     def __post_init__(self) -> None:
         if self.seed < 0:

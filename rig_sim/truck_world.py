@@ -78,6 +78,7 @@ class TruckWorld:
             self.sheet, self.built, self.plant, self.delays, gear.main
         )
         self.script = BenchScript(self.sheet, self.plant, self.engagement, self.delays, gear)
+        self.script.ramp_s = settings.return_ramp_s
         self.valves = ValveBank()
         self.clutch = TruckClutch(self.plant, self.sheet.clutch)
         self.engine = TruckEngine(self.plant)

@@ -58,6 +58,7 @@ class World:
         self.engagement = ThesisEngagement(sheet, self.plant, delays, gear.main)
         self.script = BenchScript(sheet, self.plant, self.engagement, delays, gear)
         self.plant.lock(gear.main, start.flank * sheet.dog.backlash_rad / 2.0)
+        self.script.ramp_s = settings.return_ramp_s
         self.valves = ValveBank()
         self.clutch = ClutchActuator(sheet.clutch)
         self.edges = EdgeCapture(sheet.wheels, self._wheel_angles())

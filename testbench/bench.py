@@ -54,6 +54,8 @@ class Pauses:
 
     settle_us: int = SETTLE_US
     learn_us: int = LEARN_US
+    learned_us: int = LEARN_US
+    """In the new gear at least, where its phase reference is known before `learn_us`."""
 
 
 @dataclass(frozen=True)
@@ -135,6 +137,11 @@ class BenchCore:
         return self._phase is Phase.DONE
 
     @property
+    def is_asking(self) -> bool:
+        """Whether the new gear is being asked for, or is on its way."""
+        return self._phase in (Phase.REQUESTING, Phase.SHIFTING)
+
+    @property
     def next_step_us(self) -> int:
         """The next tick."""
         return self._next_us
@@ -198,7 +205,15 @@ class BenchCore:
             case Phase.SHIFTING:
                 return seen.outcome
             case _:
-                return waited_us >= self._pauses.learn_us
+                return waited_us >= self._learning_us
+
+    @property
+    def _learning_us(self) -> int:
+        """How long to stay in the gear the shift went to."""
+        gear = drive_gear(self._plan[self.index].to).main
+        status = self._seen.status
+        is_known = status is not None and status.reference_known >> (gear - 1) & 1
+        return self._pauses.learned_us if is_known else self._pauses.learn_us
 
     def _advance(self, now_us: int) -> list[str]:
         following = {

@@ -58,10 +58,10 @@ def contacts_figure(runs: list[RunLike], sheet: GearboxSheet) -> Figure:
         ]
         data.append(_points(name, style, found))
     half = 50 * sheet.dog.backlash_share
-    layout = _layout("phase at contact, % of pitch", "slip at contact, rpm")
+    layout = plain_layout("phase at contact, % of pitch", "slip at contact, rpm")
     layout["xaxis"] |= {"range": [-52, 52], "dtick": 25}
     layout["yaxis"]["rangemode"] = "tozero"
-    layout["shapes"] = [_gap("x", half, "y")]
+    layout["shapes"] = [gap_band("x", half, "y")]
     layout["annotations"] = [
         {"x": 0, "y": 1, "yref": "paper", "yanchor": "bottom", "text": "gap", "showarrow": False},
         {"x": -31, "y": 1, "yref": "paper", "yanchor": "bottom", "text": "tooth on tooth",
@@ -92,12 +92,12 @@ def predictions_figure(runs: list[RunLike], sheet: GearboxSheet) -> Figure:
         trace = _points(name, style, found)
         data.append(trace | {"error_x": {"array": sds, "thickness": 1, "width": 0}})
     half = 50 * sheet.dog.backlash_share
-    layout = _layout("predicted, % of pitch (± 1 sd)", "phase at contact, % of pitch")
+    layout = plain_layout("predicted, % of pitch (± 1 sd)", "phase at contact, % of pitch")
     layout["yaxis"] |= {"range": [-60, 60], "dtick": 25}
     layout["xaxis"] |= {"range": [-60, 60], "dtick": 25}
     diagonal = {"type": "line", "x0": -60, "y0": -60, "x1": 60, "y1": 60, "layer": "below",
                 "line": {"color": GREY, "width": 1, "dash": "dot"}}  # fmt: skip
-    layout["shapes"] = [_gap("y", half, "x"), diagonal]
+    layout["shapes"] = [gap_band("y", half, "x"), diagonal]
     return {"data": [trace for trace in data if trace["x"]], "layout": layout}
 
 
@@ -126,7 +126,8 @@ def _points(name: str, style: dict[str, str], found: list[tuple[float, float, st
     }  # fmt: skip
 
 
-def _gap(axis: str, half: float, along: str) -> Figure:
+def gap_band(axis: str, half: float, along: str) -> Figure:
+    """The gap as a band along a whole axis."""
     return {
         "type": "rect", f"{axis}0": -half, f"{axis}1": half, f"{along}ref": f"{along} domain",
         f"{along}0": 0, f"{along}1": 1, "fillcolor": GAP_BAND, "line": {"width": 0},
@@ -134,7 +135,8 @@ def _gap(axis: str, half: float, along: str) -> Figure:
     }  # fmt: skip
 
 
-def _layout(x: str, y: str) -> dict[str, Any]:
+def plain_layout(x: str, y: str) -> dict[str, Any]:
+    """The layout of a figure of one panel, its axes titled."""
     axis = {**axis_lines(), "zeroline": True, "zerolinecolor": "#b8b8b8"}
     return {
         "height": HEIGHT,

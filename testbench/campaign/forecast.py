@@ -21,7 +21,8 @@ Floats = NDArray[np.float64]
 Switches = tuple[tuple[float, float], ...]
 """When the brake's pressure begins to react, in the plant's time, and u from then on."""
 SAMPLE_US: Final = 4_000
-BRANCH_SAMPLES: Final = 75
+BRANCH_SAMPLES: Final = 125
+"""Half a second: further than a plan looks."""
 TRUNK_SAMPLES: Final = 500
 FILLING_US: Final = 250_000
 """So long after it was switched on the brake's pressure stands, and a release changes what it
@@ -82,6 +83,12 @@ class Path:
         phase = self.phase[index] + (slip + fall * after_s / 2.0) * after_s
         return phase, slip + fall * after_s
 
+    def many(self, time_us: Floats) -> tuple[Floats, Floats]:
+        """The same at ascending times."""
+        index = np.maximum(0, (time_us - self.start_us) // SAMPLE_US).astype(np.int64)
+        self.extend(int(index[-1]) + 2)
+        return _between(np.array(self.phase), np.array(self.slip), index, time_us - self.start_us)
+
     def falls_to(self, slip_rad_s: float) -> tuple[float, float] | None:
         """Time at which the slip has fallen to a value, and the phase then."""
         self.extend(BRANCH_SAMPLES)
@@ -103,6 +110,16 @@ class Path:
                 continue
             event = plant.advance(math.inf, min(time_us, due_us))
             self._is_at_rest = event == at.STOPPED
+
+
+def _between(
+    phase: Floats, slip: Floats, index: NDArray[np.int64], after_us: Floats
+) -> tuple[Floats, Floats]:
+    """Phase and slip between samples, of which `index` are those before; slip is linear there."""
+    after_s = (after_us - SAMPLE_US * index) * 1e-6
+    before = slip[index]
+    fall = (slip[index + 1] - before) / SAMPLE_S
+    return phase[index] + (before + fall * after_s / 2.0) * after_s, before + fall * after_s
 
 
 class Branch:
@@ -159,18 +176,31 @@ class Forecast:
         switches = self._switches(times, states)
         if not switches:
             return self.at(times, states, time_us)
+        phase, slip = self.course(times, states, np.array([time_us]), True)
+        return float(phase[0]), float(slip[0])
+
+    def course(
+        self, times: Floats, states: Floats, at_us: Floats, is_released: bool
+    ) -> tuple[Floats, Floats]:
+        """Phase and slip at ascending times; `is_released`: the last switch is a release that may
+        be moved, else all switches are as commanded."""
+        switches = self._switches(times, states)
+        own_us = at_us - self._offset_us
+        if not is_released or not switches:
+            return self._path(switches).many(own_us)
         path, release_us = self._trunk(switches)
-        own_us = time_us - self._offset_us
-        if own_us <= release_us:
-            return path.at(own_us)
-        slip, phase = self._curve(switches[:-1], path, release_us)
-        after_s = (own_us - release_us) * 1e-6
-        index = min(int(after_s / SAMPLE_S), BRANCH_SAMPLES - 2)
-        share = after_s / SAMPLE_S - index
+        before = own_us <= release_us
+        phase, slip = np.empty(own_us.size), np.empty(own_us.size)
+        if before.any():
+            phase[before], slip[before] = path.many(own_us[before])
+        less_slip, less_phase = self._curve(switches[:-1], path, release_us)
+        after_us = own_us[~before] - release_us
+        index = np.minimum(after_us // SAMPLE_US, BRANCH_SAMPLES - 2).astype(np.int64)
+        turned, less = _between(less_phase, less_slip, index, after_us)
         phase0, slip0 = path.at(release_us)
-        less = slip[index] + share * (slip[index + 1] - slip[index])
-        turned = phase[index] + share * SAMPLE_S * (slip[index] + less) / 2.0
-        return phase0 + slip0 * after_s + float(turned), slip0 + float(less)
+        phase[~before] = phase0 + slip0 * after_us * 1e-6 + turned
+        slip[~before] = slip0 + less
+        return phase, slip
 
     def falls_to(
         self, times: Floats, states: Floats, slip_rad_s: float

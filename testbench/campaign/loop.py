@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections.abc import Callable
 from typing import Final
 
 from bus.core import Core
@@ -31,8 +32,10 @@ from testbench.rows import ShiftRow
 from testbench.simulate import not_addressed_to, tick_phases
 from testbench.virtual_time import VirtualTime
 
-PAUSES: Final = Pauses(settle_us=20_000, learn_us=100_000)
+PAUSES: Final = Pauses(settle_us=200_000, learn_us=300_000, learned_us=60_000)
 """A campaign asks for the next shift as soon as the gearbox stands in its gear."""
+RETURN_RAMP_S: Final = 0.1
+"""Nor does it take its time to bring the shafts to the speeds of the old gear."""
 LIMIT_US_PER_SHIFT: Final = 30_000_000
 ALL_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
 SHARED: Final = tuple(CODECS.values())
@@ -62,9 +65,11 @@ class ClosedLoop:
                 start_gear=first.from_,
                 main_speed_rpm=first.main_rad_s * 30.0 / math.pi,
                 as_built=drawn.as_built,
+                return_ramp_s=RETURN_RAMP_S,
             ),
         )
         self._settings = settings
+        self._made = 0
         self._controller = ControllerCore(new_header(product_version(), sheet, settings))
         self._bench = BenchCore(list(drawn.plan), PAUSES)
         half_gap = sheet.dog.backlash_rad / 2.0
@@ -92,15 +97,26 @@ class ClosedLoop:
         """What was drawn for the rig; nothing for the preset thesis."""
         return self._rig.as_built or {}
 
+    def prepare(self) -> None:
+        """Up to the request for the next shift, which no strategy has a say in."""
+        bench, made = self._bench, self._made
+        self._run(lambda: bench.index == made and bench.is_asking)
+
     def shift(self) -> ShiftRow | None:
-        """The next shift of the plan, up to the return to the old gear of the one after it; None
-        where it came to no outcome."""
+        """The next shift of the plan, up to its outcome; None where it came to none."""
+        self.prepare()
         bench, rows = self._bench, self._scorer.rows
-        index, before = bench.index, len(rows)
-        limit_us = self._driver.now_us + LIMIT_US_PER_SHIFT
-        if not self._driver.run(lambda: bench.index > index, limit_us):
-            raise TimeoutError(f"shift {index + 1}: not over after {LIMIT_US_PER_SHIFT / 1e6:g} s")
+        made, before = self._made, len(rows)
+        self._run(lambda: len(rows) > before or bench.index > made)
+        self._made += 1
         return rows[-1] if len(rows) > before else None
+
+    def _run(self, until: Callable[[], bool]) -> None:
+        limit_us = self._driver.now_us + LIMIT_US_PER_SHIFT
+        if not until() and not self._driver.run(until, limit_us):
+            raise TimeoutError(
+                f"shift {self._made + 1}: not over after {LIMIT_US_PER_SHIFT / 1e6:g} s"
+            )
 
     def _write(self, time_us: int, frame: Frame) -> None:
         if self.log is not None:

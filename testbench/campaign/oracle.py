@@ -11,9 +11,11 @@ import copy
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from controller.kinematics import raw_phase_rad
 from controller.motion import LayshaftState, first_order_law
-from controller.outlook import Outlook
+from controller.outlook import Course, Outlook
 from controller.reference import PhaseReferences
 from controller.shafts import ShaftState
 from gearbox import GearboxSheet, MainGear
@@ -58,6 +60,16 @@ class ForecastOutlook(Outlook):
         else:
             phase, slip = self.forecast.after_release(*self.brake.with_release(release_us), time_us)
         return self._layshaft(time_us, phase, slip)
+
+    def course(
+        self, first_us: float, step_us: float, count: int, release_us: float | None = None
+    ) -> Course:
+        """Phase and slip at `count` times from `first_us` on."""
+        is_released = release_us is not None
+        brake = self.brake
+        switches = brake.arrays() if release_us is None else brake.with_release(release_us)
+        times_us = first_us + step_us * np.arange(count, dtype=np.float64)
+        return Course(first_us, step_us, *self.forecast.course(*switches, times_us, is_released))
 
     def contact(self, release_us: float, slip_rad_s: float) -> tuple[float, float] | None:
         """Time and unwrapped phase at which the slip has fallen to a value after a release."""

@@ -38,6 +38,7 @@ class Record:
     slip_rpm: float | None
     phase_error_deg: float | None
     pitch_deg: float
+    predicted_phase_deg: float | None
     predicted_phase_sd_deg: float | None
     delay_ms: float | None
     attempts: int
@@ -96,6 +97,7 @@ class Conditions:
             slip_rpm=None if row is None else row.slip_rpm,
             phase_error_deg=None if row is None else row.phase_error_deg,
             pitch_deg=self._sheet.dog.pitch_rad / RPM / 6.0,
+            predicted_phase_deg=None if row is None else row.predicted_phase_deg,
             predicted_phase_sd_deg=None if row is None else row.predicted_phase_sd_deg,
             delay_ms=None if row is None else row.delay_ms,
             attempts=0 if row is None else row.attempts,

@@ -60,6 +60,7 @@ def _shifts(spec: CampaignSpec, job: Job) -> tuple[list[Record], int]:
     learned = ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn)
     for _ in range(spec.learn):
         learned.shift()
+    learned.prepare()
     conditions = Conditions(spec.sheet, learned.as_built)
     records = []
     for name in spec.names:

@@ -48,6 +48,7 @@ class Store:
         """Where the whole table is in the end."""
         return self._folder / TABLE
 
+    @property
     def report(self) -> Path:
         """Where the report goes."""
         return self._folder / "report.html"

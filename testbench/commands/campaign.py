@@ -15,6 +15,7 @@ from controller.settings import STRATEGY_NAMES
 from rig_sim.settings import Preset
 from testbench import arguments
 from testbench.campaign.draw import upshifts
+from testbench.campaign.report import write_report
 from testbench.campaign.result import Collected, to_json
 from testbench.campaign.run import RunResult, run_one
 from testbench.campaign.runner import run_all
@@ -25,6 +26,8 @@ from testbench.campaign.table import print_tables, records_table
 from testbench.errors import CommandError
 from testbench.exits import Exit
 from testbench.output import check_json, console, write_json
+from testbench.report import has_plotly
+from testbench.schedules import pairs
 
 MOST_RUNS: Final = 1_000_000
 DESCRIPTION: Final = """\
@@ -63,7 +66,7 @@ def add_parser(commands: Any) -> None:
         help="also target_phase with the rig's true state and parameters, but no future chance",
     )  # fmt: skip
     parser.add_argument(
-        "--pairs", type=arguments.pairs, default=upshifts(), metavar="LIST",
+        "--pairs", type=pairs, default=upshifts(), metavar="LIST",
         help="gear changes to draw from, as 8-10,10-12 (default: all upshifts of the main box)",
     )  # fmt: skip
     parser.add_argument(
@@ -156,6 +159,9 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
     if store is not None:
         store.finish(collected.records)
         out.print(f"table {store.table}", markup=False)
+        if has_plotly():
+            write_report(store.report, spec, collected, values)
+            out.print(f"report {store.report}", markup=False)
     if namespace.json is not None:
         write_json(namespace.json, values)
     if namespace.json != "-":
