@@ -2,8 +2,9 @@
 
 import sys
 
-from benchmarks import bench_codec, bench_filter, bench_rig, bench_virtual_time
+from benchmarks import bench_codec, bench_filter, bench_rig, bench_rig_live, bench_virtual_time
 
 if __name__ == "__main__":
-    codes = [bench.main([]) for bench in (bench_codec, bench_filter, bench_rig, bench_virtual_time)]
+    benches = (bench_codec, bench_filter, bench_rig, bench_rig_live, bench_virtual_time)
+    codes = [bench.main([]) for bench in benches]
     sys.exit(max(codes))

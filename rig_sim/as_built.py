@@ -25,6 +25,10 @@ STREAM: Final = 0xA5B
 """Keeps the draws of the gearbox apart from those of the start and of the delays."""
 
 
+LATER: Final = ("driveline.",)
+"""Groups added since: drawn last, so that a seed's gearbox stays what it was."""
+
+
 class AsBuiltError(TableError):
     """An as-built file that cannot be used; the message names file, key, found and allowed."""
 
@@ -77,14 +81,19 @@ class AsBuilt:
 def draw_as_built(seed: int, fixed: Mapping[str, float] | None = None) -> AsBuilt:
     """The gearbox of a seed. Everything is drawn, whatever is fixed, so runs stay comparable."""
     rng = np.random.Generator(np.random.PCG64([seed, STREAM]))
-    values = {}
-    for name, parameter in parameters().items():
-        drawn = parameter.default + parameter.deviation * float(rng.uniform(-1.0, 1.0))
-        values[name] = float(f"{min(max(drawn, parameter.low), parameter.high):.6g}")
+    known = parameters()
+    values = {name: _drawn(rng, known[name]) for name in known if not name.startswith(LATER)}
     teeth_seed = int(rng.integers(1 << 31))
+    values |= {name: _drawn(rng, known[name]) for name in known if name.startswith(LATER)}
+    values = {name: values[name] for name in known}
     fixed = dict(fixed or {})
     teeth_seed = int(fixed.pop("teeth.seed", teeth_seed))
     return AsBuilt(values | fixed, teeth_seed)
+
+
+def _drawn(rng: np.random.Generator, parameter: Parameter) -> float:
+    drawn = parameter.default + parameter.deviation * float(rng.uniform(-1.0, 1.0))
+    return float(f"{min(max(drawn, parameter.low), parameter.high):.6g}")
 
 
 def nominal() -> dict[str, float]:

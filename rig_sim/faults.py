@@ -7,12 +7,14 @@ duration, if it has one; NO_FAULT ends all.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Final, Generic, NamedTuple, TypeVar
 
 from dbc.messages import RigFault
 from gearbox.gears import Sleeve
 from gearbox.sheet import BAR, MM, MS
 from rig_sim import truck_layout as at
+from rig_sim.kernels import Floats, Integers
 from rig_sim.rig_world import FaultOrder, SensorRead
 from rig_sim.sensors import EdgeRead
 from rig_sim.sleeves import SECOND_US
@@ -130,7 +132,7 @@ class FaultDesk:
         self._begun += 1
         self._current[key] = number = self._begun
         if order.duration_us:
-            self._world.later(order.duration_us, lambda: self._expire(key, number))
+            self._world.later(order.duration_us, partial(self._expire, key, number))
 
     def end(self, kind: RigFault, target: int) -> None:
         """A fault ends now, if it is on."""
@@ -147,30 +149,33 @@ class FaultDesk:
     def stick(self, valve: Valve) -> Callable[[], None]:
         """The valve no longer follows its coil; then it follows again from the next change."""
         self._stuck.add(valve)
-        return lambda: self._stuck.discard(valve)
+        return partial(self._loosen, valve)
+
+    def _loosen(self, valve: Valve) -> None:
+        self._stuck.discard(valve)
 
     def slow_down(self, valve: Valve, delay_us: float) -> Callable[[], None]:
         """The valve follows late."""
         self._slow_us[valve] = delay_us
+        return partial(self._hurry, valve)
 
-        def undo() -> None:
-            self._slow_us.pop(valve, None)
-
-        return undo
+    def _hurry(self, valve: Valve) -> None:
+        self._slow_us.pop(valve, None)
 
 
 Starter = Callable[["TruckWorld", FaultDesk, FaultOrder], Callable[[], None]]
+"""Begins a fault and returns what ends it: a partial, so that a copy of the world ends its own."""
+
+
+def _put(array: Floats | Integers, where: int | tuple[int, int], value: float) -> None:
+    array[where] = value
 
 
 def _channel(column: int, value: Callable[[FaultOrder], int]) -> Starter:
     def start(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
-        faults = world.plant.edges.faults
-        faults[order.target, column] = value(order)
-
-        def undo() -> None:
-            faults[order.target, column] = 0
-
-        return undo
+        where = (order.target, column)
+        _put(world.plant.edges.faults, where, value(order))
+        return partial(_put, world.plant.edges.faults, where, 0)
 
     return start
 
@@ -179,11 +184,7 @@ def _freeze(_: TruckWorld, desk: FaultDesk, order: FaultOrder) -> Callable[[], N
     freezer: Freezer[list[EdgeRead]] | Freezer[SensorRead]
     freezer = desk.edges if order.target == 0 else desk.slow
     freezer.frozen = True
-
-    def undo() -> None:
-        freezer.frozen = False
-
-    return undo
+    return partial(setattr, freezer, "frozen", False)
 
 
 def _leak(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
@@ -191,103 +192,81 @@ def _leak(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], No
     before = float(g[at.GOVERNED_PA])
     g[at.GOVERNED_PA] = max(order.value * BAR, float(p[at.ATMOSPHERE_PA]))
     y[at.SUPPLY_PA] = g[at.GOVERNED_PA]
-
-    def undo() -> None:
-        g[at.GOVERNED_PA] = before
-
-    return undo
+    return partial(_put, g, at.GOVERNED_PA, before)
 
 
 def _fade(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     p = world.plant.p
     before = float(p[at.BRAKE_GAIN])
     p[at.BRAKE_GAIN] = before * max(order.value, 0.0) / 100.0
-
-    def undo() -> None:
-        p[at.BRAKE_GAIN] = before
-
-    return undo
+    return partial(_put, p, at.BRAKE_GAIN, before)
 
 
 def _jam(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     sleeve = world.engagement.sleeves[Sleeve(order.target)]
     sleeve.jammed = True
-
-    def undo() -> None:
-        sleeve.jammed = False
-
-    return undo
+    return partial(setattr, sleeve, "jammed", False)
 
 
 def _lie(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
-    extra_m, name = world.positions.extra_m, Sleeve(order.target)
-    extra_m[name] = order.value * MM
-
-    def undo() -> None:
-        extra_m[name] = 0.0
-
-    return undo
+    name = Sleeve(order.target)
+    world.positions.lie(name, order.value * MM)
+    return partial(world.positions.lie, name, 0.0)
 
 
 def _repeat(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     name = Sleeve(order.target)
     world.positions.freeze(name, frozen=True)
-    return lambda: world.positions.freeze(name, frozen=False)
+    return partial(world.positions.freeze, name, frozen=False)
 
 
 def _stick_clutch(world: TruckWorld, *_: object) -> Callable[[], None]:
-    clutch = world.clutch
-    clutch.stuck = True
-
-    def undo() -> None:
-        clutch.stuck = False
-
-    return undo
+    world.clutch.stuck = True
+    return partial(setattr, world.clutch, "stuck", False)
 
 
 def _deafen(world: TruckWorld, *_: object) -> Callable[[], None]:
-    engine = world.engine
-    engine.deaf = True
-
-    def undo() -> None:
-        engine.deaf = False
-
-    return undo
+    world.engine.deaf = True
+    return partial(setattr, world.engine, "deaf", False)
 
 
 def _drift(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
-    world.clock.drift(world.plant.time_us, min(max(order.value, -MOST_PPM), MOST_PPM))
-    return lambda: world.clock.drift(world.plant.time_us, 0.0)
+    _run_fast(world, min(max(order.value, -MOST_PPM), MOST_PPM))
+    return partial(_run_fast, world, 0.0)
+
+
+def _run_fast(world: TruckWorld, ppm: float) -> None:
+    world.clock.drift(world.plant.time_us, ppm)
 
 
 def _jump(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     ahead_us = round(order.value)
+    _step_ahead(world, ahead_us)
+    return partial(_step_ahead, world, -ahead_us)
+
+
+def _step_ahead(world: TruckWorld, ahead_us: int) -> None:
     world.clock.step(world.plant.time_us, ahead_us)
-    return lambda: world.clock.step(world.plant.time_us, -ahead_us)
 
 
 def _restart(world: TruckWorld, *_: object) -> Callable[[], None]:
-    node, plant = world.node, world.plant
-    node.away = True
-    world.all_valves_off(plant.time_us)
+    world.node.away = True
+    world.all_valves_off(world.plant.time_us)
+    return partial(_come_back, world)
 
-    def undo() -> None:
-        node.away = False
-        node.restarts += 1
-        world.clock.restart(plant.time_us)
-        plant.edges.power_up(plant.time_us)
 
-    return undo
+def _come_back(world: TruckWorld) -> None:
+    node, time_us = world.node, world.plant.time_us
+    node.away = False
+    node.restarts += 1
+    world.clock.restart(time_us)
+    world.plant.edges.power_up(time_us)
 
 
 def _stall(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
-    node, now_us = world.node, round(world.plant.time_us)
-    node.stalled_until_us = now_us + (order.duration_us or FOREVER_US)
-
-    def undo() -> None:
-        node.stalled_until_us = 0
-
-    return undo
+    now_us = round(world.plant.time_us)
+    world.node.stalled_until_us = now_us + (order.duration_us or FOREVER_US)
+    return partial(setattr, world.node, "stalled_until_us", 0)
 
 
 _STARTERS: Final[dict[RigFault, Starter]] = {

@@ -24,7 +24,7 @@ REACH_M: Final = 0.0199  # the signal's range; the sensor saturates
 
 
 class PositionSensors:
-    """Four sensors. `offset_m` and `frozen` are the faults' to set."""
+    """Four sensors. `lie` and `freeze` are for faults."""
 
     def __init__(self, built: AsBuilt) -> None:
         rng = np.random.Generator(np.random.PCG64([built.teeth_seed, STREAM]))
@@ -35,7 +35,7 @@ class PositionSensors:
         signs = {name: float(rng.uniform(-1.0, 1.0)) for name in Sleeve}
         self._offset_m = {name: built["position.offset_mm"] * MM * signs[name] for name in Sleeve}
         self._gain = {name: 1.0 + (built["position.gain"] - 1.0) * signs[name] for name in Sleeve}
-        self.extra_m = dict.fromkeys(Sleeve, 0.0)
+        self._extra_m = dict.fromkeys(Sleeve, 0.0)
         self.frozen: dict[Sleeve, tuple[float, ...] | None] = dict.fromkeys(Sleeve)
         self._last: dict[Sleeve, tuple[float, ...]] = {}
 
@@ -44,7 +44,7 @@ class PositionSensors:
         held = self.frozen[name]
         if held is not None:
             return held
-        gain, offset_m = self._gain[name], self._offset_m[name] + self.extra_m[name]
+        gain, offset_m = self._gain[name], self._offset_m[name] + self._extra_m[name]
         newest = TABLE - 1 - (now_us // SAMPLE_US + 1021 * name) % TABLE
         noise_m = self._noise_m[newest : newest + SAMPLES]
         read = tuple(
@@ -54,6 +54,10 @@ class PositionSensors:
             read = tuple(min(max(x, -REACH_M), REACH_M) for x in read)
         self._last[name] = read
         return read
+
+    def lie(self, name: Sleeve, by_m: float) -> None:
+        """From now on the sensor is off by this much more."""
+        self._extra_m[name] = by_m
 
     def freeze(self, name: Sleeve, frozen: bool) -> None:
         """From now on the sensor repeats itself, or no more."""

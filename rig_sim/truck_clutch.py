@@ -44,6 +44,14 @@ class TruckClutch:
         self._go(close, time_us)
         self._expiry_us = time_us + EXPIRY_US
 
+    def renew(self, close: bool, time_us: float) -> bool:
+        """The same command again, in time: it holds for longer, which needs no event of the plant.
+        False where it has to be taken in full."""
+        if close is not self._closing or self._expiry_us <= time_us:
+            return False
+        self._expiry_us = time_us + EXPIRY_US
+        return True
+
     def due(self, time_us: float) -> None:
         """Do what is due now."""
         if self._expiry_us <= time_us:

@@ -44,8 +44,13 @@ def _shafts(p: Floats, sheet: GearboxSheet, built: AsBuilt) -> None:
         sheet.shafts.input_inertia_kgm2,
         sheet.shafts.layshaft_inertia_kgm2,
         built["vehicle.main_inertia_kgm2"],
-        built["vehicle.propeller_inertia_kgm2"] + built["vehicle.mass_kg"] * metres**2,
+        built["vehicle.propeller_inertia_kgm2"],
     )
+    p[at.VEHICLE_KGM2] = built["vehicle.mass_kg"] * metres**2
+    p[at.STIFF_NM_RAD] = built["driveline.stiffness_nm_rad"]
+    p[at.TWIST_NMS] = built["driveline.damping_nms"]
+    if p[at.STIFF_NM_RAD] == 0.0:
+        p[at.INERTIA + at.PROPELLER] += p[at.VEHICLE_KGM2]
     p[at.OIL_K] = built["oil.temperature_c"] + CELSIUS
     thicker = thickening(p[at.OIL_K], built["drag.thicker_per_k"])
     p[at.DRAG_INPUT_NMS] = built["drag.input_nms"] * thicker

@@ -115,7 +115,8 @@ class TruckEdges:
     def read(self, now_us: int, clock: SensorClock) -> list[EdgeRead]:
         """The read of all channels now, in the order of the wire contract. An extra edge that is
         still to come is not in it."""
-        return self._reader.read(now_us, self._on_us, clock, self.pointers[:, at.COUNT], self.ring)
+        counts = self.pointers[:, at.COUNT]
+        return self._reader.read(now_us, self._on_us, clock, counts, self.ring)
 
     def power_up(self, time_us: float) -> None:
         """The sensors start anew: counts from zero, the first edges wrong again."""

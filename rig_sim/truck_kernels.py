@@ -30,6 +30,7 @@ from rig_sim.truck_layout import (
     SPEED,
     STATES,
     STEP_US,
+    STIFF_NM_RAD,
 )
 from rig_sim.truck_step import step
 
@@ -59,9 +60,10 @@ def _settle(y: Floats, laps: Integers, pitch: float, watches: Floats) -> None:
 
 @inlined
 def _next_grid_us(t_us: float, p: Floats, rate: Floats) -> float:
-    """The next grid point; filling and exhausting have kinks, so a finer grid while air moves."""
+    """The next grid point; a finer grid while air moves, as filling and exhausting have kinks, and
+    for shafts that twist, which swing fast."""
     grid_us: float = p[STEP_US]
-    if abs(rate[BRAKE_PA]) > QUIET_PA_S:
+    if abs(rate[BRAKE_PA]) > QUIET_PA_S or p[STIFF_NM_RAD] > 0.0:
         grid_us = min(grid_us, FINE_US)
     return (math.floor(t_us / grid_us) + 1.0) * grid_us
 

@@ -33,7 +33,10 @@ DRAG_J: Final = 26  # by bearings, oil and seals
 ROAD_J: Final = 27  # by tyres and air
 GRADE_J: Final = 28  # stored by climbing
 RUB_J: Final = 29  # by clutch, tooth faces and synchroniser cones
-STATES: Final = 30
+WHEELS_RAD_S: Final = 30  # the vehicle's speed, at the propeller shaft; only with a compliant one
+TWIST_RAD: Final = 31  # how far the propeller shaft is ahead of the vehicle
+TWIST_J: Final = 32  # turned into heat by the twisted shafts
+STATES: Final = 33
 
 # --- constants p --------------------------------------------------------------------------------
 INERTIA: Final = 0  # 5: kg m2
@@ -78,7 +81,10 @@ IDLE_RAD_S: Final = 42
 CLUTCH_NM: Final = 43
 KISS: Final = 44
 RATIO: Final = 45  # 4: i_gear of crawl, first, second, third
-CONSTANTS: Final = 49
+STIFF_NM_RAD: Final = 49  # propeller and axle shafts; 0: rigid, the vehicle is part of body P
+TWIST_NMS: Final = 50
+VEHICLE_KGM2: Final = 51  # at the propeller shaft
+CONSTANTS: Final = 52
 
 # --- what is connected, g; changes at events ----------------------------------------------------
 LEAD: Final = 0  # 5: the body that leads this body's group

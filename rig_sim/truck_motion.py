@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from rig_sim.brake_disc import brake_nm, friction_share, heating_k_s
 from rig_sim.drag import drag_nm
+from rig_sim.driveline import load_propeller
 from rig_sim.engine import capacity_nm, demand_nm, torque_nm_s
 from rig_sim.jit import inlined
 from rig_sim.kernels import Floats
@@ -20,7 +21,6 @@ from rig_sim.lash import lash_rad_s
 from rig_sim.pneumatics import chamber_pa_s, tank_pa_s
 from rig_sim.truck_layout import (
     ACCEL,
-    AIR_NS2_M2,
     ANGLE,
     ATMOSPHERE_PA,
     BEFORE,
@@ -64,8 +64,6 @@ from rig_sim.truck_layout import (
     GEAR_INERTIA,
     GOVERNED_PA,
     GOVERNOR_NMS,
-    GRADE_J,
-    GRADE_N,
     GROUP,
     HEAT_J_K,
     HOLD,
@@ -89,13 +87,10 @@ from rig_sim.truck_layout import (
     PHASE,
     PLATE,
     POSITION,
-    PROPELLER,
     PULL,
     RATE,
     RATIO,
     RECOVERY,
-    ROAD_J,
-    ROLLING_N,
     RUB_J,
     SIGN,
     SLOTS,
@@ -106,10 +101,8 @@ from rig_sim.truck_layout import (
     TORQUE,
     TOUCH_PA,
     VALVE,
-    WHEEL_M,
     WORK_J,
 )
-from rig_sim.vehicle import resistance_n
 
 
 @inlined
@@ -128,20 +121,16 @@ def _loads(y: Floats, p: Floats, g: Floats, slots: Floats, rate: Floats, aux: Fl
     drag_input = p[DRAG_INPUT_NMS] * y[SPEED + INPUT]
     drag = drag_nm(y[SPEED + LAYSHAFT], p[DRAG_NM], p[DRAG_NMS])
     drag_main = p[DRAG_MAIN_NMS] * y[SPEED + MAIN]
-    speed = y[SPEED + PROPELLER] * p[WHEEL_M]
-    road = resistance_n(speed, p[ROLLING_N], p[AIR_NS2_M2])
     aux[LOAD + ENGINE] = y[TORQUE]
     aux[LOAD + INPUT] = -drag_input
     aux[LOAD + LAYSHAFT] = -drag - g[BRAKE_SIGN] * brake
     aux[LOAD + MAIN] = -drag_main
-    aux[LOAD + PROPELLER] = -(road + p[GRADE_N]) * p[WHEEL_M]
     rate[WORK_J] = y[TORQUE] * y[SPEED + ENGINE]
+    load_propeller(y, p, g, rate, aux)
     rate[BRAKE_J] = g[BRAKE_SIGN] * brake * y[SPEED + LAYSHAFT]
     rate[DRAG_J] = (
         drag_input * y[SPEED + INPUT] + drag * y[SPEED + LAYSHAFT] + drag_main * y[SPEED + MAIN]
     )
-    rate[ROAD_J] = road * speed
-    rate[GRADE_J] = p[GRADE_N] * speed
     rate[RUB_J] = 0.0
     for slot in range(SLOTS):
         sign = slots[slot, SIGN]

@@ -38,13 +38,15 @@ class Energy(NamedTuple):
     road: float
     rubbing: float
     impacts: float
+    twisting: float
     climbed: float
     kinetic: float
+    """Of everything that turns; and of twisted shafts."""
 
     @property
     def lost(self) -> float:
         """Everything that became heat."""
-        return self.brake + self.drag + self.road + self.rubbing + self.impacts
+        return self.brake + self.drag + self.road + self.rubbing + self.impacts + self.twisting
 
 
 class InMesh(NamedTuple):
@@ -135,7 +137,7 @@ class TruckPlant:
             edges.ring,
         )
         self._load_speeds(gear, main_rad_s, built)
-        self._kinetic_j = self.chain.kinetic_j()
+        self._stored_at_start_j = self._stored_j()
 
     @property
     def layshaft_rad_s(self) -> float:
@@ -146,6 +148,13 @@ class TruckPlant:
     def main_rad_s(self) -> float:
         """Main shaft speed."""
         return float(self.y[at.SPEED + at.MAIN])
+
+    @property
+    def road_speed_m_s(self) -> float:
+        """Speed of the vehicle."""
+        is_rigid = self.p[at.STIFF_NM_RAD] == 0.0
+        omega = self.y[at.SPEED + at.PROPELLER if is_rigid else at.WHEELS_RAD_S]
+        return float(omega * self.p[at.WHEEL_M])
 
     @property
     def brake_gauge_pa(self) -> float:
@@ -177,8 +186,9 @@ class TruckPlant:
             float(y[at.ROAD_J]),
             float(y[at.RUB_J]),
             self.impacts_j,
+            float(y[at.TWIST_J]),
             float(y[at.GRADE_J]),
-            self.chain.kinetic_j() - self._kinetic_j,
+            self._stored_j() - self._stored_at_start_j,
         )
 
     def angle(self, body: int) -> Angle:
@@ -338,6 +348,7 @@ class TruckPlant:
     def script_main(self, accel_rad_s2: float) -> None:
         """The bench drives the main shaft at constant acceleration."""
         self.chain.force(at.MAIN, accel_rad_s2)
+        self._take_wheels_along()
 
     def end_script(self) -> None:
         """The bench lets the main shaft go."""
@@ -364,6 +375,7 @@ class TruckPlant:
             elif not self.chain.is_rigid(link) and not self.rubs(slot):
                 self.rub(slot, link, ratio, torque_nm)
         self.y[at.WORK_J] += self.chain.kinetic_j() - before
+        self._take_wheels_along()
 
     def cone_holds(self, slot: int) -> None:
         """A synchroniser has brought both sides to one speed: the sleeve goes in."""
@@ -372,6 +384,23 @@ class TruckPlant:
             self.join(at.SPLITTER, self.shafts.split_ratio)
         else:
             self.join(at.RANGE, self.shafts.range_ratio)
+            self._take_wheels_along()
+
+    def _take_wheels_along(self) -> None:
+        """Where the bench drives the propeller shaft the vehicle goes with it; its work as well."""
+        if self.p[at.STIFF_NM_RAD] > 0.0 and self.chain.is_driven(at.PROPELLER):
+            before = self._stored_j()
+            self.y[at.WHEELS_RAD_S] = self.y[at.SPEED + at.PROPELLER]
+            self.y[at.TWIST_RAD] = 0.0
+            self.y[at.WORK_J] += self._stored_j() - before
+
+    def _stored_j(self) -> float:
+        y, p = self.y, self.p
+        stored_j = self.chain.kinetic_j()
+        if p[at.STIFF_NM_RAD] > 0.0:
+            stored_j += 0.5 * p[at.VEHICLE_KGM2] * y[at.WHEELS_RAD_S] ** 2
+            stored_j += 0.5 * p[at.STIFF_NM_RAD] * y[at.TWIST_RAD] ** 2
+        return float(stored_j)
 
     def set_brake(self, valve: float) -> None:
         """The brake valve's input u (4.1), its delay over."""
@@ -418,5 +447,6 @@ class TruckPlant:
             self.chain.place(at.CLUTCH, 1.0)
         self.chain.place(at.SPLITTER, shafts.split_ratio)
         self.chain.place(at.RANGE, shafts.range_ratio)
+        y[at.WHEELS_RAD_S] = y[at.SPEED + at.PROPELLER]
         if self.constant_speed:
             self.chain.force(at.MAIN, 0.0)

@@ -94,7 +94,7 @@ class TruckWorld:
     def run_to(self, until_us: int) -> bool:
         """Go on to this instant, or to the next 10 ms read if that comes first: then True."""
         target_us = min(until_us, self._read_us)
-        while True:
+        while not (self.plant.time_us == target_us < self._due_us):
             # a fault may change the clock that the valves go by: they are never run ahead of it
             self._run_valves(min(target_us, self._due_us))
             event = self.plant.advance(target_us, self._due_us)
@@ -122,7 +122,8 @@ class TruckWorld:
     def command_clutch(self, close: bool, now_us: int) -> None:
         """A valid clutch command, consumed now."""
         time_us = float(now_us)
-        self._at(time_us, partial(self.clutch.command, close, time_us))
+        if not self.clutch.renew(close, time_us):
+            self._at(time_us, partial(self.clutch.command, close, time_us))
 
     def command_engine(self, request: EngineRequest, now_us: int) -> None:
         """A TSC1 frame, consumed now."""

@@ -55,11 +55,11 @@ def act(truck: TruckWorld, now_us: int, what: str, which: int, on: bool) -> None
 
 
 @settings(max_examples=20, deadline=None, phases=[Phase.explicit, Phase.generate])
-@given(seed=st.integers(0, 10_000), scenario=acts)
+@given(seed=st.integers(0, 10_000), scenario=acts, stiff=st.sampled_from([0.0, 5e3, 5e4]))
 def test_work_put_in_is_lost_or_stored(
-    seed: int, scenario: list[tuple[int, str, int, bool]]
+    seed: int, scenario: list[tuple[int, str, int, bool]], stiff: float
 ) -> None:
-    truck = world(seed=seed)
+    truck = world({"driveline.stiffness_nm_rad": stiff}, seed=seed)
     now_us = 0
     for wait_us, what, which, on in scenario:
         now_us += wait_us
@@ -82,6 +82,27 @@ def test_a_braked_layshaft_heats_the_disc_by_what_it_loses() -> None:
     assert heat_j > 1000.0
     risen_k = float(truck.plant.y[at.DISC_K]) - warm_k
     assert risen_k * truck.built["disc.heat_j_k"] == pytest.approx(heat_j, rel=1e-6)
+
+
+def test_a_gearbox_swings_against_its_vehicle_with_the_frequency_of_two_masses_and_a_spring() -> (
+    None
+):
+    values = {"clutch.kiss": 1.0, "driveline.stiffness_nm_rad": 2e4, "driveline.damping_nms": 0.0}
+    truck = world(values | {"dog.free_play": 0.0}, start_gear=12)
+    plant = truck.plant
+    plant.y[at.TWIST_RAD] += 0.02
+    twists = []
+    for now_us in range(1_000, 1_000_000, 1_000):
+        run(truck, now_us)
+        twists.append(float(plant.y[at.TWIST_RAD]))
+    middle = 0.5 * (max(twists) + min(twists))
+    rising = [i for i in range(1, len(twists)) if twists[i - 1] < middle <= twists[i]]
+    found_hz = (len(rising) - 1) / ((rising[-1] - rising[0]) * 1e-3)
+    members = plant.chain.rates(plant.chain.group(at.PROPELLER), at.PROPELLER)
+    gearbox_kgm2 = sum(plant.p[at.INERTIA + k] * rate**2 for k, rate in members.items())
+    per_kgm2 = 1.0 / gearbox_kgm2 + 1.0 / plant.p[at.VEHICLE_KGM2]
+    assert found_hz == pytest.approx(math.sqrt(2e4 * per_kgm2) / (2.0 * math.pi), rel=0.01)
+    assert max(twists) - min(twists) > 0.035  # nothing damps it but drag
 
 
 def test_a_rolling_truck_loses_speed_to_road_and_slope_as_newton_says() -> None:

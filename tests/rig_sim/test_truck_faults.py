@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 
 import pytest
 from rig_bench import RigBench, upshift
 from truck_bench import run, world
 
+from dbc.link import Received, Verdict
 from dbc.messages import (
     BenchFault,
     EdgesMainRise,
@@ -228,3 +230,23 @@ def test_a_shift_goes_on_in_spite_of_a_bad_order_from_the_bench() -> None:
     assert bench.events(EngagementEvent.RELEASED)
     assert bench.of(GearboxSensors)
     assert bench.of(SleevesMain)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in RigFault if kind is not RigFault.NO_FAULT])
+def test_a_copy_of_a_faulty_truck_goes_on_as_the_truck_does_and_leaves_it_alone(
+    kind: RigFault,
+) -> None:
+    bench = RigBench(RigSettings(preset=Preset.TRUCK, seed=3))
+    bench.run(50_000)
+    order = BenchFault(fault=kind, target=1, value=3.0, duration_us=60_000, sequence=1)
+    bench.core.receive(bench._bench.encode(order))
+    bench.run(80_000)
+    copied = copy.deepcopy(bench)
+    copied._ears.receive = bench._ears.receive = lambda frame: Received(Verdict.OK, None)  # type: ignore[method-assign,assignment]
+    copied.run(300_000, upshift)
+    after_us = bench.core.truth.time_us
+    bench.run(300_000, upshift)
+    assert after_us < 100_000.0
+    assert copied.frames == bench.frames
+    assert copied.lines == bench.lines
+    assert any(f"{kind.name} at 1 ends" in line for line in bench.lines)

@@ -35,14 +35,33 @@ SCRIPT = """
 import json, sys
 from truck_bench import world, run
 from rig_sim.valves import Valve
-truck = world(seed=11)
-truck.command_clutch(False, 0)
-truck._at(20_000.0, lambda: truck._switch(Valve(4), True))
-truck._at(150_000.0, lambda: truck._switch(Valve(0), True))
-truck._at(230_000.0, lambda: truck._switch(Valve(0), False))
-truck._at(240_000.0, lambda: truck._switch(Valve(4), True))
-run(truck, 420_000)
+from gearbox.gears import MainGear
+BRAKE, SECOND = Valve.BRAKE, Valve.MAIN_SECOND
+truck = world({"vehicle.slope_percent": 0.0}, seed=11)
+truth, now_us = truck.truth, 0
+def go_on_until(met):
+    global now_us
+    while not met():
+        now_us += 2_000
+        truck.command_clutch(False, now_us)
+        run(truck, now_us)
+        assert now_us < 9_000_000
+def switch(valve, on):
+    truck._at(float(now_us), lambda: truck._switch(valve, on))
+for _ in range(2):
+    switch(SECOND, True)
+    go_on_until(lambda: truth.locked_gear is MainGear.NEUTRAL)
+    switch(SECOND, False)
+    switch(BRAKE, True)
+    go_on_until(lambda: truth.slip_rad_s(MainGear.SECOND) < 12.0)
+    switch(BRAKE, False)
+    switch(SECOND, True)
+    go_on_until(lambda: truth.locked_gear is MainGear.SECOND)
+    switch(SECOND, False)
+    truck.return_to_gear(8, 60.0, now_us)
+    go_on_until(lambda: truth.locked_gear is MainGear.FIRST)
 lines = [(time_us, text) for time_us, text in truck.engagement.lines]
+assert sum("LOCKED" in text for _, text in lines) >= 4
 edges = truck.plant.edges
 json.dump([lines, edges.ring.tolist(), edges.pointers.tolist(), truck.plant.y.tolist()], sys.stdout)
 """
