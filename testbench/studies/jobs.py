@@ -14,7 +14,7 @@ from dbc.link import Receiver
 from dbc.messages import GearboxSensors, ShiftOutcome, ShiftResult
 from dbc.node import Node
 from gearbox import GearboxSheet
-from rig_sim.as_built import linear
+from rig_sim.as_built import linear, nominal
 from rig_sim.settings import Preset
 from testbench.estimation import EstimationScore, Sample
 from testbench.monitor import READ, identifiers
@@ -128,10 +128,10 @@ class ClosedLoop:
 
 
 def linear_with_teeth() -> AsBuilt:
-    """The thesis's linear gearbox with the truck's dog teeth: faces that rub, flanks that strike;
-    all else exactly as the data sheet says. The teeth's values are those of truck.toml."""
-    values = {k: v for k, v in linear().items() if not k.startswith(ENGAGEMENT)}
-    return tuple(sorted(values.items()))
+    """The thesis's linear gearbox with the truck's dog teeth at their defaults: faces that rub,
+    flanks that strike; all else exactly as the data sheet says."""
+    teeth = {k: v for k, v in nominal().items() if k.startswith(ENGAGEMENT)}
+    return tuple(sorted((linear() | teeth).items()))
 
 
 class _Collector:

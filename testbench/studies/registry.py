@@ -31,6 +31,7 @@ NAMES: Final = (
     "speed_estimate",
     "angle_estimate",
     "step",
+    "shiftability",
 )
 """In the order of the thesis, then what goes beyond it."""
 ALL: Final = "all"
