@@ -27,7 +27,7 @@ class BrakeInput:
     """The valve's switches: those that happened and at most one that is planned."""
 
     def __init__(self, valve_delay_us: int) -> None:
-        self._delay_us = valve_delay_us
+        self._delays_us = (valve_delay_us, valve_delay_us)
         self._switches: list[Switch] = []
         self._arrays: tuple[Vector, Vector] | None = None
 
@@ -39,6 +39,17 @@ class BrakeInput:
         if kept != self._switches:
             self._switches = kept[-KEPT:]
             self._arrays = None
+
+    def set_delays(self, off_us: int, on_us: int) -> None:
+        """From a switch to the pressure's first reaction, as learned."""
+        if (off_us, on_us) != self._delays_us:
+            self._delays_us, self._arrays = (off_us, on_us), None
+
+    @property
+    def commands(self) -> tuple[Vector, Vector]:
+        """Times at which the valve is switched, without its delay, and u from then on."""
+        times = np.array([switch.time_us for switch in self._switches], dtype=np.float64)
+        return times, np.array([float(switch.on) for switch in self._switches])
 
     def cancel_pending(self, now_us: int) -> None:
         """Nothing is planned any more."""
@@ -66,4 +77,6 @@ class BrakeInput:
                 states.pop()
             times.append(release_us)
             states.append(0.0)
-        return np.array(times, dtype=np.float64) + self._delay_us, np.array(states)
+        off_us, on_us = self._delays_us
+        times = [t + (on_us if u else off_us) for t, u in zip(times, states, strict=True)]
+        return np.array(times, dtype=np.float64), np.array(states)

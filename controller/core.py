@@ -16,35 +16,48 @@ from typing import Final, NamedTuple
 
 from bus.core import Step
 from controller.brake_input import BrakeInput
-from controller.guard import Guard, Seen
+from controller.guard import Guard
+from controller.guard_limits import guard_limits
+from controller.guard_view import GuardView
 from controller.header import RunHeader
 from controller.inputs import StepInputs
+from controller.moment import Moment
 from controller.observer import Observer
+from controller.probe import ClockProbe
 from controller.report import Reporter
-from controller.sequence import Moment, ShiftSequence
+from controller.sequence import ShiftSequence
 from controller.settings import ValveTiming
+from controller.shaft_speeds import ShaftSpeeds
 from controller.valves import ValveBoard
 from dbc.frame import Frame
 from dbc.link import Receiver, Transmitter, Verdict
 from dbc.messages import (
+    TSC1,
     ClutchCommand,
     EdgesLayshaftRise,
     EdgesMainRise,
+    FaultCode,
     GearboxSensors,
     SleevesAux,
     SleevesMain,
+    TscOverrideMode,
     ValveCommand,
+    ValveStatus,
 )
 from dbc.node import Node
-from gearbox import Sleeve
 
 OWN_ADDRESS: Final = 0x03
 INBOX_LIMIT: Final = 20_000
 """A babbling bus cannot eat the memory: this is two seconds of a full bus."""
 FOREIGN: Final = Verdict.FOREIGN
 _identifier = itemgetter(0)
-NEEDED: Final = (SleevesMain, SleevesAux, GearboxSensors, EdgesLayshaftRise, EdgesMainRise)
-"""Channels without which nothing may be shifted."""
+FRESH_US: Final = 45_000
+"""A sample older than this is lost, even where frames with live counters go on repeating it."""
+QUIET_US: Final = 8_000
+"""A step's last frames may wait for so long behind the sensors' before they are on the bus."""
+SPEEDS: Final = (EdgesLayshaftRise, EdgesMainRise)
+POSITIONS: Final = (SleevesMain, SleevesAux, GearboxSensors)
+"""Channels without which nothing may be shifted; and the valve side's own status."""
 
 
 class Consumed(NamedTuple):
@@ -66,18 +79,26 @@ class ControllerCore:
         self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
         self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
         brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
-        self._observer = Observer(sheet, settings, brake, (settings.estimator,))
-        self._board = ValveBoard(ValveTiming(settings.valve_timing))
+        self._observer = Observer(sheet, settings, brake, settings.estimator)
+        timing = ValveTiming(settings.valve_timing)
+        self._board = ValveBoard(timing)
+        self._probe = ClockProbe(timing is ValveTiming.IMMEDIATE)
+        self._ahead_us = settings.timing.wire_us if timing is ValveTiming.IMMEDIATE else 0
         self._sequence = ShiftSequence(
             sheet, settings, self._board, brake, self._observer.references
         )
-        self._guard = Guard(settings.limits.valve_on_ms * 1000)
+        self._speeds = ShaftSpeeds(sheet)
+        limits = guard_limits(sheet, settings)
+        self._guard = Guard(limits)
+        self._guard_view = GuardView(sheet, limits)
+        self._engine_asked = False
         self._reporter = Reporter(header, self._observer, self._sequence)
         self._due_us: int | None = None
         self._wake_us: int | None = None
 
     def receive(self, frame: Frame) -> None:
         """Keeps a frame for the next step."""
+        self._probe.receive(frame)
         if len(self._inbox) < INBOX_LIMIT:
             self._inbox.append(frame)
         else:
@@ -86,20 +107,24 @@ class ControllerCore:
     @property
     def next_step_us(self) -> int:
         """The next tick, or an activation for hardware that cannot schedule; 0 before the first."""
-        if self._due_us is None:
+        if self._due_us is None or self._probe.is_due:
             return 0
         return self._due_us if self._wake_us is None else min(self._due_us, self._wake_us)
 
     def step(self, now_us: int) -> Step:
         """The whole decision at `now_us` of the controller's clock."""
-        lateness_us = max(0, now_us - self.next_step_us) if self._due_us is not None else 0
+        lateness_us = self._lateness_us(now_us)
         events: list[str] = []
         inputs, consumed = self._consume(now_us, events)
+        read_us = self._probe.stamp(inputs, now_us)
+        if read_us is not None:
+            self._observer.clock.stamp(read_us, now_us)
         self._observer.take(inputs, now_us, events)
+        self._speeds.take(inputs, self._observer.clock.now_us(now_us))
         moment = self._moment(now_us)
-        self._observer.learn(moment.now_us, events)
+        self._observer.learn(events)
         self._decide(inputs.requested_gear, moment, events)
-        frames = self._commands(moment, events)
+        frames = self._commands(inputs, moment, events)
         frames += self._reporter.frames(self._transmitter, moment)
         status = self._reporter.status(
             now_us, lateness_us, consumed.frames, consumed.crc, self._receiver, self._guard.blocks
@@ -116,6 +141,12 @@ class ControllerCore:
         commands = (ValveCommand(), ClutchCommand())
         frames = [self._transmitter.encode(command) for command in commands]
         return Step(frames, [f"valves off at {now_us} us"])
+
+    def _lateness_us(self, now_us: int) -> int:
+        """How long after its tick or its moment the step comes; a probe has none."""
+        if self._due_us is None or self._probe.is_due:
+            return 0
+        return max(0, now_us - self.next_step_us)
 
     def _consume(self, now_us: int, events: list[str]) -> tuple[StepInputs, Consumed]:
         """Decodes the inbox in order of identifier."""
@@ -149,9 +180,25 @@ class ControllerCore:
             observer.view,
             observer.layshaft,
             observer.main_at(sensor_us),
-            observer.view.complete and all(self._receiver.valid(kind) for kind in NEEDED),
+            self._speeds,
+            self._lost(sensor_us),
             brake,
+            observer.view.supply_pa,
         )
+
+    def _lost(self, sensor_us: int) -> FaultCode:
+        """What a shift needs and has not got; the worst of it."""
+        valid, view = self._receiver.valid, self._observer.view
+        oldest_us = min((track.newest_us for track in view.tracks.values()), default=0)
+        if (
+            not (view.complete and all(valid(kind) for kind in POSITIONS))
+            or sensor_us - oldest_us > FRESH_US
+        ):
+            return FaultCode.POSITION_STALE
+        speeds = (self._speeds.layshaft, self._speeds.main)
+        if None in speeds or not all(valid(kind) for kind in SPEEDS):
+            return FaultCode.SPEED_STALE
+        return FaultCode.NONE if valid(ValveStatus) else FaultCode.VALVE_LINK_LOST
 
     def _decide(self, requested: int | None, moment: Moment, events: list[str]) -> None:
         sequence = self._sequence
@@ -170,33 +217,39 @@ class ControllerCore:
                 f", {shift.attempts} fired, fault {shift.fault.name.lower()}"
             )
 
-    def _commands(self, moment: Moment, events: list[str]) -> list[Frame]:
-        """Valve and clutch commands; the valve frame goes out only past the guard."""
-        frame = self._transmitter.encode(self._board.message(moment.now_us))
-        if not self._guard.passes(frame.data, self._seen(moment)):
-            events.append(f"guard blocked a valve command: row {self._guard.blocked_row}")
-            self._board.all_off()
+    def _commands(self, inputs: StepInputs, moment: Moment, events: list[str]) -> list[Frame]:
+        """Valve, clutch and engine commands; the valve frame goes out only past the guard."""
+        guard, sequence = self._guard, self._sequence
+        frame = self._transmitter.encode(self._board.message(moment.now_us + self._ahead_us))
+        seen = self._guard_view.take(inputs, self._receiver, moment.now_us)
+        if not guard.passes(frame.data, seen):
+            events.append(f"guard blocked a valve command: row {guard.blocked_row}")
+            sequence.blocked(guard.blocked_row or 0, moment)
             frame = self._transmitter.encode(ValveCommand())
-        clutch = self._transmitter.encode(ClutchCommand(action=self._sequence.clutch))
-        return [frame, clutch]
+        clutch = self._transmitter.encode(ClutchCommand(action=sequence.clutch))
+        return [frame, clutch, *self._engine_request()]
 
-    def _seen(self, moment: Moment) -> Seen:
-        view = moment.view
-        if not view.complete:
-            return Seen(moment.now_us, 0.0, 0.0, 1.0, False)
-        return Seen(
-            moment.now_us,
-            view.position_m(Sleeve.FIRST_SECOND),
-            view.position_m(Sleeve.CRAWL_THIRD),
-            view.clutch_closed if view.clutch_closed is not None else 1.0,
-            self._receiver.valid(SleevesMain),
+    def _engine_request(self) -> list[Frame]:
+        """TSC1 while the engine is asked for a speed, and once more to end it."""
+        wanted = self._sequence.engine_rad_s
+        asked, self._engine_asked = self._engine_asked, wanted is not None
+        if wanted is None:
+            return [self._transmitter.encode(TSC1())] if asked else []
+        request = TSC1(
+            override_control_mode=TscOverrideMode.SPEED_CONTROL, requested_speed_rad_s=wanted
         )
+        return [self._transmitter.encode(request)]
 
     def _plan_next_step(self, now_us: int, sensor_us: int) -> None:
         tick_us = self._settings.timing.tick_us
         due_us = self._due_us if self._due_us is not None else now_us
         while due_us <= now_us:
             due_us += tick_us
+        sent_us = sensor_us + self._ahead_us
+        switch_us = self._board.next_switch_us(sent_us)
+        self._wake_us = None if switch_us is None else now_us + max(0, switch_us - sent_us)
+        if self._wake_us is not None and due_us < self._wake_us < due_us + QUIET_US:
+            # The tick's own frames would still stand before the command: leave this one out.
+            due_us += tick_us
         self._due_us = due_us
-        switch_us = self._board.next_switch_us(sensor_us)
-        self._wake_us = None if switch_us is None else now_us + max(0, switch_us - sensor_us)
+        self._probe.plan(now_us, self._wake_us)

@@ -1,4 +1,4 @@
-"""The inner loops of tooth counting: stamps of one frame to numbered times, two polarities to one.
+"""The inner loop of reading edge frames: stamps of one frame to numbered times.
 
 Compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
 """
@@ -17,10 +17,16 @@ Floats = NDArray[np.float64]
 
 INDEX: Final = 0
 """Indices into a chain: running number of the newest edge, unwrapped; its sensor time in us,
-meaningless before the chain has started; whether it has started."""
+meaningless before the chain has started; whether it has started; the last of the edges after
+power-up that may lie wrong."""
 TIME: Final = 1
 STARTED: Final = 2
+UNTIL: Final = 3
+CHAIN: Final = 4
 BROKEN: Final = -1
+STAMPS: Final = 27
+FIRST_WRONG: Final = 9
+"""Edges after power-up that a Hall sensor may misplace while it finds its thresholds (ATS645)."""
 
 
 @compiled
@@ -39,8 +45,10 @@ def chain_edges(
     """Appends the edges since the last frame, oldest first, behind the first `count`.
 
     low: low 16 bits of the newest `valid` edge times, newest first; read_us: when the frame was
-    read, unwrapped; chain (3,) is moved on. Returns the new count, or BROKEN when numbers before
-    and after cannot be tied together: the wheel stood still, or more edges came than a frame holds.
+    read, unwrapped; chain (CHAIN,) is moved on. The first edges after power-up are left out: a
+    frame that is not full shows that the sensor has just begun to count. Returns the new count, or
+    BROKEN when numbers before and after cannot be tied together: the wheel stood still, or more
+    edges came than a frame holds.
     """
     if valid == 0:
         return count
@@ -49,6 +57,7 @@ def chain_edges(
         # With a long interval in the array only the newest edge can be placed.
         fresh = 1 if long_interval else valid
         chain[INDEX] = newest_index - fresh
+        chain[UNTIL] = newest_index - valid + (FIRST_WRONG if valid < STAMPS else 0)
     if fresh == 0:
         return count
     tied = not stopped and fresh <= valid
@@ -56,11 +65,13 @@ def chain_edges(
         time_us = read_us - ((read_us - low[0]) & 0xFFFF)
         number = chain[INDEX] + fresh
         newest_us = time_us
+        kept = min(fresh, max(number - chain[UNTIL], 0))
         for k in range(fresh):
             if k > 0:
                 time_us -= (low[k - 1] - low[k]) & 0xFFFF
-            numbers[count + fresh - 1 - k] = number - k
-            times_us[count + fresh - 1 - k] = time_us
+            if k < kept:
+                numbers[count + kept - 1 - k] = number - k
+                times_us[count + kept - 1 - k] = time_us
         if chain[STARTED] == 1:
             # The edge before the oldest new one is known already: the chain must lead to it.
             if fresh < valid:
@@ -73,44 +84,10 @@ def chain_edges(
         # A wheel that has not begun to count has nothing to lose.
         return BROKEN if had_begun else count
     chain[INDEX], chain[TIME], chain[STARTED] = number, newest_us, 1
-    return int(count + fresh)
-
-
-@compiled
-def merge_edges(
-    rise_number: Integers,
-    rise_us: Integers,
-    rises: int,
-    fall_number: Integers,
-    fall_us: Integers,
-    falls: int,
-    fall_shift: float,
-    pitch_rad: float,
-    after_us: int,
-    edge_us: Floats,
-    edge_rad: Floats,
-) -> int:
-    """Both polarities in order of time, with the angles they stand for; returns how many.
-
-    Rising edge k stands for k pitches, falling edge k for k + `fall_shift`. Edges not later than
-    `after_us` are left out: a polarity that was late must not turn time back in the filters."""
-    i = j = n = 0
-    while i < rises or j < falls:
-        if j == falls or (i < rises and rise_us[i] <= fall_us[j]):
-            time_us, angle = rise_us[i], rise_number[i] * pitch_rad
-            i += 1
-        else:
-            time_us, angle = fall_us[j], (fall_number[j] + fall_shift) * pitch_rad
-            j += 1
-        if time_us > after_us:
-            edge_us[n], edge_rad[n] = time_us, angle
-            n += 1
-    return n
+    return int(count + kept)
 
 
 def warm_up() -> None:
-    """Compiles both, or loads what was compiled before."""
-    low, chain, room = np.zeros(1, np.int64), np.zeros(3, np.int64), np.zeros(1, np.int64)
+    """Compiles it, or loads what was compiled before."""
+    low, chain, room = np.zeros(1, np.int64), np.zeros(CHAIN, np.int64), np.zeros(1, np.int64)
     chain_edges(low, 1, 1, False, False, 1, chain, room, room, 0)
-    edge = np.zeros(1)
-    merge_edges(room, room, 0, room, room, 0, 0.0, 1.0, 0, edge, edge)

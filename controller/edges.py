@@ -7,17 +7,21 @@ fewer than 27 came since, and the tooth number is never lost.
 
 from __future__ import annotations
 
-import itertools
 import struct
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
+from controller import edge_gate
 from controller.clock import SensorClock
-from controller.edge_kernels import BROKEN, Integers, chain_edges, merge_edges
+from controller.edge_kernels import BROKEN, CHAIN, STAMPS, Integers, chain_edges
 from controller.kernels import Vector
 
 LONG_AGO_US: Final = -(1 << 62)
+LONGEST_US: Final = 65_535
+"""Without an edge for longer than a stamp can say, a wheel stands."""
+MOST_RAD_S2: Final = 300.0
+"""What a shaft's speed may change by: a layshaft of 0.33 kg m2 braked with 100 Nm."""
 
 
 class EdgeFrame(Protocol):
@@ -56,14 +60,30 @@ class Edge(NamedTuple):
 
 
 class EdgeBatch(NamedTuple):
-    """New edges of one wheel, both polarities, rising in time."""
+    """New edges of one wheel, both polarities, rising in time. Arrays of one length.
+
+    theta_rad is that of a perfect wheel: tooth x pitch, and the duty share of a pitch more for a
+    falling edge."""
 
     time_us: Vector
     theta_rad: Vector
+    tooth: Integers
+    """Running number of the tooth that the edge belongs to, a falling one to the rising before."""
+    falling: Integers
+    """1 for a falling edge, 0 for a rising one."""
 
 
-NO_EDGES: Final = EdgeBatch(np.empty(0), np.empty(0))
-STAMPS: Final = 27
+class EdgeHealth(NamedTuple):
+    """Edges left out as extra, teeth stepped over, how often a tooth was in doubt, and whether
+    teeth are numbered now."""
+
+    extra: int
+    missed: int
+    doubts: int
+    counting: bool
+
+
+NO_EDGES: Final = EdgeBatch(np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64))
 _PACK_STAMPS: Final = struct.Struct(f"={STAMPS}q").pack_into
 _ROOM: Final = 4 * STAMPS
 
@@ -72,24 +92,28 @@ class Polarity:
     """One polarity of a wheel: the chain of its frames, and the edges of this step."""
 
     def __init__(self) -> None:
-        self._chain: Integers = np.zeros(3, np.int64)
+        self._chain: Integers = np.zeros(CHAIN, np.int64)
         # A tuple gets into an array fastest through the bytes that the array stands on.
         self._packed = bytearray(8 * STAMPS)
         self._low: Integers = np.frombuffer(self._packed, np.int64)
         self.numbers: Integers = np.empty(_ROOM, np.int64)
         self.times_us: Integers = np.empty(_ROOM, np.int64)
         self.count = 0
-        """How many of `numbers` and `times_us` are edges of this step, oldest first."""
+        """How many of `numbers` and `times_us` are edges not used yet, oldest first."""
 
-    def begin(self) -> None:
-        """A new step: no edges yet."""
-        self.count = 0
+    def use(self, used: int) -> None:
+        """The first `used` edges are done with; the others stay for the next step."""
+        left = self.count - used
+        if left and used:
+            self.numbers[:left] = self.numbers[used : self.count].copy()
+            self.times_us[:left] = self.times_us[used : self.count].copy()
+        self.count = left
 
     def take(self, frame: EdgeFrame, read_us: int) -> bool:
         """Appends the edges since the last frame.
 
         False when the chain is broken: the wheel stood still or more edges came than one frame
-        holds, so tooth numbers before and after cannot be tied together."""
+        holds. The other polarity may still know the wheel's tooth numbers."""
         if self.count + STAMPS > self.numbers.size:
             self.numbers = np.resize(self.numbers, 2 * self.numbers.size)
             self.times_us = np.resize(self.times_us, 2 * self.times_us.size)
@@ -106,11 +130,13 @@ class Polarity:
             self.times_us,
             self.count,
         )
-        self.count = max(count, 0)
-        return count != BROKEN
+        if count == BROKEN:
+            return False
+        self.count = count
+        return True
 
     def edges(self) -> list[tuple[int, int]]:
-        """This step's edges as (number, time)."""
+        """The edges not used yet as (number, time)."""
         n = self.count
         return list(zip(self.numbers[:n].tolist(), self.times_us[:n].tolist(), strict=True))
 
@@ -118,25 +144,45 @@ class Polarity:
 class WheelEdges:
     """One sensor wheel with both polarities.
 
-    Rising edge k stands for the angle k pitch; a falling edge lies a duty share of a pitch behind
-    the rising edge before it. Which falling number belongs to which rising one is seen from their
-    order in time, once, and holds as long as neither chain breaks."""
+    Rising edge k stands for the angle k pitch, a falling edge for a duty share of a pitch more than
+    the rising edge before it. What is extra or missing the gate finds (`edge_gate`). Teeth are
+    numbered from any one on; on a wheel with `missing` teeth, numbers from 0, modulo `teeth` they
+    are those of the drawing: tooth 0 where the list of missing ones counts from."""
 
-    def __init__(self, teeth: int, duty_share: float) -> None:
+    def __init__(
+        self,
+        teeth: int,
+        duty_share: float,
+        missing: tuple[int, ...] = (),
+        most_rad_s2: float = MOST_RAD_S2,
+    ) -> None:
         self.pitch_rad = 2.0 * np.pi / teeth
         self._duty_share = duty_share
+        self._advance = edge_gate.advances(teeth, missing)
+        self._candidates = np.zeros_like(self._advance)
         self._rise, self._fall = Polarity(), Polarity()
-        self._fall_shift: int | None = None
-        self._last_us = LONG_AGO_US
+        self._counts, self._floats = edge_gate.new_state(self.pitch_rad, most_rad_s2)
         self.broken = 0
         """How often tooth numbers were lost: every phase reference of this wheel with them."""
         self.newest: Edge | None = None
+        self.extra_us: Integers = np.empty(0, np.int64)
+        """Times of the edges that were left out as extra at the last read."""
+
+    @property
+    def health(self) -> EdgeHealth:
+        """What was wrong with this wheel's edges since power-up."""
+        c = self._counts
+        return EdgeHealth(
+            int(c[edge_gate.EXTRA]),
+            int(c[edge_gate.MISSED]),
+            int(c[edge_gate.DOUBTS]),
+            bool(c[edge_gate.MODE] == edge_gate.COUNTING),
+        )
 
     def restart(self) -> None:
         """Forgets all numbers: the sensor side has restarted."""
         self._rise, self._fall = Polarity(), Polarity()
-        self._fall_shift = None
-        self._last_us = LONG_AGO_US
+        edge_gate.forget(self._counts)
         self.newest = None
         self.broken += 1
 
@@ -145,47 +191,59 @@ class WheelEdges:
     ) -> EdgeBatch:
         """Takes this step's frames of both polarities; returns the new edges in order of time."""
         risen, fallen = self._rise, self._fall
-        self._take(risen, rise, clock, now_us)
-        self._take(fallen, fall, clock, now_us)
-        if self._fall_shift is None:
-            self._pair(risen.edges(), fallen.edges())
-        # Falling edges that cannot be placed yet are left out.
-        falls = 0 if self._fall_shift is None else fallen.count
-        if risen.count + falls == 0:
+        read_us = max(
+            self._take(risen, rise, clock, now_us), self._take(fallen, fall, clock, now_us)
+        )
+        counts = self._counts
+        lost = int(counts[edge_gate.LOST])
+        batch = self._gate(risen, fallen)
+        if read_us - counts[edge_gate.TIME] > LONGEST_US:
+            counts[edge_gate.STOPS] += edge_gate.lose(counts)
+        if counts[edge_gate.LOST] > lost:
+            self.broken += int(counts[edge_gate.LOST]) - lost
+            self.newest = None
+        if batch.time_us.size and counts[edge_gate.MODE] == edge_gate.COUNTING:
+            self.newest = Edge(int(batch.time_us[-1]), float(batch.theta_rad[-1]))
+        return batch
+
+    def _gate(self, risen: Polarity, fallen: Polarity) -> EdgeBatch:
+        room = risen.count + fallen.count
+        if room == 0:
+            self.extra_us = NO_EDGES.tooth
             return NO_EDGES
-        edge_us, edge_rad = np.empty(risen.count + falls), np.empty(risen.count + falls)
-        n = merge_edges(
+        edge_us, edge_rad = np.empty(room), np.empty(room)
+        tooth, falling = np.empty(room, np.int64), np.empty(room, np.int64)
+        extra_us = np.empty(room, np.int64)
+        counts = self._counts
+        extra = int(counts[edge_gate.EXTRA])
+        n = edge_gate.gate_edges(
+            counts,
+            self._floats,
+            self._advance,
+            self._candidates,
             risen.numbers,
             risen.times_us,
             risen.count,
-            fallen.numbers,
             fallen.times_us,
-            falls,
-            (self._fall_shift or 0) + self._duty_share,
+            fallen.count,
+            self._duty_share,
             self.pitch_rad,
-            self._last_us,
             edge_us,
             edge_rad,
+            tooth,
+            falling,
+            extra_us,
         )
-        if n == 0:
-            return NO_EDGES
-        self._last_us = int(edge_us[n - 1])
-        self.newest = Edge(self._last_us, float(edge_rad[n - 1]))
-        return EdgeBatch(edge_us[:n], edge_rad[:n])
+        risen.use(int(counts[edge_gate.NEXT]))
+        fallen.use(int(counts[edge_gate.NEXT + 1]))
+        self.extra_us = extra_us[: counts[edge_gate.EXTRA] - extra]
+        return EdgeBatch(edge_us[:n], edge_rad[:n], tooth[:n], falling[:n])
 
-    def _take(
-        self, polarity: Polarity, frames: list[EdgeFrame], clock: SensorClock, now_us: int
-    ) -> None:
-        polarity.begin()
+    @staticmethod
+    def _take(polarity: Polarity, frames: list[EdgeFrame], clock: SensorClock, now_us: int) -> int:
+        """The time of the last frame; long ago where there is none."""
+        read_us = LONG_AGO_US
         for frame in frames:
-            if not polarity.take(frame, clock.stamp(frame.read_time_us, now_us)):
-                self._fall_shift = None
-                self.newest = None
-                self.broken += 1
-
-    def _pair(self, risen: list[tuple[int, int]], fallen: list[tuple[int, int]]) -> None:
-        for (number, before), (_, after) in itertools.pairwise(risen):
-            for fall_number, time_us in fallen:
-                if before < time_us < after:
-                    self._fall_shift = number - fall_number
-                    return
+            read_us = clock.stamp(frame.read_time_us, now_us)
+            polarity.take(frame, read_us)
+        return read_us

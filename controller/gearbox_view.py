@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final, NamedTuple
 
 from dbc.messages import SleevesAux, SleevesMain
@@ -55,6 +56,8 @@ class GearboxView:
         self.tracks: dict[Sleeve, SleeveTrack] = {}
         self.clutch_closed: float | None = None
         """0 open .. 1 closed."""
+        self.supply_pa = math.inf
+        """Absolute supply pressure; infinite before it was first seen."""
         self.main_gear: MainGear | None = None
         """The main gear in mesh, NEUTRAL with both sleeves in the middle, None in between."""
         self.split: Split | None = None

@@ -7,10 +7,12 @@ from typing import Any, Final
 from controller.edges import EdgeFrame
 from dbc.messages import (
     TC1,
+    EdgesInputRise,
     EdgesLayshaftFall,
     EdgesLayshaftRise,
     EdgesMainFall,
     EdgesMainRise,
+    EdgesPropellerRise,
     GearboxSensors,
     Message,
     SleevesAux,
@@ -18,11 +20,18 @@ from dbc.messages import (
     ValveStatus,
 )
 
-EDGES: Final = (EdgesLayshaftRise, EdgesLayshaftFall, EdgesMainRise, EdgesMainFall)
+EDGES: Final = (
+    EdgesLayshaftRise,
+    EdgesLayshaftFall,
+    EdgesMainRise,
+    EdgesMainFall,
+    EdgesInputRise,
+    EdgesPropellerRise,
+)
 
 
 class StepInputs:
-    """What the frames of one step said. Input and propeller shaft are on the bus for later use."""
+    """What the frames of one step said."""
 
     def __init__(self) -> None:
         self.edges: dict[type, list[EdgeFrame]] = {kind: [] for kind in EDGES}

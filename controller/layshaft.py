@@ -1,157 +1,49 @@
-"""The layshaft observer: an estimator while the model holds, cruise while it does not.
-
-The model of thesis 4.13 holds when the clutch is open and the main box in neutral (4.1). Then the
-chosen estimator runs: `thesis` is the event-driven Kalman filter of 5.2 and 5.3, `window` the
-production speed of the last 10 ms. With a gear engaged the layshaft turns with the main shaft, and
-the constant-speed filter follows it; that is also where a gear's phase is learned.
-"""
+"""What an estimator of the layshaft can be asked, whichever it is."""
 
 from __future__ import annotations
 
-import math
+from typing import NamedTuple, Protocol
 
-import numpy as np
-
-from controller.brake_input import BrakeInput
+from controller.crossing import Pressures
 from controller.edges import EdgeBatch
-from controller.kernels import Vector, propagate, thesis_filter
-from controller.predictor import LayshaftState, predict_hold
-from controller.settings import ControllerSettings
-from controller.shafts import STALE_US, CruiseTracker, WindowSpeed
-from dbc.messages import Estimator
-
-START_SD_PRESSURE_PA = 2e4
-"""How far the filter trusts the pressure when it starts: the valve has been off, not for ever."""
+from controller.kernels import Vector
+from controller.motion import LayshaftState, MotionModel
 
 
-class LayshaftTracker:
+class LayshaftModels(NamedTuple):
+    """The free layshaft for one step of the splitter."""
+
+    motion: MotionModel
+    thesis: Vector
+    """[a, b, g, K] of `kernels`: the thesis's linear model with the data sheet's values."""
+    inertia_kgm2: float
+
+
+class LayshaftTracker(Protocol):
     """Angle, speed and brake pressure of the layshaft at any time near now."""
-
-    def __init__(
-        self,
-        estimator: Estimator,
-        settings: ControllerSettings,
-        brake: BrakeInput,
-        model: Vector,
-        pitch_rad: float,
-    ) -> None:
-        self._estimator = estimator
-        tuning = settings.thesis_filter
-        self._w = np.array([tuning.w_angle_rad_s, tuning.w_speed_rad_s2, tuning.w_pressure_pa_s])
-        self._r = tuning.r_angle_rad**2
-        self._brake = brake
-        self._cruise = CruiseTracker(settings.cruise_filter, pitch_rad)
-        self._window = WindowSpeed()
-        self.model = model
-        self._free = False
-        self._x = np.zeros(3)
-        self._p = np.zeros((3, 3))
-        self._time_us = 0.0
 
     @property
     def free(self) -> bool:
-        """Whether the model holds and the chosen estimator runs."""
-        return self._free
+        """Whether the model holds: clutch open, main box in neutral, and a speed to begin with."""
 
-    def set_free(self, free: bool, time_us: float) -> None:
-        """The model begins or ceases to hold. It begins once there is a speed to begin with."""
-        if free and not self._free:
-            self._free = self._start(time_us)
-        elif not free and self._free:
-            self._free = False
-            self._cruise.restart()
+    @property
+    def model(self) -> MotionModel:
+        """The model that holds while free. RuntimeError before it was set."""
+
+    def set_models(self, models: LayshaftModels) -> None:
+        """The splitter's step or the brake's law is new."""
+
+    def set_free(self, free: bool, time_us: float, events: list[str]) -> None:
+        """The model begins or ceases to hold; what was learned meanwhile is told in `events`."""
 
     def restart(self) -> None:
         """Tooth numbers were lost: starts anew."""
-        self._free = False
-        self._cruise.restart()
-        self._window.restart()
 
-    def edges(self, batch: EdgeBatch) -> None:
-        """Takes new edges in order of time."""
-        if self._estimator is Estimator.WINDOW:
-            self._window.edges(batch)
-        if not self._free:
-            self._cruise.edges(batch)
-        elif self._estimator is Estimator.THESIS and batch.time_us.size:
-            switch_us, switch_u = self._brake.arrays()
-            self._time_us = thesis_filter(
-                self._x,
-                self._p,
-                self._time_us,
-                batch.time_us,
-                batch.theta_rad,
-                switch_us,
-                switch_u,
-                self.model,
-                self._w,
-                self._r,
-            )
-        elif self._estimator is Estimator.WINDOW:
-            self._hold_window()
+    def edges(self, batch: EdgeBatch, pressures: Pressures) -> None:
+        """Takes new edges and measured pressures."""
 
     def at(self, time_us: float) -> LayshaftState | None:
         """The state at a time; None without a speed, or without an edge for 60 ms."""
-        if not self._free:
-            return self._cruising(time_us)
-        if time_us - self._time_us > STALE_US:
-            return None
-        state = self.latest()
-        if self._estimator is Estimator.WINDOW and time_us > self._time_us:
-            return self._held(state, time_us)
-        return predict_hold(state, time_us, self._brake.arrays(), self.model)
 
     def latest(self) -> LayshaftState:
         """The state at the newest edge; where a prediction starts. Valid only while `free`."""
-        theta, omega, pressure = self._x.tolist()
-        (p00, _, _), (_, p11, _), (_, _, p22) = self._p.tolist()
-        return LayshaftState(
-            self._time_us,
-            theta,
-            omega,
-            pressure,
-            math.sqrt(max(p00, 0.0)),
-            math.sqrt(max(p11, 0.0)),
-            math.sqrt(max(p22, 0.0)),
-        )
-
-    def _cruising(self, time_us: float) -> LayshaftState | None:
-        shaft = self._cruise.at(time_us)
-        if shaft is None:
-            return None
-        return LayshaftState(
-            time_us,
-            shaft.theta_rad,
-            shaft.omega_rad_s,
-            0.0,
-            shaft.theta_sd_rad,
-            shaft.omega_sd_rad_s,
-            START_SD_PRESSURE_PA,
-        )
-
-    def _start(self, time_us: float) -> bool:
-        shaft = self._cruise.at(time_us)
-        if shaft is None:
-            return False
-        self._time_us = time_us
-        self._x[:] = shaft.theta_rad, shaft.omega_rad_s, 0.0
-        variances = shaft.theta_sd_rad**2, shaft.omega_sd_rad_s**2, START_SD_PRESSURE_PA**2
-        self._p[:] = np.diag(variances)
-        return True
-
-    def _hold_window(self) -> None:
-        """Production baseline: last edge's angle, window speed, pressure from commands alone."""
-        newest = self._window.newest
-        if newest is None or self._window.omega_rad_s is None or newest[0] <= self._time_us:
-            return
-        switch_us, switch_u = self._brake.arrays()
-        x = np.array([0.0, 0.0, self._x[2]])
-        propagate(x, self._time_us, newest[0], switch_us, switch_u, self.model)
-        self._time_us = newest[0]
-        self._x[:] = newest[1], self._window.omega_rad_s, x[2]
-
-    def _held(self, state: LayshaftState, time_us: float) -> LayshaftState:
-        """Between edges the production speed is held, not predicted."""
-        predicted = predict_hold(state, time_us, self._brake.arrays(), self.model)
-        theta = state.theta_rad + state.omega_rad_s * (time_us - state.time_us) * 1e-6
-        return predicted._replace(theta_rad=theta, omega_rad_s=state.omega_rad_s)

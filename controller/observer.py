@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import numpy as np
+
+from controller.baseline_tracker import BaselineTracker
 from controller.brake_input import BrakeInput
+from controller.brake_model import BrakeModel
 from controller.clock import SensorClock
+from controller.crossing import Pressures
+from controller.crossing_tracker import CrossingTracker, MainTracker
 from controller.edges import EdgeBatch, EdgeFrame, WheelEdges
 from controller.gearbox_view import GearboxView
 from controller.inputs import StepInputs
-from controller.kinematics import slip_rad_s
-from controller.layshaft import LayshaftTracker
-from controller.predictor import LayshaftState, layshaft_model
+from controller.layshaft import LayshaftModels, LayshaftTracker
+from controller.motion import LayshaftState, first_order_law, free_motion
+from controller.predictor import layshaft_model
 from controller.reference import PhaseReferences
 from controller.settings import ControllerSettings
 from controller.shafts import CruiseTracker, ShaftState
@@ -19,45 +25,58 @@ from dbc.messages import (
     EdgesMainFall,
     EdgesMainRise,
     Estimator,
+    GearboxSensors,
     ValveStatus,
 )
 from gearbox import GearboxSheet, MainGear, Split
 
-LOCKED_SLIP_RAD_S = 0.1
-"""A gear whose slip is below this (1 rpm) turns with its sleeve: its tooth lies on the flank."""
 CLUTCH_OPEN_SHARE = 0.05
 
 
 class Observer:
-    """Everything the controller knows of the gearbox.
-
-    One layshaft tracker for each of `estimators`, all on the same edges; the controller has one,
-    a comparison has several."""
+    """Everything the controller knows of the gearbox."""
 
     def __init__(
         self,
         sheet: GearboxSheet,
         settings: ControllerSettings,
         brake: BrakeInput,
-        estimators: tuple[Estimator, ...],
+        estimator: Estimator,
     ) -> None:
-        wheels = sheet.wheels
+        wheels, tuning = sheet.wheels, settings.crossing_filter
         self._sheet = sheet
+        self._tuning = tuning
+        self._brake_input = brake
         self.clock = SensorClock()
         self.view = GearboxView(sheet)
         self.references = PhaseReferences(sheet)
         self._split = Split.HIGH
         self._layshaft_wheel = WheelEdges(wheels.layshaft.teeth, wheels.layshaft.duty_share)
         self._main_wheel = WheelEdges(wheels.main.teeth, wheels.main.duty_share)
-        model = layshaft_model(sheet, self._split)
-        self.trackers = [
-            LayshaftTracker(estimator, settings, brake, model, wheels.layshaft.pitch_rad)
-            for estimator in estimators
-        ]
-        self.layshaft = self.trackers[0]
-        self._main = CruiseTracker(settings.cruise_filter, wheels.main.pitch_rad)
+        self.brake = BrakeModel(sheet, tuning.gain_sd, tuning.drag_sd_nm)
+        self._learns = estimator is Estimator.CROSSING
+        """The baselines know the data sheet and nothing more."""
+        self.layshaft: LayshaftTracker
+        self._main: CruiseTracker | MainTracker
+        if self._learns:
+            self.layshaft = CrossingTracker(tuning, brake, self.brake, wheels.layshaft.teeth)
+            self._main = MainTracker(tuning, wheels.main.teeth)
+        else:
+            self.layshaft = BaselineTracker(estimator, settings, brake, wheels.layshaft.pitch_rad)
+            self._main = CruiseTracker(settings.cruise_filter, wheels.main.pitch_rad)
+        self._model_layshaft()
         self.valves: ValveStatus | None = None
         self._lost = (0, 0, 0)
+
+    def _model_layshaft(self) -> None:
+        sheet, split = self._sheet, self._split
+        thesis = layshaft_model(sheet, split)
+        law = first_order_law(1.0 / sheet.brake.time_constant_s, sheet.air.supply_gauge_pa)
+        if self._learns:
+            law = self.brake.law()
+            self._brake_input.set_delays(self.brake.off_delay_us, self.brake.on_delay_us)
+        motion = free_motion(sheet, split, law, self._tuning)
+        self.layshaft.set_models(LayshaftModels(motion, thesis, sheet.inertia_kgm2(split)))
 
     def take(self, inputs: StepInputs, now_us: int, events: list[str]) -> None:
         """One step's messages, at `now_us` of the controller's clock."""
@@ -70,14 +89,25 @@ class Observer:
         for aux in inputs.sleeves_aux:
             self.view.sleeves_aux(aux, self.clock.stamp(aux.sample_time_us, now_us))
         self.view.work_out()
-        for sensors in inputs.sensors:
-            self.view.clutch_closed = sensors.clutch_position_fraction
+        pressures = self._sensors(inputs.sensors, now_us)
         self.valves = inputs.valve_status or self.valves
         self._lose_what_broke(events)
         self._main.edges(main)
-        for tracker in self.trackers:
-            tracker.edges(layshaft)
-        self._see_whether_free()
+        self.layshaft.edges(layshaft, pressures)
+        self._see_whether_free(events)
+
+    def _sensors(self, sensors: list[GearboxSensors], now_us: int) -> Pressures:
+        """Clutch, air supply, and the brake's pressure, gauge."""
+        atmosphere_pa = self._sheet.air.atmosphere_pa
+        time_us = np.empty(len(sensors))
+        pressure_pa = np.empty(len(sensors))
+        for k, sample in enumerate(sensors):
+            self.view.clutch_closed = sample.clutch_position_fraction
+            time_us[k] = self.clock.stamp(sample.sample_time_us, now_us)
+            pressure_pa[k] = sample.brake_pressure_pa - atmosphere_pa
+            self.view.supply_pa = sample.supply_pressure_pa
+            self.brake.supply_pa = sample.supply_pressure_pa - atmosphere_pa
+        return Pressures(time_us, pressure_pa)
 
     def _read(
         self, wheel: WheelEdges, inputs: StepInputs, rise: type, fall: type, now_us: int
@@ -99,25 +129,29 @@ class Observer:
             events.append("sensor clock jumped: teeth and phases start anew")
         self._lost = (self.clock.jumps, self._layshaft_wheel.broken, self._main_wheel.broken)
         self.references.lose_all()
-        for tracker in self.trackers:
-            tracker.restart()
+        self.layshaft.restart()
         self._main.restart()
         events.append("tooth numbers lost: phase references unknown again")
 
-    def _see_whether_free(self) -> None:
+    def _see_whether_free(self, events: list[str]) -> None:
         view = self.view
         if not view.complete:
             return
         if view.split is not None and view.split is not self._split:
             self._split = view.split
-            for tracker in self.trackers:
-                tracker.model = layshaft_model(self._sheet, self._split)
+            self._model_layshaft()
         clutch_open = (view.clutch_closed or 0.0) < CLUTCH_OPEN_SHARE
         free = clutch_open and view.main_box_free and view.split is not None
+        free = free and view.range_ is not None
         newest = self._layshaft_wheel.newest
-        if newest is not None:
-            for tracker in self.trackers:
-                tracker.set_free(free, newest.time_us)
+        if newest is None:
+            return
+        was_free = self.layshaft.free
+        self.layshaft.set_free(free, newest.time_us, events)
+        if isinstance(self._main, MainTracker):
+            self._main.set_free(free, events)
+        if was_free and not free:
+            self._model_layshaft()
 
     def main_at(self, time_us: float) -> ShaftState | None:
         """The main shaft at a sensor time."""
@@ -127,7 +161,7 @@ class Observer:
         """The layshaft at a sensor time."""
         return self.layshaft.at(time_us)
 
-    def learn(self, time_us: float, events: list[str]) -> None:
+    def learn(self, events: list[str]) -> None:
         """Watches a gear that has just locked until its phase reference is known."""
         if not self.view.complete:
             return
@@ -135,13 +169,12 @@ class Observer:
         if gear is None or gear is MainGear.NEUTRAL:
             self.references.released()
             return
-        layshaft, main = self.layshaft_at(time_us), self.main_at(time_us)
-        if layshaft is None or main is None:
+        # At the newest edge there is nothing to extrapolate, and an impact does least harm.
+        newest = [w.newest.time_us for w in (self._layshaft_wheel, self._main_wheel) if w.newest]
+        if len(newest) < 2:
             return
-        ratio = self._sheet.main_mesh(gear).ratio
-        slip = slip_rad_s(ratio, layshaft.omega_rad_s, main.omega_rad_s)
-        if abs(slip) > LOCKED_SLIP_RAD_S:
-            self.references.slips(slip)
+        layshaft, main = self.layshaft_at(max(newest)), self.main_at(max(newest))
+        if layshaft is None or main is None:
             return
         if self.references.watch(gear, layshaft.theta_rad, main.theta_rad):
             events.append(f"phase reference of {gear.name.lower()} learned")

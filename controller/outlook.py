@@ -1,6 +1,6 @@
 """The outlook of a shift: slip and phase of the target gear at times to come.
 
-Layshaft by zero-order hold over the brake commands, main shaft at constant speed (4.16).
+Layshaft by zero-order hold over the brake commands, main shaft with the acceleration it has.
 """
 
 from __future__ import annotations
@@ -8,12 +8,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from controller.brake_input import BrakeInput
-from controller.kernels import US, Vector, time_at_speed
+from controller.kernels import US
 from controller.kinematics import slip_rad_s
-from controller.predictor import LayshaftState, predict_hold
+from controller.motion import LayshaftState, MotionModel, predict, predict_spread
+from controller.motion_kernels import DRAG, time_at_speed
 from controller.reference import PhaseReferences
 from controller.shafts import ShaftState
 from gearbox import MainGear
@@ -35,7 +34,7 @@ class Outlook:
     layshaft: LayshaftState
     main: ShaftState
     brake: BrakeInput
-    model: Vector
+    model: MotionModel
     references: PhaseReferences
 
     def slip_rad_s(self, time_us: float, release_us: int | None = None) -> float:
@@ -43,7 +42,8 @@ class Outlook:
         return self._slip(self._layshaft_at(time_us, release_us))
 
     def _slip(self, state: LayshaftState) -> float:
-        return slip_rad_s(self.i_gear, state.omega_rad_s, self.main.omega_rad_s)
+        omega_main = self.main.omega_at(state.time_us)
+        return slip_rad_s(self.i_gear, state.omega_rad_s, omega_main)
 
     def phase_and_slip(self, time_us: float) -> tuple[float, float]:
         """Unwrapped phase and slip at a time. KeyError while the reference is unknown."""
@@ -55,15 +55,22 @@ class Outlook:
     def _layshaft_at(self, time_us: float, release_us: int | None) -> LayshaftState:
         brake = self.brake
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
-        return predict_hold(self.layshaft, time_us, switches, self.model)
+        return predict(self.layshaft, time_us, switches, self.model)
 
     def phase_sd_rad(self, time_us: float, delay_sd_s: float) -> float:
         """Standard deviation of the phase at contact: angles, speeds to then, and delay."""
-        horizon_s = (time_us - self.layshaft.time_us) * US
-        layshaft = math.hypot(self.layshaft.theta_sd_rad, self.layshaft.omega_sd_rad_s * horizon_s)
-        main = math.hypot(self.main.theta_sd_rad, self.main.omega_sd_rad_s * horizon_s)
+        layshaft_sd = self._layshaft_sd_rad(time_us)
+        horizon_s = (time_us - self.main.time_us) * US
+        main_sd = math.hypot(self.main.theta_sd_rad, self.main.omega_sd_rad_s * horizon_s)
         slip = self.slip_rad_s(time_us)
-        return math.hypot(self.i_gear * layshaft, main, slip * delay_sd_s)
+        return math.hypot(self.i_gear * layshaft_sd, main_sd, slip * delay_sd_s)
+
+    def _layshaft_sd_rad(self, time_us: float) -> float:
+        state = self.layshaft
+        if state.covariance is not None:
+            return predict_spread(state, time_us, self.brake.arrays(), self.model).theta_sd_rad
+        horizon_s = (time_us - state.time_us) * US
+        return math.hypot(state.theta_sd_rad, state.omega_sd_rad_s * horizon_s)
 
     def release_time_us(
         self, earliest_us: int, latest_us: int, slip_left_rad_s: float, settle_us: float
@@ -131,12 +138,17 @@ class Outlook:
 
     def _contact(self, release_us: float, slip_rad_s: float) -> tuple[float, float] | None:
         """Time and unwrapped phase at which the slip has fallen to a value after a release."""
-        state = self.layshaft
+        state, main = self.layshaft, self.main
         switch_us, switch_u = self.brake.with_release(release_us)
-        omega = (self.main.omega_rad_s + slip_rad_s) / self.i_gear
-        x = np.array([state.theta_rad, state.omega_rad_s, state.pressure_pa])
-        time_us = time_at_speed(x, state.time_us, omega, switch_us, switch_u, self.model)
+        # Seen from a main shaft of constant speed, its acceleration is a drag on the layshaft.
+        omega = (main.omega_at(state.time_us) + slip_rad_s) / self.i_gear
+        x = state.vector
+        x[DRAG] -= main.acceleration_rad_s2 / self.i_gear
+        time_us = time_at_speed(
+            x, state.time_us, omega, switch_us, switch_u, self.model.motion, self.model.law
+        )
         if math.isinf(time_us):
             return None
-        theta_main = self.main.theta_at(time_us)
+        span_s = (time_us - state.time_us) * US
+        theta_main = main.theta_at(state.time_us) + main.omega_at(state.time_us) * span_s
         return time_us, self.references.phase_rad(self.gear, float(x[0]), theta_main)

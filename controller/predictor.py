@@ -7,24 +7,11 @@ not only at sampling points, because every switch of the input is a step of its 
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from controller.kernels import BRAKE_G, RATE_A, RATE_B, SUPPLY_K, US, Vector, propagate
+from controller.motion import LayshaftState
 from gearbox import GearboxSheet, Split
-
-
-class LayshaftState(NamedTuple):
-    """x of thesis 4.15a at a time: angle, speed, gauge pressure; with standard deviations."""
-
-    time_us: float
-    theta_rad: float
-    omega_rad_s: float
-    pressure_pa: float
-    theta_sd_rad: float = 0.0
-    omega_sd_rad_s: float = 0.0
-    pressure_sd_pa: float = 0.0
 
 
 def layshaft_model(sheet: GearboxSheet, split: Split) -> Vector:
@@ -45,7 +32,7 @@ def predict_hold(
     x = np.array([state.theta_rad, state.omega_rad_s, state.pressure_pa])
     propagate(x, state.time_us, to_us, switches[0], switches[1], model)
     theta, omega, pressure = x.tolist()
-    return LayshaftState(to_us, theta, omega, pressure, *state[4:])
+    return LayshaftState(to_us, theta, omega, pressure, *state[4:7])
 
 
 def predict_linear(state: LayshaftState, to_us: float) -> LayshaftState:

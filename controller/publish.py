@@ -8,7 +8,7 @@ from typing import Final
 from controller.clock import wrap
 from controller.kinematics import wrap_to_pitch
 from controller.layshaft import LayshaftTracker
-from controller.predictor import LayshaftState
+from controller.motion import LayshaftState
 from controller.shafts import ShaftState
 from controller.shift import ShiftRecord
 from controller.strategy import Plan

@@ -1,9 +1,10 @@
 """Phase references: the angle between gear teeth and sleeve teeth, learned when a gear locks.
 
-The sensor wheels count teeth but know no angle (thesis 8.2). When a gear has locked, its tooth lies
-on the flank its slip carried it to, so the phase is sign(slip) b/2 and the constant between counted
-angles and phase is known. Tooth counts keep it exact from then on. It is lost when either wheel's
-count is lost: at power-up and at every stop.
+The sensor wheels count teeth but know no angle (thesis 8.2). In mesh a tooth lies on one flank of
+its gap or the other, so the phase is + or - b/2 and the constant between counted angles and phase
+is known once the flank is. Which one: torque that turns carries the tooth across the gap, and a
+move of nearly b shows on which side it lies then. A tooth that does not move lies where the slip at
+contact carried it. Tooth counts keep the reference exact; it is lost when either count is lost.
 """
 
 from __future__ import annotations
@@ -14,19 +15,51 @@ from dataclasses import dataclass, field
 from controller.kinematics import raw_phase_rad, wrap_to_pitch
 from gearbox import GearboxSheet, MainGear
 
-LEARN_TIMES = 5
-"""Steps a locked gear is watched before its reference is stored; averages the edge quantisation."""
+STILL_LOOKS = 6
+"""Looks over which a tooth must lie still to be at a flank: 60 ms, more than it takes to cross."""
+STILL_SHARE = 0.1
+"""Standard deviation of a still tooth's looks, in backlashes."""
+CROSSED_SHARE = 0.6
+STAYED_SHARE = 0.4
+"""A tooth that was this share of the backlash away has crossed; less than this, it has not."""
+UNMOVED_LOOKS = 20
+"""After so many looks without a move the tooth lies where the slip at contact carried it."""
 FLANK_SLIP_RAD_S = 0.2
-"""Below this slip (2 rpm) the flank cannot be told."""
+"""Below this slip (2 rpm) at contact the flank cannot be told from it."""
 
 
 @dataclass
 class _Learning:
-    """A gear being watched: the flank it lies on, 0 while not certain, and what was seen."""
+    """A gear being watched: the flank its slip carried it to, 0 if not certain, and the looks."""
 
     gear: MainGear
     flank: int
     seen: list[float] = field(default_factory=list)
+
+    def add(self, raw_rad: float, pitch_rad: float) -> None:
+        """One look, unwrapped beside the first."""
+        first = self.seen[0] if self.seen else raw_rad
+        self.seen.append(first + wrap_to_pitch(raw_rad - first, pitch_rad))
+
+    def lies(self, backlash_rad: float) -> tuple[int, float] | None:
+        """Flank and raw phase of a tooth that lies still; None while that cannot be told."""
+        if len(self.seen) < STILL_LOOKS:
+            return None
+        still = self.seen[-STILL_LOOKS:]
+        mean = sum(still) / STILL_LOOKS
+        variance = sum((look - mean) ** 2 for look in still) / STILL_LOOKS
+        if variance > (STILL_SHARE * backlash_rad) ** 2:
+            return None
+        above = (max(self.seen) - mean) / backlash_rad
+        below = (mean - min(self.seen)) / backlash_rad
+        if above > CROSSED_SHARE and below < STAYED_SHARE:
+            return -1, mean
+        if below > CROSSED_SHARE and above < STAYED_SHARE:
+            return 1, mean
+        unmoved = max(above, below) < STAYED_SHARE
+        if unmoved and self.flank != 0 and len(self.seen) >= UNMOVED_LOOKS:
+            return self.flank, mean
+        return None
 
 
 class PhaseReferences:
@@ -53,24 +86,18 @@ class PhaseReferences:
         certain = abs(slip_rad_s) >= FLANK_SLIP_RAD_S
         self._learning = _Learning(gear, int(math.copysign(certain, slip_rad_s)))
 
-    def slips(self, slip_rad_s: float) -> None:
-        """The gear in mesh still turns in its gap: it will lie on the flank it turns to at last."""
-        if self._learning is not None and abs(slip_rad_s) >= FLANK_SLIP_RAD_S:
-            self.locked(self._learning.gear, slip_rad_s)
-
     def watch(self, gear: MainGear, theta_layshaft: float, theta_main: float) -> bool:
         """One look at the gear in mesh. True when its reference has just been stored."""
         learning = self._learning
-        if learning is None or learning.gear is not gear or learning.flank == 0:
+        if learning is None or learning.gear is not gear:
             return False
         mesh, dog = self._sheet.main_mesh(gear), self._sheet.dog
-        raw = raw_phase_rad(mesh.ratio, theta_layshaft, theta_main)
-        first = learning.seen[0] if learning.seen else raw
-        learning.seen.append(first + wrap_to_pitch(raw - first, dog.pitch_rad))
-        if len(learning.seen) < LEARN_TIMES:
+        learning.add(raw_phase_rad(mesh.ratio, theta_layshaft, theta_main), dog.pitch_rad)
+        lies = learning.lies(dog.backlash_rad)
+        if lies is None:
             return False
-        mean = sum(learning.seen) / len(learning.seen)
-        self._offset_rad[gear] = mean - learning.flank * dog.backlash_rad / 2.0
+        flank, mean = lies
+        self._offset_rad[gear] = mean - flank * dog.backlash_rad / 2.0
         self._learning = None
         return True
 

@@ -7,10 +7,11 @@ from typing import Final
 
 from controller.header import RunHeader
 from controller.kinematics import slip_rad_s, wrap_to_pitch
+from controller.moment import Moment
+from controller.motion import LayshaftState
 from controller.observer import Observer
-from controller.predictor import LayshaftState
 from controller.publish import estimates, etc1, etc2, outcome, prediction
-from controller.sequence import Moment, ShiftSequence
+from controller.sequence import ShiftSequence
 from dbc.frame import Frame
 from dbc.link import Receiver, Transmitter
 from dbc.messages import ETC1, ControllerEstimates, ControllerState, ControllerStatus, Message

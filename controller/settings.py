@@ -20,7 +20,11 @@ STRATEGY_NAMES: Final = {
     "speed_window": Strategy.SPEED_WINDOW,
     "target_phase": Strategy.TARGET_PHASE,
 }
-ESTIMATOR_NAMES: Final = {"window": Estimator.WINDOW, "thesis": Estimator.THESIS}
+ESTIMATOR_NAMES: Final = {
+    "window": Estimator.WINDOW,
+    "thesis": Estimator.THESIS,
+    "crossing": Estimator.CROSSING,
+}
 
 
 class ValveTiming(StrEnum):
@@ -38,6 +42,10 @@ class Timing:
     lead_ms: int = count("lead_ms", 1, 80, default=18)
     """How far ahead of the controller's notion of sensor time an activation is placed at least:
     bus time, one tick of consuming, and the node's own lateness must fit into it."""
+
+    wire_us: int = count("wire_us", 0, 5000, default=900)
+    """Hardware that cannot schedule: the least time from a read to its frame's arrival and from a
+    command to its valve, which the switch is sent ahead by."""
 
     @property
     def tick_us(self) -> int:
@@ -70,6 +78,8 @@ class Window:
     """How long after release that moment lies about, in the same time constants."""
     least_rad_s: float = quantity("least_rpm", -200.0, 50.0, RPM, default=-15.0 * RPM)
     """Below this slip waiting has no end: the layshaft only gets slower."""
+    raised_rad_s: float = quantity("raised_rpm", 5.0, 150.0, RPM, default=45.0 * RPM)
+    """The slip the engine leaves when the clutch has opened again: from there the gear falls."""
 
     def __post_init__(self) -> None:
         if self.contact_low_rad_s >= self.contact_high_rad_s:
@@ -92,9 +102,52 @@ class Limits:
     disengage_ms: int = count("disengage_ms", 50, 5000, default=400)
     synchronise_ms: int = count("synchronise_ms", 100, 10000, default=2000)
     engage_ms: int = count("engage_ms", 100, 5000, default=500)
+    face_ms: int = count("face_ms", 20, 2000, default=200)
+    """A sleeve that rests on a tooth for longer goes back and tries another one."""
+    coast_ms: int = count("coast_ms", 20, 2000, default=250)
+    """Where drag alone would take longer than this to bring the slip down, the brake helps."""
+    raise_ms: int = count("raise_ms", 200, 10000, default=2000)
+    """For the engine to bring the layshaft up."""
+    steps_ms: int = count("steps_ms", 200, 10000, default=1500)
+    """For splitter and range together."""
     attempts: int = count("attempts", 1, 10, default=3)
+    raises: int = count("raises", 0, 10, default=3)
+    """How often the engine is asked to bring the layshaft up in one shift."""
+    pulses: int = count("pulses", 0, 10, default=3)
+    """How often the brake is used in one shift."""
+    blocks: int = count("blocks", 1, 100, default=8)
+    """A shift ends when the guard has blocked its commands this often."""
+    supply_low_pa: float = quantity("supply_low_bar", 0.0, 12.0, 1e5, default=5.5e5)
+    """Below this supply pressure (absolute) no shift is begun."""
     valve_on_ms: int = count("valve_on_ms", 100, 10000, default=3000)
     """The guard's limit for any valve."""
+
+
+@dataclass(frozen=True)
+class EngineRequests:
+    """What the engine may be asked for (TSC1)."""
+
+    least_rad_s: float = quantity("least_rpm", 100.0, 2000.0, RPM, default=500.0 * RPM)
+
+
+@dataclass(frozen=True)
+class GuardSettings:
+    """What the guard forbids; wider than what any strategy plans, narrower than what breaks."""
+
+    slip_low_rad_s: float = quantity("slip_low_rpm", -300.0, 0.0, RPM, default=-60.0 * RPM)
+    slip_high_rad_s: float = quantity("slip_high_rpm", 10.0, 300.0, RPM, default=120.0 * RPM)
+    """Slip at contact outside of which no sleeve is let go."""
+    brake_on_ms: int = count("brake_on_ms", 100, 20000, default=2500)
+    brake_energy_j: float = quantity("brake_energy_kj", 0.1, 1000.0, 1e3, default=15e3)
+    """For one use of the brake."""
+    brake_floor_rad_s: float = quantity("brake_floor_rpm", 0.0, 1000.0, RPM, default=100.0 * RPM)
+    """The brake never takes the layshaft below this speed."""
+    supply_low_pa: float = quantity("supply_low_bar", 0.0, 12.0, 1e5, default=5.0e5)
+    """Absolute pressure below which nothing new is actuated."""
+    torque_factor: float = quantity("torque_factor", 1.0, 3.0, default=1.4)
+    """How much stronger than its sheet the brake may be."""
+    drag_torque_nm: float = quantity("drag_torque_nm", 0.0, 200.0, default=25.0)
+    """Drag at the layshaft beyond the sheet's friction, at most."""
 
 
 @dataclass(frozen=True)
@@ -116,18 +169,63 @@ class CruiseFilter:
 
 
 @dataclass(frozen=True)
+class CrossingFilterTuning:
+    """What the crossing-time filter takes its noises to be (facts in docs/estimation.md)."""
+
+    edge_time_s: float = quantity("edge_time_us", 0.1, 200.0, 1e-6, default=10e-6)
+    """Standard deviation of an edge's time."""
+    tooth_error_rad: float = quantity("tooth_error_deg", 1e-4, 5.0, DEG, default=0.2 * DEG)
+    """Of an edge's place on a wheel whose teeth have not been learned."""
+    gate_sd: float = quantity("gate_sd", 2.0, 100.0, default=5.0)
+    """An edge further off than this many standard deviations is not believed."""
+    torque_disturbance_nm: float = quantity("torque_disturbance_nm", 0.0, 200.0, default=1.0)
+    disturbance_s: float = quantity("disturbance_ms", 0.5, 5000.0, 1e-3, default=0.02)
+    """Torques at the layshaft that nobody models, and how long they last."""
+    gain_sd: float = quantity("gain_sd_percent", 0.0, 50.0, 0.01, default=0.1)
+    """Of the brake torque before it has been learned."""
+    gain_walk: float = quantity("gain_walk_percent", 0.0, 50.0, 0.01, default=0.02)
+    """By how much it wanders in a second: friction changes with speed and temperature."""
+    drag_sd_nm: float = quantity("drag_sd_nm", 0.0, 100.0, default=5.0)
+    """Of the steady drag before it has been learned."""
+    drag_walk_nm: float = quantity("drag_walk_nm", 0.0, 100.0, default=1.0)
+    """By how much it wanders in a second."""
+    pressure_sd_pa: float = quantity("pressure_sd_bar", 1e-4, 5.0, 1e5, default=0.01e5)
+    pressure_start_sd_pa: float = quantity("pressure_start_sd_bar", 0.0, 5.0, 1e5, default=0.2e5)
+    pressure_walk_pa: float = quantity("pressure_walk_bar", 0.0, 50.0, 1e5, default=0.5e5)
+    """Of the measured pressure; of it when the model begins to hold; model error in a second."""
+    follow_rad_s2: float = quantity("follow_rad_s2", 0.1, 1e5, default=60.0)
+    follow_s: float = quantity("follow_ms", 0.5, 5000.0, 1e-3, default=0.01)
+    """Accelerations of a layshaft that turns with a gear in mesh, and how long they last."""
+    main_rad_s2: float = quantity("main_rad_s2", 0.01, 1e4, default=2.0)
+    main_s: float = quantity("main_ms", 0.5, 5000.0, 1e-3, default=0.1)
+    main_walk_rad_s2: float = quantity("main_walk_rad_s2", 0.0, 1e4, default=5.0)
+    """The same of the main shaft, and by how much its acceleration wanders in a second."""
+
+
+@dataclass(frozen=True)
 class ControllerSettings:
     """All settings of a controller."""
 
     strategy_name: str = text("strategy", *STRATEGY_NAMES, default="target_phase")
-    estimator_name: str = text("estimator", *ESTIMATOR_NAMES, default="thesis")
+    estimator_name: str = text("estimator", *ESTIMATOR_NAMES, default="crossing")
     valve_timing: str = text("valve_timing", *ValveTiming, default="scheduled")
     timing: Timing = group(Timing, default=Timing())
     window: Window = group(Window, default=Window())
     aim: Aim = group(Aim, default=Aim())
     limits: Limits = group(Limits, default=Limits())
+    engine: EngineRequests = group(EngineRequests, default=EngineRequests())
+    guard: GuardSettings = group(GuardSettings, default=GuardSettings())
     thesis_filter: ThesisFilter = group(ThesisFilter, default=ThesisFilter())
     cruise_filter: CruiseFilter = group(CruiseFilter, default=CruiseFilter())
+    crossing_filter: CrossingFilterTuning = group(
+        CrossingFilterTuning, default=CrossingFilterTuning()
+    )
+
+    def __post_init__(self) -> None:
+        if self.window.fire_slip_rad_s > self.guard.slip_high_rad_s:
+            raise TableError("window.fire_slip_rpm must not exceed guard.slip_high_rpm")
+        if self.window.least_rad_s < self.guard.slip_low_rad_s:
+            raise TableError("window.least_rpm must not be below guard.slip_low_rpm")
 
     @property
     def strategy(self) -> Strategy:

@@ -25,10 +25,17 @@ class ShaftState(NamedTuple):
     omega_rad_s: float
     theta_sd_rad: float
     omega_sd_rad_s: float
+    acceleration_rad_s2: float = 0.0
+    """Zero where it is not estimated: speed held (4.16)."""
 
     def theta_at(self, time_us: float) -> float:
-        """The angle at another time, speed held (4.16)."""
-        return self.theta_rad + self.omega_rad_s * (time_us - self.time_us) * US
+        """The angle at another time, acceleration held."""
+        dt = (time_us - self.time_us) * US
+        return self.theta_rad + dt * (self.omega_rad_s + 0.5 * dt * self.acceleration_rad_s2)
+
+    def omega_at(self, time_us: float) -> float:
+        """The speed at another time, acceleration held."""
+        return self.omega_rad_s + (time_us - self.time_us) * US * self.acceleration_rad_s2
 
 
 class WindowSpeed:

@@ -197,6 +197,11 @@ class Silence:
         self.is_heard = False
         """Set by whoever receives a good frame, cleared by `tick`."""
 
+    @property
+    def was_heard(self) -> bool:
+        """Whether there was ever a good frame, as of the last `tick`."""
+        return self._heard_us is not None
+
     def tick(self, now_us: int, previous_us: int) -> bool:
         """Whether the channel is silent at this step; `previous_us` is the step before."""
         if self.is_heard:

@@ -90,6 +90,12 @@ class Transmitter:
             if codec.spec.sender in self._nodes
         }
 
+    def restart(self, node: Node) -> None:
+        """This node has started anew: its counters do as well."""
+        for sender in self._senders.values():
+            if sender.codec.spec.sender == node:
+                sender.counter = COUNTER_MODULUS - 1
+
     def encode(self, message: Message) -> Frame:
         """The frame of a message, protected where the DBC says so.
 
@@ -142,6 +148,11 @@ class _Channel:
         self.silence = Silence(spec.cycle_time_us, limits)
 
 
+def _is_event_of(channel: _Channel, sender: Node) -> bool:
+    spec = channel.codec.spec
+    return spec.sender is sender and spec.is_protected and not spec.is_cyclic
+
+
 class Receiver:
     """Decodes what the DBC lists these nodes as receivers of, and nothing else.
 
@@ -158,6 +169,10 @@ class Receiver:
             channel.codec.message_type: channel
             for _, channel in sorted(self._channels.items())
             if channel.codec.spec.is_cyclic
+        }
+        self._events_of = {
+            sender: [c for c in self._channels.values() if _is_event_of(c, sender)]
+            for sender in {channel.codec.spec.sender for channel in self._cyclic.values()}
         }
         self._ticked_us: int | None = None
         self.e2e_errors = 0
@@ -220,9 +235,25 @@ class Receiver:
         """Once a step: cyclic channels without a good frame for 5 cycle times are not valid."""
         previous_us = now_us if self._ticked_us is None else self._ticked_us
         self._ticked_us = now_us
+        silent: dict[Node, bool] = {}
         for channel in self._cyclic.values():
-            if channel.silence.tick(now_us, previous_us):
+            is_silent = channel.silence.tick(now_us, previous_us)
+            if is_silent:
                 channel.machine.update(Status.NO_NEW_DATA)
+            if channel.silence.was_heard:
+                sender = channel.codec.spec.sender
+                silent[sender] = is_silent and silent.get(sender, True)
+        for sender, is_silent in silent.items():
+            if is_silent:
+                self._forget_event_counters(sender)
+
+    def _forget_event_counters(self, sender: Node) -> None:
+        """A sender of which nothing cyclic is heard may have restarted: its counters begin anew.
+
+        Its cyclic channels get over a counter that repeats by chance with the next frame; an event
+        may be the only one for a long time."""
+        for channel in self._events_of[sender]:
+            channel.next_counter = None
 
     def valid(self, message_type: type[Message]) -> bool:
         """Whether this cyclic message may be relied on: its channel is VALID.

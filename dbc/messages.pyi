@@ -25,6 +25,10 @@ class ControllerState(IntEnum):
     ENGAGING = 7
     RETRACTING = 8
     CLUTCH_CLOSING = 9
+    STEPS_CHANGING = 10
+    SPEED_RAISING = 11
+    CLUTCH_PARTING = 12
+    FAULTED = 13
 
 class Strategy(IntEnum):
     SPEED_WINDOW = 0
@@ -46,6 +50,7 @@ class ShiftResult(IntEnum):
     ENDED_IN_NEUTRAL = 2
     ENDED_IN_OLD_GEAR = 3
     REFUSED = 4
+    ENDED_BETWEEN_GEARS = 5
 
 class ShiftDecision(IntEnum):
     NONE = 0
@@ -68,6 +73,13 @@ class FaultCode(IntEnum):
     ENGAGE_FAILED = 7
     GUARD_BLOCKED = 8
     REQUEST_IMPOSSIBLE = 9
+    LOW_SUPPLY = 10
+    INPUT_OVERSPEED = 11
+    DISENGAGE_REFUSED = 12
+    BRAKE_LIMIT = 13
+    SPLITTER_FAILED = 14
+    RANGE_FAILED = 15
+    ENGINE_FAILED = 16
 
 class MainGear(IntEnum):
     NEUTRAL = 0
@@ -102,6 +114,10 @@ class RigFault(IntEnum):
     BRAKE_FADE = 12
     CLUTCH_STUCK = 13
     ENGINE_DEAF = 14
+    CLOCK_DRIFT = 15
+    CLOCK_STEP = 16
+    NODE_RESTART = 17
+    NODE_STALLED = 18
 
 class BenchAction(IntEnum):
     IDLE = 0
@@ -565,6 +581,10 @@ class ReferencePhase(NamedTuple):
     phase_third_rad: float = ...
     """Angle of a tooth of gear third from the middle of the sleeve's gap, wrapped to half a pitch
     either way; grows when the gear turns faster (-374.806603..374.806603)."""
+
+    road_speed_m_s: float = ...
+    """Speed of the vehicle over the road, uphill or down; 0 where the rig has no vehicle
+    (-59652.3236..59652.3235)."""
 
 class ReferenceEngagement(NamedTuple):
     """Truth: contact and locking of a dog clutch; never an input of the controller.

@@ -75,6 +75,12 @@ class BenchScript:
         """When something of the script is due."""
         return min(self._phase_end_us, self.splitter.arrival_us, self.range_.arrival_us)
 
+    def step_sleeve(self, name: Sleeve) -> ShiftingSleeve | None:
+        """The splitter's or the range's sleeve, of which there is one each; None: a main sleeve."""
+        if name is Sleeve.SPLITTER:
+            return self.splitter
+        return self.range_ if name is Sleeve.RANGE else None
+
     def start(self, gear_number: int, main_rad_s: float) -> None:
         """Go to this drive gear, 0 for neutral, at this main shaft speed."""
         self._gear = DRIVE_GEARS.get(gear_number)
@@ -158,4 +164,9 @@ class BenchScript:
             split = Split.HIGH if self.splitter.side > 0 else Split.LOW
         if self.range_.arrival_us == NEVER_US:
             range_ = Range.HIGH if self.range_.side > 0 else Range.LOW
-        self._plant.set_steps(split, range_)
+        moving = frozenset(
+            name
+            for name, sleeve in ((Sleeve.SPLITTER, self.splitter), (Sleeve.RANGE, self.range_))
+            if sleeve.arrival_us != NEVER_US
+        )
+        self._plant.set_steps(split, range_, moving)

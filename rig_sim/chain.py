@@ -115,6 +115,8 @@ class Chain:
             members = self.group(body)
             self._lead(members)
             body = members.stop
+        for link, ratio in enumerate(self._ratios):
+            self._g[at.CARRIED + link] = ratio or 0.0
 
     def rates(self, members: range, lead: int) -> dict[int, float]:
         """Speed of each member over that of the leader."""

@@ -28,6 +28,9 @@ from rig_sim.settings import RigSettings
 from rig_sim.valves import Order
 
 NODES: Final = (Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE)
+FROM_IO: Final = frozenset(
+    codec.message_type for codec in CODECS.values() if codec.spec.sender == Node.GEARBOX_IO
+)
 PROMPT: Final = CODECS[ValveCommand.__name__].spec.can_id
 """What is obeyed at once. The clutch actuator, like one on the bus, and the bench's script look at
 their commands every 10 ms."""
@@ -50,15 +53,21 @@ class RigCore:
         self._last_sequence: int | None = None
         self._last_fault: int | None = None
         self._last_valves: ValveCommand | None = None
+        self._node = self._world.node
+        self._restarts = 0
         self.truth = self._world.truth
         self.as_built = self._world.as_built
 
     @property
     def next_step_us(self) -> int:
-        """The next read; at once where a valve command waits or nothing has been stepped yet."""
-        if self._commanded or self._start_us is None:
+        """The next read; at once where a valve command waits or nothing has been stepped yet. A
+        rig that hangs (a fault) is not called before it goes on."""
+        if self._start_us is None:
             return 0
-        return self._start_us + self._world.next_read_us
+        stalled_us = self._node.stalled_until_us
+        if self._commanded:
+            return self._start_us + stalled_us if stalled_us else 0
+        return self._start_us + max(self._world.next_read_us, stalled_us)
 
     def receive(self, frame: Frame) -> None:
         """Keep a frame for the next step; a valve command asks for that step at once."""
@@ -71,11 +80,13 @@ class RigCore:
         if self._start_us is None:
             self._start_us = now_us
         time_us = now_us - self._start_us
+        if time_us < self._node.stalled_until_us:
+            return Step([], [])
         frames: list[Frame] = []
         read_us = self._world.next_read_us
         while self._world.run_to(time_us):
             self._send_records(frames)
-            frames.extend(map(self._transmitter.encode, read_messages(self._world, read_us)))
+            self._send_read(frames, read_us)
             read_us = self._world.next_read_us
         inbox, self._inbox = self._inbox, []
         self._commanded = False
@@ -92,10 +103,13 @@ class RigCore:
         frames, events = self.step(now_us)
         time_us = now_us - (self._start_us or 0)
         self._world.all_valves_off(time_us)
-        frames.append(self._transmitter.encode(valve_status(self._world, time_us)))
+        if not self._node.away:
+            frames.append(self._transmitter.encode(valve_status(self._world, time_us)))
         return Step(frames, events + self._take_lines())
 
     def _obey(self, message: Message, time_us: int) -> None:
+        if self._node.away and isinstance(message, (ValveCommand, ClutchCommand)):
+            return
         if isinstance(message, ValveCommand):
             if self.receiver.valid(ValveCommand):
                 self._command_valves(message, time_us)
@@ -120,9 +134,21 @@ class RigCore:
         self._last_valves = command
         self._world.command_valves(_orders(command), time_us)
 
+    def _send_read(self, frames: list[Frame], read_us: int) -> None:
+        messages = read_messages(self._world, read_us)
+        node = self._node
+        if node.away:
+            messages = [message for message in messages if type(message) not in FROM_IO]
+        elif node.restarts != self._restarts:
+            self._restarts = node.restarts
+            self._transmitter.restart(Node.GEARBOX_IO)
+            self.receiver = Receiver(*NODES)
+            self._last_valves = None
+        frames.extend(map(self._transmitter.encode, messages))
+
     def _send_records(self, frames: list[Frame]) -> None:
         for record in self._world.take_records():
-            message = engagement_message(record, self._world.clock_start_us)
+            message = engagement_message(record, self._world.clock)
             frames.append(self._transmitter.encode(message))
 
     def _take_lines(self) -> list[str]:

@@ -25,7 +25,8 @@ T = TypeVar("T")
 CHANNELS: Final = "channel 0..7: input, layshaft, main, propeller, each rise then fall"
 VALVES: Final = "valve 0..8 in the order of ValveCommand"
 MAIN_SLEEVES: Final = "sleeve 0 first/second, 1 crawl/third"
-LEAST_BACK_PA: Final = 1e3
+MOST_PPM: Final = 1e4
+FOREVER_US: Final = 1 << 53
 
 
 class Kind(NamedTuple):
@@ -55,6 +56,14 @@ KINDS: Final[dict[RigFault, Kind]] = {
     RigFault.BRAKE_FADE: Kind("the brake has this share of its torque", "-", 0, "%"),
     RigFault.CLUTCH_STUCK: Kind("the clutch stays on its way", "-", 0, "-"),
     RigFault.ENGINE_DEAF: Kind("the engine does not follow TSC1", "-", 0, "-"),
+    RigFault.CLOCK_DRIFT: Kind("the sensor clock runs fast", "-", 0, "ppm"),
+    RigFault.CLOCK_STEP: Kind("the sensor clock jumps ahead, at the end back", "-", 0, "us"),
+    RigFault.NODE_RESTART: Kind(
+        "the gearbox I/O is off the bus, valves off; then counters and clock from zero", "-", 0, "-"
+    ),
+    RigFault.NODE_STALLED: Kind(
+        "the rig's event loop hangs; what was due comes in one go afterwards", "-", 0, "-"
+    ),
 }
 
 
@@ -246,6 +255,41 @@ def _deafen(world: TruckWorld, *_: object) -> Callable[[], None]:
     return undo
 
 
+def _drift(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    world.clock.drift(world.plant.time_us, min(max(order.value, -MOST_PPM), MOST_PPM))
+    return lambda: world.clock.drift(world.plant.time_us, 0.0)
+
+
+def _jump(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    ahead_us = round(order.value)
+    world.clock.step(world.plant.time_us, ahead_us)
+    return lambda: world.clock.step(world.plant.time_us, -ahead_us)
+
+
+def _restart(world: TruckWorld, *_: object) -> Callable[[], None]:
+    node, plant = world.node, world.plant
+    node.away = True
+    world.all_valves_off(plant.time_us)
+
+    def undo() -> None:
+        node.away = False
+        node.restarts += 1
+        world.clock.restart(plant.time_us)
+        plant.edges.power_up(plant.time_us)
+
+    return undo
+
+
+def _stall(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    node, now_us = world.node, round(world.plant.time_us)
+    node.stalled_until_us = now_us + (order.duration_us or FOREVER_US)
+
+    def undo() -> None:
+        node.stalled_until_us = 0
+
+    return undo
+
+
 _STARTERS: Final[dict[RigFault, Starter]] = {
     RigFault.HALL_DROPOUT: _channel(at.SILENT, lambda _: 1),
     RigFault.HALL_MISSING_TOOTH: _channel(at.MISSING, lambda order: int(order.value) + 1),
@@ -263,4 +307,8 @@ _STARTERS: Final[dict[RigFault, Starter]] = {
     RigFault.BRAKE_FADE: _fade,
     RigFault.CLUTCH_STUCK: _stick_clutch,
     RigFault.ENGINE_DEAF: _deafen,
+    RigFault.CLOCK_DRIFT: _drift,
+    RigFault.CLOCK_STEP: _jump,
+    RigFault.NODE_RESTART: _restart,
+    RigFault.NODE_STALLED: _stall,
 }

@@ -26,12 +26,13 @@ from dbc.messages import (
 from dbc.messages import (
     MainGear as WireGear,
 )
-from gearbox.gears import MainGear, Sleeve
+from gearbox.gears import Sleeve
 from gearbox.sheet import RPM
 from rig_sim.engagement import Engaged
 from rig_sim.kernels import TAU
 from rig_sim.rig_world import RigWorld, SensorRead
-from rig_sim.sensors import ENCODER_MODULUS, ENCODER_STEPS_PER_TURN, Shaft
+from rig_sim.sensor_clock import SensorClock
+from rig_sim.sensors import ENCODER_MODULUS, ENCODER_STEPS_PER_TURN
 from rig_sim.settings import CLOCK_MODULUS
 from rig_sim.shafts import Angle
 
@@ -56,7 +57,7 @@ MOST_RATCHETS: Final = 127
 
 def read_messages(world: RigWorld, now_us: int) -> list[Message]:
     """All cyclic messages of the read at this instant, to which the world has been run."""
-    clock_us = (world.clock_start_us + now_us) % CLOCK_MODULUS
+    clock_us = world.clock.at(now_us) % CLOCK_MODULUS
     messages: list[Message] = [
         _new(edges, (clock_us, index, valid, long, stopped, False, stamps))
         for edges, (index, valid, long, stopped, stamps) in zip(
@@ -74,11 +75,11 @@ def read_messages(world: RigWorld, now_us: int) -> list[Message]:
     return messages
 
 
-def engagement_message(record: Engaged, clock_start_us: int) -> ReferenceEngagement:
+def engagement_message(record: Engaged, clock: SensorClock) -> ReferenceEngagement:
     """An event between gear and sleeve; its time is rounded down to the microsecond."""
     tally = record.tally
     return ReferenceEngagement(
-        event_time_us=(clock_start_us + int(record.time_us)) % CLOCK_MODULUS,
+        event_time_us=clock.at(record.time_us) % CLOCK_MODULUS,
         event=record.event,
         gear=WireGear(record.gear),
         phase_rad=record.phase_rad,
@@ -96,7 +97,7 @@ def valve_status(world: RigWorld, now_us: int) -> ValveStatus:
     valves = world.valves
     return ValveStatus._make(
         (
-            (world.clock_start_us + now_us) % CLOCK_MODULUS,
+            world.clock.at(now_us) % CLOCK_MODULUS,
             *valves.energised,
             *valves.pending,
             valves.refused % COUNT_MODULUS,
@@ -131,15 +132,9 @@ def _sleeves(world: RigWorld, now_us: int, clock_us: int) -> list[Message]:
 
 
 def _phases(world: RigWorld, clock_us: int) -> ReferencePhase:
-    truth = world.truth
-    return ReferencePhase(
-        sample_time_us=clock_us,
-        main_angle_rad=_encoder_rad(truth.angles[Shaft.MAIN]),
-        main_speed_rad_s=truth.speeds_rad_s[Shaft.MAIN],
-        phase_crawl_rad=truth.phase_rad(MainGear.CRAWL),
-        phase_first_rad=truth.phase_rad(MainGear.FIRST),
-        phase_second_rad=truth.phase_rad(MainGear.SECOND),
-        phase_third_rad=truth.phase_rad(MainGear.THIRD),
+    angle, speed_rad_s, phases_rad = world.phase_read()
+    return ReferencePhase._make(
+        (clock_us, _encoder_rad(angle), speed_rad_s, *phases_rad, world.truth.road_speed_m_s)
     )
 
 

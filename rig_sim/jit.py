@@ -21,6 +21,11 @@ DISABLED: Final = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 """Then numba is not even loaded, which is half of the start-up."""
 
 
+OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
+"""Without numba's runtime, which counts references to arrays: kernels neither make nor keep one,
+and the counting, atomic as it is, took half of their time."""
+
+
 def _digest() -> int:
     hashed = hashlib.sha256()
     for path in sorted(Path(__file__).parent.glob("*.py")):
@@ -38,7 +43,17 @@ def part(function: Kernel) -> Kernel:
         return function
     import numba
 
-    return cast(Kernel, numba.njit(error_model="numpy")(function))
+    return cast(Kernel, numba.njit(**OPTIONS)(function))
+
+
+def inlined(function: Kernel) -> Kernel:
+    """A part that is copied to where it is called. A call hands over each array as seven words, so
+    for a small part with many arrays it would cost more than the work."""
+    if DISABLED:
+        return function
+    import numba
+
+    return cast(Kernel, numba.njit(forceinline=True, **OPTIONS)(function))
 
 
 def entry(function: Kernel) -> Kernel:
@@ -48,7 +63,7 @@ def entry(function: Kernel) -> Kernel:
     import numba
 
     try:
-        return cast(Kernel, numba.njit(cache=True, error_model="numpy")(function))
+        return cast(Kernel, numba.njit(cache=True, **OPTIONS)(function))
     except RuntimeError:
         # Nowhere to keep what was compiled, as in a read-only container: each start compiles.
-        return cast(Kernel, numba.njit(error_model="numpy")(function))
+        return cast(Kernel, numba.njit(**OPTIONS)(function))

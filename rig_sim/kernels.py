@@ -31,6 +31,7 @@ from rig_sim.jit import DISABLED
 
 Floats = npt.NDArray[np.float64]
 Integers = npt.NDArray[np.int64]
+Stamps = npt.NDArray[np.uint16]
 Turned = tuple[int, float]
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -54,16 +55,20 @@ BISECTED_S: Final = 1e-14
 MAX_ITERATIONS: Final = 80
 
 
+WITHOUT_RUNTIME: Final[dict[str, Any]] = {"_nrt": False}
+
+
 def compiled(function: Kernel) -> Kernel:
-    """numba's njit with its file cache, keeping the function's type for the type checker."""
+    """numba's njit with its file cache, without its runtime (`jit.OPTIONS`), keeping the function's
+    type for the type checker."""
     if DISABLED:
         return function
     import numba
 
     try:
-        return cast(Kernel, numba.njit(cache=True)(function))
+        return cast(Kernel, numba.njit(cache=True, **WITHOUT_RUNTIME)(function))
     except RuntimeError:  # as in `rig_sim.jit.entry`
-        return cast(Kernel, numba.njit(function))
+        return cast(Kernel, numba.njit(**WITHOUT_RUNTIME)(function))
 
 
 @compiled
@@ -291,7 +296,7 @@ def capture_edges(
     teeth: Integers,
     offsets: Floats,
     seen: Integers,
-    ring: Integers,
+    ring: Floats,
 ) -> None:
     """Put all edges of a piece of motion into the capture rings; two channels a wheel.
 
@@ -324,32 +329,61 @@ def capture_edges(
 
 
 @compiled
+def _clock_before(clock: Floats, time_us: float) -> int:
+    piece = clock.shape[0] - 1
+    while piece > 0 and time_us < clock[piece, 0]:
+        piece -= 1
+    since, base, rate = clock[piece, 0], int(clock[piece, 1]), clock[piece, 2]
+    shown: int = base + math.floor((time_us - since) * rate)
+    return shown
+
+
+@compiled
 def read_ring(
-    now_us: int, clock_us: int, seen: Integers, ring: Integers, stamps: Integers, heads: Integers
+    now_us: float,
+    on_us: float,
+    clock: Floats,
+    counts: Integers,
+    ring: Floats,
+    stamps: Stamps,
+    heads: Integers,
 ) -> None:
     """What the edge frames of one read hold, all channels at once.
 
-    now_us, clock_us    the read, and the sensor clock at power-up
+    now_us  when it is read, and since when the sensor is on (on_us), us since power-up
+    clock   (pieces, 3) the sensor clock, as `sensor_clock.SensorClock.pieces`
+    counts  (channels,) edges captured so far; those still to come at now_us are left out
+    ring    (channels, size) when they were captured, us since power-up
     stamps  (channels, 27) low 16 bits of the sensor clock, newest first, zero where there is none
     heads   (channels, 4) newest index, valid stamps, long interval, stopped
     """
     size = ring.shape[1]
     length = stamps.shape[1]
+    newest = clock.shape[0] - 1
+    since, base, rate = clock[newest, 0], int(clock[newest, 1]), clock[newest, 2]
+    now = base + math.floor((now_us - since) * rate)
     for channel in range(ring.shape[0]):
-        count = seen[channel, 1]
+        count = counts[channel]
+        slot = count % size
+        while count > 0 and ring[channel, (slot if slot > 0 else size) - 1] > now_us:
+            count -= 1
+            slot = (slot if slot > 0 else size) - 1
         valid = min(count, length)
-        newer = now_us
+        newer = now
         heads[channel, 2] = 0
-        heads[channel, 3] = 1 if count == 0 and now_us > 0xFFFF else 0
-        for entry in range(length):
-            if entry >= valid:
-                stamps[channel, entry] = 0
-                continue
-            stamp = ring[channel, (count - 1 - entry) % size]
-            stamps[channel, entry] = (stamp + clock_us) & 0xFFFF
+        heads[channel, 3] = 1 if count == 0 and now_us - on_us > 0xFFFF else 0
+        for entry in range(valid):
+            slot = (slot if slot > 0 else size) - 1
+            time_us = ring[channel, slot]
+            stamp = base + math.floor((time_us - since) * rate)
+            if time_us < since:
+                stamp = _clock_before(clock, time_us)
+            stamps[channel, entry] = stamp & 0xFFFF
             if newer - stamp > 0xFFFF:
                 heads[channel, 3 if entry == 0 else 2] = 1
             newer = stamp
+        for entry in range(valid, length):
+            stamps[channel, entry] = 0
         heads[channel, 0] = count & 0xFFFF
         heads[channel, 1] = valid
 
@@ -368,7 +402,7 @@ def warm_up() -> None:
     shares = (1.0, 1.0, 1.0, 1.0)
     motions = (motion, motion, motion, motion)
     teeth, offsets = np.ones(4, dtype=np.int64), np.zeros(8)
-    capture_edges(
-        motions, 0.0, 0.0, shares, angles, angles, teeth, offsets, integers, integers.copy()
-    )
-    read_ring(0, 0, integers, integers.copy(), integers.copy(), integers.copy())
+    ring, clock = np.zeros((8, 4)), np.zeros((1, 3))
+    capture_edges(motions, 0.0, 0.0, shares, angles, angles, teeth, offsets, integers, ring)
+    stamps = np.zeros((8, 4), dtype=np.uint16)
+    read_ring(0.0, 0.0, clock, integers[:, 0], ring, stamps, integers)

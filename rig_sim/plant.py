@@ -13,7 +13,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from gearbox.gears import MAIN_GEARS, MainGear, Range, Split
+from gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
 from gearbox.sheet import GearboxSheet
 from rig_sim.kernels import (
     ACCEL,
@@ -127,8 +127,8 @@ class Rotation(Protocol):
     def script_main(self, accel_rad_s2: float) -> None:
         """The bench drives the main shaft at constant acceleration."""
 
-    def set_steps(self, split: Split, range_: Range) -> None:
-        """Splitter and range steps; angles are continuous."""
+    def set_steps(self, split: Split, range_: Range, moving: frozenset[Sleeve]) -> None:
+        """Splitter and range steps; angles are continuous. `moving` are still on their way."""
 
 
 class Plant(Rotation, Protocol):
@@ -270,7 +270,7 @@ class ThesisPlant:
         """The bench drives the main shaft at constant acceleration; 0 keeps its speed (4.16)."""
         self._main[ACCEL] = accel_rad_s2
 
-    def set_steps(self, split: Split, range_: Range) -> None:
+    def set_steps(self, split: Split, range_: Range, moving: frozenset[Sleeve]) -> None:  # noqa: ARG002
         """Splitter and range steps; angles are continuous, speeds and inertia follow the ratios."""
         self.shafts.set_steps(split, range_)
         self._load_inertia()

@@ -19,6 +19,7 @@ from rig_sim.as_built import AsBuilt
 TABLE: Final = 4096
 STREAM: Final = 0x905
 SAMPLE_US: Final = 1_000
+SAMPLES: Final = 10
 REACH_M: Final = 0.0199  # the signal's range; the sensor saturates
 
 
@@ -27,12 +28,13 @@ class PositionSensors:
 
     def __init__(self, built: AsBuilt) -> None:
         rng = np.random.Generator(np.random.PCG64([built.teeth_seed, STREAM]))
-        self._noise_m = (built["position.noise_mm"] * MM * rng.standard_normal(TABLE)).tolist()
+        noise_m = (built["position.noise_mm"] * MM * rng.standard_normal(TABLE)).tolist()
+        # backwards and a little beyond its start: a read is then a slice, the newest first
+        self._noise_m = noise_m[::-1] + noise_m[: -SAMPLES - 1 : -1]
         # one drawn value would be the same for all: spread it over the four with their own signs
         signs = {name: float(rng.uniform(-1.0, 1.0)) for name in Sleeve}
         self._offset_m = {name: built["position.offset_mm"] * MM * signs[name] for name in Sleeve}
         self._gain = {name: 1.0 + (built["position.gain"] - 1.0) * signs[name] for name in Sleeve}
-        self._quiet = built["position.noise_mm"] == 0.0
         self.extra_m = dict.fromkeys(Sleeve, 0.0)
         self.frozen: dict[Sleeve, tuple[float, ...] | None] = dict.fromkeys(Sleeve)
         self._last: dict[Sleeve, tuple[float, ...]] = {}
@@ -43,16 +45,17 @@ class PositionSensors:
         if held is not None:
             return held
         gain, offset_m = self._gain[name], self._offset_m[name] + self.extra_m[name]
-        base = now_us // SAMPLE_US + 1021 * name
-        noise = self._noise_m
+        newest = TABLE - 1 - (now_us // SAMPLE_US + 1021 * name) % TABLE
+        noise_m = self._noise_m[newest : newest + SAMPLES]
         read = tuple(
-            min(max(gain * x + offset_m + noise[(base - back) % TABLE], -REACH_M), REACH_M)
-            for back, x in enumerate(true_m)
+            [gain * x + offset_m + noise for x, noise in zip(true_m, noise_m, strict=True)]
         )
+        if max(read) > REACH_M or min(read) < -REACH_M:
+            read = tuple(min(max(x, -REACH_M), REACH_M) for x in read)
         self._last[name] = read
         return read
 
     def freeze(self, name: Sleeve, frozen: bool) -> None:
         """From now on the sensor repeats itself, or no more."""
-        last = self._last.get(name, (0.0,) * 10)
+        last = self._last.get(name, (0.0,) * SAMPLES)
         self.frozen[name] = (last[0],) * len(last) if frozen else None

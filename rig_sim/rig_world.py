@@ -7,7 +7,9 @@ from typing import Any, NamedTuple, Protocol
 
 from gearbox.gears import MainGear, Sleeve
 from rig_sim.engagement import Engaged, Violation
+from rig_sim.node_state import NodeState
 from rig_sim.plant import Drive
+from rig_sim.sensor_clock import SensorClock
 from rig_sim.sensors import EdgeRead
 from rig_sim.shafts import Angle
 from rig_sim.sleeves import SleeveState
@@ -29,6 +31,15 @@ class EncoderRead(NamedTuple):
 
     angle_rad: tuple[float, ...]
     speed_rad_s: tuple[float, ...]
+
+
+class PhaseRead(NamedTuple):
+    """The truth that is on the bus beside the encoder: the main shaft's wheel and its speed, and
+    each gear's phase against its sleeve in the order of `MAIN_GEARS`, rad."""
+
+    main_angle: Angle
+    main_rad_s: float
+    phases_rad: tuple[float, ...]
 
 
 class EngineRequest(NamedTuple):
@@ -67,6 +78,10 @@ class Truth(Protocol):
     def speeds_rad_s(self) -> tuple[float, float, float, float]:
         """Speeds of input, layshaft, main and propeller shaft."""
 
+    @property
+    def road_speed_m_s(self) -> float:
+        """Speed of the vehicle; 0 where there is none."""
+
     def phase_rad(self, gear: MainGear) -> float:
         """Phase of a gear against its sleeve."""
 
@@ -101,8 +116,9 @@ class RigWorld(Protocol):
     """A gearbox in its own time, microseconds since power-up. Commands act at the instant given,
     to which the world has been run."""
 
-    clock_start_us: int
+    clock: SensorClock
     valves: ValveBank
+    node: NodeState
 
     @property
     def next_read_us(self) -> int:
@@ -151,6 +167,9 @@ class RigWorld(Protocol):
 
     def encoder_read(self, now_us: int) -> EncoderRead:
         """The reference encoder now."""
+
+    def phase_read(self) -> PhaseRead:
+        """Main shaft and phases now."""
 
     def take_records(self) -> list[Engaged]:
         """What has happened between sleeves and gears since the last call."""

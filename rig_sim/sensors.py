@@ -7,21 +7,36 @@ number of pitches and a falling one a duty later; the capture timer counts micro
 from __future__ import annotations
 
 import math
+import struct
 from enum import IntEnum
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from gearbox.sheet import Wheels
-from rig_sim.kernels import TAU, capture_edges, motion_at, read_ring, settled
+from rig_sim.kernels import (
+    TAU,
+    Floats,
+    Integers,
+    Stamps,
+    capture_edges,
+    motion_at,
+    read_ring,
+    settled,
+)
 from rig_sim.plant import US, Segment
+from rig_sim.sensor_clock import SensorClock
 from rig_sim.shafts import Angle
 
 RING: Final = 64
 STAMPS: Final = 27
+HEAD: Final = 4
 ENCODER_SAMPLES_S: Final = (0.0, 0.002, 0.004, 0.006, 0.008)
 ENCODER_STEPS_PER_TURN: Final = 1 << 24
 ENCODER_MODULUS: Final = 1 << 32
+
+
+_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 
 
 class Shaft(IntEnum):
@@ -43,6 +58,32 @@ class EdgeRead(NamedTuple):
     stamps: tuple[int, ...]
 
 
+class RingReader:
+    """Puts the newest edges of all channels into reads; its arrays are used again each time."""
+
+    def __init__(self, channels: int) -> None:
+        self._stamps: Stamps = np.zeros((channels, STAMPS), dtype=np.uint16)
+        self._heads: Integers = np.zeros((channels, HEAD), dtype=np.int64)
+        self._unpack_stamps = struct.Struct(f"={channels * STAMPS}H").unpack
+        self._unpack_heads = struct.Struct(f"={channels * HEAD}q").unpack
+        self._rows = [(HEAD * i, slice(STAMPS * i, STAMPS * (i + 1))) for i in range(channels)]
+
+    def read(
+        self, now_us: int, on_us: float, clock: SensorClock, counts: Integers, ring: Floats
+    ) -> list[EdgeRead]:
+        """The read of all channels now (`kernels.read_ring`)."""
+        stamps_, heads_ = self._stamps, self._heads
+        read_ring(float(now_us), on_us, clock.pieces, counts, ring, stamps_, heads_)
+        stamps, heads = self._unpack_stamps(stamps_.data), self._unpack_heads(heads_.data)
+        return [
+            _new(
+                EdgeRead,
+                (heads[i], heads[i + 1], heads[i + 2] == 1, heads[i + 3] == 1, stamps[row]),
+            )
+            for i, row in self._rows
+        ]
+
+
 class EdgeCapture:
     """Eight capture channels: rising and falling edges of four wheels."""
 
@@ -52,9 +93,8 @@ class EdgeCapture:
         self._teeth = np.array([wheel.teeth for wheel in order], dtype=np.int64)
         self._offsets = np.array([offset for wheel in order for offset in (0.0, wheel.duty_share)])
         self._seen = np.zeros((channels, 2), dtype=np.int64)
-        self._ring = np.zeros((channels, RING), dtype=np.int64)
-        self._stamps = np.zeros((channels, STAMPS), dtype=np.int64)
-        self._heads = np.zeros((channels, 4), dtype=np.int64)
+        self._ring = np.zeros((channels, RING))
+        self._reader = RingReader(channels)
         for channel in range(channels):
             turns, rest = angles[channel // 2]
             teeth = order[channel // 2].teeth
@@ -76,15 +116,9 @@ class EdgeCapture:
             self._ring,
         )
 
-    def read(self, now_us: int, clock_start_us: int) -> list[EdgeRead]:
+    def read(self, now_us: int, clock: SensorClock) -> list[EdgeRead]:
         """The read of all channels now, in the order of the wire contract."""
-        read_ring(now_us, clock_start_us, self._seen, self._ring, self._stamps, self._heads)
-        return [
-            EdgeRead(index, valid, long == 1, stopped == 1, tuple(stamps))
-            for (index, valid, long, stopped), stamps in zip(
-                self._heads.tolist(), self._stamps.tolist(), strict=True
-            )
-        ]
+        return self._reader.read(now_us, 0.0, clock, self._seen[:, 1], self._ring)
 
 
 class Encoder:

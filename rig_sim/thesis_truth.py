@@ -50,6 +50,11 @@ class ThesisTruth:
             plant.main_rad_s * shafts.propeller_mesh.ratio,
         )
 
+    @property
+    def road_speed_m_s(self) -> float:
+        """The thesis has no vehicle: its main shaft keeps its speed (4.16)."""
+        return 0.0
+
     def phase_rad(self, gear: MainGear) -> float:
         """Phase of a gear against its sleeve."""
         return self._world.shafts.phase_rad(gear)

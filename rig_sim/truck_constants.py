@@ -54,7 +54,7 @@ def _shafts(p: Floats, sheet: GearboxSheet, built: AsBuilt) -> None:
     p[at.DRAG_MAIN_NMS] = built["drag.main_nms"] * thicker
     p[at.LASH_INPUT_RAD] = math.radians(built["lash.splitter_deg"]) / 2.0
     p[at.LASH_MAIN_RAD] = math.radians(built["lash.main_deg"]) / 2.0
-    p[at.LASH_S] = built["lash.settle_ms"] * 1e-3
+    p[at.LASH_RATE] = 1e3 / built["lash.settle_ms"]
     p[at.GEAR_INERTIA] = built["lash.gear_inertia_kgm2"]
     p[at.GEAR_DRAG_NMS] = built["drag.gear_nms"]
 

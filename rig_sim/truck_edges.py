@@ -19,14 +19,14 @@ from gearbox.sheet import GearboxSheet, Wheel
 from rig_sim import truck_layout as at
 from rig_sim.as_built import AsBuilt
 from rig_sim.drag import WARM_K
-from rig_sim.kernels import TAU, Floats, Integers, read_ring
+from rig_sim.kernels import TAU, Floats, Integers
+from rig_sim.sensor_clock import SensorClock
 from rig_sim.sensors import (
     ENCODER_MODULUS,
     ENCODER_SAMPLES_S,
     ENCODER_STEPS_PER_TURN,
-    RING,
-    STAMPS,
     EdgeRead,
+    RingReader,
 )
 from rig_sim.truck_constants import CELSIUS
 
@@ -83,13 +83,13 @@ class TruckEdges:
         jitter = np.clip(rng.standard_normal(at.JITTERS), -4.0, 4.0)
         self.jitter_s: Floats = jitter * built["hall.jitter_us"] * 1e-6
         self.faults: Integers = np.zeros((at.CHANNELS, at.FAULTS), dtype=np.int64)
-        self.ring: Integers = np.zeros((at.CHANNELS, RING), dtype=np.int64)
+        self.ring: Floats = np.zeros((at.CHANNELS, at.RING))
         self.history: Floats = np.zeros((at.HISTORY, 3))
         self.history[:] = (laps[at.LAYSHAFT], y[at.ANGLE + at.LAYSHAFT], 0.0)
         self.pointers: Integers = np.zeros((at.CHANNELS, at.POINTER), dtype=np.int64)
-        self._stamps: Integers = np.zeros((at.CHANNELS, STAMPS), dtype=np.int64)
-        self._heads: Integers = np.zeros((at.CHANNELS, 4), dtype=np.int64)
-        self._seen: Integers = np.zeros((at.CHANNELS, 2), dtype=np.int64)
+        self._counts = self.pointers[:, at.COUNT]
+        self._reader = RingReader(at.CHANNELS)
+        self._on_us = 0.0
         for channel in range(at.CHANNELS):
             self._point(channel, y, laps)
 
@@ -110,20 +110,15 @@ class TruckEdges:
                 pointer[at.TOOTH] = 0
                 pointer[at.LAP] += 1
 
-    def read(self, now_us: int, clock_start_us: int) -> list[EdgeRead]:
+    def read(self, now_us: int, clock: SensorClock) -> list[EdgeRead]:
         """The read of all channels now, in the order of the wire contract. An extra edge that is
         still to come is not in it."""
-        self._seen[:, 1] = self.pointers[:, at.COUNT]
-        for channel in np.flatnonzero(self.faults[:, at.EXTRA]).tolist():
-            while self._seen[channel, 1] and self._newest(channel) > now_us:
-                self._seen[channel, 1] -= 1
-        read_ring(now_us, clock_start_us, self._seen, self.ring, self._stamps, self._heads)
-        return [
-            EdgeRead(index, valid, long == 1, stopped == 1, tuple(stamps))
-            for (index, valid, long, stopped), stamps in zip(
-                self._heads.tolist(), self._stamps.tolist(), strict=True
-            )
-        ]
+        return self._reader.read(now_us, self._on_us, clock, self._counts, self.ring)
+
+    def power_up(self, time_us: float) -> None:
+        """The sensors start anew: counts from zero, the first edges wrong again."""
+        self._on_us = time_us
+        self.pointers[:, at.COUNT] = 0
 
     def encoder(
         self, now_us: int, omega_rad_s: float
@@ -142,6 +137,3 @@ class TruckEdges:
             angles.append(steps % ENCODER_MODULUS * (TAU / ENCODER_STEPS_PER_TURN))
             speeds.append(speed)
         return tuple(angles), tuple(speeds)
-
-    def _newest(self, channel: int) -> int:
-        return int(self.ring[channel, (self._seen[channel, 1] - 1) % RING])

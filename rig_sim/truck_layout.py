@@ -44,7 +44,7 @@ DRAG_NM: Final = 8
 DRAG_MAIN_NMS: Final = 9
 LASH_INPUT_RAD: Final = 10  # half of the backlash
 LASH_MAIN_RAD: Final = 11
-LASH_S: Final = 12
+LASH_RATE: Final = 12  # 1/s
 GEAR_INERTIA: Final = 13
 GEAR_DRAG_NMS: Final = 14
 MASS_KG: Final = 15
@@ -97,7 +97,8 @@ LOW: Final = 32  # 4: a link's torque below this is an event, Nm on the body beh
 HIGH: Final = 36  # 4: or above this
 RELEASE_NM: Final = 40  # main-box torque at which a waiting release can go, or -1
 HELD: Final = 41  # 1 where the brake holds a stopped layshaft
-CONNECTED: Final = 42
+CARRIED: Final = 42  # 4: speed behind a rigid link over that before it; 0: the link is not rigid
+CONNECTED: Final = 46
 
 # --- friction slots: a row each -----------------------------------------------------------------
 SLOTS: Final = 5
@@ -141,5 +142,6 @@ FAULTS: Final = 3
 FIRST_EDGES: Final = 16
 JITTERS: Final = 4096
 EXTRA_EDGE_US: Final = 60.0
+RING: Final = 64  # captured edges kept a channel
 HISTORY: Final = 8
 HISTORY_US: Final = 2000

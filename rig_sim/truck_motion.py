@@ -14,7 +14,7 @@ from __future__ import annotations
 from rig_sim.brake_disc import brake_nm, friction_share, heating_k_s
 from rig_sim.drag import drag_nm
 from rig_sim.engine import capacity_nm, demand_nm, torque_nm_s
-from rig_sim.jit import part
+from rig_sim.jit import inlined
 from rig_sim.kernels import Floats
 from rig_sim.lash import lash_rad_s
 from rig_sim.pneumatics import chamber_pa_s, tank_pa_s
@@ -32,6 +32,7 @@ from rig_sim.truck_layout import (
     BRAKE_PA,
     BRAKE_RATE,
     BRAKE_SIGN,
+    CARRIED,
     CLUTCH_NM,
     CLUTCH_RATE,
     COOLING_W_K,
@@ -75,7 +76,7 @@ from rig_sim.truck_layout import (
     LASH,
     LASH_INPUT_RAD,
     LASH_MAIN_RAD,
-    LASH_S,
+    LASH_RATE,
     LAYSHAFT,
     LEAD,
     LINK,
@@ -111,7 +112,7 @@ from rig_sim.truck_layout import (
 from rig_sim.vehicle import resistance_n
 
 
-@part
+@inlined
 def _loads(y: Floats, p: Floats, g: Floats, slots: Floats, rate: Floats, aux: Floats) -> float:
     """Torque on each body from outside and from friction; their powers. Returns the brake's."""
     gauge = y[BRAKE_PA] - p[ATMOSPHERE_PA]
@@ -157,7 +158,7 @@ def _loads(y: Floats, p: Floats, g: Floats, slots: Floats, rate: Floats, aux: Fl
     return brake
 
 
-@part
+@inlined
 def _accelerations(y: Floats, p: Floats, g: Floats, rate: Floats, aux: Floats) -> None:
     """Group by group; then what the rigid links carry."""
     for k in range(BODIES):
@@ -183,15 +184,13 @@ def _accelerations(y: Floats, p: Floats, g: Floats, rate: Floats, aux: Floats) -
     for link in range(LINKS - 1, -1, -1):
         behind = link + 1
         needed += p[INERTIA + behind] * rate[SPEED + behind] - aux[LOAD + behind]
-        if int(g[LEAD + link]) == int(g[LEAD + behind]):
-            aux[LINK + link] = needed
-            needed *= g[RATE + behind] / g[RATE + link]
-        else:
-            aux[LINK + link] = 0.0
+        if g[CARRIED + link] == 0.0:
             needed = 0.0
+        aux[LINK + link] = needed
+        needed *= g[CARRIED + link]
 
 
-@part
+@inlined
 def rates(y: Floats, p: Floats, g: Floats, slots: Floats, rate: Floats, aux: Floats) -> None:
     """dy/dt at state y into `rate`; torques into `aux`."""
     brake = _loads(y, p, g, slots, rate, aux)
@@ -205,8 +204,10 @@ def rates(y: Floats, p: Floats, g: Floats, slots: Floats, rate: Floats, aux: Flo
         needed += p[GEAR_DRAG_NMS] * rate[PHASE + gear]
         if int(g[MESHED]) == gear:
             needed = aux[LINK + MAIN_BOX]
-        rate[LASH + 1 + gear] = lash_rad_s(y[LASH + 1 + gear], needed, p[LASH_MAIN_RAD], p[LASH_S])
-    rate[LASH] = lash_rad_s(y[LASH], -aux[LINK + SPLITTER], p[LASH_INPUT_RAD], p[LASH_S])
+        rate[LASH + 1 + gear] = lash_rad_s(
+            y[LASH + 1 + gear], needed, p[LASH_MAIN_RAD], p[LASH_RATE]
+        )
+    rate[LASH] = lash_rad_s(y[LASH], -aux[LINK + SPLITTER], p[LASH_INPUT_RAD], p[LASH_RATE])
     rate[BRAKE_PA] = chamber_pa_s(
         y[BRAKE_PA],
         y[SUPPLY_PA],

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from gearbox.gears import MAIN_GEARS, MainGear, Range, Split
+from gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
 from gearbox.sheet import GearboxSheet
 from rig_sim import truck_layout as at
 from rig_sim.as_built import AsBuilt
@@ -22,7 +22,8 @@ from rig_sim.plant import Drive
 from rig_sim.shafts import Angle, Shafts
 from rig_sim.truck_constants import constants
 from rig_sim.truck_edges import TruckEdges
-from rig_sim.truck_kernels import WATCHES, advance
+from rig_sim.truck_events import WATCHES
+from rig_sim.truck_kernels import advance
 
 INDEX: Final = {gear: index for index, gear in enumerate(MAIN_GEARS)}
 
@@ -74,6 +75,12 @@ class TruckShafts:
         """Propeller speed over main shaft speed."""
         return self._sheet.range_mesh(self.range_).ratio
 
+    def phases_rad(self) -> tuple[float, ...]:
+        """`phase_rad` of all gears, in the order of `MAIN_GEARS`."""
+        ends = self._plant.y[at.PHASE : at.LASH + 5].tolist()
+        pitch_rad = self._pitch_rad
+        return tuple([wrapped(ends[i] + ends[i + 5], pitch_rad) for i in range(4)])
+
     def phase_rad(self, gear: MainGear) -> float:
         """Angle of a gear tooth from the middle of the sleeve's gap, half a pitch either way."""
         y, index = self._plant.y, INDEX[gear]
@@ -101,7 +108,25 @@ class TruckPlant:
         self._cones_nm = (built["synchro.splitter_nm"], built["synchro.range_nm"])
         self.constant_speed = built["vehicle.constant_speed"] >= 0.5
         self._load_angles(start)
-        self.edges = TruckEdges(sheet, built, self.y, self.laps)
+        self.edges = edges = TruckEdges(sheet, built, self.y, self.laps)
+        self._arguments = (
+            sheet.dog.pitch_rad,
+            self.y,
+            self.laps,
+            self.p,
+            self.g,
+            self._slots,
+            self._watches,
+            self._scratch,
+            edges.history,
+            edges.teeth,
+            edges.table,
+            edges.first,
+            edges.jitter_s,
+            edges.pointers,
+            edges.faults,
+            edges.ring,
+        )
         self._load_speeds(gear, main_rad_s, built)
         self._kinetic_j = self.chain.kinetic_j()
 
@@ -180,27 +205,8 @@ class TruckPlant:
 
     def advance(self, until_us: float, stop_us: float) -> int:
         """Go on to the next event, to `stop_us`, or to the last grid point up to `until_us`."""
-        edges = self.edges
         self.time_us, event = advance(
-            self.time_us,
-            float(until_us),
-            float(stop_us),
-            self._sheet.dog.pitch_rad,
-            self.y,
-            self.laps,
-            self.p,
-            self.g,
-            self._slots,
-            self._watches,
-            self._scratch,
-            edges.history,
-            edges.teeth,
-            edges.table,
-            edges.first,
-            edges.jitter_s,
-            edges.pointers,
-            edges.faults,
-            edges.ring,
+            self.time_us, float(until_us), float(stop_us), *self._arguments
         )
         return event
 
@@ -318,16 +324,20 @@ class TruckPlant:
         if not self.constant_speed:
             self.chain.free(at.MAIN)
 
-    def set_steps(self, split: Split, range_: Range) -> None:
-        """Splitter and range sleeves have arrived; no angle jumps. While the bench drives the
-        shafts speeds follow at once, as work of the bench; else the cones bring them together."""
+    def set_steps(self, split: Split, range_: Range, moving: frozenset[Sleeve]) -> None:
+        """Splitter or range sleeve has arrived, but for those still moving; no angle jumps. While
+        the bench drives the shafts speeds follow at once, as work of the bench; else the cones
+        bring them together."""
         self.shafts.split, self.shafts.range_ = split, range_
         scripted = self.chain.is_forced(at.LAYSHAFT) and not self.g[at.HELD]
         before = self.chain.kinetic_j()
-        for link, slot, ratio, torque_nm in (
-            (at.SPLITTER, at.CONE_SPLITTER, self.shafts.split_ratio, self._cones_nm[0]),
-            (at.RANGE, at.CONE_RANGE, self.shafts.range_ratio, self._cones_nm[1]),
+        splitter_nm, range_nm = self._cones_nm
+        for name, link, slot, ratio, torque_nm in (
+            (Sleeve.SPLITTER, at.SPLITTER, at.CONE_SPLITTER, self.shafts.split_ratio, splitter_nm),
+            (Sleeve.RANGE, at.RANGE, at.CONE_RANGE, self.shafts.range_ratio, range_nm),
         ):
+            if name in moving and not scripted:
+                continue  # between its steps, without a cone
             if scripted:
                 self.smooth(slot)
                 self.chain.place(link, ratio)

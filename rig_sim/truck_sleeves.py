@@ -72,7 +72,9 @@ class TruckSleeve(Sleeve):
     @property
     def next_us(self) -> float:
         """When contact, overlap, the start or end of a release, or neutral is due."""
-        return min(super().next_us, self.overlap_us, self.unload_us)
+        return min(
+            self.contact_us, self.unmesh_us, self.neutral_us, self.overlap_us, self.unload_us
+        )
 
     @property
     def net_force_n(self) -> float:

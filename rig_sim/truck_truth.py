@@ -51,6 +51,12 @@ class TruckTruth:
             float(y[at.SPEED + at.PROPELLER]),
         )
 
+    @property
+    def road_speed_m_s(self) -> float:
+        """Speed of the vehicle: propeller shaft, axle and wheel (`vehicle.py`)."""
+        plant = self._world.plant
+        return float(plant.y[at.SPEED + at.PROPELLER] * plant.p[at.WHEEL_M])
+
     def phase_rad(self, gear: MainGear) -> float:
         """Phase of a gear against its sleeve."""
         return self._world.plant.shafts.phase_rad(gear)

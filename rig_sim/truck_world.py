@@ -22,8 +22,17 @@ from rig_sim.bench_script import BenchScript
 from rig_sim.delays import TruckDelays
 from rig_sim.engagement import MAIN_VALVES, Engaged
 from rig_sim.faults import FaultDesk
+from rig_sim.node_state import NodeState
 from rig_sim.position_sensors import PositionSensors
-from rig_sim.rig_world import EncoderRead, EngineRequest, FaultOrder, SensorRead, Truth
+from rig_sim.rig_world import (
+    EncoderRead,
+    EngineRequest,
+    FaultOrder,
+    PhaseRead,
+    SensorRead,
+    Truth,
+)
+from rig_sim.sensor_clock import SensorClock
 from rig_sim.sensors import EdgeRead
 from rig_sim.settings import RigSettings
 from rig_sim.shafts import Shafts
@@ -56,6 +65,8 @@ class TruckWorld:
         self.built: AsBuilt = draw_as_built(settings.seed, settings.as_built)
         self.sheet = as_built_sheet(sheet, self.built)
         self.clock_start_us = start.clock_us
+        self.clock = SensorClock(start.clock_us)
+        self.node = NodeState()
         shafts = Shafts(self.sheet, start.angles, gear.split, gear.range_)
         shafts.lock_gear(gear.main, start.flank * self.sheet.dog.backlash_rad / 2.0)
         shafts.follow()
@@ -75,18 +86,21 @@ class TruckWorld:
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._asked = 0
         self._read_us = 0
+        self._due_us = self._next_due()
         for scheduled in settings.faults:
             self._at(float(scheduled.at_us), partial(self.faults.begin, scheduled.order))
 
     def run_to(self, until_us: int) -> bool:
         """Go on to this instant, or to the next 10 ms read if that comes first: then True."""
         target_us = min(until_us, self._read_us)
-        self._run_valves(target_us)
         while True:
-            event = self.plant.advance(target_us, self._next_due())
+            # a fault may change the clock that the valves go by: they are never run ahead of it
+            self._run_valves(min(target_us, self._due_us))
+            event = self.plant.advance(target_us, self._due_us)
             if event == at.REACHED:
                 break
             self._handle(event)
+            self._due_us = self._next_due()
         if self._read_us > until_us:
             return False
         self._read_us += READ_US
@@ -94,15 +108,15 @@ class TruckWorld:
 
     def command_valves(self, orders: tuple[Order, ...], now_us: int) -> None:
         """A valid valve command, consumed now."""
-        self._switched(self.valves.command(orders, now_us + self.clock_start_us))
+        self._switched(self.valves.command(orders, self.clock.at(now_us)))
 
     def renew_valves(self, now_us: int) -> bool:
         """The same valve command once more; False where it has to be taken in full."""
-        return self.valves.renew(now_us + self.clock_start_us)
+        return self.valves.renew(self.clock.at(now_us))
 
-    def all_valves_off(self, now_us: int) -> None:
+    def all_valves_off(self, now_us: float) -> None:
         """Shutdown: no valve is driven from now on."""
-        self._switched(self.valves.all_off(now_us + self.clock_start_us))
+        self._switched(self.valves.all_off(self.clock.at(now_us)))
 
     def command_clutch(self, close: bool, now_us: int) -> None:
         """A valid clutch command, consumed now."""
@@ -143,7 +157,7 @@ class TruckWorld:
 
     def edge_reads(self, now_us: int) -> list[EdgeRead]:
         """The read of all edge channels now, in the order of the wire contract."""
-        read = self.plant.edges.read(now_us, self.clock_start_us)
+        read = self.plant.edges.read(now_us, self.clock)
         return self.faults.edges.pass_on(read)
 
     def sensors(self, now_us: int) -> SensorRead:  # noqa: ARG002
@@ -160,11 +174,9 @@ class TruckWorld:
 
     def sleeve_samples_m(self, name: Sleeve, now_us: int) -> tuple[float, ...]:
         """Ten positions, 1 ms apart, the newest first, as the sensor has them."""
-        sleeve = self.engagement.sleeves.get(name)
-        steps = {Sleeve.SPLITTER: self.script.splitter, Sleeve.RANGE: self.script.range_}
-        moving = sleeve if sleeve is not None else steps[name]
+        moving = self.script.step_sleeve(name) or self.engagement.sleeves[name]
         if moving.moves_after(now_us - READ_US):
-            true_m = tuple(moving.position_m(now_us - 1000.0 * back) for back in range(10))
+            true_m = tuple([moving.position_m(now_us - 1000.0 * back) for back in range(10)])
         else:
             true_m = (moving.position_m(now_us),) * 10
         return self.positions.read(name, true_m, now_us)
@@ -172,6 +184,11 @@ class TruckWorld:
     def encoder_read(self, now_us: int) -> EncoderRead:
         """The reference encoder now."""
         return EncoderRead(*self.plant.edges.encoder(now_us, self.plant.layshaft_rad_s))
+
+    def phase_read(self) -> PhaseRead:
+        """Main shaft and phases now."""
+        plant = self.plant
+        return PhaseRead(plant.angle(at.MAIN), plant.main_rad_s, plant.shafts.phases_rad())
 
     def take_records(self) -> list[Engaged]:
         """What has happened between sleeves and gears since the last call."""
@@ -186,6 +203,7 @@ class TruckWorld:
     def _at(self, time_us: float, action: Callable[[], None]) -> None:
         self._asked += 1
         heapq.heappush(self._queue, (time_us, self._asked, action))
+        self._due_us = min(self._due_us, time_us)
 
     def _next_due(self) -> float:
         return min(
@@ -236,17 +254,17 @@ class TruckWorld:
         else:
             self.engagement.no_slip(slot)
 
-    def _run_valves(self, until_us: int) -> None:
+    def _run_valves(self, until_us: float) -> None:
         """The valve drivers are logic alone: they may run ahead of the plant."""
         while True:
             clock_us = self.valves.next_us
-            if clock_us is None or clock_us - self.clock_start_us > until_us:
+            if clock_us is None or self.clock.when(clock_us) > until_us:
                 return
             self._switched(self.valves.run(clock_us))
 
     def _switched(self, changes: list[Change]) -> None:
         for change in changes:
-            time_us = float(change.time_us - self.clock_start_us)
+            time_us = self.clock.when(change.time_us)
             self._at(time_us, partial(self._switch, change.valve, change.on))
 
     def _switch(self, valve: Valve, on: bool) -> None:

@@ -100,20 +100,14 @@ class ValveBank:
 
     def __init__(self) -> None:
         self._drivers = [_Driver() for _ in Valve]
+        self.energised: tuple[bool, ...] = (False,) * len(Valve)
+        """Which valves are driven, in the order of `Valve`."""
+        self.pending: tuple[bool, ...] = (False,) * len(Valve)
+        """Which valves have an activation waiting."""
         self._expiry_us: int | None = None
         self._pending_us: int | None = None
         self.refused = 0
         self.expired = 0
-
-    @property
-    def energised(self) -> tuple[bool, ...]:
-        """Which valves are driven, in the order of `Valve`."""
-        return tuple(driver.energised for driver in self._drivers)
-
-    @property
-    def pending(self) -> tuple[bool, ...]:
-        """Which valves have an activation waiting."""
-        return tuple(driver.pending is not None for driver in self._drivers)
 
     @property
     def next_us(self) -> int | None:
@@ -124,11 +118,10 @@ class ValveBank:
 
     def command(self, orders: tuple[Order, ...], now_us: int) -> list[Change]:
         """A valid frame, consumed now: one order a valve."""
-        before = self.energised
         for driver, order in zip(self._drivers, orders, strict=True):
             self.refused += driver.order(order, now_us)
         self._expiry_us = now_us + EXPIRY_US
-        return self._changes(before, now_us)
+        return self._changes(now_us)
 
     def renew(self, now_us: int) -> bool:
         """The orders of the command before, once more: nothing changes but the expiry.
@@ -141,26 +134,27 @@ class ValveBank:
 
     def run(self, now_us: int) -> list[Change]:
         """Do what is due now (not later: call at `next_us`)."""
-        before = self.energised
         for driver in self._drivers:
             driver.run(now_us)
         if self._expiry_us is not None and self._expiry_us <= now_us:
             self.expired += 1
             self._clear()
-        return self._changes(before, now_us)
+        return self._changes(now_us)
 
     def all_off(self, now_us: int) -> list[Change]:
         """Switch everything off and empty all slots, as at shutdown."""
-        before = self.energised
         self._clear()
-        return self._changes(before, now_us)
+        return self._changes(now_us)
 
     def _clear(self) -> None:
         self._expiry_us = None
         for driver in self._drivers:
             driver.energised, driver.pending = False, None
 
-    def _changes(self, before: tuple[bool, ...], now_us: int) -> list[Change]:
+    def _changes(self, now_us: int) -> list[Change]:
+        before = self.energised
+        self.energised = tuple([driver.energised for driver in self._drivers])
+        self.pending = tuple([driver.pending is not None for driver in self._drivers])
         times = [driver.pending.time_us for driver in self._drivers if driver.pending]
         self._pending_us = min(times, default=None)
         changed = [

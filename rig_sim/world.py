@@ -12,13 +12,22 @@ from typing import Any, Final
 
 import numpy as np
 
-from gearbox.gears import Sleeve, drive_gear
+from gearbox.gears import MAIN_GEARS, Sleeve, drive_gear
 from gearbox.sheet import RPM, GearboxSheet
 from rig_sim.bench_script import BenchScript
 from rig_sim.clutch import ClutchActuator, Engine
 from rig_sim.engagement import MAIN_VALVES, Engaged, ThesisEngagement
+from rig_sim.node_state import NodeState
 from rig_sim.plant import ThesisPlant
-from rig_sim.rig_world import EncoderRead, EngineRequest, FaultOrder, SensorRead, Truth
+from rig_sim.rig_world import (
+    EncoderRead,
+    EngineRequest,
+    FaultOrder,
+    PhaseRead,
+    SensorRead,
+    Truth,
+)
+from rig_sim.sensor_clock import SensorClock
 from rig_sim.sensors import EdgeCapture, EdgeRead, Encoder
 from rig_sim.settings import RigSettings
 from rig_sim.shafts import Shafts
@@ -41,6 +50,8 @@ class World:
         gear = drive_gear(settings.start_gear)
         self.sheet = sheet
         self.clock_start_us = start.clock_us
+        self.clock = SensorClock(start.clock_us)
+        self.node = NodeState()
         self.shafts = Shafts(sheet, start.angles, gear.split, gear.range_)
         self.plant = ThesisPlant(sheet, self.shafts, settings.main_speed_rpm * RPM)
         delays = Delays(rng, sheet)
@@ -114,7 +125,7 @@ class World:
 
     def edge_reads(self, now_us: int) -> list[EdgeRead]:
         """The read of all edge channels now, in the order of the wire contract."""
-        return self.edges.read(now_us, self.clock_start_us)
+        return self.edges.read(now_us, self.clock)
 
     def sensors(self, now_us: int) -> SensorRead:
         """The slow sensors now."""
@@ -131,6 +142,12 @@ class World:
     def encoder_read(self, now_us: int) -> EncoderRead:
         """The reference encoder now."""
         return EncoderRead(*self.encoder.read(now_us))
+
+    def phase_read(self) -> PhaseRead:
+        """Main shaft and phases now."""
+        shafts = self.shafts
+        phases_rad = tuple([shafts.phase_rad(gear) for gear in MAIN_GEARS])
+        return PhaseRead(shafts.main, self.plant.main_rad_s, phases_rad)
 
     def take_records(self) -> list[Engaged]:
         """What has happened between sleeves and gears since the last call."""
@@ -159,8 +176,7 @@ class World:
 
     def sleeve_samples_m(self, name: Sleeve, now_us: int) -> tuple[float, ...]:
         """Ten positions, 1 ms apart, the newest first."""
-        sleeves = {Sleeve.SPLITTER: self.script.splitter, Sleeve.RANGE: self.script.range_}
-        sleeve = sleeves[name] if name in sleeves else self.engagement.sleeves[name]
+        sleeve = self.script.step_sleeve(name) or self.engagement.sleeves[name]
         if not sleeve.moves_after(now_us - READ_US):
             return (sleeve.position_m(now_us),) * 10
         return tuple(sleeve.position_m(now_us - 1000.0 * back) for back in range(10))

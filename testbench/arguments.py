@@ -16,12 +16,12 @@ from controller.settings import (
     load_settings,
 )
 from gearbox import GearboxSheet, load_sheet
-from gearbox.gears import DRIVE_GEARS, main_box_only
 from gearbox.sheet import SHEET_NAMES
 from rig_sim.as_built import load_as_built
 from rig_sim.faults import ScheduledFault
 from rig_sim.scenario import load_scenario
 from rig_sim.settings import Preset
+from testbench.schedules import NAMES, UPSHIFTS, Pairs, check_preset, pairs
 
 MAX_SHIFTS = 100_000
 _SIZE = re.compile(
@@ -75,23 +75,6 @@ def size_bytes(text: str) -> int:
             f"{MAX_LOG_BYTES // 1024**3}GiB, as 10MB"
         )
     return int(size)
-
-
-def pairs(text: str) -> tuple[tuple[int, int], ...]:
-    """An argparse type: `8-10,10-12`, upshifts of the main box alone."""
-    parsed = []
-    for item in text.split(","):
-        before, _, after = item.partition("-")
-        try:
-            from_, to = int(before), int(after)
-        except ValueError:
-            raise argparse.ArgumentTypeError(f"{item!r}, allowed is FROM-TO, as 8-10") from None
-        if from_ not in DRIVE_GEARS or to not in DRIVE_GEARS or not main_box_only(from_, to):
-            raise argparse.ArgumentTypeError(
-                f"{item!r} moves more than the main box, or nothing; as 8-10, 7-9, 10-12"
-            )
-        parsed.append((from_, to))
-    return tuple(parsed)
 
 
 def add_gearbox(parser: argparse.ArgumentParser) -> None:
@@ -204,20 +187,28 @@ def add_shifts(parser: argparse.ArgumentParser, default: int, least: int) -> Non
         type=whole(least, MAX_SHIFTS),
         default=default,
         metavar="N",
-        help=f"number of upshifts (default: {default})",
+        help=f"number of shifts (default: {default})",
     )
     parser.add_argument(
         "--pairs",
         type=pairs,
-        default=((8, 10), (10, 12)),
+        default=UPSHIFTS,
         metavar="LIST",
-        help="shifts to cycle through, main box alone (default: 8-10,10-12)",
+        help=f"shifts to cycle through: {', '.join(NAMES)}, or a list (default: 8-10,10-12); all "
+        "but upshifts of the main box need --preset truck",
     )
 
 
 def sheet_of(namespace: argparse.Namespace) -> GearboxSheet:
     """The data sheet asked for."""
     return load_sheet(namespace.gearbox)
+
+
+def pairs_of(namespace: argparse.Namespace, sheet: GearboxSheet, preset: Preset) -> Pairs:
+    """The shifts asked for. TableError where the preset cannot make one."""
+    chosen: Pairs = namespace.pairs
+    check_preset(chosen, sheet, preset)
+    return chosen
 
 
 def settings_of(namespace: argparse.Namespace, strategy: str | None = None) -> ControllerSettings:

@@ -25,7 +25,7 @@ from dbc.messages import (
     ShiftOutcome,
 )
 from dbc.node import Node
-from gearbox import GearboxSheet, drive_gear
+from gearbox import DriveGear, GearboxSheet, drive_gear
 
 TICK_US: Final = 10_000
 COMMAND_EVERY: Final = 2
@@ -60,16 +60,26 @@ class PlannedShift:
 def plan_shifts(
     sheet: GearboxSheet, pairs: list[tuple[int, int]], shifts: int, layshaft_rad_s: float
 ) -> list[PlannedShift]:
-    """`shifts` shifts cycling through `pairs`; main speed such that the layshaft starts at the
-    given speed, or less where the input shaft would turn too fast."""
+    """`shifts` shifts cycling through `pairs`; main speed such that the layshaft, in the old gear
+    or in the new, turns at the given speed where it turns faster, or at less where the input shaft
+    would turn too fast."""
     planned = []
     for i in range(shifts):
         from_, to = pairs[i % len(pairs)]
-        gear = drive_gear(from_)
-        top = 0.9 * sheet.limits.input_max_rad_s * sheet.split_mesh(gear.split).ratio
-        main = min(layshaft_rad_s, top) * sheet.main_mesh(gear.main).ratio
-        planned.append(PlannedShift(from_, to, main))
+        before, after = drive_gear(from_), drive_gear(to)
+        main = _most_main_rad_s(sheet, before, layshaft_rad_s)
+        then = _most_main_rad_s(sheet, after, layshaft_rad_s)
+        if after.range_ is not before.range_:
+            ratio = sheet.range_mesh(after.range_).ratio
+            then *= ratio / sheet.range_mesh(before.range_).ratio
+        planned.append(PlannedShift(from_, to, min(main, then)))
     return planned
+
+
+def _most_main_rad_s(sheet: GearboxSheet, gear: DriveGear, layshaft_rad_s: float) -> float:
+    """The main shaft's speed at which a gear turns its layshaft or input shaft at the limit."""
+    top = 0.9 * sheet.limits.input_max_rad_s * sheet.split_mesh(gear.split).ratio
+    return min(layshaft_rad_s, top) * sheet.main_mesh(gear.main).ratio
 
 
 class Phase(Enum):
@@ -136,6 +146,7 @@ class BenchCore:
         """Goes on with the plan; sends what it asks for."""
         if self._since_us is None:
             self._since_us = now_us
+        self._receiver.tick(now_us)
         events = self._go_on(now_us)
         frames = self._frames(now_us)
         self._ticks += 1

@@ -14,14 +14,14 @@ from typing import Any, Final, NamedTuple
 from controller.brake_input import BrakeInput
 from controller.clock import unwrap
 from controller.inputs import StepInputs
-from controller.layshaft import LayshaftTracker
+from controller.motion import LayshaftState
 from controller.observer import Observer
-from controller.predictor import LayshaftState
 from controller.settings import ESTIMATOR_NAMES, ControllerSettings
 from dbc.messages import (
     ControllerState,
     ControllerStatus,
     EngagementEvent,
+    Estimator,
     Message,
     ReferenceEncoder,
     ReferenceEngagement,
@@ -37,7 +37,6 @@ SCHEDULED: Final = (ValveAction.ON_AT, ValveAction.OFF_AT)
 
 
 RESTING: Final = (ControllerState.STARTING, ControllerState.IN_GEAR, ControllerState.NEUTRAL)
-ALWAYS: Final = frozenset((ControllerStatus, ReferenceEngagement))
 
 
 class Sample(NamedTuple):
@@ -52,12 +51,15 @@ class Sample(NamedTuple):
 
 
 class _Score:
-    """One estimator's squared errors."""
+    """One estimator with an observer of its own, and its squared errors."""
 
-    def __init__(self, tracker: LayshaftTracker, pitch_rad: float) -> None:
-        self.tracker = tracker
-        self._pitch_rad = pitch_rad
-        self._angle_sum = self._speed_sum = 0.0
+    def __init__(
+        self, sheet: GearboxSheet, settings: ControllerSettings, estimator: Estimator
+    ) -> None:
+        self.brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
+        self.observer = Observer(sheet, settings, self.brake, estimator)
+        self._pitch_rad = sheet.wheels.layshaft.pitch_rad
+        self._angle_sum = self._offset_sum = self._speed_sum = 0.0
         self._count = 0
 
     def add(self, state: LayshaftState, theta_rad: float, omega_rad_s: float) -> float:
@@ -67,16 +69,28 @@ class _Score:
         error = state.theta_rad - theta_rad
         error -= self._pitch_rad * math.floor(error / self._pitch_rad + 0.5)
         self._angle_sum += error * error
+        self._offset_sum += error
         self._speed_sum += (state.omega_rad_s - omega_rad_s) ** 2
         self._count += 1
         return error
 
     def figures(self) -> dict[str, Any]:
-        """RMS by thesis 5.10; None without a scored instant."""
+        """RMS by thesis 5.10, the angle's about its mean; None without a scored instant.
+
+        The mean is how far the wheel's teeth lie from the encoder's zero. No wheel can tell that of
+        itself, and the phase reference takes it up."""
         if not self._count:
-            return {"angle_rms_deg": None, "speed_rms_rpm": None, "samples": 0}
+            return {
+                "angle_rms_deg": None,
+                "angle_offset_deg": None,
+                "speed_rms_rpm": None,
+                "samples": 0,
+            }
+        offset = self._offset_sum / self._count
+        variance = max(0.0, self._angle_sum / self._count - offset * offset)
         return {
-            "angle_rms_deg": round(math.sqrt(self._angle_sum / self._count) / DEG, 6),
+            "angle_rms_deg": round(math.sqrt(variance) / DEG, 6),
+            "angle_offset_deg": round(offset / DEG, 6),
             "speed_rms_rpm": round(math.sqrt(self._speed_sum / self._count) / RPM, 6),
             "samples": self._count,
         }
@@ -93,19 +107,17 @@ class EstimationScore:
     ) -> None:
         """`on_sample` sees every scored instant of every estimator."""
         self._on_sample = on_sample
-        self._brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
-        self._observer = Observer(sheet, settings, self._brake, tuple(ESTIMATOR_NAMES.values()))
-        pitch_rad = sheet.wheels.layshaft.pitch_rad
         self._scores = {
-            name: _Score(tracker, pitch_rad)
-            for name, tracker in zip(ESTIMATOR_NAMES, self._observer.trackers, strict=True)
+            name: _Score(sheet, settings, estimator) for name, estimator in ESTIMATOR_NAMES.items()
         }
+        self._learning = self._scores["crossing"]
+        """It learns teeth, so it must not lose count between shifts."""
         self._inputs = StepInputs()
         self._encoder: list[ReferenceEncoder] = []
         self._contact_us: int | None = None
         self.active = False
-        """Whether a shift goes on: only then are edges needed. From the opening of the clutch there
-        is time enough for the speeds to settle before the model begins to hold."""
+        """Whether a shift goes on: the baselines need edges only then. From the opening of the
+        clutch there is time enough for the speeds to settle before the model begins to hold."""
         self._handlers: dict[type[Message], Callable[[Any], None]] = {
             ReferenceEncoder: self._encoder.append,
             ValveCommand: self._switch_brake,
@@ -115,8 +127,6 @@ class EstimationScore:
 
     def take(self, message: Message) -> None:
         """One message in bus order; a status frame closes a step."""
-        if not self.active and type(message) not in ALWAYS:
-            return
         handler = self._handlers.get(type(message))
         if handler is not None:
             handler(message)
@@ -130,33 +140,38 @@ class EstimationScore:
             self._contact_us = None
 
     def _switch_brake(self, command: ValveCommand) -> None:
-        now_us = self._observer.clock.latest_us
+        now_us = self._clock_us
         time_us = now_us
         if command.brake_action in SCHEDULED:
             time_us = unwrap(command.brake_time_us, now_us)
-        self._brake.schedule(time_us, command.brake_action in SWITCHED_ON, now_us)
+        for score in self._scores.values():
+            score.brake.schedule(time_us, command.brake_action in SWITCHED_ON, now_us)
+
+    @property
+    def _clock_us(self) -> int:
+        return self._learning.observer.clock.latest_us
 
     def _step(self, status: ControllerStatus) -> None:
-        shifting = status.state not in RESTING
-        if not shifting and not self.active:
-            return
-        self.active = shifting
-        if self._observer.layshaft.free:
+        self.active = status.state not in RESTING
+        if self._learning.observer.layshaft.free:
             for message in self._encoder:
                 self._add(message)
         self._encoder.clear()
         inputs, self._inputs = self._inputs, StepInputs()
-        self._observer.take(inputs, status.step_time_us, [])
+        for score in self._scores.values():
+            if self.active or score is self._learning:
+                score.observer.take(inputs, status.step_time_us, [])
 
     def _add(self, message: ReferenceEncoder) -> None:
-        newest_us = unwrap(message.sample_time_us, self._observer.clock.latest_us)
+        newest_us = unwrap(message.sample_time_us, self._clock_us)
         for k, theta in enumerate(message.angle_rad):
             time_us = newest_us - k * ENCODER_STEP_US
             if self._after_contact(time_us):
                 continue
             for name, score in self._scores.items():
-                state = score.tracker.at(time_us)
-                if state is None or not score.tracker.free:
+                tracker = score.observer.layshaft
+                state = tracker.at(time_us)
+                if state is None or not tracker.free:
                     continue
                 omega = message.speed_rad_s[k]
                 error = score.add(state, theta, omega)
@@ -172,7 +187,7 @@ class EstimationScore:
     @property
     def brake(self) -> BrakeInput:
         """The brake valve's switches as commanded."""
-        return self._brake
+        return self._learning.brake
 
     def figures(self) -> dict[str, Any]:
         """Figures by estimator."""

@@ -26,12 +26,13 @@ from gearbox import GearboxSheet
 from testbench.estimation import EstimationScore
 from testbench.rows import RowCollector
 
-READ: Final = (
+READ_AT_REST: Final = (
     EdgesLayshaftRise, EdgesLayshaftFall, SleevesMain, SleevesAux, GearboxSensors, ValveCommand,
-    ControllerStatus, ReferenceEncoder, ReferenceEngagement, ShiftOutcome,
+    ControllerStatus, ReferenceEngagement, ShiftOutcome,
 )  # fmt: skip
-"""What rows and estimation need in a shift: less than half of the bus; the rest stays undecoded."""
-READ_AT_REST: Final = (ControllerStatus, ReferenceEngagement, ShiftOutcome)
+"""What rows and estimation need: less than half of the bus; the rest stays undecoded. Edges are
+needed between shifts too, so that the tooth count goes on."""
+READ: Final = (*READ_AT_REST, ReferenceEncoder)
 
 
 def identifiers(kinds: tuple[type[Message], ...]) -> frozenset[int]:

@@ -26,9 +26,9 @@ from testbench.bench import BenchCore, plan_shifts
 from testbench.monitor import Monitor
 from testbench.provenance import product_version, provenance
 from testbench.rows import ShiftRow, summarise
+from testbench.schedules import UPSHIFTS, Pairs
 from testbench.virtual_time import VirtualTime
 
-DEFAULT_PAIRS: Final = ((8, 10), (10, 12))
 LAYSHAFT_RAD_S: Final = 1400.0 * math.pi / 30.0
 """Layshaft speed in the old gear: shifts from here shed 400 to 600 rpm, as in the thesis."""
 LIMIT_US_PER_SHIFT: Final = 30_000_000
@@ -44,7 +44,7 @@ class Setup:
     preset: Preset = Preset.THESIS
     seed: int = 1
     shifts: int = 20
-    pairs: tuple[tuple[int, int], ...] = DEFAULT_PAIRS
+    pairs: Pairs = UPSHIFTS
     as_built: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[ScheduledFault, ...] = ()
 
@@ -104,7 +104,7 @@ def simulate(
     rig_settings = RigSettings(
         preset=setup.preset,
         seed=setup.seed,
-        start_gear=plan[0].from_ if plan else DEFAULT_PAIRS[0][0],
+        start_gear=plan[0].from_ if plan else UPSHIFTS[0][0],
         main_speed_rpm=plan[0].main_rad_s * 30.0 / math.pi if plan else 600.0,
         as_built=setup.as_built,
         faults=setup.faults,

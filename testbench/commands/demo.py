@@ -135,7 +135,8 @@ def _log_path(folder: Path, strategy: str) -> Path:
 def _live_run(namespace: argparse.Namespace, strategy: str, private: Path) -> LiveRun:
     sheet = arguments.sheet_of(namespace)
     settings = arguments.settings_of(namespace, strategy)
-    plan = plan_shifts(sheet, list(namespace.pairs), namespace.shifts, LAYSHAFT_RAD_S)
+    pairs = arguments.pairs_of(namespace, sheet, Preset(namespace.preset))
+    plan = plan_shifts(sheet, list(pairs), namespace.shifts, LAYSHAFT_RAD_S)
     header = new_header(product_version(), sheet, settings)
     header.save(namespace.out)
     in_process = uses_virtual(namespace)

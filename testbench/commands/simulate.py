@@ -49,13 +49,14 @@ def add_parser(commands: Any) -> None:
 
 def run(namespace: argparse.Namespace) -> int:
     """Runs it."""
+    sheet, preset = arguments.sheet_of(namespace), Preset(namespace.preset)
     setup = Setup(
-        sheet=arguments.sheet_of(namespace),
+        sheet=sheet,
         settings=arguments.settings_of(namespace),
-        preset=Preset(namespace.preset),
+        preset=preset,
         seed=namespace.seed,
         shifts=namespace.shifts,
-        pairs=namespace.pairs,
+        pairs=arguments.pairs_of(namespace, sheet, preset),
         as_built=arguments.as_built_of(namespace),
         faults=arguments.faults_of(namespace),
     )

@@ -19,7 +19,8 @@ from rig_sim.settings import Preset
 from testbench.estimation import EstimationScore, Sample
 from testbench.monitor import READ, identifiers
 from testbench.rows import ShiftRow, span_us
-from testbench.simulate import DEFAULT_PAIRS, Setup, simulate
+from testbench.schedules import UPSHIFTS, Pairs
+from testbench.simulate import Setup, simulate
 
 AsBuilt = tuple[tuple[str, float], ...]
 """As-built values that are fixed, by name; the rest is drawn from the seed."""
@@ -99,7 +100,7 @@ class ClosedLoop:
     preset: Preset
     seed: int
     shifts: int
-    pairs: tuple[tuple[int, int], ...] = DEFAULT_PAIRS
+    pairs: Pairs = UPSHIFTS
     as_built: AsBuilt = ()
     keep: int = 0
     scored: bool = False

@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 
 from controller.kernels import US, Vector
+from controller.motion import LayshaftState
 from controller.predictor import (
-    LayshaftState,
     layshaft_model,
     predict_euler,
     predict_hold,

@@ -12,7 +12,8 @@ from typing import Any, Final
 import numpy as np
 
 from controller.kernels import US, Vector
-from controller.predictor import LayshaftState, layshaft_model, predict_hold
+from controller.motion import LayshaftState
+from controller.predictor import layshaft_model, predict_hold
 from gearbox import GearboxSheet, MainGear, Split
 from gearbox.gears import MAIN_GEARS
 from testbench.studies.record import Given

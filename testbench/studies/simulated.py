@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from controller.kernels import US, Vector
-from controller.predictor import LayshaftState
+from controller.motion import LayshaftState
 from gearbox import GearboxSheet, MainGear, Range, Split
 from gearbox.gears import MAIN_GEARS
 from rig_sim.plant import ThesisPlant

@@ -9,7 +9,8 @@ import numpy as np
 
 from controller import kernels
 from controller.kernels import US, Vector
-from controller.predictor import LayshaftState, layshaft_model, predict_euler
+from controller.motion import LayshaftState
+from controller.predictor import layshaft_model, predict_euler
 from gearbox import Split
 from gearbox.tables import count, quantity
 from testbench.studies.counting import Counter, plain_code

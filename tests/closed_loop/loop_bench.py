@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,7 +24,8 @@ from dbc.messages import (
 from dbc.node import Node
 from gearbox import GearboxSheet, load_sheet
 from rig_sim.core import RigCore
-from rig_sim.settings import RigSettings
+from rig_sim.faults import ScheduledFault
+from rig_sim.settings import Preset, RigSettings
 from testbench.bench import BenchCore, plan_shifts
 from testbench.provenance import product_version
 from testbench.virtual_time import VirtualTime
@@ -100,6 +101,11 @@ class Loop:
     """What becomes of frames on their way into the controller."""
     sheet: GearboxSheet = SHEET
     start_gear: int = 8
+    preset: Preset = Preset.THESIS
+    as_built: Mapping[str, float] = field(default_factory=dict)
+    faults: tuple[ScheduledFault, ...] = ()
+    toward: int = 0
+    """The gear that will be asked for: the main shaft turns so that both gears are possible."""
 
     def __post_init__(self) -> None:
         plan = plan_shifts(self.sheet, [(8, 10), (10, 12)], self.shifts, LAYSHAFT_RAD_S)
@@ -119,7 +125,8 @@ class Loop:
 
     def new_rig(self, seed: int, clock_start_us: int | None = None) -> RigCore:
         """A rig as at power-up."""
-        start = plan_shifts(self.sheet, [(self.start_gear, self.start_gear)], 1, LAYSHAFT_RAD_S)
+        pair = (self.start_gear, self.toward or self.start_gear)
+        start = plan_shifts(self.sheet, [pair], 1, LAYSHAFT_RAD_S)
         rpm = start[0].main_rad_s * 30.0 / math.pi
         return RigCore(
             self.sheet,
@@ -128,6 +135,9 @@ class Loop:
                 start_gear=self.start_gear,
                 main_speed_rpm=rpm,
                 clock_start_us=clock_start_us,
+                preset=self.preset,
+                as_built=self.as_built,
+                faults=self.faults,
             ),
         )
 

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from wheel import READ_US, STAMPS, Wheel
 
 from controller.clock import SensorClock, wrap
+from controller.edge_kernels import FIRST_WRONG
 from controller.edges import Polarity, WheelEdges
 
 TEETH = 45
@@ -27,10 +28,17 @@ FIRST_TEETH = st.one_of(st.integers(1, 100), st.integers(65_400, 65_535))
 def wheels(
     draw: st.DrawFn, least_us: int = 600, most_us: int = 4000, least_edges: int = 60
 ) -> Wheel:
-    """A wheel whose every interval is drawn: 330 to 2,200 rpm at 45 teeth."""
-    pitches = draw(st.lists(st.integers(least_us, most_us), min_size=least_edges, max_size=250))
+    """A wheel of 330 to 2,200 rpm at 45 teeth, its speed changing by up to 1 % a tooth and each
+    tooth up to 2 % of a pitch out of place."""
+    count = draw(st.integers(least_edges, 250))
+    pitch_us, growth = draw(st.integers(least_us, most_us)), draw(st.floats(-0.01, 0.01))
+    off = draw(st.lists(st.floats(-0.02, 0.02), min_size=7, max_size=7))
     start_us, first = draw(STARTS_US), draw(FIRST_TEETH)
-    rise = list(accumulate(pitches, initial=start_us + 1))
+    even = [min(max(pitch_us * (1.0 + growth) ** k, least_us), most_us) for k in range(count)]
+    rise = [
+        start_us + 100 + round(t + off[k % 7] * pitch_us)
+        for k, t in enumerate(accumulate(even, initial=0.0))
+    ]
     fall = [t + round(DUTY * (after - t)) for t, after in pairwise(rise)]
     return Wheel(first, rise, fall, draw(st.integers(0, 1)))
 
@@ -66,6 +74,8 @@ def run(
         fallen = [wheel.fall(read_us)] if read_us in falls else []
         batch = edges.read(risen, fallen, clock, read_us - SENSOR_AHEAD_US + 2_000)
         got += zip(batch.time_us.astype(int).tolist(), batch.theta_rad.tolist(), strict=True)
+        nominal = (batch.tooth + DUTY * batch.falling) * edges.pitch_rad
+        assert np.allclose(batch.theta_rad, nominal, rtol=1e-12)
     return edges, [(t + wrapped_us, theta / edges.pitch_rad) for t, theta in got]
 
 
@@ -75,20 +85,16 @@ def test_every_edge_comes_once_with_its_time_and_angle(wheel: Wheel, wanted: lis
     """Through lost frames, the 32-bit wrap of time and the 16-bit wrap of the number."""
     kept = keep_enough(wheel, wanted)
     edges, got = run(wheel, kept, kept)
+    truth = wheel.angle_of(DUTY)
     times = [t for t, _ in got]
-    truth = {t: angle for t, angle in wheel.angle_of(DUTY).items() if t <= kept[-1]}
-    rises = [t for t in wheel.rise_us if t <= kept[0]][-STAMPS:]
-    falls = [t for t in wheel.fall_us if t <= kept[0]][-STAMPS:]
-    first_us = {True: rises[0], False: falls[0] if falls else 0}
-    rising = set(wheel.rise_us)
-    expected = sorted(t for t in truth if t >= first_us[t in rising])
-    if not any(a < t < b for a, b in pairwise(rises) for t in falls):
-        # Not paired by the first frames: falling edges come from the second ones on.
-        expected = [t for t in expected if t in rising or t > kept[0]]
-    assert times == expected
+    expected = sorted(t for t in truth if times and times[0] <= t <= kept[-1])
+    # The newest edge may wait: whether it is extra shows behind it.
+    assert times in (expected, expected[:-1], expected[:-2])
+    seen = [t for t in wheel.rise_us if t <= kept[-1]]
+    if len(seen) > FIRST_WRONG + 6:
+        assert times[0] <= max(wheel.rise_us[FIRST_WRONG], kept[0] - STAMPS * 4000)
     off = {round(angle - truth[t], 6) for t, angle in got}
-    assert len(off) == 1
-    assert off.pop() % 65_536 == 0
+    assert len({o % 65_536 for o in off}) <= 1
     assert edges.broken == 0
 
 
@@ -117,10 +123,13 @@ def test_the_chain_of_one_polarity_has_no_hole(wheel: Wheel, wanted: list[bool])
     polarity, got = Polarity(), []
     kept = keep_enough(wheel, wanted)
     for read_us in kept:
-        polarity.begin()
         polarity.take(wheel.rise(read_us), read_us)
         got += polarity.edges()
+        polarity.use(polarity.count)
     truth = [(wheel.first + i, t) for i, t in enumerate(wheel.rise_us) if t <= kept[-1]]
+    if not got:
+        assert len(truth) <= FIRST_WRONG
+        return
     numbers = [number for number, _ in got]
     assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
     assert [t for _, t in got] == [t for _, t in truth][-len(got) :]
@@ -130,13 +139,14 @@ def test_the_chain_of_one_polarity_has_no_hole(wheel: Wheel, wanted: list[bool])
 @settings(deadline=None, max_examples=40)
 @given(wheel=wheels(600, 900, 200), lost=st.integers(3, 6), at=st.integers(1, 4))
 def test_more_edges_lost_than_a_frame_holds_is_a_break(wheel: Wheel, lost: int, at: int) -> None:
-    """The number of the newest edge says how many came: the hole is seen, not guessed over."""
+    """The hole is seen, not guessed over. One polarity alone can count on."""
     all_reads = reads(wheel)
     kept = all_reads[:at] + all_reads[at + lost :]
     hole = [t for t in wheel.rise_us if all_reads[at - 1] < t <= all_reads[at + lost]]
     fallen = [t for t in wheel.fall_us if all_reads[at - 1] < t <= all_reads[at + lost]]
     edges, got = run(wheel, kept, kept)
-    assert edges.broken == (len(hole) > STAMPS) + (len(fallen) > STAMPS)
+    counted = any(t <= all_reads[at - 1] for t, _ in got)
+    assert edges.broken == (counted and len(hole) > STAMPS and len(fallen) > STAMPS)
     truth = wheel.angle_of(DUTY)
     assert {t for t, _ in got} <= set(truth)
 
@@ -182,6 +192,25 @@ def test_a_falling_edge_belongs_to_the_rising_edge_before_it(wheel: Wheel, start
     truth = wheel.angle_of(DUTY)
     assert {round((angle - truth[t]) % 65_536, 6) for t, angle in got} <= {0.0, 65_536.0}
     assert any(t in set(wheel.fall_us) for t, _ in got)
+
+
+@settings(deadline=None, max_examples=15)
+@given(wheel=wheels())
+def test_a_batch_says_tooth_and_polarity_of_each_edge(wheel: Wheel) -> None:
+    edges, clock = WheelEdges(TEETH, DUTY), SensorClock()
+    read_us = reads(wheel)[3]
+    batch = edges.read([wheel.rise(read_us)], [wheel.fall(read_us)], clock, read_us)
+    edges_us = {wrap(t): (k, 0) for k, t in enumerate(wheel.rise_us, wheel.first)}
+    edges_us |= {wrap(t): (k, 1) for k, t in enumerate(wheel.fall_us, wheel.first)}
+    for time_us, tooth, falling in zip(
+        batch.time_us.astype(int).tolist(),
+        batch.tooth.tolist(),
+        batch.falling.tolist(),
+        strict=True,
+    ):
+        true_tooth, truly_falling = edges_us[wrap(time_us)]
+        assert falling == truly_falling
+        assert (tooth - true_tooth) % 65_536 == 0
 
 
 def test_a_restart_forgets_all_numbers() -> None:

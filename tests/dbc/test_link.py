@@ -15,6 +15,7 @@ from dbc.messages import (
     EEC1,
     MESSAGE_TYPES,
     TC1,
+    ClutchCommand,
     EdgesLayshaftRise,
     GearboxSensors,
     Message,
@@ -337,3 +338,33 @@ def test_a_refused_message_does_not_use_up_a_counter() -> None:
     frames.append(sender.encode(GearboxSensors()))
     assert [frame.data[2] for frame in frames] == [0, 1]
     assert frames[1].data[3:] == frames[0].data[3:]
+
+
+def test_an_event_of_a_sender_that_has_restarted_is_taken() -> None:
+    """Its counter begins anew and may be that of the event before: 50 ms of silence of all that it
+    sends by the clock tell the restart. While anything is heard, the same counter is a repetition."""
+    bench, outcome = Receiver(Node.BENCH), ShiftOutcome(to_gear=10)
+    for silence_us, expected in ((30_000, Verdict.REPEATED), (80_000, Verdict.OK)):
+        before, now_us = Transmitter(Node.TRANSMISSION_CONTROL), 0
+        assert bench.receive(before.encode(outcome)).verdict is Verdict.OK
+        for now_us in range(0, 100_000, CYCLE_US):
+            bench.receive(before.encode(ValveCommand()))
+            bench.tick(now_us)
+        for later_us in range(now_us + CYCLE_US, now_us + silence_us, CYCLE_US):
+            bench.tick(later_us)
+        after = Transmitter(Node.TRANSMISSION_CONTROL)
+        assert bench.receive(after.encode(outcome)).verdict is expected
+        bench = Receiver(Node.BENCH)
+
+
+def test_one_silent_message_of_a_sender_is_no_restart() -> None:
+    bench, sender = Receiver(Node.BENCH), Transmitter(Node.TRANSMISSION_CONTROL)
+    event = sender.encode(ShiftOutcome(to_gear=10))
+    assert bench.receive(event).verdict is Verdict.OK
+    for now_us in range(0, 500_000, CYCLE_US):
+        bench.receive(sender.encode(ValveCommand()))
+        if now_us < 100_000:
+            bench.receive(sender.encode(ClutchCommand()))
+        bench.tick(now_us)
+    assert bench.state(ClutchCommand) is ChannelState.INVALID
+    assert bench.receive(event).verdict is Verdict.REPEATED

@@ -7,6 +7,7 @@ import math
 
 import numpy as np
 
+from rig_sim.kernels import Floats
 from rig_sim.truck_edges import WheelAsMade
 
 TAU = 2.0 * math.pi
@@ -16,10 +17,14 @@ SAMPLE_S = 1e-6
 def edges_of_sine(
     wheel: WheelAsMade, start_rad: float, omega_rad_s: float, duration_s: float
 ) -> tuple[list[int], list[int]]:
-    """Sample numbers of the rising and the falling edges at constant speed. Each tooth's sine has
-    the tooth's own place and amplitude; duty 50 %."""
+    """Sample numbers of the rising and the falling edges at constant speed."""
     samples = np.arange(round(duration_s / SAMPLE_S))
-    theta = start_rad + omega_rad_s * samples * SAMPLE_S
+    return edges_of_angles(wheel, start_rad + omega_rad_s * samples * SAMPLE_S)
+
+
+def edges_of_angles(wheel: WheelAsMade, theta: Floats) -> tuple[list[int], list[int]]:
+    """Sample numbers of the rising and the falling edges of a wheel at these angles. Each tooth's
+    sine has the tooth's own place and amplitude; duty 50 %."""
     n = wheel.teeth
     pitch = TAU / n
     # which tooth is under the sensor: from a quarter pitch before its middle rise, all around

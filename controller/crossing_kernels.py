@@ -1,0 +1,198 @@
+"""The crossing-time Kalman filter, and the least squares by which it learns its wheel's teeth.
+
+An edge's angle is exact and its time is noisy, so at the edge's stamp the shaft stands at y =
+theta_k + delta_k with variance (omega sigma_t)^2 + sigma_delta^2: theta_k the nominal angle,
+delta_k the tooth's own error where it is known, sigma_delta what is left of it. Measured brake
+pressure is taken in between, in order of time.
+
+Teeth: over nominal angles the filter's innovations would be white but for the tooth errors e, and
+how each innovation depends on them the filter itself gives: with S the derivatives of the state by
+the errors and m = e_tooth - S[theta], innovation + m e is white. Summed over a window, that is the
+batch least squares for the teeth, in any motion that the filter's model follows, braking included.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.jit import compiled
+from controller.motion_kernels import (
+    DRAG,
+    GAIN,
+    LONGEST_S,
+    OMEGA,
+    PRESSURE,
+    STATES,
+    THETA,
+    US,
+    Vector,
+    input_at,
+    longest_in_segment,
+    measure,
+    spread_over,
+    transition,
+)
+
+Integers = NDArray[np.int64]
+
+SIGMA_TIME: Final = 0
+SIGMA_ANGLE: Final = 1
+SIGMA_PRESSURE: Final = 2
+GATE: Final = 3
+"""Indices into the sensor vector: sd of an edge's time (s), of its angle (rad), of the measured
+pressure (Pa); how many sd an innovation may have."""
+
+TAKEN: Final = 0
+GATED: Final = 1
+IN_A_ROW: Final = 2
+"""Indices into the counts: edges used, edges refused, edges refused in a row."""
+MOST_IN_A_ROW: Final = 8
+"""So many refused edges in a row mean that the filter is wrong, not the edges."""
+LEAST_GAIN: Final = 0.2
+SHORT_S: Final = 2e-3
+"""In a step this short the pressure law's change of segment matters less than its fit."""
+LED_SHARE: Final = 0.2
+LED_RAD_S2: Final = 100.0
+"""By this share the speed is doubted when the filter was wrong, and by so much its steady change.
+"""
+
+
+@compiled
+def crossing_filter(
+    x: Vector, p: Vector, t_us: float, edge_us: Vector, edge_rad: Vector,
+    pressure_us: Vector, pressure_pa: Vector, switch_us: Vector, switch_u: Vector,
+    motion: Vector, law: Vector, noise: Vector, sensor: Vector, counts: Integers, agreement: Vector,
+    place: Integers, by_tooth: Vector, normal: Vector, right: Vector,
+) -> float:  # fmt: skip
+    """The filter over a batch of edges and pressure samples, both rising in time, in place.
+
+    x (6,), p (6, 6) at `t_us`; edge_rad the angle each edge stands for; brake switches as in
+    `travel`. counts (3,) and agreement (2,) (sum and number of normalised squared innovations) are
+    added to. To learn teeth: place (n,) which of the N tooth edges each edge is, by_tooth (6, N)
+    the state's derivatives by the tooth errors, normal (N, N) upper half and right (N,) their
+    normal equations, added to; N = 0 otherwise. What is not later than the state is skipped.
+    Returns the time of the new state."""
+    f, gain = np.zeros((3, STATES)), np.empty(STATES)
+    row = np.empty(by_tooth.shape[1])
+    i = input_at(t_us, switch_us)
+    n, m, j, k = edge_us.shape[0], pressure_us.shape[0], 0, 0
+    while k < n or j < m:
+        pressure_is_next = j < m and (k == n or pressure_us[j] < edge_us[k])
+        when_us = pressure_us[j] if pressure_is_next else edge_us[k]
+        late = when_us <= t_us
+        if not late:
+            i = move(x, p, t_us, when_us, i, switch_us, switch_u, motion, law, noise, f, by_tooth)
+            t_us = when_us
+        if pressure_is_next:
+            if not late:
+                r = sensor[SIGMA_PRESSURE] * sensor[SIGMA_PRESSURE]
+                measure(x, p, PRESSURE, pressure_pa[j] - x[PRESSURE], r, gain)
+                for c in range(row.shape[0]):
+                    row[c] = -by_tooth[PRESSURE, c]
+                follow(by_tooth, gain, row)
+            j += 1
+        else:
+            if not late:
+                innovation = edge_rad[k] - x[THETA]
+                s = take_edge(x, p, innovation, sensor, counts, agreement, gain)
+                if row.shape[0] > 0 and s > 0.0:
+                    learn(by_tooth, place[k], innovation, s, normal, right, row)
+                    follow(by_tooth, gain, row)
+            k += 1
+        x[GAIN] = max(x[GAIN], LEAST_GAIN)
+    return t_us
+
+
+@compiled
+def move(
+    x: Vector, p: Vector, t_us: float, to_us: float, i: int, switch_us: Vector, switch_u: Vector,
+    motion: Vector, law: Vector, noise: Vector, f: Vector, by_tooth: Vector,
+) -> int:  # fmt: skip
+    """State, covariance and tooth derivatives to a time; returns the number of switches passed."""
+    while t_us < to_us:
+        u = int(switch_u[i - 1]) if i > 0 else 0
+        until_us = to_us
+        if i < switch_us.shape[0] and switch_us[i] < to_us:
+            until_us = switch_us[i]
+        dt = (until_us - t_us) * US
+        part = dt
+        if dt > SHORT_S:
+            part = min(longest_in_segment(law, u, x[PRESSURE], dt), LONGEST_S)
+        transition(x, part, u, motion, law, f)
+        spread_over(p, part, f, motion, noise, x)
+        if by_tooth.shape[1] > 0:
+            carry(by_tooth, f)
+        if part < dt:
+            t_us += part / US
+        else:
+            t_us = until_us
+            if i < switch_us.shape[0] and switch_us[i] <= until_us:
+                i += 1
+    return i
+
+
+@compiled
+def take_edge(
+    x: Vector, p: Vector, innovation: float, sensor: Vector, counts: Integers, agreement: Vector,
+    gain: Vector,
+) -> float:  # fmt: skip
+    """One edge into the filter; returns the innovation's variance, 0 where the gate refused it."""
+    sigma = x[OMEGA] * sensor[SIGMA_TIME]
+    r = sigma * sigma + sensor[SIGMA_ANGLE] * sensor[SIGMA_ANGLE]
+    square = innovation * innovation / (p[THETA, THETA] + r)
+    if square > sensor[GATE] * sensor[GATE]:
+        counts[GATED] += 1
+        counts[IN_A_ROW] += 1
+        if counts[IN_A_ROW] < MOST_IN_A_ROW:
+            return 0.0
+        # Eight in a row: what the filter believes is wrong; let it be led.
+        p[THETA, THETA] += innovation * innovation
+        p[OMEGA, OMEGA] += (LED_SHARE * x[OMEGA]) ** 2
+        p[DRAG, DRAG] += LED_RAD_S2 * LED_RAD_S2
+    else:
+        agreement[0] += square
+        agreement[1] += 1.0
+    counts[IN_A_ROW] = 0
+    counts[TAKEN] += 1
+    return measure(x, p, THETA, innovation, r, gain)
+
+
+@compiled
+def learn(
+    by_tooth: Vector, place: int, innovation: float, s: float, normal: Vector, right: Vector,
+    row: Vector,
+) -> None:  # fmt: skip
+    """Adds one innovation to the teeth's normal equations; row (N,) becomes its m."""
+    size = row.shape[0]
+    for c in range(size):
+        row[c] = -by_tooth[THETA, c]
+    row[place] += 1.0
+    for c in range(size):
+        weighted = row[c] / s
+        right[c] -= weighted * innovation
+        for d in range(c, size):
+            normal[c, d] += weighted * row[d]
+
+
+@compiled
+def follow(by_tooth: Vector, gain: Vector, row: Vector) -> None:
+    """The derivatives by the tooth errors after an update."""
+    for state in range(STATES):
+        for c in range(row.shape[0]):
+            by_tooth[state, c] += gain[state] * row[c]
+
+
+@compiled
+def carry(by_tooth: Vector, f: Vector) -> None:
+    """The derivatives by the tooth errors after a step."""
+    for c in range(by_tooth.shape[1]):
+        theta, omega = by_tooth[0, c], 0.0
+        for k in range(1, STATES):
+            theta += f[0, k] * by_tooth[k, c]
+            omega += f[1, k] * by_tooth[k, c]
+        by_tooth[0, c], by_tooth[1, c] = theta, omega
+        by_tooth[2, c] *= f[2, 2]
+        by_tooth[3, c] *= f[2, 3]

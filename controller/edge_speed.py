@@ -1,0 +1,96 @@
+"""The speed of a shaft straight from one edge frame: teeth over the time they took.
+
+No filter, no model and no memory of tooth numbers, so it shares no mistake with the estimators. The
+guard judges by it, and the sequence sees by it whether two shafts turn together.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from controller.edges import EdgeFrame
+
+SPAN_US: Final = 15_000
+"""At least so long are the teeth of one speed, where the frame holds them."""
+STALE_US: Final = 25_000
+"""Without an edge for longer than this, and than three teeth took before, the speed is lost: with
+the bus, the tick and the clock's lag that is known within 50 ms."""
+TEETH_LATE: Final = 3
+HELD_US: Final = 45_000
+"""While a frame holds a tooth too many or too few, the speed before it stands for so long."""
+UNEVEN: Final = 1.7
+"""Neighbouring intervals that differ by more than this factor hold a tooth too many or too few."""
+WRAP: Final = 1 << 32
+HALF: Final = 1 << 31
+LOW: Final = 0xFFFF
+
+
+class Speed(NamedTuple):
+    """A mean speed and the middle of the time it is of (sensor clock, us)."""
+
+    time_us: int
+    omega_rad_s: float
+
+
+class Turned(NamedTuple):
+    """Teeth passed until the newest edge."""
+
+    time_us: int
+    teeth: int
+
+
+class EdgeSpeed:
+    """One shaft's wheel by its rising edges."""
+
+    def __init__(self, teeth: int) -> None:
+        self._pitch_rad = 2.0 * math.pi / teeth
+        self._speed: Speed | None = None
+        self._measured_us = 0
+        self._interval_us = 0
+        self._index = 0
+        self.turned: Turned | None = None
+        """Running count; None before the first edge."""
+
+    def take(self, frame: EdgeFrame, now_us: int) -> None:
+        """One frame, read shortly before `now_us` of the sensor clock."""
+        if frame.stopped or frame.long_interval or frame.valid_stamps < 2:
+            self._speed = None
+            return
+        read_us = now_us + ((frame.read_time_us - now_us + HALF) % WRAP) - HALF
+        low = frame.timestamp_low_us
+        newest_us = read_us - ((read_us - low[0]) & LOW)
+        before = self.turned.teeth if self.turned is not None else 0
+        new = (frame.newest_index - self._index) & LOW
+        self._index = frame.newest_index
+        self.turned = Turned(newest_us, before + new)
+        measured = self._measure(newest_us, low[: frame.valid_stamps])
+        if measured is not None:
+            self._speed, self._measured_us = measured, newest_us
+
+    def _measure(self, newest_us: int, low: tuple[int, ...]) -> Speed | None:
+        span_us = teeth = last_us = 0
+        after = low[0]
+        for before in low[1:]:
+            interval_us = (after - before) & LOW
+            if teeth and not last_us < UNEVEN * interval_us < UNEVEN * UNEVEN * last_us:
+                return None
+            after, last_us = before, interval_us
+            span_us += interval_us
+            teeth += 1
+            if span_us >= SPAN_US:
+                break
+        if span_us == 0:
+            return None
+        self._interval_us = span_us // teeth
+        omega = teeth * self._pitch_rad / (span_us * 1e-6)
+        return Speed(newest_us - span_us // 2, omega)
+
+    def at(self, now_us: int) -> Speed | None:
+        """The newest speed; None without one, or when edges have failed to come."""
+        if self._speed is None or self.turned is None:
+            return None
+        limit_us = max(STALE_US, TEETH_LATE * self._interval_us)
+        is_turning = now_us - self.turned.time_us <= limit_us
+        is_measured = now_us - self._measured_us <= max(HELD_US, limit_us)
+        return self._speed if is_turning and is_measured else None

@@ -1,0 +1,284 @@
+"""The layshaft's motion in closed form: six states, a pressure law, and their covariance.
+
+    theta' = omega
+    omega' = -a omega - g gamma p + d + s
+    p'     = r_i - b_i p        (segment i of the pressure law, by p and by the valve's state)
+    d'     = -b_d d + white     (torque of short memory: engine orders, meshes, oil)
+    gamma' = white, s' = white  (brake gain; steady drag: both learned from shift to shift)
+
+a = c/J, g = C_db/J of thesis 4.15. A pressure law of one segment a direction with b = 1/tau and
+r = u K/tau is thesis 4.1; several segments follow a real valve (ISO 6358). With phi_x = (1 -
+e^(-x D))/x, h = (e^(-aD) - e^(-bD))/(b - a), H = (phi_a - phi_b)/(b - a) and the integral R of
+phi_a, a step of D adds to omega -g gamma (h p + r (phi_a - h)/b) and to theta -g gamma (H p +
+r (R - H)/b); d and s enter with the same functions, b = b_d and b = 0.
+
+The same kernels serve the main shaft, with g = 0. Compiled by numba; with NUMBA_DISABLE_JIT=1 the
+same code runs as plain Python. State is updated in place.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from controller.jit import compiled
+
+Vector = NDArray[np.float64]
+
+STATES: Final = 6
+THETA: Final = 0
+OMEGA: Final = 1
+PRESSURE: Final = 2
+DISTURBANCE: Final = 3
+GAIN: Final = 4
+DRAG: Final = 5
+"""Indices into the state."""
+
+RATE_A: Final = 0
+BRAKE_G: Final = 1
+RATE_D: Final = 2
+"""Indices into the motion vector [a, g, b_d]."""
+
+LAW_ABOVE: Final = 0
+LAW_B: Final = 1
+LAW_R: Final = 2
+SEGMENTS: Final = 6
+"""law[u, i] = (lowest pressure of the segment, b, r), rising; unused ones begin at infinity."""
+
+Q_DISTURBANCE: Final = 0
+Q_PRESSURE: Final = 1
+Q_GAIN: Final = 2
+Q_DRAG: Final = 3
+"""Indices into the noise vector: densities of the white noises that drive the four states."""
+
+US: Final = 1e-6
+LONGEST_S: Final = 5e-3
+"""Within this step the polynomial process noise is good to some per cent."""
+CLOSE: Final = 1e-6
+
+
+@compiled
+def segment(law: Vector, u: int, pressure: float) -> int:
+    """Which segment of the law holds at a pressure."""
+    i = 0
+    while i + 1 < SEGMENTS and pressure >= law[u, i + 1, LAW_ABOVE]:
+        i += 1
+    return i
+
+
+@compiled
+def longest_in_segment(law: Vector, u: int, pressure: float, dt: float) -> float:
+    """How much of `dt` passes before the pressure leaves its segment."""
+    i = segment(law, u, pressure)
+    b, r = law[u, i, LAW_B], law[u, i, LAW_R]
+    after = pressure * math.exp(-b * dt) - r * math.expm1(-b * dt) / b
+    edge = 0.0
+    if i + 1 < SEGMENTS and after >= law[u, i + 1, LAW_ABOVE]:
+        edge = law[u, i + 1, LAW_ABOVE]
+    elif i > 0 and after < law[u, i, LAW_ABOVE]:
+        # A hair below, so that the next step begins in the lower segment.
+        edge = law[u, i, LAW_ABOVE] - 1e-3
+    else:
+        return dt
+    share = (edge - r / b) / (pressure - r / b)
+    if share <= 0.0:
+        return dt
+    return float(min(dt, max(1e-7, -math.log(share) / b)))
+
+
+@compiled
+def transition(x: Vector, dt: float, u: int, motion: Vector, law: Vector, f: Vector) -> None:
+    """Derivatives of the state after `dt` by the state now, f (2, 6) for theta and omega and
+    f[2, 2..3] for pressure and disturbance; moves the state there, in place.
+
+    f has shape (3, 6); the rows of pressure, disturbance, gain and drag are diagonal."""
+    i = segment(law, u, x[PRESSURE])
+    a, g, b_d = motion[RATE_A], motion[BRAKE_G], motion[RATE_D]
+    b, r = law[u, i, LAW_B], law[u, i, LAW_R]
+    if abs(b - a) < CLOSE * (abs(b) + a):
+        # Equal rates are a removable singularity; a part in a million of tau is below any data.
+        b = a + 2.0 * CLOSE * (abs(b) + a)
+    ax = a * dt
+    if ax < 1e-3:
+        phi_a = dt * (1.0 - ax * (0.5 - ax * (1.0 / 6.0 - ax / 24.0)))
+        rest = dt * dt * (0.5 - ax * (1.0 / 6.0 - ax * (1.0 / 24.0 - ax / 120.0)))
+    else:
+        phi_a = -math.expm1(-ax) / a
+        rest = (dt - phi_a) / a
+    e_a = 1.0 - a * phi_a
+    phi_b = -math.expm1(-b * dt) / b
+    e_b = 1.0 - b * phi_b
+    phi_d = -math.expm1(-b_d * dt) / b_d
+    e_d = 1.0 - b_d * phi_d
+    h, big_h = (e_a - e_b) / (b - a), (phi_a - phi_b) / (b - a)
+    f[0, 1], f[1, 1] = phi_a, e_a
+    f[0, 3], f[1, 3] = (phi_a - phi_d) / (b_d - a), (e_a - e_d) / (b_d - a)
+    f[0, 4] = -g * (big_h * x[2] + r * (rest - big_h) / b)
+    f[1, 4] = -g * (h * x[2] + r * (phi_a - h) / b)
+    f[0, 2], f[1, 2] = -g * x[4] * big_h, -g * x[4] * h
+    f[0, 5], f[1, 5] = rest, phi_a
+    f[2, 2], f[2, 3] = e_b, e_d
+    x[0] += phi_a * x[1] + f[0, 4] * x[4] + f[0, 3] * x[3] + rest * x[5]
+    x[1] = e_a * x[1] + f[1, 4] * x[4] + f[1, 3] * x[3] + phi_a * x[5]
+    x[2] = e_b * x[2] + phi_b * r
+    x[3] *= e_d
+
+
+@compiled
+def spread_over(p: Vector, dt: float, f: Vector, motion: Vector, noise: Vector, x: Vector) -> None:
+    """Covariance prediction P = F P F' + Q, in place; p (6, 6), f of `transition`.
+
+    Q by the leading powers of dt of Van Loan's integral, good to some per cent up to 5 ms."""
+    m0, m1 = np.empty(STATES), np.empty(STATES)
+    for j in range(STATES):
+        s0, s1 = p[0, j], 0.0
+        for k in range(1, STATES):
+            s0 += f[0, k] * p[k, j]
+            s1 += f[1, k] * p[k, j]
+        m0[j], m1[j] = s0, s1
+    p00, p01, p11 = m0[0], 0.0, 0.0
+    for k in range(1, STATES):
+        p00 += m0[k] * f[0, k]
+        p01 += m0[k] * f[1, k]
+        p11 += m1[k] * f[1, k]
+    e_p, e_d = f[2, 2], f[2, 3]
+    q_d, q_p = noise[Q_DISTURBANCE] * dt, noise[Q_PRESSURE] * dt
+    q_c = noise[Q_DRAG] * dt
+    # Steady drag and disturbance both act on omega as accelerations.
+    q = q_d + q_c
+    brake = motion[BRAKE_G] * x[4]
+    q_b = q_p * brake * brake
+    p[0, 0] = p00 + (q + q_b) * dt**4 / 20.0
+    p[0, 1] = p01 + (q + q_b) * dt**3 / 8.0
+    p[1, 1] = p11 + (q + q_b) * dt * dt / 3.0
+    p[0, 2] = m0[2] * e_p - q_p * brake * dt * dt / 6.0
+    p[1, 2] = m1[2] * e_p - q_p * brake * dt / 2.0
+    p[0, 3] = m0[3] * e_d + q_d * dt * dt / 6.0
+    p[1, 3] = m1[3] * e_d + q_d * dt / 2.0
+    p[0, 4], p[1, 4] = m0[4], m1[4]
+    p[0, 5] = m0[5] + q_c * dt * dt / 6.0
+    p[1, 5] = m1[5] + q_c * dt / 2.0
+    p[2, 2] = e_p * e_p * p[2, 2] + q_p
+    p[2, 3] *= e_p * e_d
+    p[2, 4] *= e_p
+    p[2, 5] *= e_p
+    p[3, 3] = e_d * e_d * p[3, 3] + q_d
+    p[3, 4] *= e_d
+    p[3, 5] *= e_d
+    p[4, 4] += noise[Q_GAIN] * dt
+    p[5, 5] += q_c
+    for j in range(STATES):
+        for k in range(j):
+            p[j, k] = p[k, j]
+
+
+@compiled
+def measure(x: Vector, p: Vector, i: int, innovation: float, r: float, gain: Vector) -> float:
+    """Measurement update with the i-th state measured, in place; returns the innovation's variance.
+
+    gain (6,) is written: the Kalman gain used."""
+    s = p[i, i] + r
+    for j in range(STATES):
+        gain[j] = p[j, i] / s
+    for j in range(STATES):
+        x[j] += gain[j] * innovation
+        for k in range(j, STATES):
+            p[j, k] -= gain[j] * gain[k] * s
+            p[k, j] = p[j, k]
+    return float(s)
+
+
+@compiled
+def input_at(t_us: float, switch_us: Vector) -> int:
+    """How many switches lie at or before a time."""
+    i = 0
+    while i < switch_us.shape[0] and switch_us[i] <= t_us:
+        i += 1
+    return i
+
+
+@compiled
+def travel(
+    x: Vector, t_us: float, to_us: float, switch_us: Vector, switch_u: Vector,
+    motion: Vector, law: Vector,
+) -> None:  # fmt: skip
+    """Moves the state from `t_us` to `to_us` through every brake switch and segment, in place.
+
+    switch_us must rise; switch_u[i] holds from switch_us[i] on; before the first one u = 0."""
+    f = np.zeros((3, STATES))
+    i = input_at(t_us, switch_us)
+    while t_us < to_us:
+        u = int(switch_u[i - 1]) if i > 0 else 0
+        until_us = to_us
+        if i < switch_us.shape[0] and switch_us[i] < to_us:
+            until_us = switch_us[i]
+        dt = (until_us - t_us) * US
+        part = longest_in_segment(law, u, x[PRESSURE], dt)
+        transition(x, part, u, motion, law, f)
+        if part < dt:
+            t_us += part / US
+        else:
+            t_us = until_us
+            i += 1
+    if to_us < t_us:
+        # A moment ago: nothing switched since, to the accuracy of a step back.
+        u = int(switch_u[i - 1]) if i > 0 else 0
+        transition(x, (to_us - t_us) * US, u, motion, law, f)
+
+
+@compiled
+def forecast(
+    x: Vector, p: Vector, t_us: float, to_us: float, switch_us: Vector, switch_u: Vector,
+    motion: Vector, law: Vector, noise: Vector,
+) -> None:  # fmt: skip
+    """As `travel`, the covariance with it."""
+    f = np.zeros((3, STATES))
+    i = input_at(t_us, switch_us)
+    while t_us < to_us:
+        u = int(switch_u[i - 1]) if i > 0 else 0
+        until_us = to_us
+        if i < switch_us.shape[0] and switch_us[i] < to_us:
+            until_us = switch_us[i]
+        dt = (until_us - t_us) * US
+        part = min(longest_in_segment(law, u, x[PRESSURE], dt), LONGEST_S)
+        transition(x, part, u, motion, law, f)
+        spread_over(p, part, f, motion, noise, x)
+        if part < dt:
+            t_us += part / US
+        else:
+            t_us = until_us
+            i += 1
+
+
+@compiled
+def time_at_speed(
+    x: Vector, t_us: float, omega: float, switch_us: Vector, switch_u: Vector,
+    motion: Vector, law: Vector,
+) -> float:  # fmt: skip
+    """When the layshaft, slowing down, has come down to `omega`; moves the state there, in place.
+
+    Infinite where it already turns slower at the last brake switch, or would take over ten
+    seconds. After the last switch the speed falls ever more gently, so Newton's method from above
+    does not pass the root by more than a segment's change of slope."""
+    n = switch_us.shape[0]
+    if n > 0 and switch_us[n - 1] > t_us:
+        travel(x, t_us, switch_us[n - 1], switch_us, switch_u, motion, law)
+        t_us = switch_us[n - 1]
+    if x[OMEGA] < omega:
+        return math.inf
+    f = np.zeros((3, STATES))
+    u = int(switch_u[n - 1]) if n > 0 else 0
+    for _ in range(60):
+        rate = motion[RATE_A] * x[1] + motion[BRAKE_G] * x[4] * x[2] - x[3] - x[5]
+        if rate <= 0.0 or (x[1] - omega) > 10.0 * rate:
+            return math.inf
+        step = (x[1] - omega) / rate
+        part = longest_in_segment(law, u, x[PRESSURE], step) if step > 0.0 else step
+        transition(x, part, u, motion, law, f)
+        t_us += part / US
+        if abs(step) < 1e-8:
+            break
+    return t_us

@@ -1,0 +1,146 @@
+"""What the phases of a shift share: what they command, the record they fill, how a shift ends."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from controller.brake_input import BrakeInput
+from controller.moment import Moment
+from controller.outlook import Outlook
+from controller.reference import PhaseReferences
+from controller.settings import ControllerSettings
+from controller.shift import ShiftRecord, Trigger
+from controller.strategy import Plan, Strategist
+from controller.valves import Valve, ValveBoard
+from dbc.messages import ClutchAction, FaultCode, ShiftResult
+from dbc.messages import ControllerState as State
+from gearbox import DriveGear, GearboxSheet, MainGear
+
+MS: Final = 1000
+CLUTCH_OPEN_SHARE: Final = 0.02
+CLUTCH_CLOSED_SHARE: Final = 0.98
+FALL_US: Final = 20 * MS
+"""Over this the fall of the slip is measured."""
+SLEEVE_VALVE: Final = {
+    MainGear.FIRST: Valve.MAIN_FIRST,
+    MainGear.SECOND: Valve.MAIN_SECOND,
+    MainGear.CRAWL: Valve.MAIN_CRAWL,
+    MainGear.THIRD: Valve.MAIN_THIRD,
+}
+OPPOSITE: Final = {
+    MainGear.FIRST: Valve.MAIN_SECOND,
+    MainGear.SECOND: Valve.MAIN_FIRST,
+    MainGear.CRAWL: Valve.MAIN_THIRD,
+    MainGear.THIRD: Valve.MAIN_CRAWL,
+}
+"""The valve that pulls a gear out pushes toward the sleeve's other gear."""
+
+
+class ShiftDesk:
+    """The sequence's commands and memory; a phase is a function of it and the moment."""
+
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        settings: ControllerSettings,
+        board: ValveBoard,
+        brake: BrakeInput,
+        references: PhaseReferences,
+    ) -> None:
+        self.sheet = sheet
+        self.settings = settings
+        self.board = board
+        self.brake = brake
+        self.references = references
+        self.strategist = Strategist(sheet, settings)
+        self.state = State.STARTING
+        self.since_us = 0
+        self.clutch = ClutchAction.OPEN
+        self.engine_rad_s: float | None = None
+        """The speed the engine is asked for; None: nothing is asked."""
+        self.shift: ShiftRecord | None = None
+        self.finished: ShiftRecord | None = None
+        """Set at the step that ends a shift, for its outcome frame."""
+        self.decision: Plan | None = None
+        """This step's decision, for the prediction frame."""
+        self.fault = FaultCode.NONE
+        self.free_outlook: Outlook | None = None
+        """The last one before the sleeve entered its gear."""
+        self.free_us = 0
+
+    @property
+    def running(self) -> ShiftRecord:
+        """The shift under way."""
+        if self.shift is None:
+            raise RuntimeError(f"state {self.state.name} without a shift")
+        return self.shift
+
+    @property
+    def target(self) -> DriveGear | None:
+        """The gear being shifted to."""
+        return self.shift.target if self.shift else None
+
+    def enter(self, state: State, moment: Moment) -> None:
+        """The next state begins."""
+        self.state = state
+        self.since_us = moment.now_us
+
+    def late(self, moment: Moment, limit_ms: int) -> bool:
+        """Whether the state has lasted longer."""
+        return moment.now_us - self.since_us > limit_ms * MS
+
+    def switch_brake(self, on: bool, time_us: int, moment: Moment) -> None:
+        """The brake valve at a time, and what the filter is told of it."""
+        self.board.schedule(Valve.BRAKE, on, time_us, moment.now_us)
+        self.brake.schedule(time_us, on, moment.now_us)
+
+    def all_off(self, now_us: int) -> None:
+        """No valve is driven any more, and the filter is told."""
+        self.board.all_off()
+        self.brake.schedule(now_us, False, now_us)
+
+    def end(self, moment: Moment, result: ShiftResult, fault: FaultCode) -> None:
+        """The shift is over."""
+        shift = self.running
+        shift.result, shift.fault, shift.end_us = result, fault, moment.now_us
+        self.fault = fault
+        self.finished, self.shift = shift, None
+        self.engine_rad_s = None
+        self.all_off(moment.now_us)
+
+    def give_up(self, moment: Moment, fault: FaultCode) -> Trigger:
+        """The shift ends where the box stands, with the fault declared."""
+        gear = moment.view.main_gear
+        if fault is FaultCode.POSITION_STALE or gear is None:
+            self.end(moment, ShiftResult.ENDED_BETWEEN_GEARS, fault)
+            return Trigger.GEAR_UNKNOWN
+        neutral = gear is MainGear.NEUTRAL
+        result = ShiftResult.ENDED_IN_NEUTRAL if neutral else ShiftResult.ENDED_IN_OLD_GEAR
+        self.end(moment, result, fault)
+        return Trigger.GAVE_UP
+
+    def outlook(self, gear: MainGear, moment: Moment) -> Outlook | None:
+        """Predictions for a gear; None while a speed is missing or the model does not hold."""
+        if moment.main is None or not moment.layshaft.free:
+            return None
+        return Outlook(
+            gear,
+            self.sheet.main_mesh(gear).ratio,
+            moment.layshaft.latest(),
+            moment.main,
+            self.brake,
+            moment.layshaft.model,
+            self.references,
+        )
+
+    def ask_engine(self, gear: DriveGear, slip_rad_s: float, moment: Moment) -> None:
+        """Asks for the speed at which the gear has this slip; for none that an engine cannot do."""
+        main = moment.speeds.main
+        if main is None:
+            self.engine_rad_s = None
+            return
+        layshaft = (main + slip_rad_s) / self.sheet.main_mesh(gear.main).ratio
+        wanted = layshaft / self.sheet.split_mesh(gear.split).ratio
+        limits = self.settings.engine
+        usable = limits.least_rad_s <= wanted <= self.sheet.limits.input_max_rad_s
+        self.engine_rad_s = wanted if usable else None

@@ -1,0 +1,151 @@
+"""From neutral to the firing: brake, coast, and choose when to fire (thesis 2.2, 5.4)."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from controller.moment import Moment
+from controller.outlook import Outlook
+from controller.shift import Trigger
+from controller.shift_desk import FALL_US, MS, SLEEVE_VALVE, ShiftDesk
+from controller.speed_up import too_slow
+from controller.strategy import Plan
+from controller.valves import Valve
+from dbc.messages import FaultCode, ShiftDecision, Strategy
+from gearbox import MainGear
+
+DRIVEN_LATE_US: Final = 40 * MS
+"""A valve not reported driven this long after its activation was refused: try again."""
+KEEP_US: Final = 3 * MS
+"""A firing this near to the earliest possible one stands: planned anew, it could by a hair come out
+too early to be sent, and the gap would be lost for one that comes a pitch later."""
+RELEASE_HORIZON_US: Final = 90 * MS
+"""A release further ahead is not sent yet: the valve side takes at most 100 ms."""
+
+
+def synchronise(desk: ShiftDesk, moment: Moment) -> Trigger | None:
+    """Brakes a gear that is fast; one that is slow goes to the engine, one near needs neither."""
+    shift, now = desk.running, moment.now_us
+    if desk.late(moment, desk.settings.limits.synchronise_ms):
+        return desk.give_up(moment, FaultCode.SYNCHRONISE_FAILED)
+    outlook = desk.outlook(shift.target.main, moment)
+    if outlook is None:
+        return None
+    if shift.release_us is not None and now >= shift.release_us:
+        return Trigger.BRAKE_RELEASED
+    command = desk.board.command(Valve.BRAKE)
+    if not command.on and not command.before:
+        if outlook.slip_rad_s(now) < desk.settings.window.contact_low_rad_s:
+            return too_slow(desk, moment)
+        if not _brake_helps(desk, outlook, moment):
+            shift.release_us = now
+            return Trigger.BRAKE_RELEASED
+        shift.pulses += 1
+    _keep_braking(desk, moment)
+    if shift.release_us is None or shift.release_us > moment.earliest_us:
+        _plan_release(desk, outlook, moment)
+    return None
+
+
+def coast(desk: ShiftDesk, moment: Moment) -> Trigger | None:
+    """The gear falls by drag; fires when the strategy says so."""
+    shift = desk.running
+    if desk.late(moment, desk.settings.limits.synchronise_ms):
+        return desk.give_up(moment, FaultCode.SYNCHRONISE_FAILED)
+    outlook = desk.outlook(shift.target.main, moment)
+    if outlook is None:
+        return None
+    if shift.plan is not None and shift.plan.fire_us < moment.earliest_us + KEEP_US:
+        shift.attempts += 1
+        shift.measured_contact_us = None
+        desk.free_outlook = None
+        desk.decision = shift.plan._replace(decision=ShiftDecision.COMMITTED)
+        return Trigger.FIRED
+    if outlook.slip_rad_s(moment.now_us) < desk.settings.window.least_rad_s:
+        return too_slow(desk, moment)
+    if not _braked_lately(desk, moment) and _brake_helps(desk, outlook, moment):
+        shift.plan = shift.release_us = None
+        desk.all_off(moment.now_us)
+        return Trigger.TOO_FAST
+    _plan_firing(desk, outlook, moment)
+    return None
+
+
+def _brake_helps(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> bool:
+    """Whether drag alone would take too long to bring the slip to where it is fired."""
+    limits, window = desk.settings.limits, desk.settings.window
+    if desk.running.pulses >= limits.pulses:
+        return False
+    aimed = _aims_at(desk, outlook.gear)
+    wanted = window.contact_high_rad_s if aimed else window.fire_slip_rad_s
+    slip = outlook.slip_rad_s(moment.now_us)
+    fall = slip - outlook.slip_rad_s(moment.now_us + FALL_US)
+    return slip - wanted > fall * (limits.coast_ms * MS / FALL_US)
+
+
+def _braked_lately(desk: ShiftDesk, moment: Moment) -> bool:
+    """Whether the brake's pressure may still act."""
+    release_us, brake = desk.running.release_us, desk.sheet.brake
+    settle_s = brake.valve_delay_s + 4.0 * brake.time_constant_s
+    return release_us is not None and moment.now_us < release_us + settle_s * 1e6
+
+
+def _keep_braking(desk: ShiftDesk, moment: Moment) -> None:
+    command = desk.board.command(Valve.BRAKE)
+    refused = command.on and not moment.brake_driven
+    if not command.on and not command.before:
+        desk.switch_brake(True, moment.earliest_us, moment)
+    elif refused and moment.now_us - command.time_us > DRIVEN_LATE_US:
+        desk.brake.schedule(moment.now_us, False, moment.now_us)
+        desk.switch_brake(True, moment.earliest_us, moment)
+
+
+def _plan_release(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> None:
+    shift = desk.running
+    command = desk.board.command(Valve.BRAKE)
+    on_us = command.time_us if command.on else moment.now_us
+    earliest_us = max(moment.earliest_us, on_us)
+    aimed = _aims_at(desk, shift.target.main)
+    release_us, contact_us = desk.strategist.release(outlook, earliest_us, aimed)
+    horizon_us = moment.now_us + RELEASE_HORIZON_US
+    if shift.release_us is not None:
+        # A release once sent is moved, never taken back: its slot holds the newest time.
+        release_us = min(release_us, horizon_us)
+    decision = ShiftDecision.BRAKE
+    if release_us <= horizon_us and moment.now_us >= on_us:
+        shift.release_us = release_us
+        desk.switch_brake(False, release_us, moment)
+        decision = ShiftDecision.RELEASE
+    slip = outlook.slip_rad_s(contact_us, release_us)
+    desk.decision = Plan(decision, 0, contact_us, 0.0, 0.0, slip)
+
+
+def _aims_at(desk: ShiftDesk, gear: MainGear) -> bool:
+    return desk.settings.strategy is Strategy.TARGET_PHASE and desk.references.known(gear)
+
+
+def _plan_firing(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> None:
+    shift, strategist = desk.running, desk.strategist
+    valve = SLEEVE_VALVE[shift.target.main]
+    if shift.attempts == 0:
+        shift.reference_known = desk.references.known(shift.target.main)
+    aimed = _aims_at(desk, shift.target.main)
+    shift.strategy = Strategy.TARGET_PHASE if aimed else Strategy.SPEED_WINDOW
+    plan = None
+    if aimed:
+        plan = strategist.target_phase(outlook, moment.earliest_us)
+    low = desk.settings.window.contact_low_rad_s
+    if not aimed or (plan is None and outlook.slip_rad_s(moment.earliest_us) < low):
+        plan = strategist.speed_window(outlook, moment.now_us, moment.earliest_us)
+    if plan is not None and plan.fire_us > moment.now_us + RELEASE_HORIZON_US:
+        plan = None  # not sent yet, like a release: the valve side would refuse it
+    if plan is None:
+        desk.board.off(valve)
+        waiting = ShiftDecision.WAIT_FOR_GAP if aimed else ShiftDecision.WAIT_FOR_SLIP
+        desk.decision = strategist.plan_at(outlook, moment.earliest_us, waiting)._replace(
+            fire_us=0, contact_us=0
+        )
+    else:
+        desk.board.schedule(valve, True, plan.fire_us, moment.now_us)
+        desk.decision = plan
+    shift.plan = plan
