@@ -127,6 +127,6 @@ def test_a_tooth_that_stops_on_the_chamfer_it_has_left_by_is_blocked() -> None:
     values = limit_values(dog__face_friction=0.1, dog__chamfer_mm=0.1, dog__overlap_mm=1.0)
     trials = Trials(limit_sheet(), values)
     just_out = trials.backlash_rad / 2.0 + 0.3 * 0.1e-3 / 0.075
-    outcome = trials.engage(just_out, 0.5 * RPM, 1e6)
+    outcome = trials.engage(just_out, 1.0 * RPM, 1e6)
     assert outcome.blocked
     assert not outcome.in_gap
