@@ -32,6 +32,8 @@ NAMES: Final = (
     "angle_estimate",
     "step",
     "shiftability",
+    "hardware",
+    "target",
 )
 """In the order of the thesis, then what goes beyond it."""
 ALL: Final = "all"

@@ -1,0 +1,206 @@
+"""Beyond the thesis (1.3): what other hardware would buy.
+
+Two measures. In the closed loop on the linear gearbox, the phase error at contact: what is left
+when the model is right. On the truck, sensor errors included, the estimate of the layshaft from
+neutral to contact.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+from controller.settings import ControllerSettings
+from gearbox import GearboxSheet
+from gearbox.tables import count, quantity
+from rig_sim.settings import Preset
+from testbench.studies.excitation import Figures, figures
+from testbench.studies.jobs import AsBuilt, ClosedLoop, LoopResult, Scores
+from testbench.studies.record import (
+    Chart,
+    Finding,
+    Given,
+    Job,
+    Line,
+    Panel,
+    Statement,
+    Study,
+    Style,
+    Table,
+    Verdict,
+    rms,
+)
+
+BASE = "as the data sheet"
+MOST_TEETH = 120
+"""A sheet allows no more on a wheel."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What the better hardware is like, and how many shifts are looked at."""
+
+    teeth_factor: float = quantity("teeth_factor", 1.0, 3.0)
+    tick_ms: int = count("tick_ms", 1, 100)
+    delay_sd_s: float = quantity("delay_sd_ms", 0.0, 20.0, 1e-3)
+    gearboxes: int = count("gearboxes", 1, 100)
+    shifts: int = count("shifts", 2, 10_000)
+    learning_shifts: int = count("learning_shifts", 0, 1000)
+    """Of each gearbox, that are not scored in the estimate: it may learn."""
+
+
+class Variant(NamedTuple):
+    """A gearbox and a controller."""
+
+    sheet: GearboxSheet
+    settings: ControllerSettings
+    as_built: AsBuilt = ()
+
+
+class Bought(NamedTuple):
+    """What a variant came to."""
+
+    phase_rms_deg: float
+    gap: int
+    known: int
+    duration_ms: float
+    estimate: Figures
+
+
+def _variants(given: Given[Settings]) -> dict[str, Variant]:
+    own, sheet, settings = given.own, given.sheet, ControllerSettings()
+    wheels = sheet.wheels
+    more = {
+        shaft: replace(wheel, teeth=min(MOST_TEETH, round(wheel.teeth * own.teeth_factor)))
+        for shaft, wheel in (("layshaft", wheels.layshaft), ("main", wheels.main))
+    }
+    finer = replace(sheet, wheels=replace(wheels, **more))
+    steadier = replace(sheet, sleeve=replace(sheet.sleeve, delay_sd_s=own.delay_sd_s))
+    ticking = replace(settings, timing=replace(settings.timing, tick_ms=own.tick_ms))
+    opposite: AsBuilt = (("hall.runout_mm", 0.0),)
+    return {
+        BASE: Variant(sheet, settings),
+        f"{more['layshaft'].teeth} teeth on layshaft and main wheel": Variant(finer, settings),
+        "second sensor, opposite the first": Variant(finer, settings, opposite),
+        f"tick of {own.tick_ms} ms": Variant(sheet, ticking),
+        f"delay scatter {1e3 * own.delay_sd_s:g} ms": Variant(steadier, settings),
+    }
+
+
+def _pair(given: Given[Settings], variant: Variant, number: int) -> tuple[ClosedLoop, ClosedLoop]:
+    """The linear gearbox, then the truck."""
+    own, seed = given.own, given.common.seed + number
+    linear = ClosedLoop(variant.sheet, variant.settings, Preset.THESIS, seed, own.shifts)
+    truck = ClosedLoop(
+        variant.sheet,
+        variant.settings,
+        Preset.TRUCK,
+        seed,
+        own.learning_shifts + own.shifts,
+        as_built=variant.as_built,
+        scored=True,
+    )
+    return linear, truck
+
+
+def _jobs(given: Given[Settings]) -> tuple[Job, ...]:
+    return tuple(
+        job
+        for variant in _variants(given).values()
+        for number in range(given.own.gearboxes)
+        for job in _pair(given, variant, number)
+    )
+
+
+def _bought(given: Given[Settings], variant: Variant) -> Bought:
+    errors: list[float] = []
+    durations: list[float] = []
+    scores: list[Scores] = []
+    gap = known = 0
+    for number in range(given.own.gearboxes):
+        linear_job, truck_job = _pair(given, variant, number)
+        linear: LoopResult = given.results[linear_job]
+        truck: LoopResult = given.results[truck_job]
+        errors += [row.phase_error_deg for row in linear.known if row.phase_error_deg is not None]
+        durations += [row.duration_ms for row in linear.known if row.result == "engaged"]
+        gap += sum(row.contact == "gap" for row in linear.known)
+        known += len(linear.known)
+        scores += truck.scores[given.own.learning_shifts :]
+    estimator = ControllerSettings().estimator_name
+    mean = sum(durations) / max(1, len(durations))
+    return Bought(rms(errors), gap, known, mean, figures(scores, estimator))
+
+
+def _conclude(given: Given[Settings]) -> Finding:
+    bought = {name: _bought(given, variant) for name, variant in _variants(given).items()}
+    names = list(bought)
+    statements = tuple(_statement(name, bought[name], bought[BASE]) for name in names[1:])
+    values: dict[str, Any] = {
+        name: {
+            "phase_rms_deg": b.phase_rms_deg,
+            "into_the_gap": b.gap,
+            "aimed": b.known,
+            "duration_ms": b.duration_ms,
+            "truck_angle_rms_deg": b.estimate.angle_deg,
+            "truck_speed_rms_rpm": b.estimate.speed_rpm,
+        }
+        for name, b in bought.items()
+    }
+    columns = (
+        "hardware", "phase error RMS, deg", "into the gap", "aimed", "duration, ms",
+        "truck: angle RMS, deg", "truck: speed RMS, rpm",
+    )  # fmt: skip
+    rows = tuple(
+        (name, b.phase_rms_deg, b.gap, b.known, b.duration_ms, *b.estimate)
+        for name, b in bought.items()
+    )
+    table = Table("hardware", "What each would buy", columns, rows)
+    return Finding(statements, values, (_chart(bought),), (table,))
+
+
+REASONS = {
+    "teeth": "twice the edges, each with the same error of its own",
+    "second": "it gives as many edges as a wheel of twice the teeth, and two sensors opposite each "
+    "other cancel eccentricity; so it is modelled as that wheel without runout",
+    "tick": "activations carry times, so a coarse tick does not quantise them; a fast one plans "
+    "later, with newer edges",
+    "delay": "slip times the delay's scatter is phase that nothing can take back once the valve "
+    "is open",
+}
+
+
+def _statement(name: str, ours: Bought, base: Bought) -> Statement:
+    key = next(key for key in REASONS if key in name)
+    return Statement(
+        f"(1.3 asks what added hardware would allow) {name}",
+        f"phase error {ours.phase_rms_deg:.3f} deg RMS against {base.phase_rms_deg:.3f}, "
+        f"{ours.gap} of {ours.known} into the gap against {base.gap} of {base.known}, "
+        f"{ours.duration_ms:.0f} ms against {base.duration_ms:.0f}; on the truck angle "
+        f"{ours.estimate.angle_deg:.3f} deg against {base.estimate.angle_deg:.3f}, speed "
+        f"{ours.estimate.speed_rpm:.2f} rpm against {base.estimate.speed_rpm:.2f}",
+        Verdict.NOT_COMPARABLE,
+        f"{REASONS[key]}. The thesis announces such an analysis and has none",
+    )
+
+
+def _chart(bought: dict[str, Bought]) -> Chart:
+    numbers = list(range(1, len(bought) + 1))
+
+    def bars(name: str, values: list[float]) -> tuple[Line, ...]:
+        return (Line(name, numbers, values, Style.BARS),)
+
+    every = list(bought.values())
+    key = "; ".join(f"{i} {name}" for i, name in zip(numbers, bought, strict=True))
+    return Chart(
+        "hardware",
+        "What hardware would buy",
+        key,
+        (
+            Panel("phase error, deg RMS", bars("closed loop", [b.phase_rms_deg for b in every])),
+            Panel("truck: angle, deg RMS", bars("estimate", [b.estimate.angle_deg for b in every])),
+            Panel("truck: speed, rpm RMS", bars("estimate", [b.estimate.speed_rpm for b in every])),
+        ),
+    )
+
+
+STUDY = Study("hardware", "What hardware would buy", ("section 1.3",), Settings, _conclude, _jobs)
