@@ -40,6 +40,12 @@ class BrakeInput:
             self._switches = kept[-KEPT:]
             self._arrays = None
 
+    def seen_through(self, valve_delay_us: int) -> BrakeInput:
+        """The same switches with another delay of the valve."""
+        other = BrakeInput(valve_delay_us)
+        other._switches = list(self._switches)
+        return other
+
     def set_delays(self, off_us: int, on_us: int) -> None:
         """From a switch to the pressure's first reaction, as learned."""
         if (off_us, on_us) != self._delays_us:

@@ -11,6 +11,7 @@ identifier, so the order in which different senders got onto the bus changes not
 from __future__ import annotations
 
 import zlib
+from dataclasses import replace
 from operator import itemgetter
 from typing import Final, NamedTuple
 
@@ -26,8 +27,9 @@ from controller.observer import Observer
 from controller.probe import ClockProbe
 from controller.report import Reporter
 from controller.sequence import ShiftSequence
-from controller.settings import ValveTiming
+from controller.settings import ControllerSettings, ValveTiming
 from controller.shaft_speeds import ShaftSpeeds
+from controller.shift_desk import OutlookSource
 from controller.valves import ValveBoard
 from dbc.frame import Frame
 from dbc.link import Receiver, Transmitter, Verdict
@@ -95,6 +97,19 @@ class ControllerCore:
         self._reporter = Reporter(header, self._observer, self._sequence)
         self._due_us: int | None = None
         self._wake_us: int | None = None
+
+    def change_settings(self, settings: ControllerSettings) -> None:
+        """Other engagement settings from the next step on; what was learned stays. Call it between
+        shifts; the estimators keep the settings they were built with. The run hash changes."""
+        self.header = replace(self.header, settings=settings)
+        self._settings = settings
+        self._sequence.change_settings(settings)
+        self._reporter.change_header(self.header)
+
+    def take_outlook_from(self, source: OutlookSource) -> None:
+        """Decisions are made on this source's predictions from now on, not on the estimates: how a
+        study sees what a strategy would do that knew everything."""
+        self._sequence.outlook_source = source
 
     def receive(self, frame: Frame) -> None:
         """Keeps a frame for the next step."""

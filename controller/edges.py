@@ -93,9 +93,7 @@ class Polarity:
 
     def __init__(self) -> None:
         self._chain: Integers = np.zeros(CHAIN, np.int64)
-        # A tuple gets into an array fastest through the bytes that the array stands on.
-        self._packed = bytearray(8 * STAMPS)
-        self._low: Integers = np.frombuffer(self._packed, np.int64)
+        self._low: Integers = np.zeros(STAMPS, np.int64)
         self.numbers: Integers = np.empty(_ROOM, np.int64)
         self.times_us: Integers = np.empty(_ROOM, np.int64)
         self.count = 0
@@ -117,7 +115,8 @@ class Polarity:
         if self.count + STAMPS > self.numbers.size:
             self.numbers = np.resize(self.numbers, 2 * self.numbers.size)
             self.times_us = np.resize(self.times_us, 2 * self.times_us.size)
-        _PACK_STAMPS(self._packed, 0, *frame.timestamp_low_us)
+        # A tuple gets into an array fastest through the bytes that the array stands on.
+        _PACK_STAMPS(self._low.data, 0, *frame.timestamp_low_us)
         count = chain_edges(
             self._low,
             frame.newest_index,

@@ -39,12 +39,13 @@ def engage(desk: ShiftDesk, moment: Moment) -> Trigger | None:
 def _look_for_contact(desk: ShiftDesk, moment: Moment) -> None:
     shift = desk.running
     side = SLEEVE_OF_MAIN[shift.target.main]
-    level = desk.sheet.sleeve.to_contact_m - 1e-5
-    crossing = moment.view.tracks[side.sleeve].crossing_us(level, side.direction)
+    crossing = moment.view.contact_us(side.sleeve, side.direction)
     if crossing is None:
         return
     shift.measured_contact_us = round(crossing)
-    if desk.free_outlook is not None and desk.references.known(shift.target.main):
+    if shift.plan is not None:
+        desk.delays.learn(shift.target.main, crossing - shift.plan.fire_us)
+    if desk.free_outlook is not None and desk.reference_known(shift.target.main):
         shift.estimated_phase_rad = desk.strategist.plan_at(
             desk.free_outlook, round(crossing), ShiftDecision.NONE
         ).phase_rad

@@ -47,12 +47,22 @@ class SleeveTrack(NamedTuple):
         return None
 
 
+RESTING_M = 1e-3
+"""A sleeve this near to the middle is taken to rest there."""
+REST_SHARE = 0.05
+SHORT_M = 4e-4
+"""Contact is looked for this much before it: a sleeve that a tooth stops goes no further."""
+
+
 class GearboxView:
     """The mechanical state as the sensors show it."""
 
     def __init__(self, sheet: GearboxSheet) -> None:
         self._stroke_m = sheet.sleeve.stroke_m
         self._contact_m = sheet.sleeve.to_contact_m
+        self._speed_m_s = sheet.sleeve.speed_m_s
+        self._rest_m = dict.fromkeys(Sleeve, 0.0)
+        """What each sensor reads at rest in neutral: its offset."""
         self.tracks: dict[Sleeve, SleeveTrack] = {}
         self.clutch_closed: float | None = None
         """0 open .. 1 closed."""
@@ -79,7 +89,16 @@ class GearboxView:
         before = self.tracks.get(sleeve)
         if before is not None and time_us - before.newest_us == len(samples_m) * SAMPLE_US:
             samples_m = (*samples_m, before.position_m)
-        self.tracks[sleeve] = SleeveTrack(time_us, samples_m)
+        self.tracks[sleeve] = track = SleeveTrack(time_us, samples_m)
+        if abs(track.position_m) < RESTING_M:
+            self._rest_m[sleeve] += REST_SHARE * (track.position_m - self._rest_m[sleeve])
+
+    def contact_us(self, sleeve: Sleeve, direction: int) -> float | None:
+        """When a sleeve on its way to a gear came to where it meets the gear's teeth; None where it
+        did not within the newest samples. The sensor's offset is taken out."""
+        level_m = self._contact_m - SHORT_M + self._rest_m[sleeve] * direction
+        passed_us = self.tracks[sleeve].crossing_us(level_m, direction)
+        return None if passed_us is None else passed_us + SHORT_M / self._speed_m_s * 1e6
 
     @property
     def complete(self) -> bool:

@@ -7,12 +7,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
 
 from controller.brake_input import BrakeInput
-from controller.kernels import US
+from controller.kernels import US, Vector
 from controller.kinematics import slip_rad_s
 from controller.motion import LayshaftState, MotionModel, predict, predict_spread
 from controller.motion_kernels import DRAG, time_at_speed
+from controller.plan_kernels import course
 from controller.reference import PhaseReferences
 from controller.shafts import ShaftState
 from gearbox import MainGear
@@ -23,6 +27,15 @@ SECANT_STEPS = 8
 PROBE_US = 200
 """A release moved by this much moves the phase at contact by about half a degree."""
 CLOSE_RAD = 1e-4
+
+
+class Course(NamedTuple):
+    """Phase (unwrapped) and slip at equal steps of time."""
+
+    first_us: float
+    step_us: float
+    phase_rad: Vector
+    slip_rad_s: Vector
 
 
 @dataclass(frozen=True)
@@ -36,10 +49,13 @@ class Outlook:
     brake: BrakeInput
     model: MotionModel
     references: PhaseReferences
+    delay_us: int
+    """From a sleeve valve's activation to contact, expected."""
+    delay_sd_s: float
 
     def slip_rad_s(self, time_us: float, release_us: int | None = None) -> float:
         """Slip at a time with the brake as commanded, or released at `release_us`."""
-        return self._slip(self._layshaft_at(time_us, release_us))
+        return self._slip(self.layshaft_at(time_us, release_us))
 
     def _slip(self, state: LayshaftState) -> float:
         omega_main = self.main.omega_at(state.time_us)
@@ -47,23 +63,24 @@ class Outlook:
 
     def phase_and_slip(self, time_us: float) -> tuple[float, float]:
         """Unwrapped phase and slip at a time. KeyError while the reference is unknown."""
-        state = self._layshaft_at(time_us, None)
+        state = self.layshaft_at(time_us, None)
         theta_main = self.main.theta_at(time_us)
         phase = self.references.phase_rad(self.gear, state.theta_rad, theta_main)
         return phase, self._slip(state)
 
-    def _layshaft_at(self, time_us: float, release_us: int | None) -> LayshaftState:
+    def layshaft_at(self, time_us: float, release_us: float | None) -> LayshaftState:
+        """The layshaft at a time with the brake as commanded, or released at `release_us`."""
         brake = self.brake
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
         return predict(self.layshaft, time_us, switches, self.model)
 
-    def phase_sd_rad(self, time_us: float, delay_sd_s: float) -> float:
+    def phase_sd_rad(self, time_us: float) -> float:
         """Standard deviation of the phase at contact: angles, speeds to then, and delay."""
         layshaft_sd = self._layshaft_sd_rad(time_us)
-        horizon_s = (time_us - self.main.time_us) * US
-        main_sd = math.hypot(self.main.theta_sd_rad, self.main.omega_sd_rad_s * horizon_s)
         slip = self.slip_rad_s(time_us)
-        return math.hypot(self.i_gear * layshaft_sd, main_sd, slip * delay_sd_s)
+        return math.hypot(
+            self.i_gear * layshaft_sd, self._main_sd_rad(time_us), slip * self.delay_sd_s
+        )
 
     def _layshaft_sd_rad(self, time_us: float) -> float:
         state = self.layshaft
@@ -71,6 +88,32 @@ class Outlook:
             return predict_spread(state, time_us, self.brake.arrays(), self.model).theta_sd_rad
         horizon_s = (time_us - state.time_us) * US
         return math.hypot(state.theta_sd_rad, state.omega_sd_rad_s * horizon_s)
+
+    def estimate_variance(self, time_us: float) -> float:
+        """Variance of the phase at a time without what the delay adds, rad2."""
+        sd = math.hypot(self.i_gear * self._layshaft_sd_rad(time_us), self._main_sd_rad(time_us))
+        return sd * sd
+
+    def _main_sd_rad(self, time_us: float) -> float:
+        horizon_s = (time_us - self.main.time_us) * US
+        return math.hypot(self.main.theta_sd_rad, self.main.omega_sd_rad_s * horizon_s)
+
+    def course(
+        self, first_us: float, step_us: float, count: int, release_us: float | None = None
+    ) -> Course:
+        """Phase and slip at `count` times from `first_us` on, the brake as commanded or released
+        at `release_us`. KeyError while the reference is unknown."""
+        main, state, brake = self.main, self.layshaft, self.brake
+        switches = brake.arrays() if release_us is None else brake.with_release(release_us)
+        offset = -self.references.phase_rad(self.gear, 0.0, 0.0)
+        mesh = np.array([self.i_gear, offset, *main[:3], main.acceleration_rad_s2])
+        found = Course(first_us, step_us, np.empty(count), np.empty(count))
+        model = self.model
+        course(
+            state.vector, state.time_us, first_us, step_us, *switches, model.motion, model.law,
+            mesh, found.phase_rad, found.slip_rad_s,
+        )  # fmt: skip
+        return found
 
     def release_time_us(
         self, earliest_us: int, latest_us: int, slip_left_rad_s: float, settle_us: float
@@ -104,7 +147,7 @@ class Outlook:
         phase at that moment falls the later the release comes, a pitch in a few milliseconds. So
         the release nearest to `release_us`, not before `earliest_us`, is found by secant steps.
         None where no such release is found. KeyError while the reference is unknown."""
-        first = self._contact(release_us, slip_rad_s)
+        first = self.contact(release_us, slip_rad_s)
         if first is None:
             return None
         wanted = target_rad + pitch * round((first[1] - target_rad) / pitch)
@@ -119,7 +162,7 @@ class Outlook:
         self, release_us: int, slip_rad_s: float, wanted_rad: float, phase_rad: float
     ) -> tuple[int, int] | None:
         time_us, error = float(release_us), phase_rad - wanted_rad
-        probe = self._contact(time_us + PROBE_US, slip_rad_s)
+        probe = self.contact(time_us + PROBE_US, slip_rad_s)
         if probe is None:
             return None
         slope = (probe[1] - phase_rad) / PROBE_US
@@ -127,7 +170,7 @@ class Outlook:
             if slope >= 0.0:
                 return None
             step_us = -error / slope
-            found = self._contact(time_us + step_us, slip_rad_s)
+            found = self.contact(time_us + step_us, slip_rad_s)
             if found is None:
                 return None
             slope = (found[1] - wanted_rad - error) / step_us if abs(step_us) > 1.0 else slope
@@ -136,7 +179,7 @@ class Outlook:
                 return round(time_us), round(found[0])
         return None
 
-    def _contact(self, release_us: float, slip_rad_s: float) -> tuple[float, float] | None:
+    def contact(self, release_us: float, slip_rad_s: float) -> tuple[float, float] | None:
         """Time and unwrapped phase at which the slip has fallen to a value after a release."""
         state, main = self.layshaft, self.main
         switch_us, switch_u = self.brake.with_release(release_us)

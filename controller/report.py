@@ -35,6 +35,11 @@ class Reporter:
         self._gear = -1
         self._previous = (0, 0, 0)
 
+    def change_header(self, header: RunHeader) -> None:
+        """Another run header from the next status frame on."""
+        self._header = header
+        self._run_hash = header.run_hash
+
     def frames(self, transmitter: Transmitter, moment: Moment) -> list[Frame]:
         """Estimates, J1939 messages, and this step's prediction and outcome where there are any."""
         sequence, sheet = self._sequence, self._header.sheet

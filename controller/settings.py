@@ -66,8 +66,8 @@ class Window:
     """`speed_window` fires when the slip has fallen to this."""
     contact_high_rad_s: float = quantity("contact_high_rpm", 1.0, 200.0, RPM, default=25.0 * RPM)
     """`target_phase` plans no contact above this slip."""
-    contact_low_rad_s: float = quantity("contact_low_rpm", -50.0, 100.0, RPM, default=4.0 * RPM)
-    """Nor below this one; the sleeve could stay on a tooth face."""
+    contact_low_rad_s: float = quantity("contact_low_rpm", -50.0, 100.0, RPM, default=-20.0 * RPM)
+    """Nor below this one: there the gear is slower than the sleeve, and gets slower yet."""
     release_slip_rad_s: float = quantity("release_slip_rpm", 1.0, 200.0, RPM, default=35.0 * RPM)
     """`speed_window` releases the brake so that this slip is left when it has died away."""
     settle_time_constants: float = quantity("settle_time_constants", 0.0, 10.0, default=3.0)
@@ -76,7 +76,7 @@ class Window:
     """`target_phase` releases the brake so that at this slip the phase is the target."""
     aim_time_constants: float = quantity("aim_time_constants", 0.0, 10.0, default=2.5)
     """How long after release that moment lies about, in the same time constants."""
-    least_rad_s: float = quantity("least_rpm", -200.0, 50.0, RPM, default=-15.0 * RPM)
+    least_rad_s: float = quantity("least_rpm", -200.0, 50.0, RPM, default=-25.0 * RPM)
     """Below this slip waiting has no end: the layshaft only gets slower."""
     raised_rad_s: float = quantity("raised_rpm", 5.0, 150.0, RPM, default=45.0 * RPM)
     """The slip the engine leaves when the clutch has opened again: from there the gear falls."""
@@ -92,6 +92,23 @@ class Aim:
 
     target_rad_share: float = quantity("target_percent_of_gap", -90.0, 90.0, 0.01, default=0.0)
     """Signed share of half a gap, 0 its middle."""
+
+
+@dataclass(frozen=True)
+class Prices:
+    """What a contact may cost beside the time until it, in milliseconds (docs/strategy.md)."""
+
+    miss_s: float = quantity("miss_ms", 0.0, 10_000.0, 1e-3, default=0.3)
+    """Tooth on tooth: the way to the next gap, or back and once more."""
+    block_s: float = quantity("block_ms", 0.0, 10_000.0, 1e-3, default=0.2)
+    """More where the slip is too small to carry the tooth off: the sleeve stands on it."""
+    block_slip_rad_s: float = quantity("block_slip_rpm", 0.1, 100.0, RPM, default=6.0 * RPM)
+    energy_s_per_j: float = quantity("energy_ms_per_j", 0.0, 10_000.0, 1e-3, default=0.015)
+    """A joule that a flank takes."""
+    aim_s: float = quantity("aim_ms", 0.0, 10_000.0, 1e-3, default=0.01)
+    """Half a backlash away from the target angle."""
+    overlap_m: float = quantity("overlap_mm", 0.0, 10.0, 1e-3, default=1e-3)
+    """A sleeve that has gone so far past the teeth's faces is in."""
 
 
 @dataclass(frozen=True)
@@ -212,6 +229,7 @@ class ControllerSettings:
     timing: Timing = group(Timing, default=Timing())
     window: Window = group(Window, default=Window())
     aim: Aim = group(Aim, default=Aim())
+    prices: Prices = group(Prices, default=Prices())
     limits: Limits = group(Limits, default=Limits())
     engine: EngineRequests = group(EngineRequests, default=EngineRequests())
     guard: GuardSettings = group(GuardSettings, default=GuardSettings())

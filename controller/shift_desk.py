@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Final
 
 from controller.brake_input import BrakeInput
@@ -10,6 +12,7 @@ from controller.outlook import Outlook
 from controller.reference import PhaseReferences
 from controller.settings import ControllerSettings
 from controller.shift import ShiftRecord, Trigger
+from controller.sleeve_delay import SleeveDelays
 from controller.strategy import Plan, Strategist
 from controller.valves import Valve, ValveBoard
 from dbc.messages import ClutchAction, FaultCode, ShiftResult
@@ -36,6 +39,10 @@ OPPOSITE: Final = {
 """The valve that pulls a gear out pushes toward the sleeve's other gear."""
 
 
+OutlookSource = Callable[[Outlook], Outlook]
+"""Makes another outlook of the one from the estimates; every reference then counts as known."""
+
+
 class ShiftDesk:
     """The sequence's commands and memory; a phase is a function of it and the moment."""
 
@@ -53,6 +60,7 @@ class ShiftDesk:
         self.brake = brake
         self.references = references
         self.strategist = Strategist(sheet, settings)
+        self.delays = SleeveDelays(sheet)
         self.state = State.STARTING
         self.since_us = 0
         self.clutch = ClutchAction.OPEN
@@ -64,6 +72,7 @@ class ShiftDesk:
         self.decision: Plan | None = None
         """This step's decision, for the prediction frame."""
         self.fault = FaultCode.NONE
+        self.outlook_source: OutlookSource | None = None
         self.free_outlook: Outlook | None = None
         """The last one before the sleeve entered its gear."""
         self.free_us = 0
@@ -123,7 +132,9 @@ class ShiftDesk:
         """Predictions for a gear; None while a speed is missing or the model does not hold."""
         if moment.main is None or not moment.layshaft.free:
             return None
-        return Outlook(
+        if math.isfinite(moment.supply_pa):
+            self.delays.supply_pa = moment.supply_pa - self.sheet.air.atmosphere_pa
+        outlook = Outlook(
             gear,
             self.sheet.main_mesh(gear).ratio,
             moment.layshaft.latest(),
@@ -131,7 +142,19 @@ class ShiftDesk:
             self.brake,
             moment.layshaft.model,
             self.references,
+            self.delays.delay_us(gear),
+            self.delays.delay_sd_s(gear),
         )
+        return outlook if self.outlook_source is None else self.outlook_source(outlook)
+
+    def reference_known(self, gear: MainGear) -> bool:
+        """Whether a gear's phase can be told."""
+        return self.outlook_source is not None or self.references.known(gear)
+
+    def change_settings(self, settings: ControllerSettings) -> None:
+        """Other settings from the next decision on."""
+        self.settings = settings
+        self.strategist = Strategist(self.sheet, settings)
 
     def ask_engine(self, gear: DriveGear, slip_rad_s: float, moment: Moment) -> None:
         """Asks for the speed at which the gear has this slip; for none that an engine cannot do."""

@@ -1,27 +1,62 @@
 """When to fire the sleeve: two engagement strategies behind one name each.
 
 `speed_window` is what is done today: fire as soon as the slip is inside the window; tooth meets gap
-by luck. `target_phase` fires so that the predicted phase at contact is the target: the sleeve needs
-t_delay from activation to contact (thesis 6.2), so it asks where the teeth will be then.
+by luck. `target_phase` asks where the teeth will be when the sleeve arrives (thesis 6.2), and takes
+the release and the firing whose contact costs least by expectation: time, the price of a miss, the
+energy of the flanks, over the spread of the predicted phase (docs/strategy.md).
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
+import numpy as np
+
 from controller.kinematics import wrap_to_pitch
-from controller.outlook import Outlook
+from controller.motion_kernels import BRAKE_G, Vector
+from controller.outlook import Course, Outlook
+from controller.plan_kernels import (
+    AIM,
+    BLOCK,
+    BLOCK_SLIP,
+    DELAY_SD,
+    ENERGY,
+    HALF_GAP,
+    MISS,
+    OVERLAP,
+    PITCH,
+    SLIP_HIGH,
+    SLIP_LOW,
+    TARGET,
+    TERMS,
+    cheapest,
+    expected_least,
+)
 from controller.settings import ControllerSettings
 from dbc.messages import ShiftDecision
 from gearbox import GearboxSheet
 
 US_PER_S = 1e6
-SCAN_US = 1000.0
-"""Step of the look-ahead for the next gap; a gap takes 60 ms to come by at 20 rpm."""
-HORIZON_US = 150_000
-"""How far ahead a gap is looked for; past it the next step looks again."""
-NEWTON_STEPS = 4
 LATEST_RELEASE_US = 1_000_000
+COARSE_US, COURSE_STEPS = 2_000.0, 150
+"""The course to come: 0.3 s, in which the slip falls out of its window; 2 ms are a quarter of a
+degree at 20 rpm."""
+FINE_US, FINE_STEPS = 100.0, 41
+"""Around the best of these."""
+GROWTH_US = 100_000.0
+"""Over this the growth of the phase's variance is taken."""
+NEAR_US = 50_000
+"""A release further ahead is not aimed yet: the plan is made anew at every tick."""
+EARLIER_US, LATER_US, RELEASE_STEP_US, RELEASE_FINE_US = 6_000, 8_000, 1_000, 200
+"""Releases looked at around the unaimed one: 14 ms move the phase at contact by more than a pitch.
+"""
+MARGIN_US = 10_000
+"""From release to the earliest firing: the tick in which the sequence sees it."""
+SETTLED_SHARE = 0.1
+"""What is left at firing of the variance that the phase has at the release."""
+REFERENCE_SD_RAD = math.radians(0.1)
+"""Of a learned phase reference."""
 
 
 class Plan(NamedTuple):
@@ -40,9 +75,10 @@ class Strategist:
 
     def __init__(self, sheet: GearboxSheet, settings: ControllerSettings) -> None:
         self._dog = sheet.dog
-        self._delay_us = round(sheet.sleeve.delay_s * US_PER_S)
-        self._delay_sd_s = sheet.sleeve.delay_sd_s
-        self._window = settings.window
+        self._window, self._prices = settings.window, settings.prices
+        self._brake_nm_per_pa = sheet.brake_nm_per_pa
+        self._speed_m_s = sheet.sleeve.speed_m_s
+        self._reference_variance = REFERENCE_SD_RAD**2
         half_gap = self._dog.backlash_rad / 2.0
         self._target_rad = settings.aim.target_rad_share * half_gap
         brake = sheet.brake
@@ -59,75 +95,98 @@ class Strategist:
         slip_now = outlook.slip_rad_s(now_us)
         if slip_now > self._window.fire_slip_rad_s:
             return None
-        return self.plan_at(outlook, earliest_us + self._delay_us, ShiftDecision.FIRE)
+        return self.plan_at(outlook, earliest_us + outlook.delay_us, ShiftDecision.FIRE)
 
-    def target_phase(self, outlook: Outlook, earliest_us: int) -> Plan | None:
-        """Fire so that the gap's target meets the tooth with the slip inside its window.
-
-        None where no such moment lies within the horizon."""
-        first_us = earliest_us + self._delay_us
-        contact_us = self._next_contact(outlook, float(first_us), first_us + HORIZON_US)
-        if contact_us is None:
-            return None
+    def target_phase(self, outlook: Outlook, now_us: int, earliest_us: int) -> Plan:
+        """The contact of least expected cost that a sleeve not yet fired can still make."""
+        first_us = float(earliest_us + outlook.delay_us)
+        best = self._cheapest(outlook, now_us, outlook.course(first_us, COARSE_US, COURSE_STEPS))
+        around_us = max(first_us, best - COARSE_US)
+        fine = outlook.course(around_us, FINE_US, FINE_STEPS)
+        contact_us = self._cheapest(outlook, now_us, fine)
         return self.plan_at(outlook, round(contact_us), ShiftDecision.FIRE)
 
-    def release(self, outlook: Outlook, earliest_us: int, aimed: bool) -> tuple[int, int]:
+    def _cheapest(self, outlook: Outlook, now_us: int, course: Course) -> float:
+        """Time of a course's cheapest contact."""
+        phase, slip = course.phase_rad, course.slip_rad_s
+        variance, growth = self._variance(outlook, course)
+        wait_s = (course.first_us - now_us) / US_PER_S
+        best, _ = cheapest(
+            wait_s, course.step_us / US_PER_S, phase, slip, 0.0, variance, growth,
+            self._terms(outlook),
+        )  # fmt: skip
+        return course.first_us + best * course.step_us
+
+    def _variance(self, outlook: Outlook, course: Course) -> tuple[float, float]:
+        """Variance of the phase at the course's first time, and its growth a second."""
+        now = outlook.estimate_variance(course.first_us)
+        later = outlook.estimate_variance(course.first_us + GROWTH_US)
+        return now + self._reference_variance, (later - now) / GROWTH_US * US_PER_S
+
+    def _terms(self, outlook: Outlook) -> Vector:
+        """The terms of `plan_kernels` for this gear."""
+        window, prices, dog = self._window, self._prices, self._dog
+        inertia = self._brake_nm_per_pa / outlook.model.motion[BRAKE_G]
+        terms = np.empty(TERMS)
+        terms[PITCH], terms[HALF_GAP] = dog.pitch_rad, dog.backlash_rad / 2.0
+        terms[TARGET] = self._target_rad
+        terms[OVERLAP] = prices.overlap_m / self._speed_m_s
+        terms[DELAY_SD] = outlook.delay_sd_s
+        terms[MISS], terms[BLOCK] = prices.miss_s, prices.block_s
+        terms[BLOCK_SLIP] = prices.block_slip_rad_s
+        terms[ENERGY] = prices.energy_s_per_j * 0.5 * inertia / outlook.i_gear**2
+        terms[AIM] = prices.aim_s
+        terms[SLIP_LOW], terms[SLIP_HIGH] = window.contact_low_rad_s, window.contact_high_rad_s
+        return terms
+
+    def release(
+        self, outlook: Outlook, now_us: int, earliest_us: int, aimed: bool
+    ) -> tuple[int, int]:
         """When to let the brake go, and when contact would be.
 
         Unaimed, a set slip is left when the brake has died away. Aimed, release and contact are
-        planned together, so that waiting for the gap costs no time; where that has no solution,
-        or contact would come before a sleeve fired now, the unaimed release stands."""
+        planned together: of the releases around that one, the one of least expected cost."""
         window = self._window
         slip, settle_us = window.release_slip_rad_s, self._settle_us
         if aimed:
             slip, settle_us = window.aim_slip_rad_s, self._aim_us
         latest_us = earliest_us + LATEST_RELEASE_US
         release_us = outlook.release_time_us(earliest_us, latest_us, slip, settle_us)
-        if aimed and release_us < latest_us:
-            pitch = self._dog.pitch_rad
-            both = outlook.aimed_release_us(release_us, earliest_us, slip, self._target_rad, pitch)
-            if both is not None and both[1] >= earliest_us + self._delay_us:
-                return both
-        return release_us, release_us + round(settle_us)
+        if not aimed or release_us > earliest_us + NEAR_US:
+            return release_us, release_us + round(settle_us)
+        first_us = max(earliest_us, release_us - EARLIER_US)
+        steps = range(first_us, release_us + LATER_US + 1, RELEASE_STEP_US)
+        best, _ = self._best_release(outlook, now_us, steps)
+        around = range(
+            max(earliest_us, best - RELEASE_STEP_US), best + RELEASE_STEP_US + 1, RELEASE_FINE_US
+        )
+        return self._best_release(outlook, now_us, around)
+
+    def _best_release(self, outlook: Outlook, now_us: int, releases_us: range) -> tuple[int, int]:
+        """The release of least expected cost, and the contact that goes with it."""
+        terms = self._terms(outlook)
+        least, best = math.inf, (releases_us[0], releases_us[0])
+        for release_us in releases_us:
+            first_us = float(release_us + MARGIN_US + outlook.delay_us)
+            course = outlook.course(first_us, COARSE_US, COURSE_STEPS, release_us)
+            if release_us == releases_us[0]:
+                variance, growth = self._variance(outlook, course)
+            index, cost = expected_least(
+                (first_us - now_us) / US_PER_S, COARSE_US / US_PER_S, course.phase_rad,
+                course.slip_rad_s, math.sqrt(variance), SETTLED_SHARE * variance, growth, terms,
+            )  # fmt: skip
+            if cost < least:
+                least = cost
+                best = release_us, round(first_us + index * COARSE_US)
+        return best
 
     def plan_at(self, outlook: Outlook, contact_us: int, decision: ShiftDecision) -> Plan:
         """What is expected of a contact at that time; phase 0 while the reference is unknown."""
         if outlook.references.known(outlook.gear):
             raw, slip = outlook.phase_and_slip(contact_us)
             phase = wrap_to_pitch(raw, self._dog.pitch_rad)
-            phase_sd = outlook.phase_sd_rad(contact_us, self._delay_sd_s)
+            phase_sd = outlook.phase_sd_rad(contact_us)
         else:
             phase, phase_sd, slip = 0.0, 0.0, outlook.slip_rad_s(contact_us)
-        fire_us = contact_us - self._delay_us
+        fire_us = contact_us - outlook.delay_us
         return Plan(decision, fire_us, contact_us, phase, phase_sd, slip)
-
-    def _next_contact(self, outlook: Outlook, time_us: float, until_us: float) -> float | None:
-        """The next time the phase passes the target with the slip inside the window."""
-        window = self._window
-        phase, slip = outlook.phase_and_slip(time_us)
-        while time_us < until_us and slip > window.contact_low_rad_s:
-            pitch = self._dog.pitch_rad
-            ahead = (self._target_rad - phase) % pitch
-            found_us = self._solve(outlook, phase + ahead, time_us + ahead / slip * US_PER_S)
-            if found_us is not None and found_us >= time_us:
-                slip_there = outlook.slip_rad_s(found_us)
-                if window.contact_low_rad_s <= slip_there <= window.contact_high_rad_s:
-                    return found_us
-                if slip_there < window.contact_low_rad_s:
-                    return None
-                time_us = found_us
-            time_us += SCAN_US
-            phase, slip = outlook.phase_and_slip(time_us)
-        return None
-
-    @staticmethod
-    def _solve(outlook: Outlook, phase_rad: float, guess_us: float) -> float | None:
-        """Newton's method on the phase; the slip is its derivative. None where it dies first."""
-        time_us = guess_us
-        for _ in range(NEWTON_STEPS):
-            phase, slip = outlook.phase_and_slip(time_us)
-            if slip <= 0.1:
-                return None
-            time_us += (phase_rad - phase) / slip * US_PER_S
-        phase, _ = outlook.phase_and_slip(time_us)
-        return time_us if abs(phase - phase_rad) < 1e-4 else None

@@ -106,7 +106,7 @@ def _plan_release(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> None:
     on_us = command.time_us if command.on else moment.now_us
     earliest_us = max(moment.earliest_us, on_us)
     aimed = _aims_at(desk, shift.target.main)
-    release_us, contact_us = desk.strategist.release(outlook, earliest_us, aimed)
+    release_us, contact_us = desk.strategist.release(outlook, moment.now_us, earliest_us, aimed)
     horizon_us = moment.now_us + RELEASE_HORIZON_US
     if shift.release_us is not None:
         # A release once sent is moved, never taken back: its slot holds the newest time.
@@ -121,21 +121,20 @@ def _plan_release(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> None:
 
 
 def _aims_at(desk: ShiftDesk, gear: MainGear) -> bool:
-    return desk.settings.strategy is Strategy.TARGET_PHASE and desk.references.known(gear)
+    return desk.settings.strategy is Strategy.TARGET_PHASE and desk.reference_known(gear)
 
 
 def _plan_firing(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> None:
     shift, strategist = desk.running, desk.strategist
     valve = SLEEVE_VALVE[shift.target.main]
     if shift.attempts == 0:
-        shift.reference_known = desk.references.known(shift.target.main)
+        shift.reference_known = desk.reference_known(shift.target.main)
     aimed = _aims_at(desk, shift.target.main)
     shift.strategy = Strategy.TARGET_PHASE if aimed else Strategy.SPEED_WINDOW
-    plan = None
+    plan: Plan | None
     if aimed:
-        plan = strategist.target_phase(outlook, moment.earliest_us)
-    low = desk.settings.window.contact_low_rad_s
-    if not aimed or (plan is None and outlook.slip_rad_s(moment.earliest_us) < low):
+        plan = strategist.target_phase(outlook, moment.now_us, moment.earliest_us)
+    else:
         plan = strategist.speed_window(outlook, moment.now_us, moment.earliest_us)
     if plan is not None and plan.fire_us > moment.now_us + RELEASE_HORIZON_US:
         plan = None  # not sent yet, like a release: the valve side would refuse it

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from controller import edge_gate, edge_kernels
+from controller import edge_gate, edge_kernels, plan_kernels
 from controller.crossing import CrossingFilter, Pressures
 from controller.kernels import cruise_filter, propagate, thesis_filter
 from controller.motion import first_order_law, following_motion, predict
@@ -16,6 +16,7 @@ def warm_up() -> None:
     """Calls each kernel once on a standing shaft; a second with a cold cache, else milliseconds."""
     edge_kernels.warm_up()
     edge_gate.warm_up()
+    plan_kernels.warm_up()
     x, p, model = np.zeros(3), np.eye(3), np.array([0.1, 10.0, 0.0, 1.0])
     edges, switches = np.array([1.0]), np.array([0.5])
     propagate(x, 0.0, 1.0, switches, switches, model)

@@ -41,7 +41,7 @@ class TruckDelays:
         self._rng = rng
         self._sheet = sheet
         self._built = built
-        self._sd_s = built["sleeve.noise_sd_ms"] * MS
+        self.sd_s = built["sleeve.noise_sd_ms"] * MS
         self._limit_s = built["sleeve.noise_limit_ms"] * MS
         self.has_cylinder = built["sleeve.model"] >= 0.5
         self.extra_s = 0.0
@@ -53,6 +53,12 @@ class TruckDelays:
 
     def draw_gear_s(self, gear: MainGear, supply_gauge_pa: float) -> float:
         """From activation to contact with this gear, or from it to neutral, s."""
+        actuator = self._sheet.sleeve
+        drawn_s = self.mean_gear_s(gear, supply_gauge_pa) + self._noise_s() + self.extra_s
+        return max(drawn_s, actuator.valve_delay_s + LEAST_SHARE * actuator.delay_s)
+
+    def mean_gear_s(self, gear: MainGear, supply_gauge_pa: float) -> float:
+        """The same without chance."""
         actuator, built = self._sheet.sleeve, self._built
         mean_s = actuator.delay_s + built[f"sleeve.{gear.name.lower()}_delay_ms"] * MS
         colder_k = WARM_C - built["oil.temperature_c"]
@@ -60,8 +66,7 @@ class TruckDelays:
         pressure = self._sheet.air.supply_gauge_pa / max(supply_gauge_pa, LEAST_GAUGE_PA)
         travel_s = (mean_s - actuator.valve_delay_s) * slower
         travel_s *= pressure ** built["sleeve.pressure_exponent"]
-        drawn_s: float = actuator.valve_delay_s + travel_s + self._noise_s() + self.extra_s
-        return max(drawn_s, actuator.valve_delay_s + LEAST_SHARE * actuator.delay_s)
+        return float(actuator.valve_delay_s + travel_s)
 
     def force_n(self, supply_gauge_pa: float) -> float:
         """What pushes a sleeve at this supply pressure."""
@@ -104,9 +109,9 @@ class TruckDelays:
         return CylinderTravel(stroke, found.speed_m_s, found.force_n)
 
     def _noise_s(self) -> float:
-        if self._sd_s == 0.0 or self._limit_s == 0.0:
+        if self.sd_s == 0.0 or self._limit_s == 0.0:
             return 0.0
         while True:
-            deviation_s = float(self._rng.normal(0.0, self._sd_s))
+            deviation_s = float(self._rng.normal(0.0, self.sd_s))
             if math.fabs(deviation_s) <= self._limit_s:
                 return deviation_s

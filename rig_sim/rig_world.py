@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from gearbox.gears import MainGear, Sleeve
 from rig_sim.engagement import Engaged, Violation
@@ -14,6 +14,9 @@ from rig_sim.sensors import EdgeRead
 from rig_sim.shafts import Angle
 from rig_sim.sleeves import SleeveState
 from rig_sim.valves import Order, ValveBank
+
+if TYPE_CHECKING:
+    from rig_sim.truck_plant import TruckPlant
 
 
 class SensorRead(NamedTuple):
@@ -99,6 +102,18 @@ class Truth(Protocol):
     @property
     def brake_gauge_pa(self) -> float:
         """Gauge pressure at the brake."""
+
+    def delay_s(self, gear: MainGear) -> tuple[float, float]:
+        """From a sleeve valve's activation now to contact: mean and standard deviation."""
+
+    @property
+    def brake_valve_delay_s(self) -> float:
+        """From the brake valve's activation to the first change of pressure."""
+
+    @property
+    def plant(self) -> TruckPlant | None:
+        """What turns and carries air, to be copied and run ahead; None for the thesis's closed
+        form."""
 
     def sleeve_state(self, sleeve: Sleeve) -> SleeveState:
         """State of one of the two main sleeves. KeyError for splitter and range."""

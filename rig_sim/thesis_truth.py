@@ -79,6 +79,21 @@ class ThesisTruth:
         """Gauge pressure at the brake."""
         return self._world.plant.brake_gauge_pa
 
+    def delay_s(self, gear: MainGear) -> tuple[float, float]:  # noqa: ARG002
+        """From a sleeve valve's activation now to contact: mean and standard deviation."""
+        sleeve = self._world.sheet.sleeve
+        return sleeve.delay_s, sleeve.delay_sd_s
+
+    @property
+    def brake_valve_delay_s(self) -> float:
+        """From the brake valve's activation to the first change of pressure."""
+        return self._world.sheet.brake.valve_delay_s
+
+    @property
+    def plant(self) -> None:
+        """The controller's own model is this gearbox's: there is nothing to run ahead."""
+        return None
+
     def sleeve_state(self, sleeve: Sleeve) -> SleeveState:
         """State of one of the two main sleeves. KeyError for splitter and range."""
         return self._world.engagement.sleeves[sleeve].state

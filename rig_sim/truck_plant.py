@@ -8,7 +8,7 @@ for the instant at which a gear's phase leaves a span.
 from __future__ import annotations
 
 import math
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -52,6 +52,13 @@ class InMesh(NamedTuple):
 
     gear: MainGear
     flank: int
+
+
+class Snapshot(NamedTuple):
+    """What moves in a plant at an instant; what is linked to what only as the kernels see it."""
+
+    time_us: float
+    arrays: tuple[np.ndarray[Any, Any], ...]
 
 
 class TruckShafts:
@@ -209,6 +216,19 @@ class TruckPlant:
             self.time_us, float(until_us), float(stop_us), *self._arguments
         )
         return event
+
+    def snapshot(self) -> Snapshot:
+        """Copies of all that `advance` reads and changes, but the edges found."""
+        return Snapshot(self.time_us, tuple(array.copy() for array in self._moving()))
+
+    def restore(self, snapshot: Snapshot) -> None:
+        """Stand as at that instant; of this plant or of one of the same gearbox."""
+        self.time_us = snapshot.time_us
+        for array, copied in zip(self._moving(), snapshot.arrays, strict=True):
+            array[:] = copied
+
+    def _moving(self) -> tuple[np.ndarray[Any, Any], ...]:
+        return self.y, self.g, self._slots, self.laps, self.edges.pointers
 
     def find_torques(self) -> None:
         """Rates and torques at the present state into the scratch, going nowhere."""

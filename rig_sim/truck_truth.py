@@ -12,7 +12,7 @@ from rig_sim.engagement import Violation
 from rig_sim.plant import Drive
 from rig_sim.shafts import Angle
 from rig_sim.sleeves import SleeveState
-from rig_sim.truck_plant import Energy
+from rig_sim.truck_plant import Energy, TruckPlant
 
 if TYPE_CHECKING:
     from rig_sim.truck_world import TruckWorld
@@ -85,6 +85,22 @@ class TruckTruth:
     def energy(self) -> Energy:
         """The balance since power-up."""
         return self._world.plant.energy
+
+    def delay_s(self, gear: MainGear) -> tuple[float, float]:
+        """From a sleeve valve's activation now to contact: mean and standard deviation."""
+        world = self._world
+        mean_s = world.delays.mean_gear_s(gear, world.plant.supply_gauge_pa)
+        return mean_s, world.delays.sd_s
+
+    @property
+    def brake_valve_delay_s(self) -> float:
+        """From the brake valve's activation to the first change of pressure."""
+        return self._world.sheet.brake.valve_delay_s
+
+    @property
+    def plant(self) -> TruckPlant:
+        """What turns and carries air; not to be touched, but to be copied."""
+        return self._world.plant
 
     def sleeve_state(self, sleeve: Sleeve) -> SleeveState:
         """State of one of the two main sleeves. KeyError for splitter and range."""

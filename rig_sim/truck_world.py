@@ -121,20 +121,20 @@ class TruckWorld:
     def command_clutch(self, close: bool, now_us: int) -> None:
         """A valid clutch command, consumed now."""
         time_us = float(now_us)
-        self._at(time_us, lambda: self.clutch.command(close, time_us))
+        self._at(time_us, partial(self.clutch.command, close, time_us))
 
     def command_engine(self, request: EngineRequest, now_us: int) -> None:
         """A TSC1 frame, consumed now."""
         time_us = float(now_us)
-        self._at(time_us, lambda: self.engine.request(request, time_us))
+        self._at(time_us, partial(self.engine.request, request, time_us))
 
     def return_to_gear(self, gear_number: int, main_rad_s: float, now_us: int) -> None:
         """The bench asks for the script."""
-        self._at(float(now_us), lambda: self.script.start(gear_number, main_rad_s))
+        self._at(float(now_us), partial(self.script.start, gear_number, main_rad_s))
 
     def inject(self, order: FaultOrder, now_us: int) -> None:
         """The bench asks for a fault."""
-        self._at(float(now_us), lambda: self.faults.begin(order))
+        self._at(float(now_us), partial(self.faults.begin, order))
 
     def later(self, delay_us: float, action: Callable[[], None]) -> None:
         """Do something this much after the plant's present instant."""
@@ -273,7 +273,7 @@ class TruckWorld:
         if extra_us is None:
             return
         if extra_us > 0.0:
-            self.later(extra_us, lambda: self._open(valve, on))
+            self.later(extra_us, partial(self._open, valve, on))
         else:
             self._open(valve, on)
 
@@ -281,7 +281,7 @@ class TruckWorld:
         time_us = self.plant.time_us
         if valve is Valve.BRAKE:
             delay_us = self.sheet.brake.valve_delay_s * SECOND_US
-            self.later(delay_us, lambda: self.plant.set_brake(float(on)))
+            self.later(delay_us, partial(self.plant.set_brake, float(on)))
             self.engagement.switch(valve, on, time_us)
         elif valve in MAIN_VALVES:
             self.engagement.switch(valve, on, time_us)
@@ -296,4 +296,4 @@ class TruckWorld:
         delay_us = self.sheet.sleeve.valve_delay_s * SECOND_US
         sleeve.change_over(self.plant.time_us, side, self.delays.draw_s())
         self.plant.take_air(self.delays.air_share())
-        self.later(delay_us, lambda: self.plant.chain.open(LINK_OF[name]))
+        self.later(delay_us, partial(self.plant.chain.open, LINK_OF[name]))

@@ -105,7 +105,20 @@ def add_controller(parser: argparse.ArgumentParser, strategy: bool = True) -> No
 
 
 def add_rig(parser: argparse.ArgumentParser) -> None:
-    """--preset and --seed."""
+    """--preset, --seed, --as-built and --faults."""
+    add_preset(parser)
+    add_seed(parser)
+    add_as_built(parser)
+    parser.add_argument(
+        "--faults",
+        type=Path,
+        metavar="FILE",
+        help="preset truck: a scenario of faults, TOML (`meshpoint rig --describe` lists them)",
+    )
+
+
+def add_preset(parser: argparse.ArgumentParser) -> None:
+    """--preset."""
     parser.add_argument(
         "--preset",
         choices=tuple(preset.value for preset in Preset),
@@ -113,18 +126,15 @@ def add_rig(parser: argparse.ArgumentParser) -> None:
         help="physics of the rig: thesis, its equations 4.1-4.17 to the letter; truck, a gearbox "
         "with friction, backlash and impacts, drawn from the seed (default: %(default)s)",
     )
-    add_seed(parser)
+
+
+def add_as_built(parser: argparse.ArgumentParser) -> None:
+    """--as-built."""
     parser.add_argument(
         "--as-built",
         type=Path,
         metavar="FILE",
         help="preset truck: fix these as-built values, TOML or a run's JSON; the rest is drawn",
-    )
-    parser.add_argument(
-        "--faults",
-        type=Path,
-        metavar="FILE",
-        help="preset truck: a scenario of faults, TOML (`meshpoint rig --describe` lists them)",
     )
 
 

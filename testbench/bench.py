@@ -49,6 +49,14 @@ MOVING: Final = frozenset(ControllerState) - {
 
 
 @dataclass(frozen=True)
+class Pauses:
+    """How long the bench rests in the old gear before a request, and in the new one after it."""
+
+    settle_us: int = SETTLE_US
+    learn_us: int = LEARN_US
+
+
+@dataclass(frozen=True)
 class PlannedShift:
     """From a gear to a gear, with the main shaft at a speed."""
 
@@ -105,8 +113,9 @@ class _Seen:
 class BenchCore:
     """Runs a plan of shifts."""
 
-    def __init__(self, plan: list[PlannedShift]) -> None:
+    def __init__(self, plan: list[PlannedShift], pauses: Pauses | None = None) -> None:
         self._plan = plan
+        self._pauses = pauses or Pauses()
         self._receiver = Receiver(Node.BENCH)
         self._transmitter = Transmitter(Node.BENCH)
         self._seen = _Seen()
@@ -183,13 +192,13 @@ class BenchCore:
             case Phase.RETURNING:
                 return seen.ready_in == shift.from_ and in_old_gear
             case Phase.SETTLING:
-                return waited_us >= SETTLE_US
+                return waited_us >= self._pauses.settle_us
             case Phase.REQUESTING:
                 return seen.outcome or (status is not None and status.state in MOVING)
             case Phase.SHIFTING:
                 return seen.outcome
             case _:
-                return waited_us >= LEARN_US
+                return waited_us >= self._pauses.learn_us
 
     def _advance(self, now_us: int) -> list[str]:
         following = {

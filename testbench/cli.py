@@ -35,6 +35,7 @@ USER_ERRORS = (BusOpenError, CommandError, HeaderError, LogError, SettingsError,
 MODULES = {
     "demo": "demo",
     "simulate": "simulate",
+    "campaign": "campaign",
     "replay": "replay",
     "controller": "nodes",
     "rig": "nodes",

@@ -34,9 +34,9 @@ class RunLike(Protocol):
         """Its shifts."""
 
 
-def wilson(hits: int, trials: int) -> tuple[float, float]:
+def wilson(hits: float, trials: float) -> tuple[float, float]:
     """95 % interval of a rate (Wilson 1927): meaningful at 0, at 1 and for few trials."""
-    if trials == 0:
+    if trials <= 0:
         return 0.0, 1.0
     rate, z2 = hits / trials, Z_95 * Z_95
     middle = (rate + z2 / (2 * trials)) / (1 + z2 / trials)

@@ -54,7 +54,12 @@ def outlook_at(
     omega = (MAIN.omega_rad_s + slip_rpm * RPM) / RATIO
     layshaft = LayshaftState(0.0, 1.0, omega, pressure_pa, 1e-3, 0.05, 1e3)
     brake = brake or BrakeInput(VALVE_US)
-    return Outlook(GEAR, RATIO, layshaft, MAIN, brake, MODEL, references or learned(0.0))
+    sleeve = SHEET.sleeve
+    delay_us = round(sleeve.delay_s * 1e6)
+    return Outlook(
+        GEAR, RATIO, layshaft, MAIN, brake, MODEL, references or learned(0.0), delay_us,
+        sleeve.delay_sd_s,
+    )  # fmt: skip
 
 
 def truth(

@@ -1,0 +1,118 @@
+"""One gearbox and its controller in closed loop, that can be copied between two shifts.
+
+Cores are pure, so a copy goes on exactly as the original would: the learning shifts of a run are
+made once, and each strategy then goes on from a copy (docs/decisions/0008-campaign.md).
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Final
+
+from bus.core import Core
+from controller.core import ControllerCore
+from controller.header import new_header
+from controller.settings import ControllerSettings
+from dbc.frame import Frame
+from dbc.layout import CODECS
+from dbc.messages import ControllerStatus, ReferenceEngagement, ShiftOutcome
+from dbc.node import Node
+from gearbox import GearboxSheet
+from rig_sim.core import RigCore
+from rig_sim.settings import Preset, RigSettings
+from testbench.bench import BenchCore, Pauses
+from testbench.campaign.draw import Draw
+from testbench.campaign.oracle import Oracle
+from testbench.campaign.scorer import NEVER_US, READ, Scorer
+from testbench.monitor import identifiers
+from testbench.provenance import product_version
+from testbench.rows import ShiftRow
+from testbench.simulate import not_addressed_to, tick_phases
+from testbench.virtual_time import VirtualTime
+
+PAUSES: Final = Pauses(settle_us=20_000, learn_us=100_000)
+"""A campaign asks for the next shift as soon as the gearbox stands in its gear."""
+LIMIT_US_PER_SHIFT: Final = 30_000_000
+ALL_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
+SHARED: Final = tuple(CODECS.values())
+"""What a copy shares with its original: it never changes."""
+
+
+class ClosedLoop:
+    """Controller, rig, bench operator and scorer on one virtual bus."""
+
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        settings: ControllerSettings,
+        preset: Preset,
+        drawn: Draw,
+        log: list[tuple[int, Frame]] | None = None,
+    ) -> None:
+        """`log`: every frame of the bus with its time is put in here; a copy has its own."""
+        self._sheet = sheet
+        self.log = log
+        first = drawn.plan[0]
+        self._rig = RigCore(
+            sheet,
+            RigSettings(
+                preset=preset,
+                seed=drawn.seed,
+                start_gear=first.from_,
+                main_speed_rpm=first.main_rad_s * 30.0 / math.pi,
+                as_built=drawn.as_built,
+            ),
+        )
+        self._settings = settings
+        self._controller = ControllerCore(new_header(product_version(), sheet, settings))
+        self._bench = BenchCore(list(drawn.plan), PAUSES)
+        half_gap = sheet.dog.backlash_rad / 2.0
+        self._scorer = Scorer(sheet, settings.aim.target_rad_share * half_gap)
+        cores: list[Core] = [self._controller, self._rig, self._bench, self._scorer]
+        self._driver = VirtualTime(
+            cores,
+            [*tick_phases(drawn.seed), NEVER_US],
+            on_frame=None if log is None else self._write,
+            rejected=[
+                frozenset(),
+                not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
+                ALL_IDS - identifiers((ControllerStatus, ShiftOutcome, ReferenceEngagement)),
+                ALL_IDS - READ,
+            ],
+        )
+
+    @property
+    def simulated_s(self) -> float:
+        """Virtual time so far."""
+        return self._driver.now_us / 1e6
+
+    @property
+    def as_built(self) -> dict[str, dict[str, float]]:
+        """What was drawn for the rig; nothing for the preset thesis."""
+        return self._rig.as_built or {}
+
+    def shift(self) -> ShiftRow | None:
+        """The next shift of the plan, up to the return to the old gear of the one after it; None
+        where it came to no outcome."""
+        bench, rows = self._bench, self._scorer.rows
+        index, before = bench.index, len(rows)
+        limit_us = self._driver.now_us + LIMIT_US_PER_SHIFT
+        if not self._driver.run(lambda: bench.index > index, limit_us):
+            raise TimeoutError(f"shift {index + 1}: not over after {LIMIT_US_PER_SHIFT / 1e6:g} s")
+        return rows[-1] if len(rows) > before else None
+
+    def _write(self, time_us: int, frame: Frame) -> None:
+        if self.log is not None:
+            self.log.append((time_us, frame))
+
+    def fork(self) -> ClosedLoop:
+        """A copy that goes on as this one would."""
+        memo = {id(shared): shared for shared in (*SHARED, self._sheet, self._settings)}
+        return copy.deepcopy(self, memo)
+
+    def use(self, settings: ControllerSettings, knows_all: bool) -> None:
+        """Other engagement settings from here on; `knows_all`: by the rig's truth."""
+        self._controller.change_settings(settings)
+        if knows_all:
+            self._controller.take_outlook_from(Oracle(self._sheet, self._rig.truth))

@@ -1,0 +1,73 @@
+"""One run: the learning shifts once, then every strategy on a copy of the same bench."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from dataclasses import dataclass, field
+from functools import cache
+
+from bus.settle import settle
+from testbench.campaign.draw import draw
+from testbench.campaign.loop import ClosedLoop
+from testbench.campaign.record import Conditions, Record
+from testbench.campaign.spec import ORACLE, CampaignSpec, Job
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What came of a run. `error`: the run broke off, and this is its traceback."""
+
+    job: Job
+    records: list[Record] = field(default_factory=list)
+    shifts: int = 0
+    """Made in closed loop, the learning ones included."""
+    cpu_s: float = 0.0
+    error: str | None = None
+
+    @property
+    def reason(self) -> str:
+        """The last line of the traceback."""
+        return (self.error or "").strip().rpartition("\n")[2]
+
+
+def run_one(spec: CampaignSpec, job: Job) -> RunResult:
+    """Makes one run. A function of its arguments but for the time it takes. Any error is the
+    result of the run, not of the campaign."""
+    began_s = time.process_time()
+    try:
+        records, shifts = _shifts(spec.at(job.point), job)
+    except Exception:  # noqa: BLE001  # whatever it is, it is reported with the run's seed
+        return RunResult(job, error=traceback.format_exc())
+    return RunResult(job, records, shifts, time.process_time() - began_s)
+
+
+def run_many(spec: CampaignSpec, jobs: list[Job]) -> list[RunResult]:
+    """Several runs one after the other: what a worker is given at a time."""
+    _settle_once()
+    return [run_one(spec, job) for job in jobs]
+
+
+@cache
+def _settle_once() -> None:
+    settle()
+
+
+def _shifts(spec: CampaignSpec, job: Job) -> tuple[list[Record], int]:
+    drawn = draw(
+        job.seed, spec.sheet, spec.preset, spec.pairs, spec.learn + spec.judged, spec.as_built
+    )
+    learned = ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn)
+    for _ in range(spec.learn):
+        learned.shift()
+    conditions = Conditions(spec.sheet, learned.as_built)
+    records = []
+    for name in spec.names:
+        loop = learned.fork()
+        loop.use(spec.engagement(name), knows_all=name == ORACLE)
+        key = {"sweep": job.point.name, "sweep_value": job.point.value, "seed": job.seed}
+        records += [
+            conditions.record(planned, loop.shift(), **key, shift=k, strategy=name)
+            for k, planned in enumerate(drawn.plan[spec.learn :])
+        ]
+    return records, spec.learn + len(records)

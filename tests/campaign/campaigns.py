@@ -1,0 +1,62 @@
+"""What the tests of the campaign share: small campaigns through the command, and their results."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+
+from controller.settings import ControllerSettings
+from gearbox import load_sheet
+from rig_sim.settings import Preset
+from testbench.campaign.draw import upshifts
+from testbench.campaign.spec import CampaignSpec
+from testbench.cli import main
+
+BOTH = "speed_window,target_phase"
+SMALL = ("--learn", "1", "--judged", "1", "--strategy", BOTH)
+SHEETS = {Preset.THESIS: "thesis", Preset.TRUCK: "truck12"}
+
+
+@dataclass
+class Outcome:
+    code: int
+    folder: Path
+
+    @property
+    def text(self) -> str:
+        return (self.folder / "result.json").read_text()
+
+    @property
+    def values(self) -> dict[str, Any]:
+        values: dict[str, Any] = json.loads(self.text)
+        return values
+
+    @property
+    def table(self) -> list[dict[str, Any]]:
+        rows: list[dict[str, Any]] = pq.read_table(self.folder / "shifts.parquet").to_pylist()
+        return rows
+
+
+def campaign(folder: Path, *arguments: str) -> Outcome:
+    """Runs the command with `--out` and `--json` in a folder."""
+    given = ["campaign", *SMALL, "--out", str(folder), "--json", str(folder / "result.json")]
+    return Outcome(main([*given, *arguments]), folder)
+
+
+def small_spec(preset: Preset = Preset.THESIS, **changes: Any) -> CampaignSpec:
+    values: dict[str, Any] = {
+        "sheet": load_sheet(SHEETS[preset]),
+        "settings": ControllerSettings(),
+        "preset": preset,
+        "strategies": tuple(BOTH.split(",")),
+        "oracle": True,
+        "pairs": upshifts(),
+        "learn": 2,
+        "judged": 1,
+        "seed": 1,
+    }
+    return CampaignSpec(**(values | changes))

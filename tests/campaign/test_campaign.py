@@ -1,0 +1,178 @@
+"""A campaign's results depend on its arguments alone, and nothing done is ever lost."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from campaigns import SMALL, Outcome, campaign
+
+from testbench.campaign import runner
+from testbench.campaign.loop import ClosedLoop
+from testbench.campaign.run import RunResult, run_many
+from testbench.campaign.spec import CampaignSpec, Job
+from testbench.cli import main
+from testbench.exits import Exit
+from testbench.rows import ShiftRow
+
+RUNS = ("--runs", "4", "--oracle")
+
+
+@pytest.fixture(scope="module")
+def by_one(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
+    return campaign(tmp_path_factory.mktemp("one"), *RUNS, "--jobs", "1")
+
+
+def test_two_workers_give_the_same_bytes_as_one(by_one: Outcome, tmp_path: Path) -> None:
+    by_two = campaign(tmp_path, *RUNS, "--jobs", "2")
+    assert by_one.code == by_two.code == Exit.DONE
+    assert by_two.text == by_one.text
+    assert by_two.table == by_one.table
+
+
+@pytest.fixture
+def cluster() -> Iterator[str]:
+    from dask.distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+    ) as local:
+        yield local.scheduler_address
+
+
+def test_a_dask_cluster_gives_the_same_bytes(by_one: Outcome, cluster: str, tmp_path: Path) -> None:
+    assert campaign(tmp_path, *RUNS, "--dask", cluster).text == by_one.text
+
+
+def test_every_strategy_is_judged_on_the_same_draws(by_one: Outcome) -> None:
+    table = by_one.table
+    assert len(table) == 4 * 3
+    key = ("seed", "shift", "from_gear", "to_gear", "layshaft_rpm", "backlash_percent")
+    draws = {
+        name: [tuple(row[k] for k in key) for row in table if row["strategy"] == name]
+        for name in ("speed_window", "target_phase", "oracle")
+    }
+    assert draws["speed_window"] == draws["target_phase"] == draws["oracle"]
+    assert len({row["layshaft_rpm"] for row in table}) == 4
+
+
+def test_the_json_says_what_was_asked(by_one: Outcome) -> None:
+    values = by_one.values
+    assert values["runs"] == 4
+    assert values["failed"] == []
+    assert list(values["strategies"]) == ["oracle", "speed_window", "target_phase"]
+    for figures in values["strategies"].values():
+        low, high = figures["first_contact_gap"]["ci95"]
+        assert low <= figures["first_contact_gap"]["rate"] <= high
+        assert {"mean", "p50", "p99"} <= set(figures["duration_ms"])
+        assert {"mean", "p99"} <= set(figures["impact_j"])
+        for key in (
+            "retries", "blocked", "given_up", "phase_error_sd_deg", "reference_known",
+        ):  # fmt: skip
+            assert isinstance(figures[key], (int, float))
+    assert "target_phase/speed_window" in values["ratios"]
+
+
+def test_an_interrupted_campaign_goes_on_to_the_same_result(
+    by_one: Outcome, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(spec: CampaignSpec, jobs: list[Job]) -> list[RunResult]:
+        if jobs[0].seed == 1_000_002:
+            raise KeyboardInterrupt
+        return run_many(spec, jobs)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(runner, "run_many", interrupted)
+        assert campaign(tmp_path, *RUNS, "--jobs", "1").code == Exit.INTERRUPTED
+    made: list[int] = []
+
+    def counted(spec: CampaignSpec, jobs: list[Job]) -> list[RunResult]:
+        made.extend(job.seed for job in jobs)
+        return run_many(spec, jobs)
+
+    monkeypatch.setattr(runner, "run_many", counted)
+    resumed = campaign(tmp_path, *RUNS, "--jobs", "1", "--resume")
+    assert made == [1_000_002, 1_000_003]
+    assert resumed.text == by_one.text
+    assert resumed.table == by_one.table
+    assert not (tmp_path / "parts").exists()
+
+
+def test_a_finished_campaign_grows(by_one: Outcome, tmp_path: Path) -> None:
+    campaign(tmp_path, "--runs", "2", "--oracle", "--jobs", "1")
+    grown = campaign(tmp_path, *RUNS, "--jobs", "1", "--resume")
+    assert grown.text == by_one.text
+
+
+def test_a_failed_run_is_named_by_its_seed_and_the_others_count(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shift, begin = ClosedLoop.shift, ClosedLoop.__init__
+    seeds: dict[int, int] = {}
+
+    def note(loop: ClosedLoop, sheet, settings, preset, drawn, log=None) -> None:  # type: ignore[no-untyped-def]
+        begin(loop, sheet, settings, preset, drawn, log)
+        seeds[id(loop)] = drawn.seed
+
+    def breaks(loop: ClosedLoop) -> ShiftRow | None:
+        if seeds.get(id(loop)) == 1_000_001:
+            raise ArithmeticError("the gearbox flew apart")
+        return shift(loop)
+
+    monkeypatch.setattr(ClosedLoop, "__init__", note)
+    monkeypatch.setattr(ClosedLoop, "shift", breaks)
+    found = campaign(tmp_path, "--runs", "3", "--jobs", "1")
+    assert found.code == Exit.FAILED
+    assert found.values["runs"] == 2
+    assert found.values["failed"] == [
+        {"seed": 1_000_001, "error": "ArithmeticError: the gearbox flew apart"}
+    ]
+    assert "--only 1000001" in capsys.readouterr().err
+    # alone, it fails again, with its traceback
+    assert main(["campaign", *SMALL, "--only", "1000001"]) == Exit.FAILED
+    assert "in breaks" in capsys.readouterr().err
+
+
+def test_one_run_alone_has_the_shifts_it_had_among_all(by_one: Outcome, tmp_path: Path) -> None:
+    alone = campaign(tmp_path, "--oracle", "--only", "1000003")
+    assert alone.values["shifts"] == [row for row in by_one.table if row["seed"] == 1_000_003]
+
+
+def test_a_sweep_makes_the_same_draws_with_one_thing_changed(tmp_path: Path) -> None:
+    found = campaign(tmp_path, "--runs", "2", "--jobs", "1", "--sweep", "backlash_percent=10,40")
+    rows = found.table
+    assert [point["value"] for point in found.values["sweep"]] == [10.0, 40.0]
+    for value in (10.0, 40.0):
+        swept = [row for row in rows if row["sweep_value"] == value]
+        assert {row["backlash_percent"] for row in swept} == {value}
+        assert {row["seed"] for row in swept} == {1_000_000, 1_000_001}
+    assert {row["backlash_percent"] for row in rows if row["sweep"] == ""} == {20.0}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--sweep", "window.aim_rpm=1"), "keys of 'window' are"),
+        (("--sweep", "backlash_percent=90"), "allowed is a number from 1 to 60"),
+        (("--sweep", "nonsense=1"), "allowed are backlash_percent"),
+        (("--seed", "2", "--resume"), "different in provenance"),
+        ((), "--resume goes on with it"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_in_one_line(
+    arguments: tuple[str, ...],
+    said: str,
+    by_one: Outcome,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert campaign(by_one.folder, *RUNS, *arguments).code == Exit.BAD_INPUT
+    error = capsys.readouterr().err.strip()
+    assert said in error
+    assert len(error.splitlines()) == 1
+
+
+def test_an_unknown_strategy_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["campaign", "--strategy", "luck"])
+    assert "allowed are speed_window" in capsys.readouterr().err

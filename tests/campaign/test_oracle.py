@@ -1,0 +1,41 @@
+"""The oracle knows all but chance: what is left of its phase error is the scatter of the delay."""
+
+from __future__ import annotations
+
+import pytest
+from campaigns import small_spec
+
+from rig_sim.settings import Preset
+from testbench.campaign.run import run_one
+from testbench.campaign.spec import ORACLE, Job
+
+RPM_TO_DEG_PER_MS = 6e-3
+
+
+@pytest.mark.parametrize(("preset", "seeds"), [(Preset.THESIS, (1, 2)), (Preset.TRUCK, (3, 4, 5))])
+def test_the_oracle_misses_by_the_scatter_of_the_delay_alone(
+    preset: Preset, seeds: tuple[int, ...]
+) -> None:
+    spec = small_spec(preset, strategies=(), learn=1, judged=2)
+    noise_limit_ms = 5.0 if preset is Preset.THESIS else 3.0
+    for seed in seeds:
+        result = run_one(spec, Job(seed))
+        assert result.error is None
+        for record in result.records:
+            assert record.strategy == ORACLE
+            assert record.contact == "gap"
+            assert record.phase_error_deg is not None
+            assert record.slip_rpm is not None
+            most_deg = record.slip_rpm * RPM_TO_DEG_PER_MS * noise_limit_ms
+            assert abs(record.phase_error_deg) < most_deg + 0.05
+
+
+def test_in_the_thesis_its_error_is_slip_times_what_the_delay_was_off() -> None:
+    spec = small_spec(strategies=(), learn=0, judged=4)
+    mean_ms = spec.sheet.sleeve.delay_s * 1e3
+    for record in run_one(spec, Job(11)).records:
+        assert record.phase_error_deg is not None
+        assert record.slip_rpm is not None
+        assert record.delay_ms is not None
+        expected = record.slip_rpm * RPM_TO_DEG_PER_MS * (record.delay_ms - mean_ms)
+        assert record.phase_error_deg == pytest.approx(expected, abs=0.06)
