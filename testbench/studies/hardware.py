@@ -98,7 +98,6 @@ def _pair(given: Given[Settings], variant: Variant, number: int) -> tuple[Closed
         seed,
         own.learning_shifts + own.shifts,
         as_built=variant.as_built,
-        scored=True,
     )
     return linear, truck
 
@@ -115,7 +114,7 @@ def _jobs(given: Given[Settings]) -> tuple[Job, ...]:
 def _bought(given: Given[Settings], variant: Variant) -> Bought:
     errors: list[float] = []
     durations: list[float] = []
-    scores: list[Scores] = []
+    trucks: list[list[Scores]] = []
     gap = known = 0
     for number in range(given.own.gearboxes):
         linear_job, truck_job = _pair(given, variant, number)
@@ -125,10 +124,10 @@ def _bought(given: Given[Settings], variant: Variant) -> Bought:
         durations += [row.duration_ms for row in linear.known if row.result == "engaged"]
         gap += sum(row.contact == "gap" for row in linear.known)
         known += len(linear.known)
-        scores += truck.scores[given.own.learning_shifts :]
+        trucks.append(truck.scores[given.own.learning_shifts :])
     estimator = ControllerSettings().estimator_name
     mean = sum(durations) / max(1, len(durations))
-    return Bought(rms(errors), gap, known, mean, figures(scores, estimator))
+    return Bought(rms(errors), gap, known, mean, figures(trucks, estimator))
 
 
 def _conclude(given: Given[Settings]) -> Finding:
