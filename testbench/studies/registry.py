@@ -34,6 +34,7 @@ NAMES: Final = (
     "shiftability",
     "hardware",
     "target",
+    "fusion",
 )
 """In the order of the thesis, then what goes beyond it."""
 ALL: Final = "all"
