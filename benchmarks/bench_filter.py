@@ -1,7 +1,8 @@
-"""Cost of one edge through the layshaft filter, beside filterpy with scipy's cont2discrete.
+"""Cost of one edge through the layshaft filters, beside filterpy with scipy's cont2discrete.
 
 The peer is what the thesis does, in Python: A_d and B_d by c2d for every time step (5.3), then
-predict and update. Both filters get the same edges and must end in the same state.
+predict and update. The thesis's filter gets the same edges and must end in the same state; the
+crossing-time filter, the node's own, follows the same edges with six states.
 """
 
 from __future__ import annotations
@@ -18,8 +19,11 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from scipy.signal import cont2discrete
 
+from controller.crossing import CrossingFilter, Pressures
 from controller.kernels import thesis_filter
+from controller.motion import diagonal, first_order_law, free_motion
 from controller.predictor import layshaft_model
+from controller.settings import CrossingFilterTuning
 from gearbox import Split, load_sheet
 
 EDGES, BATCH = 160, 16
@@ -51,6 +55,28 @@ def ours(model: np.ndarray, times: np.ndarray, angles: np.ndarray) -> np.ndarray
             x, p, time_us, times[i : i + BATCH], angles[i : i + BATCH], none, none, model, W, R
         )
     return x
+
+
+class Crossing:
+    """The node's own filter, in the same batches."""
+
+    def __init__(self) -> None:
+        sheet, tuning = load_sheet("thesis"), CrossingFilterTuning()
+        law = first_order_law(1.0 / sheet.brake.time_constant_s, sheet.air.supply_gauge_pa)
+        self._model = free_motion(sheet, Split.HIGH, law, tuning)
+        self._filter = CrossingFilter(tuning)
+        none = np.empty(0)
+        self._pressures, self._switches = Pressures(none, none), (none, none)
+
+    def __call__(self, _model: np.ndarray, times: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        x = np.array([0.0, 146.6, 0.0, 0.0, 1.0, 0.0])
+        self._filter.begin(0.0, x, diagonal(1e-3, 1.0, 2e4, 3.0, 0.1, 15.0))
+        for i in range(0, EDGES, BATCH):
+            self._filter.take(
+                times[i : i + BATCH], angles[i : i + BATCH], 1e-4, self._pressures,
+                self._switches, self._model,
+            )  # fmt: skip
+        return self._filter.x
 
 
 def peer(model: np.ndarray, times: np.ndarray, angles: np.ndarray) -> np.ndarray:
@@ -92,21 +118,29 @@ def main(argv: Sequence[str] | None = None) -> int:
     if gap.max() > 1e-5:
         print(f"the two filters disagree: {gap}", file=sys.stderr)
         return 1
-    pairs = [
-        (cost_us(ours, model, times, angles), cost_us(peer, model, times, angles))
+    crossing = Crossing()
+    found = crossing(model, times, angles)
+    if abs(found[0] - angles[-1]) > 1e-3 or abs(found[1] - ours(model, times, angles)[1]) > 0.5:
+        print(f"the crossing-time filter is elsewhere: {found}", file=sys.stderr)
+        return 1
+    rounds = [
+        tuple(cost_us(run, model, times, angles) for run in (crossing, ours, peer))
         for _ in range(namespace.repeats)
     ]
-    mine, theirs = (statistics.median(column) for column in zip(*pairs, strict=True))
+    node, thesis, theirs = (statistics.median(column) for column in zip(*rounds, strict=True))
     figures = {
-        "kernel_us_per_edge": round(mine, 4),
+        "crossing_us_per_edge": round(node, 4),
+        "thesis_kernel_us_per_edge": round(thesis, 4),
         "filterpy_cont2discrete_us_per_edge": round(theirs, 2),
-        "ratio": round(theirs / mine, 1),
+        "crossing_ratio": round(theirs / node, 1),
+        "thesis_ratio": round(theirs / thesis, 1),
     }
     if namespace.json:
         print(json.dumps(figures))
     else:
-        print(f"filter, batches of {BATCH}: {mine:.3f} us an edge")
-        print(f"filterpy + cont2discrete:  {theirs:.1f} us an edge, {theirs / mine:.0f} x")
+        print(f"crossing, batches of {BATCH}: {node:.3f} us an edge, {theirs / node:.0f} x")
+        print(f"thesis, batches of {BATCH}: {thesis:.3f} us an edge, {theirs / thesis:.0f} x")
+        print(f"filterpy + cont2discrete: {theirs:.1f} us an edge")
     return 0
 
 

@@ -32,6 +32,7 @@ PARAMETERS: Final = 2 * RATES + 2
 COMMON_SD: Final = 0.2
 OWN_SD: Final = 0.15
 DELAY_SD_SHARE: Final = 0.15
+LEAST_DELAY_SD_S: Final = 5e-4
 FIT_PA: Final = 0.03e5
 """How well the law is expected to follow the measured pressure."""
 DRIFT: Final = 1.1
@@ -67,7 +68,9 @@ class BrakeModel:
         delay = sheet.brake.valve_delay_s
         self._mean: Vector = np.zeros(PARAMETERS)
         self._mean[[OFF_DELAY, ON_DELAY]] = delay
-        self._covariance = np.diag([OWN_SD**2] * 2 * RATES + [(DELAY_SD_SHARE * delay) ** 2] * 2)
+        self._covariance = np.diag(
+            [OWN_SD**2] * 2 * RATES + [max(DELAY_SD_SHARE * delay, LEAST_DELAY_SD_S) ** 2] * 2
+        )
         for half in (slice(0, RATES), slice(RATES, 2 * RATES)):
             self._covariance[half, half] += COMMON_SD**2
         self.shifts = 0
@@ -143,7 +146,7 @@ class BrakeModel:
             right = slope.T @ residual / FIT_PA**2 + weight @ (prior_mean - mean)
             mean = mean + np.linalg.solve(normal, right)
             mean[: 2 * RATES] = np.clip(mean[: 2 * RATES], -1.5, 1.5)
-            mean[2 * RATES :] = np.clip(mean[2 * RATES :], 1e-3, 0.1)
+            mean[2 * RATES :] = np.clip(mean[2 * RATES :], 0.0, 0.1)
         if not np.isfinite(mean).all():
             return False
         self._mean, self._covariance = mean, np.linalg.inv(normal)

@@ -22,6 +22,7 @@ from controller.guard_limits import guard_limits
 from controller.guard_view import GuardView
 from controller.header import RunHeader
 from controller.inputs import StepInputs
+from controller.kinematics import are_finite
 from controller.moment import Moment
 from controller.observer import Observer
 from controller.probe import ClockProbe
@@ -211,6 +212,9 @@ class ControllerCore:
         ):
             return FaultCode.POSITION_STALE
         speeds = (self._speeds.layshaft, self._speeds.main)
+        tracker = self._observer.layshaft
+        if tracker.free and not are_finite(tracker.latest()):
+            return FaultCode.SPEED_STALE
         if None in speeds or not all(valid(kind) for kind in SPEEDS):
             return FaultCode.SPEED_STALE
         return FaultCode.NONE if valid(ValveStatus) else FaultCode.VALVE_LINK_LOST

@@ -13,12 +13,13 @@ batch least squares for the teeth, in any motion that the filter's model follows
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.jit import compiled
+from controller.jit import compiled, part
 from controller.motion_kernels import (
     DRAG,
     GAIN,
@@ -32,6 +33,7 @@ from controller.motion_kernels import (
     input_at,
     longest_in_segment,
     measure,
+    mirror,
     spread_over,
     transition,
 )
@@ -103,10 +105,11 @@ def crossing_filter(
                     follow(by_tooth, gain, row)
             k += 1
         x[GAIN] = max(x[GAIN], LEAST_GAIN)
+    mirror(p)
     return t_us
 
 
-@compiled
+@part
 def move(
     x: Vector, p: Vector, t_us: float, to_us: float, i: int, switch_us: Vector, switch_u: Vector,
     motion: Vector, law: Vector, noise: Vector, f: Vector, by_tooth: Vector,
@@ -134,7 +137,7 @@ def move(
     return i
 
 
-@compiled
+@part
 def take_edge(
     x: Vector, p: Vector, innovation: float, sensor: Vector, counts: Integers, agreement: Vector,
     gain: Vector,
@@ -160,7 +163,7 @@ def take_edge(
     return measure(x, p, THETA, innovation, r, gain)
 
 
-@compiled
+@part
 def learn(
     by_tooth: Vector, place: int, innovation: float, s: float, normal: Vector, right: Vector,
     row: Vector,
@@ -177,7 +180,7 @@ def learn(
             normal[c, d] += weighted * row[d]
 
 
-@compiled
+@part
 def follow(by_tooth: Vector, gain: Vector, row: Vector) -> None:
     """The derivatives by the tooth errors after an update."""
     for state in range(STATES):
@@ -185,7 +188,7 @@ def follow(by_tooth: Vector, gain: Vector, row: Vector) -> None:
             by_tooth[state, c] += gain[state] * row[c]
 
 
-@compiled
+@part
 def carry(by_tooth: Vector, f: Vector) -> None:
     """The derivatives by the tooth errors after a step."""
     for c in range(by_tooth.shape[1]):
@@ -196,3 +199,40 @@ def carry(by_tooth: Vector, f: Vector) -> None:
         by_tooth[0, c], by_tooth[1, c] = theta, omega
         by_tooth[2, c] *= f[2, 2]
         by_tooth[3, c] *= f[2, 3]
+
+
+@compiled
+def inverse_of_positive(matrix: Vector) -> Vector:
+    """The inverse of a symmetric positive definite matrix (n, n) by Cholesky's factors; NaN where
+    it is not one. A wheel's equations are small: threads of a linear algebra library would cost
+    more than the sum, and need not add up in the same order twice."""
+    n = matrix.shape[0]
+    lower = np.zeros((n, n))
+    for j in range(n):
+        rest = matrix[j, j]
+        for k in range(j):
+            rest -= lower[j, k] * lower[j, k]
+        if not rest > 0.0:
+            return np.full((n, n), np.nan)
+        lower[j, j] = math.sqrt(rest)
+        for i in range(j + 1, n):
+            s = matrix[i, j]
+            for k in range(j):
+                s -= lower[i, k] * lower[j, k]
+            lower[i, j] = s / lower[j, j]
+    half = np.zeros((n, n))
+    for c in range(n):
+        half[c, c] = 1.0 / lower[c, c]
+        for i in range(c + 1, n):
+            s = 0.0
+            for k in range(c, i):
+                s -= lower[i, k] * half[c, k]
+            half[c, i] = s / lower[i, i]
+    inverse = np.empty((n, n))
+    for i in range(n):
+        for j in range(i + 1):
+            s = 0.0
+            for k in range(i, n):
+                s += half[i, k] * half[j, k]
+            inverse[i, j] = inverse[j, i] = s
+    return inverse

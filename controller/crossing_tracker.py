@@ -25,9 +25,6 @@ from controller.shafts import STALE_US, ShaftState, WindowSpeed
 from controller.teeth import WheelTeeth
 
 NO_SWITCHES: Final = (np.empty(0), np.empty(0))
-CARRIED_GAIN_SD: Final = 0.01
-CARRIED_DRAG_NM: Final = 0.5
-"""What a shift's pause adds to what is known: temperatures change."""
 LEAST_FREE_EDGES: Final = 100
 """With fewer edges of free motion brake and drag were not really seen."""
 
@@ -43,10 +40,14 @@ class _Shaft:
         self._seed = WindowSpeed()
         self._running = False
 
-    def restart(self) -> None:
-        """Tooth numbers were lost: starts anew; which tooth is which is not known any more."""
+    def lose_speed(self) -> None:
+        """Starts anew with the edges to come; teeth keep their numbers."""
         self._running = False
         self._seed.restart()
+
+    def restart(self) -> None:
+        """Tooth numbers were lost: starts anew; which tooth is which is not known any more."""
+        self.lose_speed()
         self.teeth.forget()
 
     @property
@@ -164,8 +165,8 @@ class CrossingTracker(_Shaft):
     def _begin_free(self) -> None:
         tuning, known, state = self._tuning, self._known, self._filter
         state.forget_past()
-        gain_sd = math.hypot(known.gain.sd, CARRIED_GAIN_SD)
-        drag_sd = math.hypot(known.drag_nm.sd, CARRIED_DRAG_NM) / self._inertia_kgm2
+        gain_sd = math.hypot(known.gain.sd, tuning.gain_pause)
+        drag_sd = math.hypot(known.drag_nm.sd, tuning.drag_pause_nm) / self._inertia_kgm2
         drag = known.drag_nm.value / self._inertia_kgm2
         torque_sd = tuning.torque_disturbance_nm / self._inertia_kgm2
         x, both = state.x, state.p[:2, :2].copy()

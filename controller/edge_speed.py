@@ -13,9 +13,11 @@ from controller.edges import EdgeFrame
 
 SPAN_US: Final = 15_000
 """At least so long are the teeth of one speed, where the frame holds them."""
+DEAD_US: Final = 20_000
+"""A frame whose newest edge is older than this, and than three teeth took before, comes from a
+sensor that gives none: with its read, the bus and the tick that is known within 50 ms."""
 STALE_US: Final = 25_000
-"""Without an edge for longer than this, and than three teeth took before, the speed is lost: with
-the bus, the tick and the clock's lag that is known within 50 ms."""
+"""The same where no frame tells: the newest edge of the last one. Two lost frames lose nothing."""
 TEETH_LATE: Final = 3
 HELD_US: Final = 45_000
 """While a frame holds a tooth too many or too few, the speed before it stands for so long."""
@@ -47,6 +49,7 @@ class EdgeSpeed:
         self._pitch_rad = 2.0 * math.pi / teeth
         self._speed: Speed | None = None
         self._measured_us = 0
+        self._is_dead = False
         self._interval_us = 0
         self._index = 0
         self.turned: Turned | None = None
@@ -64,6 +67,7 @@ class EdgeSpeed:
         new = (frame.newest_index - self._index) & LOW
         self._index = frame.newest_index
         self.turned = Turned(newest_us, before + new)
+        self._is_dead = read_us - newest_us > max(DEAD_US, TEETH_LATE * self._interval_us)
         measured = self._measure(newest_us, low[: frame.valid_stamps])
         if measured is not None:
             self._speed, self._measured_us = measured, newest_us
@@ -88,7 +92,7 @@ class EdgeSpeed:
 
     def at(self, now_us: int) -> Speed | None:
         """The newest speed; None without one, or when edges have failed to come."""
-        if self._speed is None or self.turned is None:
+        if self._speed is None or self.turned is None or self._is_dead:
             return None
         limit_us = max(STALE_US, TEETH_LATE * self._interval_us)
         is_turning = now_us - self.turned.time_us <= limit_us

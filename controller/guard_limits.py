@@ -123,7 +123,7 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
         atmosphere_pa=sheet.air.atmosphere_pa,
         brake_rad_s2=(weakest, strongest),
         drag_rad_s2=guard.drag_torque_nm / min(inertia),
-        drag_rate=2.0 * sheet.shafts.friction_nms / min(inertia),
+        drag_rate=guard.torque_factor * sheet.shafts.friction_nms / min(inertia),
         slip_rad_s=(guard.slip_low_rad_s, guard.slip_high_rad_s),
         input_max_rad_s=SPEED_TOLERANCE * sheet.limits.input_max_rad_s,
         main_max_rad_s=SPEED_TOLERANCE * top * sheet.main_mesh(MainGear.THIRD).ratio,

@@ -1,14 +1,29 @@
-"""numba's compiler for the kernels, or none: with NUMBA_DISABLE_JIT=1 numba is not even loaded."""
+"""numba's compiler for the kernels, or none: with NUMBA_DISABLE_JIT=1 numba is not even loaded.
+
+`compiled` makes an entry point, kept in numba's file cache; `part` a piece of one, copied to where
+it is called. numba looks only at the file of a cached function, so a change in a part in another
+file would go unseen: the cache's folder therefore bears a digest of all kernels.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 DISABLED: Final = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
+FOLDER: Final = Path(__file__).parent
+
+
+def _digest() -> str:
+    hashed = hashlib.sha256(Path(__file__).read_bytes())
+    for path in [*sorted(FOLDER.glob("*kernels.py")), FOLDER / "edge_gate.py"]:
+        hashed.update(path.read_bytes())
+    return hashed.hexdigest()[:12]
 
 
 def compiled(function: Kernel) -> Kernel:
@@ -16,10 +31,32 @@ def compiled(function: Kernel) -> Kernel:
     if DISABLED:
         return function
     # Loading it is a third of the start-up, so only where it is needed.
+    from numba import config as numba_config
     from numba import njit
 
+    config: Any = numba_config
+    before = config.CACHE_DIR
+    config.CACHE_DIR = before or str(FOLDER / "__pycache__" / f"kernels-{_DIGEST}")
     try:
-        return cast(Kernel, njit(cache=True)(function))
+        return cast(Kernel, njit(cache=True, error_model="numpy")(function))
     except RuntimeError:
         # Nowhere to keep what was compiled, as in a read-only container: each start compiles.
-        return cast(Kernel, njit(function))
+        return cast(Kernel, njit(error_model="numpy")(function))
+    finally:
+        config.CACHE_DIR = before
+
+
+def part(function: Kernel) -> Kernel:
+    """A piece of a kernel that makes no array of its own.
+
+    Without numba's runtime, whose atomic counting of references takes longer than such a piece, and
+    copied to where it is called: a call hands over each array as seven words."""
+    if DISABLED:
+        return function
+    from numba import njit
+
+    options: dict[str, Any] = {"error_model": "numpy", "forceinline": True, "_nrt": False}
+    return cast(Kernel, njit(**options)(function))
+
+
+_DIGEST: Final = "" if DISABLED else _digest()

@@ -11,6 +11,11 @@ from __future__ import annotations
 import math
 
 
+def are_finite(state: tuple[object, ...]) -> bool:
+    """Whether every number of a state is one: an estimate that has run away is none."""
+    return all(math.isfinite(value) for value in state if isinstance(value, (int, float)))
+
+
 def wrap_to_pitch(angle_rad: float, pitch_rad: float) -> float:
     """The angle wrapped to [-pitch/2, pitch/2)."""
     return angle_rad - pitch_rad * math.floor(angle_rad / pitch_rad + 0.5)

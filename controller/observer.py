@@ -13,6 +13,7 @@ from controller.crossing_tracker import CrossingTracker, MainTracker
 from controller.edges import EdgeBatch, EdgeFrame, WheelEdges
 from controller.gearbox_view import GearboxView
 from controller.inputs import StepInputs
+from controller.kinematics import are_finite
 from controller.layshaft import LayshaftModels, LayshaftTracker
 from controller.motion import LayshaftState, first_order_law, free_motion
 from controller.predictor import layshaft_model
@@ -155,11 +156,13 @@ class Observer:
 
     def main_at(self, time_us: float) -> ShaftState | None:
         """The main shaft at a sensor time."""
-        return self._main.at(time_us)
+        state = self._main.at(time_us)
+        return state if state is not None and are_finite(state) else None
 
     def layshaft_at(self, time_us: float) -> LayshaftState | None:
         """The layshaft at a sensor time."""
-        return self.layshaft.at(time_us)
+        state = self.layshaft.at(time_us)
+        return state if state is not None and are_finite(state) else None
 
     def learn(self, events: list[str]) -> None:
         """Watches a gear that has just locked until its phase reference is known."""

@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from controller.jit import compiled
+from controller.jit import compiled, part
 from controller.motion_kernels import OMEGA, THETA, US, Vector, travel
 
 RATIO: Final = 0
@@ -73,7 +73,7 @@ def course(
         slip[k] = mesh[RATIO] * state[OMEGA] - mesh[MAIN_OMEGA] - gained
 
 
-@compiled
+@part
 def contact_cost(wait_s: float, phase: float, slip: float, variance: float, terms: Vector) -> float:
     """The cost in seconds; phase unwrapped (rad), slip (rad/s), variance of the phase without what
     the delay adds (rad2)."""

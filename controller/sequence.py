@@ -23,7 +23,7 @@ from controller.settings import ControllerSettings
 from controller.shift import TRANSITIONS, ShiftRecord, Trigger
 from controller.shift_desk import ShiftDesk
 from controller.speed_up import part_clutch, raise_speed
-from controller.steps import change_steps
+from controller.steps import change_splitter, change_steps
 from controller.synchronise import coast, synchronise
 from controller.valves import ValveBoard
 from dbc.messages import ControllerState as State
@@ -38,6 +38,7 @@ HANDLERS: Final[dict[State, Handler]] = {
     State.NEUTRAL: stay,
     State.CLUTCH_OPENING: open_clutch,
     State.DISENGAGING: disengage,
+    State.SPLITTER_CHANGING: change_splitter,
     State.STEPS_CHANGING: change_steps,
     State.SYNCHRONISING: synchronise,
     State.SPEED_RAISING: raise_speed,

@@ -163,7 +163,7 @@ class GuardSettings:
     """Absolute pressure below which nothing new is actuated."""
     torque_factor: float = quantity("torque_factor", 1.0, 3.0, default=1.4)
     """How much stronger than its sheet the brake may be."""
-    drag_torque_nm: float = quantity("drag_torque_nm", 0.0, 200.0, default=25.0)
+    drag_torque_nm: float = quantity("drag_torque_nm", 0.0, 200.0, default=15.0)
     """Drag at the layshaft beyond the sheet's friction, at most."""
 
 
@@ -202,10 +202,14 @@ class CrossingFilterTuning:
     """Of the brake torque before it has been learned."""
     gain_walk: float = quantity("gain_walk_percent", 0.0, 50.0, 0.01, default=0.02)
     """By how much it wanders in a second: friction changes with speed and temperature."""
+    gain_pause: float = quantity("gain_pause_percent", 0.0, 50.0, 0.01, default=0.01)
+    """What the pause between two shifts adds to the doubt about it."""
     drag_sd_nm: float = quantity("drag_sd_nm", 0.0, 100.0, default=5.0)
     """Of the steady drag before it has been learned."""
     drag_walk_nm: float = quantity("drag_walk_nm", 0.0, 100.0, default=1.0)
     """By how much it wanders in a second."""
+    drag_pause_nm: float = quantity("drag_pause_nm", 0.0, 100.0, default=0.5)
+    """What a pause adds."""
     pressure_sd_pa: float = quantity("pressure_sd_bar", 1e-4, 5.0, 1e5, default=0.01e5)
     pressure_start_sd_pa: float = quantity("pressure_start_sd_bar", 0.0, 5.0, 1e5, default=0.2e5)
     pressure_walk_pa: float = quantity("pressure_walk_bar", 0.0, 50.0, 1e5, default=0.5e5)

@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Final
 
 from controller.brake_input import BrakeInput
+from controller.kinematics import are_finite
 from controller.moment import Moment
 from controller.outlook import Outlook
 from controller.reference import PhaseReferences
@@ -134,10 +135,13 @@ class ShiftDesk:
             return None
         if math.isfinite(moment.supply_pa):
             self.delays.supply_pa = moment.supply_pa - self.sheet.air.atmosphere_pa
+        layshaft = moment.layshaft.latest()
+        if not are_finite(layshaft):
+            return None
         outlook = Outlook(
             gear,
             self.sheet.main_mesh(gear).ratio,
-            moment.layshaft.latest(),
+            layshaft,
             moment.main,
             self.brake,
             moment.layshaft.model,

@@ -39,30 +39,36 @@ class Step(NamedTuple):
         return self.in_mesh and self.together
 
 
+def change_splitter(desk: ShiftDesk, moment: Moment) -> Trigger | None:
+    """The splitter alone, the main box staying in its gear: that is the whole shift."""
+    missing = _push_steps(desk, moment)
+    if missing is None:
+        desk.end(moment, ShiftResult.ENGAGED, FaultCode.NONE)
+        return Trigger.ENGAGED
+    if desk.late(moment, desk.settings.limits.steps_ms):
+        return desk.give_up(moment, missing)
+    return None
+
+
 def change_steps(desk: ShiftDesk, moment: Moment) -> Trigger | None:
-    """Brings splitter and range to where the new gear wants them."""
-    shift = desk.running
+    """Brings splitter and range to where the new gear wants them, the main box in neutral."""
+    missing = _push_steps(desk, moment)
+    if missing is None and _tracked(moment):
+        return Trigger.STEPS_IN
+    if desk.late(moment, desk.settings.limits.steps_ms):
+        return desk.give_up(moment, missing or FaultCode.SPEED_STALE)
+    return None
+
+
+def _push_steps(desk: ShiftDesk, moment: Moment) -> FaultCode | None:
+    """Drives what is not in yet. The fault that it would be, of the first that is not done."""
     steps = _steps(desk, moment)
-    open_ones = [step for step in steps if not step.done]
     for step in steps:
         if step.in_mesh:
             desk.board.off(step.valve)
         else:
             _push(desk, step.valve, moment)
-    if not open_ones:
-        if moment.view.main_gear is shift.target.main:
-            desk.end(moment, ShiftResult.ENGAGED, FaultCode.NONE)
-            return Trigger.ENGAGED
-        return Trigger.STEPS_IN if _tracked(moment) else _wait(desk, moment)
-    if desk.late(moment, desk.settings.limits.steps_ms):
-        return desk.give_up(moment, open_ones[0].fault)
-    return None
-
-
-def _wait(desk: ShiftDesk, moment: Moment) -> Trigger | None:
-    if desk.late(moment, 2 * desk.settings.limits.steps_ms):
-        return desk.give_up(moment, FaultCode.SPEED_STALE)
-    return None
+    return next((step.fault for step in steps if not step.done), None)
 
 
 def _tracked(moment: Moment) -> bool:

@@ -11,10 +11,9 @@ import math
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from controller.crossing import Pressures
-from controller.crossing_kernels import Integers, crossing_filter
+from controller.crossing_kernels import Integers, crossing_filter, inverse_of_positive
 from controller.edges import EdgeBatch
 from controller.motion import MotionModel
 from controller.motion_kernels import STATES, Vector
@@ -156,17 +155,15 @@ class WheelTeeth:
     def _solve(self) -> str | None:
         """Least squares with a weak prior: one pitch share at most, mean zero."""
         prior = (10.0 * self._unlearned_sd_rad) ** -2
-        try:
-            factor = cho_factor(self._normal + prior * np.eye(self._edges))
-        except LinAlgError:
-            self.forget()
-            return "teeth forgotten: their equations have no solution"
-        error = cho_solve(factor, self._right)
-        covariance = cho_solve(factor, np.eye(self._edges))
+        covariance = inverse_of_positive(self._normal + prior * np.eye(self._edges))
+        error = covariance @ self._right
         mean = covariance.mean(axis=0)
         variance = np.diag(covariance) - 2.0 * mean + mean.mean()
         worst = math.sqrt(max(0.0, float(variance.max())))
-        if not np.isfinite(error).all() or worst > USABLE_SD * self._unlearned_sd_rad:
+        if not np.isfinite(error).all():
+            self.forget()
+            return "teeth forgotten: their equations have no solution"
+        if worst > USABLE_SD * self._unlearned_sd_rad:
             return None
         first = not self.learned
         self.error_rad = error - error.mean()

@@ -29,6 +29,7 @@ class ControllerState(IntEnum):
     SPEED_RAISING = 11
     CLUTCH_PARTING = 12
     FAULTED = 13
+    SPLITTER_CHANGING = 14
 
 class Strategy(IntEnum):
     SPEED_WINDOW = 0

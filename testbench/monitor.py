@@ -17,6 +17,7 @@ from dbc.messages import (
     Message,
     ReferenceEncoder,
     ReferenceEngagement,
+    ReferencePhase,
     ShiftOutcome,
     SleevesAux,
     SleevesMain,
@@ -29,7 +30,7 @@ from testbench.rows import RowCollector
 
 READ_AT_REST: Final = (
     EdgesLayshaftRise, EdgesLayshaftFall, SleevesMain, SleevesAux, GearboxSensors, ValveCommand,
-    ControllerStatus, ReferenceEngagement, ShiftOutcome,
+    ControllerStatus, ReferenceEngagement, ReferencePhase, ShiftOutcome,
 )  # fmt: skip
 """What rows and estimation need: less than half of the bus; the rest stays undecoded. Edges are
 needed between shifts too, so that the tooth count goes on."""

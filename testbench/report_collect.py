@@ -26,7 +26,8 @@ from dbc.messages import (
 )
 from dbc.node import Node
 from gearbox import GearboxSheet
-from testbench.rows import DEG, RPM, RowCollector, ShiftRow, span_us
+from testbench.road_speed import span_us
+from testbench.rows import DEG, RPM, RowCollector, ShiftRow
 from testbench.traces import TRACED, Traces
 
 BEFORE_S: Final = 0.05

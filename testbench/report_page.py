@@ -87,7 +87,7 @@ SHIFT_HEAD: Final = [
     ("shift", ""), ("gears", ""), ("strategy", ""), ("reference", ""),
     ("contact", ""), ("phase error, % of pitch", NUMBER), ("predicted ± sd, %", NUMBER),
     ("slip, rpm", NUMBER), ("valve to contact, ms", NUMBER), ("duration, ms", NUMBER),
-    ("attempts", NUMBER), ("result", ""),
+    ("speed lost, km/h", NUMBER), ("attempts", NUMBER), ("result", ""),
 ]  # fmt: skip
 
 
@@ -121,6 +121,7 @@ def _shift_cells(row: ShiftRow) -> list[Cell]:
         _number(row.slip_rpm, 1, signed=True),
         _number(row.delay_ms, 1),
         _number(row.duration_ms, 0),
+        _number(row.speed_lost_kmh, 1),
         (str(row.attempts), NUMBER),
         (result, ""),
     ]

@@ -15,18 +15,19 @@ from dbc.messages import (
     Message,
     PhaseReference,
     ReferenceEngagement,
+    ReferencePhase,
     ShiftOutcome,
     ShiftResult,
 )
 from gearbox import GearboxSheet
 from gearbox.gears import DRIVE_GEARS
+from testbench.road_speed import RoadSpeed, span_us
 
 DEG: Final = math.pi / 180.0
 RPM: Final = math.pi / 30.0
 CONTACTS: Final = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOTH_CONTACT: "tooth"}
 ENDS: Final = (EngagementEvent.LOCKED, EngagementEvent.GIVEN_UP)
 OFF_FACE: Final = (EngagementEvent.TOOTH_PASSED, EngagementEvent.GIVEN_UP)
-HALF_WRAP_US: Final = 1 << 31
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,9 @@ class ShiftRow:
     """Times a flank threw the sleeve back."""
     blocked: int = 0
     """Attempts in which sleeve and gear stuck tooth on tooth."""
+    speed_lost_kmh: float | None = None
+    """Road speed at the request less that at the end, by the rig's truth (thesis 1.2); None in the
+    preset thesis, which has no vehicle."""
 
     @property
     def phase_error_pct_of_pitch(self) -> float | None:
@@ -73,11 +77,6 @@ class ShiftRow:
         return {k: round(v, 6) if isinstance(v, float) else v for k, v in fields.items()}
 
 
-def span_us(later: int, earlier: int) -> int:
-    """Signed difference of two 32-bit sensor times."""
-    return ((later - earlier + HALF_WRAP_US) & 0xFFFF_FFFF) - HALF_WRAP_US
-
-
 class RowCollector:
     """Pairs each outcome with the first contact of the gear it went for."""
 
@@ -86,11 +85,15 @@ class RowCollector:
         self._target_rad = target_phase_rad
         self._contacts: list[ReferenceEngagement] = []
         self._events: list[ReferenceEngagement] = []
+        self._road = RoadSpeed()
         self.rows: list[ShiftRow] = []
 
     def take(self, message: Message) -> None:
         """One message in bus order."""
         kind = type(message)
+        if isinstance(message, ReferencePhase):
+            self._road.take(message)
+            return
         if kind is not ReferenceEngagement and kind is not ShiftOutcome:
             return
         if isinstance(message, ReferenceEngagement):
@@ -111,6 +114,7 @@ class RowCollector:
         self._events.clear()
         known = outcome.reference is PhaseReference.KNOWN
         phase = slip = delay = None
+        lost_m_s = self._road.lost_m_s(outcome.request_time_us, outcome.end_time_us)
         if contact is not None:
             pitch = self._pitch_deg
             phase = (contact.phase_rad - self._target_rad) / DEG
@@ -140,6 +144,7 @@ class RowCollector:
             face_ms=cost.face_us / 1000,
             ratchets=cost.ratchets,
             blocked=cost.blocked,
+            speed_lost_kmh=None if lost_m_s is None else 3.6 * lost_m_s,
         )
 
 

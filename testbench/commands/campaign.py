@@ -25,6 +25,7 @@ from testbench.campaign.table import print_tables, records_table
 from testbench.errors import CommandError
 from testbench.exits import Exit
 from testbench.output import check_json, console, write_json
+from testbench.schedules import pairs
 
 MOST_RUNS: Final = 1_000_000
 DESCRIPTION: Final = """\
@@ -63,7 +64,7 @@ def add_parser(commands: Any) -> None:
         help="also target_phase with the rig's true state and parameters, but no future chance",
     )  # fmt: skip
     parser.add_argument(
-        "--pairs", type=arguments.pairs, default=upshifts(), metavar="LIST",
+        "--pairs", type=pairs, default=upshifts(), metavar="LIST",
         help="gear changes to draw from, as 8-10,10-12 (default: all upshifts of the main box)",
     )  # fmt: skip
     parser.add_argument(

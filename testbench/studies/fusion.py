@@ -116,9 +116,8 @@ def _reason(better: tuple[bool, bool], further: str) -> str:
     }[better]
     return (
         f"{gained}. The {further}'s edges are taken as further edges of the shaft by the exact "
-        "ratio, with the same Q and R: more of them, each with tooth errors of its own wheel and, "
-        "in a mesh with backlash, off by up to that. Errors of wheels that an estimator has learned "
-        "would not count"
+        "ratio, with the same Q and R: more of them, each off by its own wheel's tooth errors and "
+        "by the backlash between. Errors of wheels that an estimator has learned would not count"
     )
 
 

@@ -18,7 +18,8 @@ from rig_sim.as_built import linear, nominal
 from rig_sim.settings import Preset
 from testbench.estimation import Sample
 from testbench.monitor import Monitor
-from testbench.rows import ShiftRow, span_us
+from testbench.road_speed import span_us
+from testbench.rows import ShiftRow
 from testbench.schedules import UPSHIFTS, Pairs
 from testbench.simulate import Setup, simulate
 

@@ -31,6 +31,7 @@ NAMES: Final = (
     "speed_estimate",
     "angle_estimate",
     "step",
+    "bound",
     "shiftability",
     "hardware",
     "target",

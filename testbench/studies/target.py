@@ -15,7 +15,7 @@ import numpy as np
 from controller.settings import ControllerSettings
 from gearbox.tables import count, quantity
 from rig_sim.settings import Preset
-from testbench.studies.jobs import ClosedLoop, LoopResult, linear_with_teeth
+from testbench.studies.jobs import ClosedLoop, LoopResult
 from testbench.studies.record import (
     Chart,
     Finding,
@@ -46,7 +46,12 @@ class Settings:
     patience_s: float = quantity("patience_ms", 50.0, 10_000.0, 1e-3)
     widest_share: float = quantity("widest_percent_of_gap", 1.0, 90.0, 0.01)
     targets: int = count("targets", 3, 41)
+    trucks: int = count("trucks", 1, 100)
     shifts: int = count("shifts", 2, 10_000)
+    """Of each truck with each target."""
+    aim_s: float = quantity("aim_ms", 0.0, 10_000.0, 1e-3)
+    """What half a gap away from the target costs the strategy (`Prices.aim_s`): far more than by
+    default, so that it aims at nothing else."""
 
 
 def _targets(own: Settings) -> list[float]:
@@ -62,23 +67,27 @@ def _teeth_job(given: Given[Settings]) -> Engagements:
     return Engagements(given.sheet, (), _slips(own), own.phases, 1e6 * own.patience_s)
 
 
-def _loop_jobs(given: Given[Settings]) -> list[ClosedLoop]:
+def _loop_jobs(given: Given[Settings], target: float) -> list[ClosedLoop]:
     settings = ControllerSettings()
     return [
         ClosedLoop(
             given.sheet,
-            replace(settings, aim=replace(settings.aim, target_rad_share=target)),
+            replace(
+                settings,
+                aim=replace(settings.aim, target_rad_share=target),
+                prices=replace(settings.prices, aim_s=given.own.aim_s),
+            ),
             Preset.TRUCK,
-            given.common.seed,
+            given.common.seed + truck,
             given.own.shifts,
-            as_built=linear_with_teeth(),
         )
-        for target in _targets(given.own)
+        for truck in range(given.own.trucks)
     ]
 
 
 def _jobs(given: Given[Settings]) -> tuple[Job, ...]:
-    return (_teeth_job(given), *_loop_jobs(given))
+    loops = (job for target in _targets(given.own) for job in _loop_jobs(given, target))
+    return (_teeth_job(given), *loops)
 
 
 @dataclass(frozen=True)
@@ -93,8 +102,8 @@ class _Row:
     error_deg: float | None
 
 
-def _row(target: float, result: LoopResult) -> _Row:
-    rows = [row for row in result.known if row.contact is not None]
+def _row(target: float, results: list[LoopResult]) -> _Row:
+    rows = [row for result in results for row in result.known if row.contact is not None]
     if not rows:
         return _Row(100.0 * target, 0, None, None, None, None)
     mean = 1.0 / len(rows)
@@ -111,8 +120,8 @@ def _row(target: float, result: LoopResult) -> _Row:
 def _conclude(given: Given[Settings]) -> Finding:
     teeth: dict[float, list[Tried]] = given.results[_teeth_job(given)]
     rows = [
-        _row(target, given.results[job])
-        for target, job in zip(_targets(given.own), _loop_jobs(given), strict=True)
+        _row(target, [given.results[job] for job in _loop_jobs(given, target)])
+        for target in _targets(given.own)
     ]
     aimed = [row for row in rows if row.impact_j is not None and row.face_ms is not None]
     half_gap_deg = np.degrees(given.sheet.dog.backlash_rad) / 2.0
@@ -182,8 +191,8 @@ def _loop_statement(rows: list[_Row]) -> Statement:
         f"{100 * (worst.gap_share or 0):.0f} % with {worst.impact_j:.2f} J and "
         f"{worst.face_ms:.1f} ms at {worst.target_pct:+.0f} %",
         Verdict.NOT_COMPARABLE,
-        "over the shifts that could aim, on a gearbox that is linear but for its dog teeth; near "
-        "the gap's edges the delay's spread puts teeth on faces",
+        "over the shifts of the truck that could aim, the strategy told to hold the target before "
+        "all else; near the gap's edges the spread of delay and estimate puts teeth on faces",
     )
 
 

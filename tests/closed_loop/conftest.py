@@ -21,8 +21,8 @@ def four_shifts() -> Loop:
 @pytest.fixture(scope="session")
 def one_shift() -> Loop:
     """8 -> 10 by request, from power-up; then the gear it is in and what it cannot do."""
-    requests = [(250_000, 8), (300_000, 10), (1_500_000, 10), (1_600_000, 8), (1_700_000, 9)]
-    requests += [(1_800_000, 0), (1_900_000, 14)]
+    requests = [(250_000, 8), (300_000, 10), (1_500_000, 10), (1_600_000, 0), (1_700_000, 15)]
+    requests += [(1_800_000, 4), (1_900_000, 14)]
     return Loop(requests).run(2_200_000)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,13 +18,17 @@ from dbc.messages import (
     TC1,
     ControllerState,
     ControllerStatus,
+    RigFault,
     ShiftOutcome,
+    ValveAction,
+    ValveCommand,
     ValveStatus,
 )
 from dbc.node import Node
 from gearbox import GearboxSheet, load_sheet
 from rig_sim.core import RigCore
 from rig_sim.faults import ScheduledFault
+from rig_sim.rig_world import FaultOrder
 from rig_sim.settings import Preset, RigSettings
 from testbench.bench import BenchCore, plan_shifts
 from testbench.provenance import product_version
@@ -101,14 +105,18 @@ class Loop:
     """What becomes of frames on their way into the controller."""
     sheet: GearboxSheet = SHEET
     start_gear: int = 8
+    pairs: Sequence[tuple[int, int]] = ((8, 10), (10, 12))
     preset: Preset = Preset.THESIS
     as_built: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[ScheduledFault, ...] = ()
     toward: int = 0
     """The gear that will be asked for: the main shaft turns so that both gears are possible."""
 
+    layshaft_rad_s: float = LAYSHAFT_RAD_S
+    phases_us: Sequence[int] = tuple(PHASES_US)
+
     def __post_init__(self) -> None:
-        plan = plan_shifts(self.sheet, [(8, 10), (10, 12)], self.shifts, LAYSHAFT_RAD_S)
+        plan = plan_shifts(self.sheet, list(self.pairs), self.shifts, self.layshaft_rad_s)
         self.operator = BenchCore(plan) if plan else Operator(self.requests)
         self.controller = Tapped(ControllerCore(self.header), self.receiving)
         self.rig = Tapped(self.new_rig(self.seed))
@@ -117,7 +125,14 @@ class Loop:
         self.events: list[str] = []
         self._decoder = Receiver(*Node)
         cores: list[Core] = [self.controller, self.rig, self.operator]
-        self.time = VirtualTime(cores, PHASES_US, self._take, self._event)
+        self.time = VirtualTime(cores, list(self.phases_us), self._take, self._event)
+
+    def fault(self, kind: RigFault, target: int = 0, value: float = 0.0, for_us: int = 0) -> None:
+        """The rig goes wrong from now on, or for so long."""
+        core = self.rig.core
+        assert isinstance(core, RigCore)
+        order = FaultOrder(int(kind), target, value, for_us)
+        core._world.inject(order, self.time.now_us - self.phases_us[1])
 
     @property
     def header(self) -> RunHeader:
@@ -126,7 +141,7 @@ class Loop:
     def new_rig(self, seed: int, clock_start_us: int | None = None) -> RigCore:
         """A rig as at power-up."""
         pair = (self.start_gear, self.toward or self.start_gear)
-        start = plan_shifts(self.sheet, [pair], 1, LAYSHAFT_RAD_S)
+        start = plan_shifts(self.sheet, [pair], 1, self.layshaft_rad_s)
         rpm = start[0].main_rad_s * 30.0 / math.pi
         return RigCore(
             self.sheet,
@@ -171,6 +186,20 @@ class Loop:
     def of(self, kind: type[Any]) -> list[Any]:
         """All messages of a kind that were on the bus."""
         return [message for _, message in self.messages if type(message) is kind]
+
+    def switched(self, field_: str, action: ValveAction) -> list[int]:
+        """Sensor times, 32 bits, at which the valve side was first told of an action."""
+        core = self.rig.core
+        assert isinstance(core, RigCore)
+        start_us = core.truth.clock_start_us - self.phases_us[1]
+        times, before = [], None
+        for time_us, message in self.messages:
+            if type(message) is ValveCommand:
+                now = getattr(message, field_)
+                if now is action and before not in (None, action):
+                    times.append((start_us + time_us) % (1 << 32))
+                before = now
+        return times
 
     def last(self, kind: type[Any]) -> Any:
         return next((m for _, m in reversed(self.messages) if type(m) is kind), None)

@@ -37,6 +37,7 @@ TO_SI = {
     "deg": ("_rad", math.radians),
     "bar": ("_pa", lambda bar: bar * 100_000.0),
     "mm": ("_m", lambda mm: mm / 1000.0),
+    "km/h": ("_m_s", lambda kmh: kmh / 3.6),
     "J": ("_j", lambda joule: joule),
     "degC": ("_k", lambda celsius: celsius + 273.15),
     "%": ("_fraction", lambda percent: percent / 100.0),

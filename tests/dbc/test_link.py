@@ -342,7 +342,7 @@ def test_a_refused_message_does_not_use_up_a_counter() -> None:
 
 def test_an_event_of_a_sender_that_has_restarted_is_taken() -> None:
     """Its counter begins anew and may be that of the event before: 50 ms of silence of all that it
-    sends by the clock tell the restart. While anything is heard, the same counter is a repetition."""
+    sends by the clock tell the restart. While anything is heard, the same counter repeats."""
     bench, outcome = Receiver(Node.BENCH), ShiftOutcome(to_gear=10)
     for silence_us, expected in ((30_000, Verdict.REPEATED), (80_000, Verdict.OK)):
         before, now_us = Transmitter(Node.TRANSMISSION_CONTROL), 0

@@ -19,7 +19,8 @@ from dbc.messages import (
     Strategy,
 )
 from gearbox import load_sheet
-from testbench.rows import RowCollector, ShiftRow, span_us, summarise
+from testbench.road_speed import span_us
+from testbench.rows import RowCollector, ShiftRow, summarise
 
 SHEET = load_sheet("thesis")
 DEG = math.pi / 180.0

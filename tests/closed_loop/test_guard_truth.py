@@ -1,0 +1,232 @@
+"""Each row of the guard against the rig's truth: a sequence gone mad does damage, unless guarded.
+
+The same controller, rig and bus twice. At a moment the sequence is replaced by one that commands
+what the row forbids; once the guard looks at its frames, once it is told to look away. The rig's
+own account says what came of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import groupby
+from typing import Any
+
+import pytest
+from loop_bench import Loop
+
+from controller.core import ControllerCore
+from controller.header import RunHeader
+from controller.moment import Moment
+from controller.settings import ControllerSettings, Limits
+from controller.valves import Valve
+from dbc.messages import (
+    ClutchAction,
+    ControllerState,
+    EngagementEvent,
+    ReferenceEngagement,
+    RigFault,
+    ValveAction,
+    ValveCommand,
+    ValveStatus,
+)
+from gearbox import Sleeve, load_sheet
+from rig_sim.core import RigCore
+from rig_sim.engagement import Violation
+from rig_sim.settings import Preset
+from rig_sim.sleeves import SleeveState
+
+TRUCK12 = load_sheet("truck12")
+RPM = math.pi / 30.0
+State = ControllerState
+LIMIT_US = 4_000_000
+AGAIN_US = 60_000
+CONTACTS = (EngagementEvent.GAP_CONTACT, EngagementEvent.TOOTH_CONTACT)
+
+
+class MadCore(ControllerCore):
+    """From a moment on its valves are driven by `deed`, its clutch held; the guard may be blind."""
+
+    def __init__(self, header: RunHeader, deed: Deed, guarded: bool) -> None:
+        super().__init__(header)
+        self.deed = deed
+        self.is_mad = False
+        self.rows: list[int] = []
+        self.truth: Any = None
+        self._passes = self._guard.passes
+        self._is_guarded = guarded
+        self._guard.passes = self._look  # type: ignore[method-assign]
+
+    def _look(self, payload: bytes, seen: Any) -> bool:
+        passes = self._passes(payload, seen)
+        if self.is_mad and self._guard.blocked_row is not None:
+            self.rows.append(self._guard.blocked_row)
+        return passes or not self._is_guarded
+
+    def _decide(self, requested: int | None, moment: Moment, events: list[str]) -> None:
+        if not self.is_mad:
+            super()._decide(requested, moment, events)
+            return
+        self._sequence.finished = self._sequence.decision = None
+        self._sequence.clutch = self.deed.clutch
+        for valve in self.deed.valves:
+            command = self._board.command(valve)
+            if not command.on or moment.now_us - command.time_us > AGAIN_US:
+                self._board.schedule(valve, True, moment.earliest_us, moment.now_us)
+
+
+@dataclass
+class Deed:
+    """What is commanded against a row, from when on, and how the rig tells that it was done."""
+
+    row: int
+    valves: tuple[Valve, ...]
+    harm: Callable[[Loop], bool]
+    """Asked after every step."""
+    begins: State = State.IN_GEAR
+    clutch: ClutchAction = ClutchAction.OPEN
+    gear: int = 8
+    layshaft_rpm: float = 1400.0
+    before: Callable[[Loop], None] = lambda _: None
+    lasts_us: int = 700_000
+    valve_on_ms: int = 3_000
+
+
+def truth(loop: Loop) -> Any:
+    core = loop.rig.core
+    assert isinstance(core, RigCore)
+    return core.truth
+
+
+def violated(what: Violation) -> Callable[[Loop], bool]:
+    return lambda loop: truth(loop).violations.get(what, 0) > 0
+
+
+def met_a_gear_at(slip_rpm: float) -> Callable[[Loop], bool]:
+    def harm(loop: Loop) -> bool:
+        events = loop.of(ReferenceEngagement)
+        return any(e.event in CONTACTS and abs(e.slip_rad_s) > slip_rpm * RPM for e in events)
+
+    return harm
+
+
+def moved(loop: Loop) -> bool:
+    return truth(loop).sleeve_state(Sleeve.FIRST_SECOND) is not SleeveState.NEUTRAL
+
+
+def left_the_flank(loop: Loop) -> bool:
+    return truth(loop).sleeve_state(Sleeve.FIRST_SECOND) is not SleeveState.LOCKED
+
+
+def stands_still(loop: Loop) -> bool:
+    return bool(truth(loop).speeds_rad_s[1] < 20.0 * RPM)
+
+
+def overspeeds(loop: Loop) -> bool:
+    return bool(truth(loop).speeds_rad_s[0] > 1.02 * TRUCK12.limits.input_max_rad_s)
+
+
+def parts_the_range(loop: Loop) -> bool:
+    _, _, main, propeller = truth(loop).speeds_rad_s
+    return bool(abs(propeller / main - 1.0) > 0.02)
+
+
+def driven_for(limit_us: int) -> Callable[[Loop], bool]:
+    def harm(loop: Loop) -> bool:
+        runs = groupby(loop.of(ValveStatus), key=lambda status: status.split_high_energised)
+        return any(on and 10_000 * len(list(run)) > limit_us for on, run in runs)
+
+    return harm
+
+
+def dead_layshaft_sensor(loop: Loop) -> None:
+    loop.fault(RigFault.HALL_DROPOUT, 2)
+    loop.run(loop.time.now_us + 40_000)
+
+
+def no_air(loop: Loop) -> None:
+    loop.fault(RigFault.SUPPLY_DROP, 0, 4.0)
+    loop.run(loop.time.now_us + 20_000)
+
+
+def position_says_neutral(loop: Loop) -> None:
+    loop.fault(RigFault.POSITION_OFFSET, 0, 12.0)
+
+
+FIRST, SECOND, CRAWL = Valve.MAIN_FIRST, Valve.MAIN_SECOND, Valve.MAIN_CRAWL
+NEUTRAL = State.SYNCHRONISING
+DEEDS = [
+    Deed(1, (FIRST, SECOND), violated(Violation.BOTH_VALVES)),
+    Deed(2, (CRAWL,), violated(Violation.TWO_GEARS)),
+    Deed(3, (Valve.MAIN_THIRD,), met_a_gear_at(200.0), begins=NEUTRAL),
+    Deed(4, (SECOND,), moved, begins=NEUTRAL, before=dead_layshaft_sensor),
+    Deed(5, (Valve.BRAKE,), violated(Violation.BRAKE_IN_GEAR)),
+    Deed(6, (Valve.BRAKE,), stands_still, begins=NEUTRAL, lasts_us=1_500_000),
+    Deed(7, (Valve.SPLIT_HIGH,), driven_for(1_050_000), lasts_us=1_300_000, valve_on_ms=1_000),
+    Deed(8, (Valve.RANGE_LOW,), parts_the_range),
+    Deed(9, (Valve.SPLIT_LOW,), overspeeds, gear=12, layshaft_rpm=2300.0),
+    Deed(10, (SECOND,), left_the_flank, clutch=ClutchAction.CLOSE),
+    Deed(11, (SECOND,), moved, begins=State.COASTING, before=no_air),
+    Deed(13, (Valve.BRAKE,), violated(Violation.BRAKE_IN_GEAR), before=position_says_neutral),
+]
+
+
+def run(deed: Deed, guarded: bool) -> tuple[MadCore, Loop, bool]:
+    loop = Loop(
+        [(300_000, 10)] if deed.begins is not State.IN_GEAR else [],
+        settings=ControllerSettings(limits=Limits(valve_on_ms=deed.valve_on_ms)),
+        sheet=TRUCK12,
+        preset=Preset.TRUCK,
+        start_gear=deed.gear,
+        layshaft_rad_s=deed.layshaft_rpm * RPM,
+        seed=6,
+    )
+    mad = MadCore(loop.header, deed, guarded)
+    loop.controller.core = mad
+    loop.run_to_state(deed.begins, LIMIT_US)
+    deed.before(loop)
+    if deed.begins is State.IN_GEAR:
+        mad._sequence.clutch = deed.clutch
+        hold_clutch(mad, loop, 500_000 if deed.row == 13 else 300_000)
+    mad._board.all_off()
+    mad.is_mad = True
+    harmed = loop.until(lambda: deed.harm(loop), loop.time.now_us + deed.lasts_us)
+    return mad, loop, harmed
+
+
+def hold_clutch(mad: MadCore, loop: Loop, for_us: int) -> None:
+    """Goes on for a while with no valve driven and the clutch where the deed wants it."""
+    valves, mad.deed.valves = mad.deed.valves, ()
+    mad.is_mad = True
+    loop.run(loop.time.now_us + for_us)
+    mad.deed.valves = valves
+
+
+@pytest.mark.parametrize("deed", DEEDS, ids=[f"row {deed.row}" for deed in DEEDS])
+def test_what_a_row_forbids_does_harm_and_under_guard_does_none(deed: Deed) -> None:
+    _, _, harmed = run(deed, guarded=False)
+    assert harmed
+    mad, loop, harmed = run(deed, guarded=True)
+    assert not harmed, loop.events
+    assert mad.rows
+    assert mad.rows[0] == deed.row
+
+
+def test_row_12_nothing_is_driven_before_the_inputs_are_proven() -> None:
+    """Mad from power-up: the guard lets nothing out until all was valid three steps in a row."""
+    deed = Deed(12, (Valve.SPLIT_HIGH,), lambda _: False)
+    first: dict[bool, int] = {}
+    for guarded in (False, True):
+        loop = Loop(sheet=TRUCK12, preset=Preset.TRUCK)
+        mad = MadCore(loop.header, deed, guarded)
+        mad.is_mad = True
+        loop.controller.core = mad
+        loop.run(200_000)
+        first[guarded] = next(
+            time_us
+            for time_us, message in loop.messages
+            if isinstance(message, ValveCommand) and message.split_high_action is ValveAction.ON_AT
+        )
+        assert set(mad.rows) == {12}
+    assert first[True] > first[False] + 20_000
