@@ -161,20 +161,26 @@ def _mean(tried: list[Tried], what: str, gap: bool) -> float | None:
 def _teeth_statement(teeth: dict[float, list[Tried]], half_gap_deg: float) -> Statement:
     words = []
     for slip, tried in teeth.items():
-        locked = [each for each in tried if each.locked and not each.ratchets]
-        best = min(locked, key=lambda each: (each.face_ms, each.impact_j), default=None)
-        if best is not None:
-            words.append(
-                f"{slip / RPM:.0f} rpm: {best.impact_j:.2f} J at {best.phase_deg:+.2f} deg"
-            )
+        gap, tooth = (_mean(tried, "impact_j", gap=there) for there in (True, False))
+        face = _mean(tried, "face_ms", gap=False)
+        blocked = sum(not each.locked for each in tried) / len(tried)
+        words.append(
+            f"{slip / RPM:.0f} rpm: {_figure(gap, 2)} J in the gap, {_figure(tooth, 2)} J after "
+            f"{_figure(face, 0)} ms on a tooth, {100 * blocked:.0f} % not engaged"
+        )
     return Statement(
         CLAIM,
-        f"the teeth alone, least impact without rubbing: {'; '.join(words)}",
+        f"the teeth alone, phases spread evenly: {'; '.join(words)}",
         Verdict.NOT_COMPARABLE,
         f"the thesis has no figure. In the gap (+-{half_gap_deg:.2f} deg) the flank takes what the "
-        "slip brings, J dw^2 (1 - e^2) / 2, wherever in the gap the tooth came in; the angle "
-        "decides whether faces rub, how long, and whether a flank throws the sleeve back",
+        "slip brings, J dw^2 (1 - e^2) / 2, wherever in the gap the tooth came in; on a tooth the "
+        "faces take some of the slip first. The angle decides whether faces rub, how long, and "
+        "whether a gear engages at all",
     )
+
+
+def _figure(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
 
 
 def _loop_statement(rows: list[_Row]) -> Statement:
