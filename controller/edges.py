@@ -17,6 +17,7 @@ from controller import edge_gate
 from controller.clock import SensorClock
 from controller.edge_kernels import BROKEN, CHAIN, STAMPS, Integers, chain_edges
 from controller.kernels import Vector
+from gearbox.sheet import Wheel
 
 LONG_AGO_US: Final = -(1 << 62)
 LONGEST_US: Final = 65_535
@@ -168,6 +169,11 @@ class WheelEdges:
         self.newest: Edge | None = None
         self.extra_us: Integers = np.empty(0, np.int64)
         """Times of the edges that were left out as extra at the last read."""
+
+    @classmethod
+    def of(cls, wheel: Wheel) -> WheelEdges:
+        """The edges of a wheel of the data sheet."""
+        return cls(wheel.teeth, wheel.duty_share, wheel.missing)
 
     @property
     def health(self) -> EdgeHealth:

@@ -1,8 +1,8 @@
 """numba's compiler for the kernels, or none: with NUMBA_DISABLE_JIT=1 numba is not even loaded.
 
 `compiled` and `bare` make an entry point, kept in numba's file cache; `inlined` a piece of one,
-copied to where it is called. numba looks only at the file of a cached function, so a change in a part in another
-file would go unseen: the cache's folder therefore bears a digest of all kernels.
+copied to where it is called. numba looks only at the file of a cached function, so a change in a
+piece in another file would go unseen: the cache's folder therefore bears a digest of all kernels.
 """
 
 from __future__ import annotations

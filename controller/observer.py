@@ -52,8 +52,8 @@ class Observer:
         self.view = GearboxView(sheet)
         self.references = PhaseReferences(sheet)
         self._split = Split.HIGH
-        self._layshaft_wheel = WheelEdges(wheels.layshaft.teeth, wheels.layshaft.duty_share)
-        self._main_wheel = WheelEdges(wheels.main.teeth, wheels.main.duty_share)
+        self._layshaft_wheel = WheelEdges.of(wheels.layshaft)
+        self._main_wheel = WheelEdges.of(wheels.main)
         self.brake = BrakeModel(sheet, tuning.gain_sd, tuning.drag_sd_nm)
         self._learns = estimator is Estimator.CROSSING
         """The baselines know the data sheet and nothing more."""

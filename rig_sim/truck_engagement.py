@@ -205,8 +205,11 @@ class TruckEngagement(Engagement[TruckSleeve]):
         """Resting on a tooth: rub, and watch for the gap."""
         self._face_since_us[name] = self._plant.time_us
         gear = self.gear_at(name)
-        half = self._half_rad + self._chamfer_rad
-        self._truck.watch(ROWS[name], gear, (half, self._pitch_rad - half), with_lash=True)
+        # A chamfer lets an approaching tooth in; one that has left the gap over it stays out.
+        ahead = 0.0 if self._plant.slip_rad_s(gear) < 0.0 else self._chamfer_rad
+        low = self._half_rad + self._chamfer_rad - ahead
+        high = self._pitch_rad - self._half_rad - ahead
+        self._truck.watch(ROWS[name], gear, (low, high), with_lash=True)
         self._rub(name)
 
     def _rub(self, name: Sleeve, sign: float = 0.0) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 from controller.settings import ControllerSettings
@@ -24,7 +25,7 @@ from dbc.messages import (
 )
 from dbc.node import Node
 from gearbox import GearboxSheet
-from testbench.estimation import EstimationScore
+from testbench.estimation import EstimationScore, Sample
 from testbench.rows import RowCollector
 
 READ_AT_REST: Final = (
@@ -49,11 +50,13 @@ class Monitor:
         sheet: GearboxSheet,
         settings: ControllerSettings,
         also: tuple[type[Message], ...] = (),
+        on_sample: Callable[[Sample], None] | None = None,
     ) -> None:
-        """`also`: further messages that `take` should return."""
+        """`also`: further messages that `take` should return; `on_sample` sees every instant at
+        which the estimators are scored."""
         half_gap = sheet.dog.backlash_rad / 2.0
         self.rows = RowCollector(sheet, settings.aim.target_rad_share * half_gap)
-        self.estimation = EstimationScore(sheet, settings)
+        self.estimation = EstimationScore(sheet, settings, on_sample)
         self.status: ControllerStatus | None = None
         self._read = identifiers(READ + also)
         self._read_at_rest = identifiers(READ_AT_REST + also)

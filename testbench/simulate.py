@@ -96,9 +96,12 @@ def simulate(
     on_frame: Callable[[int, Frame], None] | None = None,
     on_row: Callable[[ShiftRow], None] | None = None,
     on_event: Callable[[int, int, str], None] | None = None,
+    monitor: Monitor | None = None,
 ) -> Result:
-    """Runs all shifts. A function of `setup`: same setup, same frames, same rows."""
-    monitor = Monitor(setup.sheet, setup.settings)
+    """Runs all shifts. A function of `setup`: same setup, same frames, same rows.
+
+    `monitor` is one of the caller's making that hears more."""
+    monitor = monitor or Monitor(setup.sheet, setup.settings)
     plan = plan_shifts(setup.sheet, list(setup.pairs), setup.shifts, LAYSHAFT_RAD_S)
     bench = BenchCore(plan)
     rig_settings = RigSettings(

@@ -45,7 +45,7 @@ def _conclude(given: Given[Settings]) -> Finding:
             for point in found
         },
         "table_6_2_rms_deg": [
-            {name: figures([score], name).angle_deg for name in score} for score in two.scores
+            {name: figures([[score]], name).angle_deg for name in score} for score in two.scores
         ],
         "table_6_2_brake_nm": two.brake_nm,
     }
@@ -134,7 +134,7 @@ def _table(two: Shown) -> Table:
         (
             f"gear shift {i + 1}",
             name,
-            figures([score], name).angle_deg,
+            figures([[score]], name).angle_deg,
             THESIS_ANGLE_DEG[i] if name == THESIS_FILTER else None,
         )
         for i, score in enumerate(two.scores)

@@ -103,7 +103,6 @@ def _run(given: Given[Settings], brake_nm: float, truck: int) -> ClosedLoop:
         own.learning_shifts + own.shifts,
         as_built=as_built,
         keep=keep,
-        scored=True,
     )
 
 
@@ -111,27 +110,40 @@ def points(given: Given[Settings]) -> list[Point]:
     """All brakes, over all trucks and the shifts that count."""
     found = []
     for brake_nm in brakes_nm(given.own):
-        scores: list[Scores] = []
+        trucks = []
         for truck in range(given.own.trucks):
             result: LoopResult = given.results[_run(given, brake_nm, truck)]
-            scores += result.scores[given.own.learning_shifts :]
-        found.append(Point(brake_nm, {name: figures(scores, name) for name in ESTIMATOR_NAMES}))
+            trucks.append(result.scores[given.own.learning_shifts :])
+        found.append(Point(brake_nm, {name: figures(trucks, name) for name in ESTIMATOR_NAMES}))
     return found
 
 
-def figures(scores: list[Scores], estimator: str) -> Figures:
-    """RMS over shifts. CommandError where none was scored."""
-    squares = [score[estimator] for score in scores if estimator in score]
-    total = Squares(
-        sum(each.samples for each in squares),
-        sum(each.angle_rad2 for each in squares),
-        sum(each.speed_rad2_s2 for each in squares),
-    )
-    if not total.samples:
+def figures(trucks: list[list[Scores]], estimator: str) -> Figures:
+    """RMS over the shifts of all trucks. CommandError where none was scored.
+
+    The mean angle error of a truck is taken off: the encoder counts from tooth 0, and a wheel's
+    mean tooth offset cannot be observed, nor does it matter for a phase that is learned."""
+    samples, angle_rad2, speed_rad2_s2 = 0, 0.0, 0.0
+    for scores in trucks:
+        total = _total(scores, estimator)
+        samples += total.samples
+        speed_rad2_s2 += total.speed_rad2_s2
+        angle_rad2 += total.angle_rad2 - total.angle_rad**2 / max(1, total.samples)
+    if not samples:
         raise CommandError(f"estimator {estimator} was never scored: no shift went as far")
     return Figures(
-        math.sqrt(total.angle_rad2 / total.samples) / DEG,
-        math.sqrt(total.speed_rad2_s2 / total.samples) / RPM,
+        math.sqrt(max(0.0, angle_rad2) / samples) / DEG,
+        math.sqrt(speed_rad2_s2 / samples) / RPM,
+    )
+
+
+def _total(scores: list[Scores], estimator: str) -> Squares:
+    squares = [score[estimator] for score in scores if estimator in score]
+    return Squares(
+        sum(each.samples for each in squares),
+        sum(each.angle_rad for each in squares),
+        sum(each.angle_rad2 for each in squares),
+        sum(each.speed_rad2_s2 for each in squares),
     )
 
 

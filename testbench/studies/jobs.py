@@ -11,13 +11,13 @@ from controller.settings import ControllerSettings
 from dbc.frame import Frame
 from dbc.layout import CODECS
 from dbc.link import Receiver
-from dbc.messages import GearboxSensors, ShiftOutcome, ShiftResult
+from dbc.messages import GearboxSensors, Message, ShiftOutcome, ShiftResult
 from dbc.node import Node
 from gearbox import GearboxSheet
-from rig_sim.as_built import linear
+from rig_sim.as_built import linear, nominal
 from rig_sim.settings import Preset
-from testbench.estimation import EstimationScore, Sample
-from testbench.monitor import READ, identifiers
+from testbench.estimation import Sample
+from testbench.monitor import Monitor
 from testbench.road_speed import span_us
 from testbench.rows import ShiftRow
 from testbench.schedules import UPSHIFTS, Pairs
@@ -27,6 +27,7 @@ AsBuilt = tuple[tuple[str, float], ...]
 """As-built values that are fixed, by name; the rest is drawn from the seed."""
 ENGAGEMENT: Final = ("dog.", "sleeve.entry_law")
 OUTCOME_ID: Final = CODECS["ShiftOutcome"].spec.can_id
+SENSORS_ID: Final = CODECS["GearboxSensors"].spec.can_id
 
 
 class Delay(NamedTuple):
@@ -43,12 +44,15 @@ class Squares:
     """Sums of squared errors of one estimator over one shift, for 5.10."""
 
     samples: int = 0
+    angle_rad: float = 0.0
+    """Sum, not squared: the mean is the wheel's unobservable tooth offset."""
     angle_rad2: float = 0.0
     speed_rad2_s2: float = 0.0
 
     def add(self, sample: Sample) -> None:
         """One encoder instant."""
         self.samples += 1
+        self.angle_rad += sample.theta_error_rad
         self.angle_rad2 += sample.theta_error_rad**2
         self.speed_rad2_s2 += sample.omega_error_rad_s**2
 
@@ -83,7 +87,7 @@ class LoopResult:
     delays: list[Delay]
     traces: list[ShiftTrace]
     scores: list[Scores]
-    """One a shift, where the job asked for them."""
+    """One a shift."""
 
     @property
     def known(self) -> list[ShiftRow]:
@@ -93,8 +97,7 @@ class LoopResult:
 
 @dataclass(frozen=True)
 class ClosedLoop:
-    """A job: controller, rig and bench for some shifts; traces of the first `keep`, and every
-    shift's scores where `scored`."""
+    """A job: controller, rig and bench for some shifts; traces of the first `keep`."""
 
     sheet: GearboxSheet
     settings: ControllerSettings
@@ -104,7 +107,6 @@ class ClosedLoop:
     pairs: Pairs = UPSHIFTS
     as_built: AsBuilt = ()
     keep: int = 0
-    scored: bool = False
 
     def run(self) -> LoopResult:
         """Simulates it."""
@@ -118,7 +120,13 @@ class ClosedLoop:
             as_built=dict(self.as_built),
         )
         collector = _Collector(self)
-        result = simulate(setup, lambda _time_us, frame: collector.take(frame))
+        monitor = Monitor(self.sheet, self.settings, on_sample=collector.sample)
+        result = simulate(
+            setup,
+            lambda _time_us, frame: collector.take(frame),
+            lambda _row: collector.end_shift(monitor.estimation.brake.arrays()),
+            monitor=monitor,
+        )
         delays = [
             Delay(row.to, measured, row.delay_ms, row.contact == "tooth")
             for row, measured in zip(result.rows, collector.delays, strict=True)
@@ -130,20 +138,18 @@ class ClosedLoop:
 
 
 def linear_with_teeth() -> AsBuilt:
-    """The thesis's linear gearbox with the truck's dog teeth: faces that rub, flanks that strike;
-    all else exactly as the data sheet says. The teeth's values are those of truck.toml."""
-    values = {k: v for k, v in linear().items() if not k.startswith(ENGAGEMENT)}
-    return tuple(sorted(values.items()))
+    """The thesis's linear gearbox with the truck's dog teeth at their defaults: faces that rub,
+    flanks that strike; all else exactly as the data sheet says."""
+    teeth = {k: v for k, v in nominal().items() if k.startswith(ENGAGEMENT)}
+    return tuple(sorted((linear() | teeth).items()))
 
 
 class _Collector:
-    """Reads delays off the outcomes and, for the first shifts, everything that traces need."""
+    """Reads delays off the outcomes, and keeps what traces and scores need."""
 
     def __init__(self, job: ClosedLoop) -> None:
         self._receiver = Receiver(*Node)
         self._job = job
-        self._score = EstimationScore(job.sheet, job.settings, self._sample)
-        self._all = identifiers(READ)
         self._trace = ShiftTrace()
         self._squares: Scores = {}
         self._latest_us = 0
@@ -152,43 +158,46 @@ class _Collector:
         """One a shift; None where the sensor saw no contact, or not at the first attempt."""
         self.traces: list[ShiftTrace] = []
 
-    def take(self, frame: Frame) -> None:
-        """One frame in bus order."""
-        tracing = self._job.scored or self._keeps
-        if frame.can_id != OUTCOME_ID and not (tracing and frame.can_id in self._all):
-            return
-        message = self._receiver.receive(frame).message
-        if message is None:
-            return
-        if tracing:
-            self._score.take(message)
-        if isinstance(message, GearboxSensors):
-            stamp = message.sample_time_us
-            self._latest_us = unwrap(stamp, self._latest_us) if self._latest_us else stamp
-            self._trace.pressure_us.append(self._latest_us)
-            self._trace.pressure_pa.append(message.brake_pressure_pa)
-        elif isinstance(message, ShiftOutcome) and message.result is not ShiftResult.REFUSED:
-            self._end(message)
-
     @property
     def _keeps(self) -> bool:
         return len(self.traces) < self._job.keep
 
-    def _sample(self, sample: Sample) -> None:
-        self._squares.setdefault(sample.estimator, Squares()).add(sample)
-        if self._keeps:
-            self._trace.samples.append(sample)
+    def take(self, frame: Frame) -> None:
+        """One frame in bus order."""
+        if frame.can_id == OUTCOME_ID:
+            self._outcome(self._receiver.receive(frame).message)
+        elif frame.can_id == SENSORS_ID and self._keeps:
+            self._sensors(self._receiver.receive(frame).message)
 
-    def _end(self, outcome: ShiftOutcome) -> None:
+    def _outcome(self, outcome: Message | None) -> None:
+        if not isinstance(outcome, ShiftOutcome) or outcome.result is ShiftResult.REFUSED:
+            return
         measured = None
         if outcome.attempts == 1 and outcome.measured_contact_time_us:
             measured = span_us(outcome.measured_contact_time_us, outcome.fire_time_us) / 1000.0
         self.delays.append(measured)
+
+    def _sensors(self, sensors: Message | None) -> None:
+        if not isinstance(sensors, GearboxSensors):
+            return
+        stamp = sensors.sample_time_us
+        self._latest_us = unwrap(stamp, self._latest_us) if self._latest_us else stamp
+        self._trace.pressure_us.append(self._latest_us)
+        self._trace.pressure_pa.append(sensors.brake_pressure_pa)
+
+    def sample(self, sample: Sample) -> None:
+        """An estimator was scored."""
+        self._squares.setdefault(sample.estimator, Squares()).add(sample)
+        if self._keeps:
+            self._trace.samples.append(sample)
+
+    def end_shift(self, switches: tuple[Vector, Vector]) -> None:
+        """A shift's row is there: what was gathered is this shift's."""
         self.scores.append(self._squares)
         self._squares = {}
         if self._keeps:
             # an encoder frame holds its samples newest first
             self._trace.samples.sort(key=lambda sample: sample.time_us)
-            self._trace.switches = self._score.brake.arrays()
+            self._trace.switches = switches
             self.traces.append(self._trace)
-        self._trace = ShiftTrace()
+            self._trace = ShiftTrace()

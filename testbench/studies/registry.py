@@ -32,6 +32,10 @@ NAMES: Final = (
     "angle_estimate",
     "step",
     "bound",
+    "shiftability",
+    "hardware",
+    "target",
+    "fusion",
 )
 """In the order of the thesis, then what goes beyond it."""
 ALL: Final = "all"

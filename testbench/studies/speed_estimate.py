@@ -50,7 +50,7 @@ def _conclude(given: Given[Settings]) -> Finding:
             for point in found
         },
         "table_6_1_rms_rpm": [
-            {name: figures([score], name).speed_rpm for name in score} for score in two.scores
+            {name: figures([[score]], name).speed_rpm for name in score} for score in two.scores
         ],
         "table_6_1_brake_nm": two.brake_nm,
     }
@@ -153,7 +153,7 @@ def _table(two: Shown) -> Table:
                 BASELINE: THESIS_BASELINE_RPM[i],
                 THESIS_FILTER: THESIS_SPEED_RPM[i],
             }.get(name)
-            rows.append((f"gear shift {i + 1}", name, figures([score], name).speed_rpm, thesis))
+            rows.append((f"gear shift {i + 1}", name, figures([[score]], name).speed_rpm, thesis))
     columns = ("", "signal", "ours, RMS rpm", "thesis, RMS rpm")
     return Table(
         "table_6_1", f"Table 6.1, with a brake of {two.brake_nm:g} Nm", columns, tuple(rows)

@@ -6,12 +6,13 @@ import math
 
 import numpy as np
 import pytest
-from truck_bench import DEG, GEAR, RPM, TRIALS, Trials, limit_sheet, limit_values, run, share, world
+from truck_bench import DEG, GEAR, RPM, TRIALS, limit_sheet, limit_values, run, share, world
 
 from dbc.messages import EngagementEvent
 from gearbox.sheet import load_sheet
 from rig_sim import truck_layout as at
 from rig_sim.truck_strokes import Push
+from rig_sim.truck_trials import Trials
 
 PITCH = 15.0 * DEG
 BACKLASH = 3.0 * DEG

@@ -11,12 +11,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from truck_bench import DEG, RPM, SHEET, TRIALS, Trials, limit_sheet, limit_values
+from truck_bench import DEG, RPM, SHEET, TRIALS, limit_sheet, limit_values
 
 from gearbox.gears import MAIN_GEARS
 from rig_sim.as_built import as_built_sheet, draw_as_built, linear, nominal
 from rig_sim.cylinder import Cylinder, travel
 from rig_sim.delays import TruckDelays
+from rig_sim.truck_trials import Trials
 
 BACKLASH = 3.0 * DEG
 
@@ -120,3 +121,12 @@ def test_the_cylinder_s_travel_goes_with_pressure_to_the_power_of_about_minus_a_
     stiff = travel(cylinder._replace(friction_n=300.0), 9e5, 1e5, 5e-3)
     assert 1e-3 < stiff.time_s - times[9.0].time_s < 15e-3
     assert travel(cylinder._replace(friction_n=5000.0), 9e5, 1e5, 5e-3).time_s == float("inf")
+
+
+def test_a_tooth_that_stops_on_the_chamfer_it_has_left_by_is_blocked() -> None:
+    values = limit_values(dog__face_friction=0.1, dog__chamfer_mm=0.1, dog__overlap_mm=1.0)
+    trials = Trials(limit_sheet(), values)
+    just_out = trials.backlash_rad / 2.0 + 0.3 * 0.1e-3 / 0.075
+    outcome = trials.engage(just_out, 1.0 * RPM, 1e6)
+    assert outcome.blocked
+    assert not outcome.in_gap

@@ -1,6 +1,0 @@
-"""Property tests judge what is computed, not how fast a busy machine computes it."""
-
-from hypothesis import HealthCheck, settings
-
-settings.register_profile("busy", deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.load_profile("busy")

@@ -1,0 +1,123 @@
+"""Verdicts follow the figures: a wrong product or another gearbox changes what a study says."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given as drawn
+from hypothesis import strategies as st
+
+from controller.predictor import LayshaftState, predict_linear
+from gearbox import load_sheet
+from testbench.studies import prediction
+from testbench.studies.excitation import Figures, Point, figures, matched
+from testbench.studies.jobs import Squares
+from testbench.studies.record import Finding, Given, Statement, Verdict
+from testbench.studies.registry import load
+from testbench.studies.settings import load_study_settings
+from testbench.studies.validation import Compared, time_constant_s
+
+SHEET = load_sheet("thesis")
+
+
+def given(name: str, **changed: Any) -> Given[Any]:
+    """What the study starts from, parts of it changed."""
+    return replace(load_study_settings(None).given(load(name)), **changed)
+
+
+def conclude(name: str, **changed: Any) -> Finding:
+    return load(name).conclude(given(name, **changed))
+
+
+def test_zero_order_hold_equals_the_rig_and_a_predictor_that_is_not_it_is_found_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert conclude("hold").statements[0].verdict is Verdict.AGREES
+
+    def wrong(state: LayshaftState, to_us: float, *_: Any) -> LayshaftState:
+        return predict_linear(state, to_us)
+
+    monkeypatch.setattr(prediction, "predict_hold", wrong)
+    assert conclude("hold").statements[0].verdict is Verdict.DIFFERS
+
+
+def test_friction_costs_too_much_in_our_gearbox_and_not_in_one_that_turns_more_easily() -> None:
+    easy = replace(SHEET, shafts=replace(SHEET.shafts, friction_nms=0.03))
+    assert conclude("parameters").statements[1].verdict is Verdict.DIFFERS
+    assert conclude("parameters", sheet=easy).statements[1].verdict is Verdict.AGREES
+
+
+def test_a_gearbox_whose_brake_is_weaker_does_not_reach_the_thesis_s_torque() -> None:
+    weak = replace(SHEET, brake=replace(SHEET.brake, max_torque_nm=80.0))
+    assert conclude("torque").verdict is Verdict.AGREES
+    assert conclude("torque", sheet=weak).verdict is Verdict.DIFFERS
+
+
+def test_early_contact_costs_more_than_late_because_the_brake_still_acts() -> None:
+    finding = conclude("delay_error")
+    for sides in finding.figures["by_slip_rpm"].values():
+        assert sides["early"] > sides["late"] > 0.0
+    # with a pressure that dies at once only drag is left, and the sides come together
+    quick = replace(SHEET, brake=replace(SHEET.brake, time_constant_s=1e-3, valve_delay_s=0.0))
+    at_once = conclude("delay_error", sheet=quick).figures["by_slip_rpm"]
+    for slip, sides in finding.figures["by_slip_rpm"].items():
+        spread = at_once[slip]["early"] - at_once[slip]["late"]
+        assert spread < 0.5 * (sides["early"] - sides["late"])
+
+
+def test_euler_s_method_is_of_first_order_and_costs_more_than_the_closed_form() -> None:
+    values = conclude("step").figures
+    assert values["order_of_convergence"] == pytest.approx(1.0, abs=0.02)
+    euler, closed, stored = values["operations"].values()
+    assert euler["arithmetic"] > closed["arithmetic"] > stored["arithmetic"] > 0
+    assert closed["functions"] == 4  # two exp, two expm1
+
+
+@drawn(tau_ms=st.floats(15.0, 90.0), first_ms=st.floats(5.0, 40.0))
+def test_the_time_constant_of_a_first_order_rise_is_found_again(
+    tau_ms: float, first_ms: float
+) -> None:
+    time_ms = np.arange(0.0, 400.0, 1.0)
+    supply, base = SHEET.air.supply_gauge_pa / 1e5, SHEET.air.atmosphere_pa / 1e5
+    rise = supply * (1.0 - np.exp(-np.maximum(time_ms - first_ms, 0.0) / tau_ms))
+    compared = Compared(time_ms, base + rise, np.zeros_like(time_ms))
+    assert 1e3 * time_constant_s(SHEET, compared) == pytest.approx(tau_ms, abs=1.5)
+
+
+def test_the_comparison_is_made_where_the_production_speed_is_as_wrong_as_the_thesis_s() -> None:
+    found = [
+        Point(10.0, {"window": Figures(0.2, 4.845), "thesis": Figures(0.1, 1.0)}),
+        Point(20.0, {"window": Figures(0.3, 6.845), "thesis": Figures(0.3, 3.0)}),
+    ]
+    match = matched(found)
+    assert match is not None
+    assert match.brake_nm == pytest.approx(15.0)
+    assert match.figures["thesis"].speed_rpm == pytest.approx(2.0)
+    assert matched(found[:1]) is None
+    assert matched([found[1]]) is None
+
+
+def test_a_wheel_s_mean_tooth_offset_is_no_error_of_its_angle() -> None:
+    offset, scatter = 0.01, 0.002
+    squares = Squares(2, 2 * offset, (offset - scatter) ** 2 + (offset + scatter) ** 2, 0.0)
+    assert np.radians(figures([[{"thesis": squares}]], "thesis").angle_deg) == pytest.approx(
+        scatter
+    )
+
+
+@pytest.mark.parametrize(
+    ("verdicts", "overall"),
+    [
+        ((True, False, "not comparable"), False),
+        ((True, "not comparable"), True),
+        (("not comparable",), "not comparable"),
+    ],
+)
+def test_one_statement_that_differs_makes_the_study_differ(
+    verdicts: tuple[Any, ...], overall: Any
+) -> None:
+    statements = tuple(Statement("", "", Verdict(value), "") for value in verdicts)
+    assert Finding(statements, {}).verdict.value == overall

@@ -1,0 +1,42 @@
+"""The studies cover the thesis, and each can be named."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import pytest
+
+from testbench.errors import CommandError
+from testbench.studies.registry import NAMES, chosen, load
+from testbench.studies.settings import load_study_settings
+
+FIGURES = {f"figure 6.{number}" for number in range(1, 14)}
+TABLES = {"table 6.1", "table 6.2"}
+
+
+def test_every_figure_and_table_of_the_results_has_one_study() -> None:
+    held = [item for name in NAMES for item in load(name).of if item.startswith(("fig", "tab"))]
+    assert sorted(held) == sorted(FIGURES | TABLES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_study_bears_the_name_of_its_file_and_every_setting_has_a_shipped_value(
+    name: str,
+) -> None:
+    study = load(name)
+    given = load_study_settings(None).given(study)
+    assert study.name == name
+    assert {field.name for field in dataclasses.fields(given.own)}
+
+
+def test_a_study_is_found_by_name_or_by_what_it_reproduces_and_runs_once() -> None:
+    assert [study.name for study in chosen(["6.12", "table 6.1", "valve"])] == [
+        "valve",
+        "speed_estimate",
+    ]
+    assert [study.name for study in chosen(["all"])] == list(NAMES)
+
+
+def test_an_unknown_study_is_named_with_those_that_are_allowed() -> None:
+    with pytest.raises(CommandError, match=r"'6\.99'.*valve, torque"):
+        chosen(["6.99"])

@@ -1,0 +1,70 @@
+"""docs/thesis.md is complete, and what it names is there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from testbench.studies.registry import NAMES, load
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "docs" / "thesis.md").read_text(encoding="utf-8")
+EQUATIONS = {
+    "2": [1],
+    "3": [1, 2],
+    "4": list(range(1, 18)),
+    "5": list(range(1, 19)),
+}
+
+
+def cells(section: str) -> list[str]:
+    """The first cell of every row of a section's table."""
+    body = TEXT.split(f"## {section}")[1].split("\n## ")[0]
+    rows = [line for line in body.splitlines() if line.startswith("| ")]
+    return [row.split("|")[1].strip() for row in rows[1:]]
+
+
+def named_equations() -> set[str]:
+    found = set()
+    for cell in cells("Equations"):
+        for item in cell.split(", "):
+            ends = re.findall(r"\d+\.\d+", item)
+            if not ends:
+                continue
+            chapter, first = ends[0].split(".")
+            last = ends[-1].split(".")[1]
+            found |= {f"{chapter}.{n}" for n in range(int(first), int(last) + 1)}
+    return found
+
+
+def test_every_equation_of_the_thesis_is_there() -> None:
+    wanted = {f"{chapter}.{n}" for chapter, numbers in EQUATIONS.items() for n in numbers}
+    assert named_equations() == wanted
+
+
+def test_every_figure_and_table_is_there() -> None:
+    named = set(re.findall(r"(?:figure|table) \d\.\d+", " ".join(cells("Figures and tables"))))
+    figures = {"2.1", "2.2", "3.1", "3.2", "4.1"} | {f"6.{n}" for n in range(1, 14)}
+    assert named == {f"figure {n}" for n in figures} | {"table 6.1", "table 6.2"}
+
+
+def test_every_study_is_there_and_those_named_exist() -> None:
+    named = set()
+    for group in re.findall(r"stud(?:y|ies) ((?:`\w+`(?:, | and )?)+)", TEXT):
+        named |= set(re.findall(r"`(\w+)`", group))
+    assert named <= set(NAMES)
+    assert {name for name in NAMES if load(name).of} <= named
+
+
+FILES = sorted(set(re.findall(r"`((?:[a-z_]+/)+[a-z_]+\.[a-z]+)`", TEXT)))
+
+
+def test_files_are_found_in_the_text() -> None:
+    assert len(FILES) > 40
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_that_is_named_exists(name: str) -> None:
+    assert (ROOT / name).is_file()
