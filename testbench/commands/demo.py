@@ -141,7 +141,7 @@ def _live_run(namespace: argparse.Namespace, strategy: str, private: Path) -> Li
     header.save(namespace.out)
     in_process = uses_virtual(namespace)
     bus = _bus_arguments(namespace, strategy, private)
-    controller = ["--strategy", strategy, *_optional(namespace)]
+    controller = ["--strategy", strategy, *_given(namespace, "settings", "estimator")]
     return LiveRun(
         header=header,
         rig=RigSettings(
@@ -149,6 +149,8 @@ def _live_run(namespace: argparse.Namespace, strategy: str, private: Path) -> Li
             seed=namespace.seed,
             start_gear=plan[0].from_,
             main_speed_rpm=plan[0].main_rad_s * 30.0 / math.pi,
+            as_built=arguments.as_built_of(namespace),
+            faults=arguments.faults_of(namespace),
         ),
         plan=plan,
         log=_log_path(namespace.out, strategy),
@@ -158,15 +160,17 @@ def _live_run(namespace: argparse.Namespace, strategy: str, private: Path) -> Li
         paced=not namespace.wall_clock,
         node_arguments=[*bus, "--gearbox", namespace.gearbox],
         controller_arguments=controller,
+        rig_arguments=_given(namespace, "as_built", "faults"),
     )
 
 
-def _optional(namespace: argparse.Namespace) -> list[str]:
+def _given(namespace: argparse.Namespace, *names: str) -> list[str]:
+    """These arguments as they were given, for a node's own command line."""
     chosen = []
-    if namespace.settings is not None:
-        chosen += ["--settings", str(namespace.settings)]
-    if namespace.estimator is not None:
-        chosen += ["--estimator", namespace.estimator]
+    for name in names:
+        value = getattr(namespace, name)
+        if value is not None:
+            chosen += [f"--{name.replace('_', '-')}", str(value)]
     return chosen
 
 

@@ -31,7 +31,7 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         ("simulate --shifts 0", ("shifts", "0", "1")),
         ("simulate --shifts 1.5", ("shifts", "1.5")),
         ("simulate --strategy hope", ("strategy", "hope", "target_phase")),
-        ("simulate --pairs 8-9 --shifts 1", ("8-9", "8-10")),
+        ("simulate --preset thesis --pairs 8-9 --shifts 1", ("8-9", "8-10")),
         ("simulate --gearbox lorry --shifts 1", ("lorry", "thesis")),
         ("simulate --settings nowhere.toml --shifts 1", ("nowhere.toml",)),
         ("replay nowhere.log", ("nowhere.log",)),

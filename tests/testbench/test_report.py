@@ -17,8 +17,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from controller.settings import load_settings
+from controller.settings import ControllerSettings
 from gearbox import load_sheet
+from rig_sim.settings import Preset
 from testbench.cli import main
 from testbench.errors import CommandError
 from testbench.report import report_data, report_provenance, write_report
@@ -41,7 +42,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 @pytest.fixture(scope="module")
 def simulated() -> tuple[Report, list[ShiftRow]]:
     """Four shifts, of which the last two could aim."""
-    setup = Setup(SHEET, load_settings(None, strategy_name="target_phase"), seed=3, shifts=4)
+    setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=3, shifts=4)
     collector = ReportCollector(SHEET)
     result = simulate(setup, lambda _time_us, frame: collector.receive(frame))
     run = Run("target_phase", collector.finish(), [f"from {HOSTILE}"])
