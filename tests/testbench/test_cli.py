@@ -34,6 +34,8 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         ("simulate --preset thesis --pairs 8-9 --shifts 1", ("8-9", "8-10")),
         ("simulate --gearbox lorry --shifts 1", ("lorry", "thesis")),
         ("simulate --settings nowhere.toml --shifts 1", ("nowhere.toml",)),
+        ("demo -i virtual --shifts 1 --as-built nowhere.toml", ("nowhere.toml",)),
+        ("demo -i virtual --shifts 1 --faults nowhere.toml", ("nowhere.toml",)),
         ("replay nowhere.log", ("nowhere.log",)),
         ("fly", ("fly", "simulate")),
     ],
