@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import math
 import os
 import sys
@@ -16,6 +15,7 @@ import can
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from bus.fine_timers import run as run_loop
 from bus.logs import LogError, read_log
 from bus.options import add_bus_arguments, open_bus_from
 from bus.register import register_interface
@@ -220,7 +220,7 @@ def _with_progress(namespace: argparse.Namespace, strategy: str, live: LiveRun) 
         task = progress.add_task(strategy, total=namespace.shifts)
         live.on_row = lambda: progress.advance(task)
         live.on_event = lambda line: _complain(line)
-        return asyncio.run(run_live(live))
+        return run_loop(run_live(live))
 
 
 def _complain(line: str) -> None:
