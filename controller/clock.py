@@ -17,6 +17,8 @@ WINDOW: Final = 1000
 """Stamps the offset looks back over: about a second, in which 200 ppm of drift is 0.2 ms."""
 JUMP_US: Final = 500_000
 """A stamp this far from where the clock should be means that the sensor side has restarted."""
+BACK_US: Final = 200_000
+"""So does one this far behind the newest: frames keep their order, but for what a bus delays."""
 
 
 def unwrap(stamp: int, near: int) -> int:
@@ -47,7 +49,7 @@ class SensorClock:
         else:
             expected_us = now_us - self._least
             time_us = unwrap(stamp, expected_us)
-            if abs(time_us - expected_us) > JUMP_US:
+            if abs(time_us - expected_us) > JUMP_US or time_us < self.latest_us - BACK_US:
                 self.jumps += 1
                 self._offsets.clear()
                 time_us = unwrap(stamp, self.latest_us)

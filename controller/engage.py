@@ -30,7 +30,9 @@ def engage(desk: ShiftDesk, moment: Moment) -> Trigger | None:
     if shift.measured_contact_us is None:
         _look_for_contact(desk, moment)
     if moment.view.main_gear is gear:
-        desk.references.locked(gear, _flank_slip_rad_s(desk, moment.now_us))
+        contact_us = shift.measured_contact_us
+        straight = contact_us is not None and moment.now_us - contact_us < STRAIGHT_US
+        desk.references.locked(gear, _flank_slip_rad_s(desk), straight)
         desk.end(moment, ShiftResult.ENGAGED, FaultCode.NONE)
         return Trigger.ENGAGED
     if _rests_on_a_tooth(desk, moment) or desk.late(moment, desk.settings.limits.engage_ms):
@@ -66,14 +68,13 @@ def _rests_on_a_tooth(desk: ShiftDesk, moment: Moment) -> bool:
     return not entered and rested_us > desk.settings.limits.face_ms * MS
 
 
-def _flank_slip_rad_s(desk: ShiftDesk, now_us: float) -> float:
+def _flank_slip_rad_s(desk: ShiftDesk) -> float:
     """The slip that carried the tooth to its flank; 0 where its sign cannot be told.
 
     Slip falls while the layshaft is free. A positive one that is too small to cross the whole
-    gap before it reverses may have left the tooth on either flank. So may one that met a tooth or a
-    flank long before the gear was in: impact and drag have moved it since."""
-    outlook, contact_us = desk.free_outlook, desk.running.measured_contact_us
-    if outlook is None or contact_us is None or now_us - contact_us > STRAIGHT_US:
+    gap before it reverses may have left the tooth on either flank."""
+    outlook = desk.free_outlook
+    if outlook is None:
         return 0.0
     slip = outlook.slip_rad_s(desk.free_us)
     later = outlook.slip_rad_s(desk.free_us + FALL_US)

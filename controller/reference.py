@@ -25,6 +25,8 @@ CROSSED_SHARE = 0.85
 MOVED_SHARE = 0.3
 STAYED_SHARE = 0.2
 """A tooth that was this share of the backlash away has crossed, has moved; less, it has not."""
+NEAR_SHARE = 0.1
+"""Looks so near to a still tooth, in backlashes, are of it lying there."""
 GAP_SHARE = 1.25
 """No tooth in its gap can have been farther away: the look was a wrong one."""
 MOVED_LOOKS = 16
@@ -43,6 +45,8 @@ class _Learning:
 
     gear: MainGear
     flank: int
+    straight: bool
+    """The sleeve went straight in, so that the tooth has had no time to leave its flank."""
     seen: list[float] = field(default_factory=list)
     pulled: int = 0
     """How many of the newest looks drag alone has pulled the tooth down."""
@@ -53,10 +57,10 @@ class _Learning:
         self.pulled = self.pulled + 1 if pulled else 0
         self.seen.append(first + wrap_to_pitch(raw_rad - first, pitch_rad))
 
-    def lies(self, backlash_rad: float, moves: bool) -> tuple[int, float] | None:
+    def lies(self, backlash_rad: float, moves: bool, stays: bool) -> tuple[int, float] | None:
         """Flank and raw phase of a tooth that lies still; None while that cannot be told.
 
-        moves: whether this gearbox's teeth have been seen to move in their gaps."""
+        moves, stays: whether teeth have been seen to move in their gaps, or one not to, before."""
         if moves and self.pulled >= PULLED_LOOKS and self._still(PULLED_LOOKS, backlash_rad):
             return -1, _mean(self.seen[-PULLED_LOOKS:])
         if not self._still(STILL_LOOKS, backlash_rad):
@@ -67,10 +71,15 @@ class _Learning:
             return None
         if abs(moved) > CROSSED_SHARE or (moved and self._still(MOVED_LOOKS, backlash_rad)):
             return int(math.copysign(1.0, moved)), mean
-        if moves or moved != 0.0 or self.flank == 0 or len(self.seen) < UNMOVED_LOOKS:
+        certain = self.straight or stays
+        if moves or not certain or self.flank == 0 or not self.stayed(backlash_rad):
             return None
-        stayed = all(abs(look - mean) < STAYED_SHARE * backlash_rad for look in self.seen)
-        return (self.flank, mean) if stayed else None
+        return self.flank, mean
+
+    def stayed(self, backlash_rad: float) -> bool:
+        """Whether the tooth has not moved for long, not even in a single look."""
+        near = STAYED_SHARE * backlash_rad
+        return len(self.seen) >= UNMOVED_LOOKS and max(self.seen) - min(self.seen) < 2.0 * near
 
     def moved_share(self, mean: float, backlash_rad: float) -> float | None:
         """How far the tooth has come to where it lies, in backlashes, up or down; 0 where it has
@@ -110,6 +119,8 @@ class PhaseReferences:
         self._learning: _Learning | None = None
         self._moves = False
         """Whether teeth have been seen to move in their gaps."""
+        self._stays = False
+        """Whether one has been seen that did not."""
 
     def known(self, gear: MainGear) -> bool:
         """Whether this gear's phase can be told."""
@@ -122,12 +133,17 @@ class PhaseReferences:
         ratio = self._sheet.main_mesh(gear).ratio
         return raw_phase_rad(ratio, theta_layshaft, theta_main) - self._offset_rad[gear]
 
-    def locked(self, gear: MainGear, slip_rad_s: float) -> None:
-        """The gear has just locked after meeting its flank at this slip: begin to watch it."""
-        certain = abs(slip_rad_s) >= FLANK_SLIP_RAD_S
-        self._learning = _Learning(gear, int(math.copysign(certain, slip_rad_s)))
+    def locked(self, gear: MainGear, slip_rad_s: float, straight: bool = True) -> None:
+        """The gear has just locked after meeting its flank at this slip: begin to watch it.
 
-    def watch(self, gear: MainGear, theta_layshaft: float, theta_main: float, pulled: bool) -> bool:
+        straight: the sleeve went in without having rubbed on a tooth, or waited in the gap."""
+        certain = abs(slip_rad_s) >= FLANK_SLIP_RAD_S
+        flank = int(math.copysign(certain, slip_rad_s))
+        self._learning = _Learning(gear, flank, straight)
+
+    def watch(
+        self, gear: MainGear, theta_layshaft: float, theta_main: float, pulled: bool = False
+    ) -> bool:
         """One look at the gear in mesh; `pulled`: drag alone pulls its teeth, hard enough to cross
         the gap within a few looks. True when its reference has just been stored."""
         learning = self._learning
@@ -136,10 +152,14 @@ class PhaseReferences:
         mesh, dog = self._sheet.main_mesh(gear), self._sheet.dog
         raw = raw_phase_rad(mesh.ratio, theta_layshaft, theta_main)
         learning.add(raw, dog.pitch_rad, pulled)
-        lies = learning.lies(dog.backlash_rad, self._moves)
+        lies = learning.lies(dog.backlash_rad, self._moves, self._stays)
         if lies is None:
             return False
         flank, mean = lies
+        # earlier looks that lie there too take out noise
+        mean = _mean(
+            [look for look in learning.seen if abs(look - mean) < NEAR_SHARE * dog.backlash_rad]
+        )
         share = learning.moved_share(mean, dog.backlash_rad)
         self._moves = self._moves or (share is not None and abs(share) > CROSSED_SHARE)
         self._offset_rad[gear] = mean - flank * dog.backlash_rad / 2.0
@@ -147,7 +167,9 @@ class PhaseReferences:
         return True
 
     def released(self) -> None:
-        """The gear left the mesh before it was learned."""
+        """The gear left the mesh, perhaps before it was learned."""
+        if self._learning is not None and self._learning.stayed(self._sheet.dog.backlash_rad):
+            self._stays = True
         self._learning = None
 
     def lose_all(self) -> None:

@@ -13,9 +13,9 @@ from controller.settings import ControllerSettings
 
 
 @pytest.fixture(scope="session")
-def four_shifts() -> Loop:
-    """8 -> 10, 10 -> 12 and both again, with the rig taken back in between."""
-    return Loop(shifts=4).run(30_000_000)
+def six_shifts() -> Loop:
+    """8 -> 10, 10 -> 12 three times, with the rig taken back in between."""
+    return Loop(shifts=6).run(40_000_000)
 
 
 @pytest.fixture(scope="session")

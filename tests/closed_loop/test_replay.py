@@ -25,7 +25,7 @@ def log(one_shift: Loop) -> list[Frame]:
     return [frame for _, frame in one_shift.frames]
 
 
-@pytest.mark.parametrize("name", ["one_shift", "four_shifts", "immediate_shift"])
+@pytest.mark.parametrize("name", ["one_shift", "six_shifts", "immediate_shift"])
 def test_every_simulated_log_is_identical(
     name: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
@@ -106,24 +106,24 @@ def test_a_log_with_a_frame_missing_is_never_called_identical(
     assert session.verdict is not Verification.IDENTICAL
 
 
-def test_another_strategy_acts_on_the_same_frames(four_shifts: Loop, tmp_path: Path) -> None:
+def test_another_strategy_acts_on_the_same_frames(six_shifts: Loop, tmp_path: Path) -> None:
     """Up to the first aimed shift both do the same; from there on the other one is told."""
-    four_shifts.header.save(tmp_path)
+    six_shifts.header.save(tmp_path)
 
     def change(header: RunHeader) -> RunHeader:
         settings = dataclasses.replace(header.settings, strategy_name="speed_window")
         return dataclasses.replace(header, settings=settings)
 
     made: list[Frame] = []
-    frames = [frame for _, frame in four_shifts.frames]
+    frames = [frame for _, frame in six_shifts.frames]
     (session,) = LogReplay(tmp_path, False, change, made.append).run(frames)
     assert session.verdict is Verification.IDENTICAL
-    assert session.steps == len(four_shifts.of(type(four_shifts.status)))
+    assert session.steps == len(six_shifts.of(type(six_shifts.status)))
     outcome_id = CODECS["ShiftOutcome"].spec.can_id
     assert sum(frame.can_id == outcome_id for frame in made) >= 3
     valve_id = CODECS["ValveCommand"].spec.can_id
     commands = [frame.data for frame in made if frame.can_id == valve_id]
-    logged = [frame.data for frame in four_shifts.sent_as("ValveCommand")]
+    logged = [frame.data for frame in six_shifts.sent_as("ValveCommand")]
     assert commands[:200] == logged[:200]
     assert commands != logged
 

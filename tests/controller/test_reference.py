@@ -197,7 +197,7 @@ def test_noise_of_the_angles_averages_out(sheet: GearboxSheet) -> None:
     references = PhaseReferences(sheet)
     box = Gearbox(*TEETH[MainGear.SECOND], 0.1, 0.2, 0.3)
     references.locked(MainGear.SECOND, 1.0)
-    noise, learned, look = 0.002, False, 0
+    noise, learned, look = 0.0015, False, 0
     while not learned:
         at_ms = 0.6 * look
         theta_ls = box.layshaft_at_phase(HALF_GAP, at_ms, 3 + look)
