@@ -68,7 +68,8 @@ def _statements(match: Matched | None) -> tuple[Statement, ...]:
         f"{ours[THESIS_FILTER] / size:.2f} times the thesis's",
         Verdict.AGREES if ours[THESIS_FILTER] <= size else Verdict.DIFFERS,
         "closely is taken as no worse than the thesis's own; that ours is smaller says nothing of "
-        "a real rig, whose reference sensor, backlash and torsion are not in a simulation",
+        "a real rig: simulated figures are not rig figures, and our reference encoder has no error "
+        "of its own",
     )
     rest = tuple(
         Statement(

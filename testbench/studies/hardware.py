@@ -6,6 +6,7 @@ are in a gap, and the estimate of the layshaft from neutral to contact.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -28,6 +29,7 @@ from testbench.studies.record import (
     Table,
     Verdict,
     rms,
+    rms_sd,
 )
 
 BASE = "as the data sheet"
@@ -61,6 +63,8 @@ class Bought(NamedTuple):
     """What a variant came to."""
 
     phase_rms_deg: float
+    phase_sd_deg: float
+    """Standard error of the RMS."""
     gap: int
     known: int
     duration_ms: float
@@ -123,7 +127,7 @@ def _bought(given: Given[Settings], variant: Variant) -> Bought:
         trucks.append(result.scores[first:])
     estimator = ControllerSettings().estimator_name
     mean = sum(durations) / max(1, len(durations))
-    return Bought(rms(errors), gap, known, mean, figures(trucks, estimator))
+    return Bought(rms(errors), rms_sd(errors), gap, known, mean, figures(trucks, estimator))
 
 
 def _conclude(given: Given[Settings]) -> Finding:
@@ -133,6 +137,7 @@ def _conclude(given: Given[Settings]) -> Finding:
     values: dict[str, Any] = {
         name: {
             "phase_rms_deg": b.phase_rms_deg,
+            "phase_rms_standard_error_deg": b.phase_sd_deg,
             "into_the_gap": b.gap,
             "aimed": b.known,
             "duration_ms": b.duration_ms,
@@ -142,14 +147,14 @@ def _conclude(given: Given[Settings]) -> Finding:
         for name, b in bought.items()
     }
     columns = (
-        "hardware", "phase error RMS, deg", "into the gap", "aimed", "duration, ms",
-        "estimate: angle RMS, deg", "estimate: speed RMS, rpm",
+        "hardware", "phase error RMS, deg", "standard error, deg", "into the gap", "aimed",
+        "duration, ms", "estimate: angle RMS, deg", "estimate: speed RMS, rpm",
     )  # fmt: skip
     rows = tuple(
-        (name, b.phase_rms_deg, b.gap, b.known, b.duration_ms, *b.estimate)
+        (name, b.phase_rms_deg, b.phase_sd_deg, b.gap, b.known, b.duration_ms, *b.estimate)
         for name, b in bought.items()
     )
-    table = Table("hardware", "What each would buy", columns, rows)
+    table = Table("variants", "What each would buy", columns, rows)
     return Finding(statements, values, (_chart(bought),), (table,))
 
 
@@ -168,14 +173,24 @@ def _statement(name: str, ours: Bought, base: Bought) -> Statement:
     key = next(key for key in REASONS if key in name)
     return Statement(
         f"(1.3 asks what added hardware would allow) {name}",
-        f"phase error {ours.phase_rms_deg:.3f} deg RMS against {base.phase_rms_deg:.3f}, "
+        f"phase error {ours.phase_rms_deg:.3f} +- {ours.phase_sd_deg:.3f} deg RMS against "
+        f"{base.phase_rms_deg:.3f} +- {base.phase_sd_deg:.3f} (standard errors), "
         f"{ours.gap} of {ours.known} into the gap against {base.gap} of {base.known}, "
         f"{ours.duration_ms:.0f} ms against {base.duration_ms:.0f}; estimated angle "
         f"{ours.estimate.angle_deg:.3f} deg against {base.estimate.angle_deg:.3f}, speed "
         f"{ours.estimate.speed_rpm:.2f} rpm against {base.estimate.speed_rpm:.2f}",
         Verdict.NOT_COMPARABLE,
-        f"{REASONS[key]}. The thesis announces such an analysis and has none",
+        f"{REASONS[key]}. {_certainty(ours, base)}. The thesis announces such an analysis and has "
+        "none",
     )
+
+
+def _certainty(ours: Bought, base: Bought) -> str:
+    """Whether the phase errors differ by more than two standard errors of the difference."""
+    change = ours.phase_rms_deg - base.phase_rms_deg
+    if abs(change) <= 2.0 * math.hypot(ours.phase_sd_deg, base.phase_sd_deg):
+        return "At contact the difference is within what chance gives"
+    return f"At contact it is {'better' if change < 0.0 else 'worse'} by more than chance gives"
 
 
 def _chart(bought: dict[str, Bought]) -> Chart:
@@ -185,16 +200,16 @@ def _chart(bought: dict[str, Bought]) -> Chart:
         return (Line(name, numbers, values, Style.BARS),)
 
     every = list(bought.values())
-    key = "; ".join(f"{i} {name}" for i, name in zip(numbers, bought, strict=True))
     return Chart(
         "hardware",
         "What hardware would buy",
-        key,
+        "",
         (
             Panel("phase error, deg RMS", bars("closed loop", [b.phase_rms_deg for b in every])),
             Panel("angle, deg RMS", bars("estimate", [b.estimate.angle_deg for b in every])),
             Panel("speed, rpm RMS", bars("estimate", [b.estimate.speed_rpm for b in every])),
         ),
+        x_names=tuple(bought),
     )
 
 

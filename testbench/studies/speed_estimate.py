@@ -83,8 +83,8 @@ def _statements(match: Matched | None) -> tuple[Statement, ...]:
         f"the filter's error is {size:.2f} rpm",
         f"{ours[THESIS_FILTER]:.2f} rpm, {ours[THESIS_FILTER] / size:.2f} times the thesis's",
         Verdict.NOT_COMPARABLE,
-        "simulated figures are not rig figures: errors of the reference sensor, torsion and "
-        "whatever else a real rig has are not in ours, and Q and R were tuned anew",
+        "simulated figures are not rig figures: our reference encoder has no error of its own, a "
+        "real rig has more than the virtual one knows of, and Q and R were tuned anew",
     )
     return (first, second, *_others(ours))
 
