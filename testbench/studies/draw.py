@@ -148,7 +148,11 @@ def _draw_panel(axis: Any, panel: Panel, colour_of: dict[str, str]) -> None:
     for line in panel.lines:
         _draw_line(axis, line, colour_of[line.name])
     for name, level in panel.levels.items():
-        axis.axhline(level, color=GREY, lw=0.9, ls="-.", label=name)
+        axis.axhline(level, color=GREY, lw=0.9, ls="-.")
+        axis.annotate(
+            name, (1.0, level), xycoords=("axes fraction", "data"), ha="right", va="bottom",
+            fontsize="x-small", color=GREY,
+        )  # fmt: skip
     for name, moment in panel.moments.items():
         axis.axvline(moment, color=GREY, lw=0.9, ls=":")
         axis.annotate(
