@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import Enum, StrEnum
@@ -204,9 +203,3 @@ def rms(errors: Sequence[float] | Vector) -> float:
     if not values.size:
         raise CommandError("a study's settings leave no sample to take an RMS of")
     return float(np.sqrt(np.mean(values * values)))
-
-
-def rms_sd(errors: Sequence[float] | Vector) -> float:
-    """Standard error of `rms`, the errors taken as independent: what chance leaves open."""
-    squares = np.square(np.asarray(errors, dtype=np.float64))
-    return float(squares.std() / (2.0 * math.sqrt(squares.size) * rms(errors)))
