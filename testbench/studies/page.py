@@ -171,7 +171,7 @@ def _log_ticks(ends: tuple[float, float] | None) -> dict[str, Any]:
 
 def _y_axis(panel: Panel, bottom: float, top: float) -> dict[str, Any]:
     axis: dict[str, Any] = {
-        "title": {"text": panel.y_title},
+        "title": {"text": panel.y_title, "standoff": 8},
         "domain": [round(max(bottom, 0.0), 6), round(top, 6)],
         "type": "log" if panel.log_y else "linear",
         **AXIS,
