@@ -15,6 +15,7 @@ from testbench.studies.excitation import (
     Shown,
     curves,
     figures,
+    label,
     matched,
     points,
     runs,
@@ -68,11 +69,12 @@ def _statements(match: Matched | None) -> tuple[Statement, ...]:
         f"{ours[THESIS_FILTER] / size:.2f} times the thesis's",
         Verdict.AGREES if ours[THESIS_FILTER] <= size else Verdict.DIFFERS,
         "closely is taken as no worse than the thesis's own; that ours is smaller says nothing of "
-        "a real rig, whose reference sensor, backlash and torsion are not in a simulation",
+        "a real rig: simulated figures are not rig figures, and our reference encoder has no error "
+        "of its own",
     )
     rest = tuple(
         Statement(
-            f"(not in the thesis) estimator {name}",
+            f"(not in the thesis) estimator {label(name)}",
             f"{ours[name]:.3f} deg, {ours[name] / ours[THESIS_FILTER]:.2f} times the thesis's "
             "filter in the same runs",
             Verdict.NOT_COMPARABLE,
@@ -102,8 +104,8 @@ def _over_time(two: Shown) -> tuple[Chart, ...]:
             error = np.array([sample.theta_error_rad for sample in samples]) / DEG
             if not angle:
                 angle.append(Line("reference encoder", time_ms, true - true[0]))
-            angle.append(Line(name, time_ms, true - true[0] + error, Style.DASHED))
-            errors.append(Line(name, time_ms, error))
+            angle.append(Line(label(name), time_ms, true - true[0] + error, Style.DASHED))
+            errors.append(Line(label(name), time_ms, error))
         charts.append(
             Chart(
                 f"shift_{i + 1}",
@@ -121,7 +123,7 @@ def _over_time(two: Shown) -> tuple[Chart, ...]:
 def _by_brake(found: list[Point]) -> Chart:
     brakes = [point.brake_nm for point in found]
     lines = tuple(
-        Line(name, brakes, [point.figures[name].angle_deg for point in found], Style.JOINED)
+        Line(label(name), brakes, [point.figures[name].angle_deg for point in found], Style.JOINED)
         for name in found[0].figures
     )
     levels = {"thesis, its filter": sum(THESIS_ANGLE_DEG) / 2.0}
@@ -133,7 +135,7 @@ def _table(two: Shown) -> Table:
     rows = tuple(
         (
             f"gear shift {i + 1}",
-            name,
+            label(name),
             figures([[score]], name).angle_deg,
             THESIS_ANGLE_DEG[i] if name == THESIS_FILTER else None,
         )

@@ -152,7 +152,7 @@ def _row(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
 
 
 def _chart(rows: Mapping[str, list[dict[str, Any]]]) -> Chart:
-    places = list(range(len(NAMES)))
+    places = list(range(1, len(NAMES) + 1))
     panels = tuple(
         Panel(
             title,
@@ -168,8 +168,8 @@ def _chart(rows: Mapping[str, list[dict[str, Any]]]) -> Chart:
             ("predict45_pct_of_pitch", "45 ms ahead, % of a pitch"),
         )
     )
-    names = ", ".join(f"{place} {name}" for place, name in zip(places, NAMES, strict=True))
-    return Chart("ranking", "Estimators beside the bound", names, panels)
+    names = tuple(name.replace("_", " ") for name in NAMES)
+    return Chart("ranking", "Estimators beside the bound", "", panels, x_names=names)
 
 
 STUDY = Study(

@@ -78,8 +78,8 @@ def _conclude(given: Given[Settings]) -> Finding:
         f"agrees within {1e3 * own.tolerance_s:g} ms. The rig's delay law has the thesis's mean by "
         f"construction (truth {true.mean():.1f} ms); what is tested is the measurement. It is off "
         f"by {gap:.2f} ms RMS where the tooth met a gap: the position sensor's offset and gain, "
-        f"its noise, 1 ms between samples; and by {tooth:.1f} ms where it met a tooth: there the "
-        "sleeve rests at contact, and a sensor that reads short shows it only when it moves on",
+        f"its noise, 1 ms between samples; by {tooth:.2f} ms RMS where it met a tooth, on which "
+        "the sleeve comes to rest",
     )
     spread_statement = Statement(
         f"it varies by about +-{THESIS_SPREAD_MS:g} ms",

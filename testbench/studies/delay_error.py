@@ -20,7 +20,7 @@ from testbench.studies.record import (
     Verdict,
 )
 from testbench.studies.sensitivity import Release
-from testbench.studies.simulated import RPM
+from testbench.studies.simulated import DEG, RPM
 
 LOW_PCT, HIGH_PCT = 4.0, 16.0
 
@@ -69,7 +69,8 @@ def _conclude(given: Given[Settings]) -> Finding:
         "by_slip_rpm": {f"{row[0]:.0f}": {"early": row[1], "late": row[2]} for row in rows},
     }
     table = Table("slips", "By slip", columns, rows)
-    return Finding((_size(low, high, own), _sides(at)), values, (chart,), (table,))
+    statements = (_size(low, high, given), _sides(at))
+    return Finding(statements, values, (chart,), (table,))
 
 
 def _effects(release: Release, slip_rad_s: float, errors_s: Vector) -> Vector:
@@ -84,7 +85,8 @@ def _effects(release: Release, slip_rad_s: float, errors_s: Vector) -> Vector:
     return 100.0 * np.array(angles) / release.sheet.dog.pitch_rad
 
 
-def _size(low: float, high: float, own: Settings) -> Statement:
+def _size(low: float, high: float, given: Given[Settings]) -> Statement:
+    own, dog = given.own, given.sheet.dog
     near = all(
         abs(ours - theirs) <= own.tolerance_share * theirs
         for ours, theirs in ((low, LOW_PCT), (high, HIGH_PCT))
@@ -94,8 +96,9 @@ def _size(low: float, high: float, own: Settings) -> Statement:
         f"{low:.1f} to {high:.1f} %, the mean of early and late",
         Verdict.AGREES if near else Verdict.DIFFERS,
         f"agrees within {100 * own.tolerance_share:g} %; the mean of both sides is slip times 5 ms "
-        "over the pitch, and these figures are where the pitch of our sheet (7.5 deg, 48 teeth) "
-        "was taken from, so this shows consistency and is no independent witness",
+        f"over the pitch (here {dog.pitch_rad / DEG:g} deg, {dog.teeth} teeth). The pitch of the "
+        "sheet `thesis` was taken from these figures, so this shows consistency and is no "
+        "independent witness",
     )
 
 

@@ -13,7 +13,7 @@ def _conclude(given: Given[Settings]) -> Finding:
     around, elsewhere = values["most_around_switches_rpm"], values["most_elsewhere_rpm"]
     delayed = Statement(
         "the prediction is late by 45 ms when the brake's input changes",
-        f"error up to {around:.1f} rpm within 45 ms of a switch, up to {elsewhere:.1f} rpm "
+        f"error up to {predictions.around(values)}, within 45 ms; up to {elsewhere:.1f} rpm "
         "elsewhere",
         Verdict.AGREES if around > elsewhere else Verdict.DIFFERS,
         "a switch after the prediction was made is not in it",

@@ -28,6 +28,7 @@ from testbench.studies.simulated import DEG, RPM
 
 BASELINE: Final = "window"
 THESIS_FILTER: Final = "thesis"
+LABELS: Final = {BASELINE: "production (window)", THESIS_FILTER: "thesis's filter"}
 THESIS_BASELINE_RPM: Final = (5.74, 5.95)
 THESIS_SPEED_RPM: Final = (4.34, 4.30)
 THESIS_ANGLE_DEG: Final = (0.5147, 0.5464)
@@ -68,6 +69,11 @@ class Point(NamedTuple):
 
     brake_nm: float
     figures: dict[str, Figures]
+
+
+def label(name: str) -> str:
+    """An estimator as charts and tables name it."""
+    return LABELS.get(name, name)
 
 
 def brakes_nm(own: Settings) -> list[float]:
@@ -201,7 +207,7 @@ def curves(found: list[Point]) -> Table:
     names = list(found[0].figures)
     columns = ["brake, Nm"]
     for name in names:
-        columns += [f"{name}: angle, deg", f"{name}: speed, rpm"]
+        columns += [f"{label(name)}: angle, deg", f"{label(name)}: speed, rpm"]
     rows = tuple(
         (point.brake_nm, *(value for name in names for value in point.figures[name]))
         for point in found

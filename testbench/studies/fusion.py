@@ -83,14 +83,14 @@ def _conclude(given: Given[Settings]) -> Finding:
         (case, name, *by_name[name]) for case, by_name in found.items() for name in VARIANTS
     )
     columns = ("gearbox", "sensors", "angle RMS, deg", "speed RMS, rpm")
-    table = Table("fusion", "With and without each further sensor", columns, rows)
+    table = Table("sensors", "With and without each further sensor", columns, rows)
     return Finding(statements, values, (_chart(found),), (table,))
 
 
 def _statements(
     found: dict[str, dict[str, Figures]], alone: str, fused: str, further: str, own: str
 ) -> list[Statement]:
-    statements = []
+    statements: list[Statement] = []
     for case, by_name in found.items():
         without, with_ = by_name[alone], by_name[fused]
         better = with_.angle_deg < without.angle_deg, with_.speed_rpm < without.speed_rpm
@@ -101,19 +101,21 @@ def _statements(
                 f"{case}: angle {without.angle_deg:.3f} to {with_.angle_deg:.3f} deg RMS, speed "
                 f"{without.speed_rpm:.3f} to {with_.speed_rpm:.3f} rpm",
                 verdict,
-                _reason(better, further),
+                _reason(better, further, first=not statements),
             )
         )
     return statements
 
 
-def _reason(better: tuple[bool, bool], further: str) -> str:
+def _reason(better: tuple[bool, bool], further: str, first: bool) -> str:
     gained = {
         (True, True): "both are better with it",
         (True, False): "the angle is better with it, the speed worse",
         (False, True): "the speed is better with it, the angle worse",
         (False, False): "both are worse with it",
     }[better]
+    if not first:
+        return gained
     return (
         f"{gained}. The {further}'s edges are taken as further edges of the shaft by the exact "
         "ratio, with the same Q and R: more of them, each off by its own wheel's tooth errors and "
@@ -131,15 +133,15 @@ def _chart(found: dict[str, dict[str, Figures]]) -> Chart:
             for name in VARIANTS
         )
 
-    key = "; ".join(f"{number} {case}" for number, case in zip(numbers, cases, strict=True))
     return Chart(
         "fusion",
         "Estimation with further sensors",
-        key,
+        "gearbox",
         (
             Panel("angle, deg RMS", lines(0), log_y=True),
             Panel("speed, rpm RMS", lines(1), log_y=True),
         ),
+        x_names=tuple(cases),
     )
 
 

@@ -6,9 +6,14 @@ are in a gap, and the estimate of the layshaft from neutral to contact.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+import numpy as np
+from scipy.stats import t as student_t
+
+from controller.kernels import Vector
 from controller.settings import ControllerSettings
 from gearbox import GearboxSheet
 from gearbox.tables import count, quantity
@@ -43,7 +48,7 @@ class Settings:
     tick_ms: int = count("tick_ms", 1, 100)
     delay_sd_ms: float = quantity("delay_sd_ms", 0.0, 20.0)
     """Chance in the sleeve's delay; the truck has about 1.2 ms."""
-    gearboxes: int = count("gearboxes", 1, 100)
+    gearboxes: int = count("gearboxes", 2, 100)
     shifts: int = count("shifts", 2, 10_000)
     learning_shifts: int = count("learning_shifts", 0, 1000)
     """Of each gearbox, that do not count: the controller learns teeth, brake and delays."""
@@ -60,11 +65,26 @@ class Variant(NamedTuple):
 class Bought(NamedTuple):
     """What a variant came to."""
 
-    phase_rms_deg: float
+    phase_deg2: tuple[float, ...]
+    """Mean square of the phase error at contact, by gearbox."""
     gap: int
     known: int
     duration_ms: float
     estimate: Figures
+
+    @property
+    def phase_rms_deg(self) -> float:
+        """Every gearbox counts as much."""
+        return math.sqrt(float(np.mean(self.phase_deg2)))
+
+    @property
+    def phase_sd_deg(self) -> float:
+        """Standard error of the RMS. Shifts of one gearbox are not independent, gearboxes are."""
+        return _standard_error(np.array(self.phase_deg2)) / (2.0 * self.phase_rms_deg)
+
+
+def _standard_error(values: Vector) -> float:
+    return float(values.std(ddof=1)) / math.sqrt(values.size)
 
 
 def _variants(given: Given[Settings]) -> dict[str, Variant]:
@@ -108,7 +128,7 @@ def _jobs(given: Given[Settings]) -> tuple[Job, ...]:
 
 
 def _bought(given: Given[Settings], variant: Variant) -> Bought:
-    errors: list[float] = []
+    phase_deg2: list[float] = []
     durations: list[float] = []
     trucks: list[list[Scores]] = []
     gap = known = 0
@@ -116,14 +136,15 @@ def _bought(given: Given[Settings], variant: Variant) -> Bought:
     for number in range(given.own.gearboxes):
         result: LoopResult = given.results[_run(given, variant, number)]
         aimed = [row for row in result.rows[first:] if row.reference == "known"]
-        errors += [row.phase_error_deg for row in aimed if row.phase_error_deg is not None]
+        errors = [row.phase_error_deg for row in aimed if row.phase_error_deg is not None]
+        phase_deg2.append(rms(errors) ** 2)
         durations += [row.duration_ms for row in aimed if row.result == "engaged"]
         gap += sum(row.contact == "gap" for row in aimed)
         known += len(aimed)
         trucks.append(result.scores[first:])
     estimator = ControllerSettings().estimator_name
     mean = sum(durations) / max(1, len(durations))
-    return Bought(rms(errors), gap, known, mean, figures(trucks, estimator))
+    return Bought(tuple(phase_deg2), gap, known, mean, figures(trucks, estimator))
 
 
 def _conclude(given: Given[Settings]) -> Finding:
@@ -133,6 +154,7 @@ def _conclude(given: Given[Settings]) -> Finding:
     values: dict[str, Any] = {
         name: {
             "phase_rms_deg": b.phase_rms_deg,
+            "phase_rms_standard_error_deg": b.phase_sd_deg,
             "into_the_gap": b.gap,
             "aimed": b.known,
             "duration_ms": b.duration_ms,
@@ -142,14 +164,14 @@ def _conclude(given: Given[Settings]) -> Finding:
         for name, b in bought.items()
     }
     columns = (
-        "hardware", "phase error RMS, deg", "into the gap", "aimed", "duration, ms",
-        "estimate: angle RMS, deg", "estimate: speed RMS, rpm",
+        "hardware", "phase error RMS, deg", "standard error, deg", "into the gap", "aimed",
+        "duration, ms", "estimate: angle RMS, deg", "estimate: speed RMS, rpm",
     )  # fmt: skip
     rows = tuple(
-        (name, b.phase_rms_deg, b.gap, b.known, b.duration_ms, *b.estimate)
+        (name, b.phase_rms_deg, b.phase_sd_deg, b.gap, b.known, b.duration_ms, *b.estimate)
         for name, b in bought.items()
     )
-    table = Table("hardware", "What each would buy", columns, rows)
+    table = Table("variants", "What each would buy", columns, rows)
     return Finding(statements, values, (_chart(bought),), (table,))
 
 
@@ -168,14 +190,25 @@ def _statement(name: str, ours: Bought, base: Bought) -> Statement:
     key = next(key for key in REASONS if key in name)
     return Statement(
         f"(1.3 asks what added hardware would allow) {name}",
-        f"phase error {ours.phase_rms_deg:.3f} deg RMS against {base.phase_rms_deg:.3f}, "
+        f"phase error {ours.phase_rms_deg:.3f} +- {ours.phase_sd_deg:.3f} deg RMS against "
+        f"{base.phase_rms_deg:.3f} +- {base.phase_sd_deg:.3f} (standard errors), "
         f"{ours.gap} of {ours.known} into the gap against {base.gap} of {base.known}, "
         f"{ours.duration_ms:.0f} ms against {base.duration_ms:.0f}; estimated angle "
         f"{ours.estimate.angle_deg:.3f} deg against {base.estimate.angle_deg:.3f}, speed "
         f"{ours.estimate.speed_rpm:.2f} rpm against {base.estimate.speed_rpm:.2f}",
         Verdict.NOT_COMPARABLE,
-        f"{REASONS[key]}. The thesis announces such an analysis and has none",
+        f"{REASONS[key]}. {certainty(ours, base)}. The thesis announces such an analysis and has "
+        "none",
     )
+
+
+def certainty(ours: Bought, base: Bought) -> str:
+    """Whether the phase errors differ: Student's t on the pairs of equal gearboxes, 95 %."""
+    changes = np.array(ours.phase_deg2) - np.array(base.phase_deg2)
+    change = float(changes.mean())
+    if abs(change) <= float(student_t.ppf(0.975, changes.size - 1)) * _standard_error(changes):
+        return "At contact the difference is within what chance gives from gearbox to gearbox"
+    return f"At contact it is {'better' if change < 0.0 else 'worse'} by more than chance gives"
 
 
 def _chart(bought: dict[str, Bought]) -> Chart:
@@ -185,16 +218,16 @@ def _chart(bought: dict[str, Bought]) -> Chart:
         return (Line(name, numbers, values, Style.BARS),)
 
     every = list(bought.values())
-    key = "; ".join(f"{i} {name}" for i, name in zip(numbers, bought, strict=True))
     return Chart(
         "hardware",
         "What hardware would buy",
-        key,
+        "",
         (
             Panel("phase error, deg RMS", bars("closed loop", [b.phase_rms_deg for b in every])),
             Panel("angle, deg RMS", bars("estimate", [b.estimate.angle_deg for b in every])),
             Panel("speed, rpm RMS", bars("estimate", [b.estimate.speed_rpm for b in every])),
         ),
+        x_names=tuple(bought),
     )
 
 

@@ -25,8 +25,7 @@ def _conclude(given: Given[Settings]) -> Finding:
     around = values["most_around_switches_rpm"]
     delayed = Statement(
         "as with Euler there is a delay when the brake is engaged and disengaged",
-        f"up to {around:.1f} rpm and {np.abs(hold.angle_error_pct).max():.0f} % of pitch within "
-        "45 ms of a switch",
+        f"error up to {predictions.around(values)}, within 45 ms",
         Verdict.AGREES if around > elsewhere else Verdict.DIFFERS,
         "the thesis's predictor holds the input; a switch in the horizon is not in it",
     )

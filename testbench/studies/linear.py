@@ -16,8 +16,8 @@ def _conclude(given: Given[Settings]) -> Finding:
         "sensitive to changes in acceleration and slow to come near the simulated speed after the "
         "brake: ineffective when a gear is to be engaged",
         f"in the {given.own.engaging_ms} ms in which a gear would be engaged the error is "
-        f"{values['engaging_speed_rms_rpm']:.1f} rpm and {angle_pct:.1f} % of pitch RMS; around "
-        f"the switches up to {values['most_around_switches_rpm']:.0f} rpm",
+        f"{values['engaging_speed_rms_rpm']:.1f} rpm and {angle_pct:.1f} % of pitch RMS; up to "
+        f"{predictions.around(values)}",
         Verdict.AGREES if angle_pct > half_gap_pct else Verdict.DIFFERS,
         f"ineffective is taken as an angle error of more than half a gap ({half_gap_pct:g} % of "
         "pitch): residual pressure and drag go on slowing the layshaft",

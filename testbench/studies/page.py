@@ -11,7 +11,7 @@ from typing import Any, Final
 from testbench.errors import CommandError
 from testbench.html import NUMBER, Cell, definitions, document, table, table_row
 from testbench.report_layout import FONT, GREY, GRID
-from testbench.studies.draw import COLOURS
+from testbench.studies.draw import chart_extent, colours, log_ticks, panel_extent, wrapped
 from testbench.studies.record import Chart, Line, Panel, Style, Table, Verdict, figures
 from testbench.studies.runner import StudyRecord
 
@@ -109,7 +109,7 @@ def _table(each: Table) -> str:
     rows = [f"<tr>{table_row([cell(value) for value in row])}</tr>\n" for row in each.rows]
     numbers = [not isinstance(value, str) for value in each.rows[0]] if each.rows else []
     head = [
-        (name, NUMBER if is_number else "")
+        (name.replace("_", " "), NUMBER if is_number else "")
         for name, is_number in zip(each.columns, numbers, strict=False)
     ]
     return table(head, rows)
@@ -118,6 +118,7 @@ def _table(each: Table) -> str:
 def plotly_figure(chart: Chart) -> dict[str, Any]:
     """A chart as Plotly describes one: plain dictionaries."""
     panels = len(chart.panels)
+    colour_of = colours(chart)
     share = (1.0 - GAP * (panels - 1)) / panels
     layout: dict[str, Any] = {
         "title": {"text": f"{chart.title} (simulated)", "font": {"size": 14}},
@@ -127,20 +128,16 @@ def plotly_figure(chart: Chart) -> dict[str, Any]:
         "paper_bgcolor": "white",
         "plot_bgcolor": "white",
         "hovermode": "closest",
-        "xaxis": {
-            "title": {"text": chart.x_title},
-            "anchor": _axis(panels - 1),
-            "type": "log" if chart.log_x else "linear",
-            **AXIS,
-        },
+        "xaxis": _x_axis(chart),
         "shapes": [],
         "annotations": [],
     }
     data: list[dict[str, Any]] = []
     for i, panel in enumerate(chart.panels):
         top = 1.0 - i * (share + GAP)
-        layout["yaxis" if i == 0 else f"yaxis{i + 1}"] = _y_axis(panel, top - share, top)
-        data += [_trace(line, j, i) for j, line in enumerate(panel.lines)]
+        layout[_numbered("yaxis", i)] = _y_axis(panel, top - share, top)
+        layout[_numbered("legend", i)] = {"y": round(top, 6), "yanchor": "top"}
+        data += [_trace(line, colour_of[line.name], i) for line in panel.lines]
         _mark(layout, panel, i, chart.log_x)
     return {"data": data, "layout": layout}
 
@@ -148,13 +145,33 @@ def plotly_figure(chart: Chart) -> dict[str, Any]:
 AXIS: Final = {"gridcolor": GRID, "linecolor": GREY, "zeroline": False, "ticks": "outside"}
 
 
-def _axis(panel: int) -> str:
-    return "y" if panel == 0 else f"y{panel + 1}"
+def _numbered(what: str, panel: int) -> str:
+    return what if panel == 0 else f"{what}{panel + 1}"
+
+
+def _x_axis(chart: Chart) -> dict[str, Any]:
+    axis: dict[str, Any] = {
+        "title": {"text": chart.x_title},
+        "anchor": _numbered("y", len(chart.panels) - 1),
+        "type": "log" if chart.log_x else "linear",
+        **AXIS,
+    }
+    if chart.log_x:
+        axis |= _log_ticks(chart_extent(chart))
+    if chart.x_names:
+        axis["tickvals"] = list(range(1, len(chart.x_names) + 1))
+        axis["ticktext"] = [wrapped(name, "<br>") for name in chart.x_names]
+    return axis
+
+
+def _log_ticks(ends: tuple[float, float] | None) -> dict[str, Any]:
+    ticks = log_ticks(*ends) if ends is not None else []
+    return {"tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
 
 
 def _y_axis(panel: Panel, bottom: float, top: float) -> dict[str, Any]:
     axis: dict[str, Any] = {
-        "title": {"text": panel.y_title},
+        "title": {"text": panel.y_title, "standoff": 8},
         "domain": [round(max(bottom, 0.0), 6), round(top, 6)],
         "type": "log" if panel.log_y else "linear",
         **AXIS,
@@ -162,17 +179,20 @@ def _y_axis(panel: Panel, bottom: float, top: float) -> dict[str, Any]:
     if panel.y_range is not None:
         low, high = panel.y_range
         axis["range"] = [math.log10(low), math.log10(high)] if panel.log_y else [low, high]
+    if panel.log_y:
+        axis |= _log_ticks(panel_extent(panel))
     return axis
 
 
-def _trace(line: Line, number: int, panel: int) -> dict[str, Any]:
+def _trace(line: Line, colour: str, panel: int) -> dict[str, Any]:
     trace: dict[str, Any] = {
         "name": line.name,
         "x": _points(line.x),
         "y": _points(line.y),
-        "yaxis": _axis(panel),
+        "yaxis": _numbered("y", panel),
+        "legend": _numbered("legend", panel),
+        "showlegend": True,
     }
-    colour = COLOURS[number % len(COLOURS)]
     if line.style is Style.BARS:
         return trace | {"type": "bar", "marker": {"color": colour, "opacity": 0.6}}
     style = {
@@ -192,7 +212,7 @@ def _points(values: Any) -> list[float | None]:
 
 
 def _mark(layout: dict[str, Any], panel: Panel, number: int, log_x: bool) -> None:
-    axis = _axis(number)
+    axis = _numbered("y", number)
     for name, level in panel.levels.items():
         layout["shapes"].append(
             {"type": "line", "xref": "paper", "x0": 0, "x1": 1, "yref": axis, "y0": level,

@@ -109,13 +109,10 @@ class Predictions:
             100.0 * (theta - shift.theta_rad[ahead:]) / pitch_rad,
         )
 
-    def after_switch(self, predicted: Predicted) -> Any:
+    def after_switch(self, predicted: Predicted, switch_us: float) -> Any:
         """Mask of the samples predicted before a switch that came until then."""
         time_us = predicted.time_ms * MS_US
-        delay_us = self.delay_us
-        return ((time_us > self.on_us) & (time_us < self.on_us + delay_us)) | (
-            (time_us > self.off_us) & (time_us < self.off_us + delay_us)
-        )
+        return (time_us > switch_us) & (time_us < switch_us + self.delay_us)
 
     def engaging(self, predicted: Predicted) -> Any:
         """Mask of the time in which a gear would be engaged: from the first prediction that knows
@@ -125,14 +122,29 @@ class Predictions:
 
     def figures(self, predicted: Predicted) -> dict[str, float]:
         """Errors around brake on and off and in the time of engagement."""
-        around, engaging = self.after_switch(predicted), self.engaging(predicted)
-        rest = ~around
+        on, off = (self.after_switch(predicted, at_us) for at_us in (self.on_us, self.off_us))
+        engaging = self.engaging(predicted)
+        speed, angle = np.abs(predicted.speed_error_rpm), np.abs(predicted.angle_error_pct)
         return {
-            "most_around_switches_rpm": float(np.abs(predicted.speed_error_rpm[around]).max()),
-            "most_elsewhere_rpm": float(np.abs(predicted.speed_error_rpm[rest]).max()),
+            "most_around_switches_rpm": float(speed[on | off].max()),
+            "most_around_on_rpm": float(speed[on].max()),
+            "most_around_off_rpm": float(speed[off].max()),
+            "most_around_on_percent_of_pitch": float(angle[on].max()),
+            "most_around_off_percent_of_pitch": float(angle[off].max()),
+            "most_elsewhere_rpm": float(speed[~(on | off)].max()),
             "engaging_speed_rms_rpm": rms(predicted.speed_error_rpm[engaging]),
             "engaging_angle_rms_percent_of_pitch": rms(predicted.angle_error_pct[engaging]),
         }
+
+    @staticmethod
+    def around(values: dict[str, float]) -> str:
+        """In words: the largest errors within the delay of either switch."""
+        return " and ".join(
+            f"{values[f'most_around_{switch}_rpm']:.1f} rpm, "
+            f"{values[f'most_around_{switch}_percent_of_pitch']:.0f} % of pitch after brake "
+            f"{switch}"
+            for switch in ("on", "off")
+        )
 
     def chart(self, name: str, title: str, *methods: Predicted) -> Chart:
         """Speed simulated and predicted, and the errors."""

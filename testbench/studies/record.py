@@ -79,6 +79,8 @@ class Chart:
     x_title: str
     panels: tuple[Panel, ...]
     log_x: bool = False
+    x_names: tuple[str, ...] = ()
+    """Where x is not a quantity but a choice: the names of x = 1, 2, 3..."""
 
 
 @dataclass(frozen=True)

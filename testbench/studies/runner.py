@@ -35,10 +35,10 @@ class StudyRecord:
         return {
             "title": self.title,
             "of": list(self.of),
-            "thesis": "; ".join(each.thesis for each in statements),
+            "thesis": _joined(each.thesis for each in statements),
             "ours": figures(self.finding.figures),
             "agrees": self.finding.verdict.value,
-            "reason": "; ".join(each.reason for each in statements),
+            "reason": _joined(each.reason for each in statements),
             "statements": [
                 {
                     "thesis": each.thesis,
@@ -52,6 +52,11 @@ class StudyRecord:
             "settings": figures(self.settings),
             "provenance": provenance,
         }
+
+
+def _joined(texts: Iterable[str]) -> str:
+    """Each once."""
+    return "; ".join(dict.fromkeys(texts))
 
 
 @dataclass(frozen=True)

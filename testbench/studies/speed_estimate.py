@@ -16,6 +16,7 @@ from testbench.studies.excitation import (
     Shown,
     curves,
     figures,
+    label,
     matched,
     points,
     runs,
@@ -83,8 +84,8 @@ def _statements(match: Matched | None) -> tuple[Statement, ...]:
         f"the filter's error is {size:.2f} rpm",
         f"{ours[THESIS_FILTER]:.2f} rpm, {ours[THESIS_FILTER] / size:.2f} times the thesis's",
         Verdict.NOT_COMPARABLE,
-        "simulated figures are not rig figures: errors of the reference sensor, torsion and "
-        "whatever else a real rig has are not in ours, and Q and R were tuned anew",
+        "simulated figures are not rig figures: our reference encoder has no error of its own, a "
+        "real rig has more than the virtual one knows of, and Q and R were tuned anew",
     )
     return (first, second, *_others(ours))
 
@@ -118,8 +119,8 @@ def _over_time(two: Shown) -> tuple[Chart, ...]:
             error = np.array([sample.omega_error_rad_s for sample in samples]) / RPM
             if not speeds:
                 speeds.append(Line("reference encoder", time_ms, true))
-            speeds.append(Line(name, time_ms, true + error, Style.DASHED))
-            errors.append(Line(name, time_ms, error))
+            speeds.append(Line(label(name), time_ms, true + error, Style.DASHED))
+            errors.append(Line(label(name), time_ms, error))
         charts.append(
             Chart(
                 f"shift_{i + 1}",
@@ -134,7 +135,7 @@ def _over_time(two: Shown) -> tuple[Chart, ...]:
 def _by_brake(found: list[Point]) -> Chart:
     brakes = [point.brake_nm for point in found]
     lines = tuple(
-        Line(name, brakes, [point.figures[name].speed_rpm for point in found], Style.JOINED)
+        Line(label(name), brakes, [point.figures[name].speed_rpm for point in found], Style.JOINED)
         for name in found[0].figures
     )
     levels = {
@@ -153,7 +154,9 @@ def _table(two: Shown) -> Table:
                 BASELINE: THESIS_BASELINE_RPM[i],
                 THESIS_FILTER: THESIS_SPEED_RPM[i],
             }.get(name)
-            rows.append((f"gear shift {i + 1}", name, figures([[score]], name).speed_rpm, thesis))
+            rows.append(
+                (f"gear shift {i + 1}", label(name), figures([[score]], name).speed_rpm, thesis)
+            )
     columns = ("", "signal", "ours, RMS rpm", "thesis, RMS rpm")
     return Table(
         "table_6_1", f"Table 6.1, with a brake of {two.brake_nm:g} Nm", columns, tuple(rows)

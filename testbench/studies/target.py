@@ -188,17 +188,20 @@ def _loop_statement(rows: list[_Row]) -> Statement:
         return Statement(
             CLAIM, "no shift could aim", Verdict.NOT_COMPARABLE, "the reference stayed unknown"
         )
-    best = max(rows, key=lambda row: (row.gap_share or 0.0, -(row.impact_j or 0.0)))
-    worst = min(rows, key=lambda row: row.gap_share or 0.0)
+    shown = (rows[0], rows[len(rows) // 2], rows[-1])
+    words = (
+        f"at {row.target_pct:+.0f} % of half a gap {100.0 * (row.gap_share or 0.0):.0f} % into the "
+        f"gap, {_figure(row.impact_j, 2)} J, {_figure(row.face_ms, 1)} ms on faces"
+        for row in shown
+    )
+    known = min(row.known for row in rows)
     return Statement(
         CLAIM,
-        f"closed loop: {100 * (best.gap_share or 0):.0f} % into the gap with {best.impact_j:.2f} J "
-        f"and {best.face_ms:.1f} ms on faces at {best.target_pct:+.0f} % of half a gap, "
-        f"{100 * (worst.gap_share or 0):.0f} % with {worst.impact_j:.2f} J and "
-        f"{worst.face_ms:.1f} ms at {worst.target_pct:+.0f} %",
+        f"closed loop: {'; '.join(words)}",
         Verdict.NOT_COMPARABLE,
-        "over the shifts of the truck that could aim, the strategy told to hold the target before "
-        "all else; near the gap's edges the spread of delay and estimate puts teeth on faces",
+        f"over the shifts of each target that could aim, {known} at least, so that one shift is "
+        f"{100.0 / known:.0f} %; the strategy is told to hold the target before all else. Near the "
+        "gap's edges the spread of delay and estimate puts teeth on faces",
     )
 
 

@@ -29,6 +29,10 @@ from testbench.studies.validation import (
     truck_run,
 )
 
+MEASURED, BY_STEP, BY_SHEET = (
+    "measured (truck rig)", "model (4.1), tau from step response", "model, tau of the sheet",
+)  # fmt: skip
+
 
 def _conclude(given: Given[Settings]) -> Finding:
     shifts, sheet = traces(given), given.sheet
@@ -78,16 +82,16 @@ def _chart(step: Compared, by_sheet: Compared) -> Chart:
             Panel(
                 "bar absolute",
                 (
-                    Line("measured (truck rig)", step.time_ms, step.measured, Style.JOINED),
-                    Line("model (4.1), tau from step response", step.time_ms, step.model),
-                    Line("model, tau of the sheet", step.time_ms, by_sheet.model, Style.DASHED),
+                    Line(MEASURED, step.time_ms, step.measured, Style.JOINED),
+                    Line(BY_STEP, step.time_ms, step.model),
+                    Line(BY_SHEET, step.time_ms, by_sheet.model, Style.DASHED),
                 ),
             ),
             Panel(
                 "model - measured, bar",
                 (
-                    Line("tau from step response", step.time_ms, step.error),
-                    Line("tau of the sheet", step.time_ms, by_sheet.error, Style.DASHED),
+                    Line(BY_STEP, step.time_ms, step.error),
+                    Line(BY_SHEET, step.time_ms, by_sheet.error, Style.DASHED),
                 ),
             ),
         ),

@@ -14,6 +14,7 @@ from controller.predictor import LayshaftState, predict_linear
 from gearbox import load_sheet
 from testbench.studies import prediction
 from testbench.studies.excitation import Figures, Point, figures, matched
+from testbench.studies.hardware import Bought, certainty
 from testbench.studies.jobs import Squares
 from testbench.studies.record import Finding, Given, Statement, Verdict
 from testbench.studies.registry import load
@@ -74,6 +75,17 @@ def test_euler_s_method_is_of_first_order_and_costs_more_than_the_closed_form() 
     euler, closed, stored = values["operations"].values()
     assert euler["arithmetic"] > closed["arithmetic"] > stored["arithmetic"] > 0
     assert closed["functions"] == 4  # two exp, two expm1
+
+
+def test_hardware_that_helps_one_gearbox_of_four_may_have_been_lucky() -> None:
+    def bought(*phase_deg2: float) -> Bought:
+        return Bought(phase_deg2, 1, 1, 500.0, Figures(0.1, 1.0))
+
+    base = bought(0.20, 0.15, 0.14, 0.29)
+    assert "within what chance" in certainty(bought(0.20, 0.16, 0.13, 0.01), base)
+    assert "better by more" in certainty(bought(0.10, 0.05, 0.05, 0.18), base)
+    assert "worse by more" in certainty(bought(0.30, 0.25, 0.25, 0.40), base)
+    assert base.phase_rms_deg == pytest.approx(0.195**0.5)
 
 
 @drawn(tau_ms=st.floats(15.0, 90.0), first_ms=st.floats(5.0, 40.0))

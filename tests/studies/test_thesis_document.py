@@ -58,6 +58,34 @@ def test_every_study_is_there_and_those_named_exist() -> None:
     assert {name for name in NAMES if load(name).of} <= named
 
 
+LIMITED = {
+    "1.4", "2", "2.1", "2.3", "4.1", "4.2.1", "4.2.3", "4.5", "5.2.1", "5.4.2", "5.4.3", "6.1.2",
+    "6.2", "6.4.3", "7.1", "7.2", "7.4",
+}  # fmt: skip
+"""Sections in which the thesis says what it leaves out, assumes or lacks."""
+WISHES = ("input, main and propeller", "main-shaft speed", "first engagement", "keep that angle",
+          "real system")  # fmt: skip
+
+
+def test_every_limitation_is_there_and_answered() -> None:
+    rows = cells("Limitations")
+    named = {number for row in rows for number in re.findall(r"\b\d(?:\.\d)*\b(?! ms)", row)}
+    assert named >= LIMITED
+
+
+def test_every_item_of_future_work_is_there() -> None:
+    rows = cells("Future work (8.2)")
+    assert len(rows) == len(WISHES)
+    for row, wish in zip(rows, WISHES, strict=True):
+        assert wish in row
+
+
+def test_no_row_is_left_empty() -> None:
+    for line in TEXT.splitlines():
+        if line.startswith("| "):
+            assert any(cell.strip() for cell in line.split("|")[2:]), line
+
+
 FILES = sorted(set(re.findall(r"`((?:[a-z_]+/)+[a-z_]+\.[a-z]+)`", TEXT)))
 
 
