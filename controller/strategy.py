@@ -4,7 +4,8 @@
 by luck. `speed_window_anticipating` knows how long the sleeve takes, and fires ahead so that at
 contact the slip is the middle of the window; phase is luck all the same. `target_phase` asks
 where the teeth will be when the sleeve arrives (thesis 6.2), and takes the release and the firing
-whose contact costs least by expectation: time, the price of a miss, the energy of the flanks, over the spread of the predicted phase (docs/strategy.md).
+whose contact costs least by expectation: time, the price of a miss, the energy of the flanks, over
+the spread of the predicted phase (docs/strategy.md).
 """
 
 from __future__ import annotations
