@@ -31,7 +31,8 @@ def synchronise(desk: ShiftDesk, moment: Moment) -> Trigger | None:
     outlook = desk.outlook(shift.target.main, moment)
     if outlook is None:
         return None
-    if shift.release_us is not None and now >= shift.release_us:
+    if shift.release_us is not None and moment.earliest_us >= shift.release_us:
+        # It can no longer be moved: from here on the firing is chosen, the brake still dying away.
         return Trigger.BRAKE_RELEASED
     command = desk.board.command(Valve.BRAKE)
     if not command.on and not command.before:
@@ -42,8 +43,7 @@ def synchronise(desk: ShiftDesk, moment: Moment) -> Trigger | None:
             return Trigger.BRAKE_RELEASED
         shift.pulses += 1
     _keep_braking(desk, moment)
-    if shift.release_us is None or shift.release_us > moment.earliest_us:
-        _plan_release(desk, outlook, moment)
+    _plan_release(desk, outlook, moment)
     return None
 
 
