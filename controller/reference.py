@@ -4,7 +4,8 @@ The sensor wheels count teeth but know no angle (thesis 8.2). In mesh a tooth li
 its gap or the other, so the phase is + or - b/2 and the constant between counted angles and phase
 is known once the flank is. Which one: impact and torque carry the tooth through the gap, and one
 that has come from above, within the gap's width, lies on the lower flank. A tooth that has not
-moved lies where the slip at contact carried it. Tooth counts keep the reference exact; it is lost when either count is lost.
+moved lies where the slip at contact carried it. Tooth counts keep the reference exact; it is lost
+when either count is lost.
 """
 
 from __future__ import annotations

@@ -76,9 +76,10 @@ class Window:
     )
     """`speed_window_anticipating` fires ahead so that contact is at this slip."""
     anticipate_release_rad_s: float = quantity(
-        "anticipate_release_rpm", 1.0, 200.0, RPM, default=35.0 * RPM
+        "anticipate_release_rpm", 1.0, 200.0, RPM, default=5.0 * RPM
     )
-    """It releases the brake so that this slip is left when it has died away."""
+    """It releases the brake so that this slip would be left when it has died away. Both baselines'
+    releases are those of their least mean duration (`benchmarks/tune_baselines.py`)."""
     settle_time_constants: float = quantity("settle_time_constants", 0.0, 10.0, default=3.0)
     """When the brake counts as died away, in time constants of its pressure after release."""
     aim_slip_rad_s: float = quantity("aim_slip_rpm", 1.0, 200.0, RPM, default=15.0 * RPM)
