@@ -40,7 +40,7 @@ VALUES: Final = {
         "anticipate_release_rad_s": (5, 10, 15, 20, 25, 35),
     },
 }
-"""Settings of the window, rpm. The slip at contact is no free choice but what the sleeve may wear at:
+"""Settings of the window, rpm. Slip at contact is no free choice but what a sleeve may wear at:
 `target_phase` plans none above 25 rpm, the anticipating one meets the gear at 25 at most, and what
 is fired within 50 arrives at 28 on average."""
 ANY_SLIP: Final = {
