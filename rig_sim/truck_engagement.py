@@ -91,7 +91,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
             else:
                 self._drop_in(name, -side)
         elif sleeve.state is SleeveState.ENTER and sleeve.overlap_us < NEVER_US:
-            self._eject(name, side)
+            self._eject(name)
         else:
             self._strike(name, side)
 
@@ -201,14 +201,12 @@ class TruckEngagement(Engagement[TruckSleeve]):
             self._truck.unwatch(ROWS[name])
             self._block(name, time_us)
 
-    def _face(self, name: Sleeve, left: int = 0) -> None:
-        """Resting on a tooth: rub, and watch for the gap. `left`: the side of the gap it has just
-        been thrown out of; by its slip it may seem to approach that gap while the lash takes it
-        away, and it would go in and out of it over the chamfer without end."""
+    def _face(self, name: Sleeve) -> None:
+        """Resting on a tooth: rub, and watch for the gap."""
         self._face_since_us[name] = self._plant.time_us
         gear = self.gear_at(name)
         # A chamfer lets an approaching tooth in; one that has left the gap over it stays out.
-        ahead = 0.0 if (left or self._plant.slip_rad_s(gear)) < 0.0 else self._chamfer_rad
+        ahead = 0.0 if self._plant.slip_rad_s(gear) < 0.0 else self._chamfer_rad
         low = self._half_rad + self._chamfer_rad - ahead
         high = self._pitch_rad - self._half_rad - ahead
         self._truck.watch(ROWS[name], gear, (low, high), with_lash=True)
@@ -254,12 +252,12 @@ class TruckEngagement(Engagement[TruckSleeve]):
         else:
             self._truck.watch(row, gear, (-self._flank_rad, self._flank_rad), with_lash=False)
 
-    def _eject(self, name: Sleeve, side: int) -> None:
+    def _eject(self, name: Sleeve) -> None:
         time_us, sleeve = self._plant.time_us, self.sleeves[name]
         sleeve.eject(time_us)
         tally = self._tallies[name]
         self._tallies[name] = tally._replace(ratchets=tally.ratchets + 1)
-        self._face(name, side)
+        self._face(name)
 
     def _strike(self, name: Sleeve, side: int) -> None:
         gear, truck, sleeve = self.gear_at(name), self._truck, self.sleeves[name]
