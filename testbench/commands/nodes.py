@@ -13,6 +13,7 @@ from typing import Any
 import can
 
 from bus.clock import Clock, NodeClock
+from bus.fine_timers import run as run_loop
 from bus.options import add_bus_arguments, open_bus_from
 from bus.pace import PacedClock, PaceFile
 from bus.signals import stop_on_signals
@@ -113,7 +114,7 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     stop=stop,
                 )
 
-    asyncio.run(run())
+    run_loop(run())
     return Exit.DONE
 
 
@@ -145,7 +146,7 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
                     stop=stop,
                 )
 
-    asyncio.run(run())
+    run_loop(run())
     return Exit.DONE
 
 
