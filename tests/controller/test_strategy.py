@@ -42,7 +42,7 @@ def learned(phase_at_zero: float) -> PhaseReferences:
     references = PhaseReferences(SHEET)
     references.locked(GEAR, 1.0)
     theta_main = phase_at_zero - HALF_GAP
-    while not references.watch(GEAR, 0.0, theta_main):
+    while not references.watch(GEAR, 0.0, theta_main, pulled=False):
         pass
     return references
 
