@@ -27,6 +27,7 @@ from controller.moment import Moment
 from controller.observer import Observer
 from controller.probe import ClockProbe
 from controller.report import Reporter
+from controller.say import decision_line
 from controller.sequence import ShiftSequence
 from controller.settings import ControllerSettings, ValveTiming
 from controller.shaft_speeds import ShaftSpeeds
@@ -41,6 +42,7 @@ from dbc.messages import (
     EdgesMainRise,
     FaultCode,
     GearboxSensors,
+    ShiftDecision,
     SleevesAux,
     SleevesMain,
     TscOverrideMode,
@@ -95,6 +97,7 @@ class ControllerCore:
         self._guard = Guard(limits)
         self._guard_view = GuardView(sheet, limits)
         self._engine_asked = False
+        self._decided = ShiftDecision.NONE
         self._reporter = Reporter(header, self._observer, self._sequence)
         self._due_us: int | None = None
         self._wake_us: int | None = None
@@ -227,6 +230,7 @@ class ControllerCore:
             events.append(refusal)
             return
         sequence.step(moment)
+        self._say(moment, events)
         if sequence.state is not before:
             events.append(f"{before.name.lower()} -> {sequence.state.name.lower()}")
         if sequence.finished is not None:
@@ -235,6 +239,15 @@ class ControllerCore:
                 f"shift {shift.from_number} -> {shift.to_number}: {shift.result.name.lower()}"
                 f", {shift.attempts} fired, fault {shift.fault.name.lower()}"
             )
+
+    def _say(self, moment: Moment, events: list[str]) -> None:
+        """A line where the decision is another one than before."""
+        plan = self._sequence.decision
+        decided = ShiftDecision.NONE if plan is None else plan.decision
+        if plan is not None and decided is not self._decided:
+            line = decision_line(plan, moment.now_us)
+            events += [] if line is None else [line]
+        self._decided = decided
 
     def _commands(self, inputs: StepInputs, moment: Moment, events: list[str]) -> list[Frame]:
         """Valve, clutch and engine commands; the valve frame goes out only past the guard."""

@@ -87,33 +87,6 @@ def propagate(
 
 
 @compiled
-def time_at_speed(
-    x: Vector, t_us: float, omega: float, switch_us: Vector, switch_u: Vector, model: Vector
-) -> float:
-    """When the layshaft, slowing down, has come down to `omega`; moves the state there, in place.
-
-    Infinite where it already turns slower at the last brake switch, or would take over ten
-    seconds. After the last switch the speed falls ever more gently, so Newton's method from above
-    never passes the root."""
-    n = switch_us.shape[0]
-    if n > 0 and switch_us[n - 1] > t_us:
-        propagate(x, t_us, switch_us[n - 1], switch_us, switch_u, model)
-        t_us = switch_us[n - 1]
-    if x[1] < omega:
-        return math.inf
-    for _ in range(30):
-        rate = model[0] * x[1] + model[2] * x[2]
-        if (x[1] - omega) > 10.0 * rate:
-            return math.inf
-        step_us = (x[1] - omega) / rate / US
-        propagate(x, t_us, t_us + step_us, switch_us, switch_u, model)
-        t_us += step_us
-        if step_us < 0.01:
-            break
-    return t_us
-
-
-@compiled
 def spread(p: Vector, dt: float, phi: Vector, w: Vector) -> None:
     """Covariance prediction P = Phi P Phi' + Q (5.3) with Q = (w dt)(w dt)' (5.8), in place."""
     f01, f02, f11, f12, f22 = phi[0], phi[1], phi[2], phi[3], phi[4]

@@ -256,34 +256,3 @@ def forecast(
             t_us = until_us
             i += 1
     mirror(p)
-
-
-@compiled
-def time_at_speed(
-    x: Vector, t_us: float, omega: float, switch_us: Vector, switch_u: Vector,
-    motion: Vector, law: Vector,
-) -> float:  # fmt: skip
-    """When the layshaft, slowing down, has come down to `omega`; moves the state there, in place.
-
-    Infinite where it already turns slower at the last brake switch, or would take over ten
-    seconds. After the last switch the speed falls ever more gently, so Newton's method from above
-    does not pass the root by more than a segment's change of slope."""
-    n = switch_us.shape[0]
-    if n > 0 and switch_us[n - 1] > t_us:
-        travel(x, t_us, switch_us[n - 1], switch_us, switch_u, motion, law)
-        t_us = switch_us[n - 1]
-    if x[OMEGA] < omega:
-        return math.inf
-    f = np.zeros((3, STATES))
-    u = int(switch_u[n - 1]) if n > 0 else 0
-    for _ in range(60):
-        rate = motion[RATE_A] * x[1] + motion[BRAKE_G] * x[4] * x[2] - x[3] - x[5]
-        if rate <= 0.0 or (x[1] - omega) > 10.0 * rate:
-            return math.inf
-        step = (x[1] - omega) / rate
-        part = longest_in_segment(law, u, x[PRESSURE], step) if step > 0.0 else step
-        transition(x, part, u, motion, law, f)
-        t_us += part / US
-        if abs(step) < 1e-8:
-            break
-    return t_us

@@ -6,6 +6,7 @@ Layshaft by zero-order hold over the brake commands, main shaft with the acceler
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -15,18 +16,15 @@ from controller.brake_input import BrakeInput
 from controller.kernels import US, Vector
 from controller.kinematics import slip_rad_s
 from controller.motion import LayshaftState, MotionModel, predict, predict_spread
-from controller.motion_kernels import DRAG, time_at_speed
 from controller.plan_kernels import course
 from controller.reference import PhaseReferences
 from controller.shafts import ShaftState
 from gearbox import MainGear
 
-BISECTIONS = 24
-"""Halvings of at most a second: down to a tenth of a microsecond."""
-SECANT_STEPS = 8
-PROBE_US = 200
-"""A release moved by this much moves the phase at contact by about half a degree."""
-CLOSE_RAD = 1e-4
+MOST_STEPS = 40
+LEAST_SHARE = 1e-3
+CLOSE_RAD_S = 1e-4
+"""A root this near is found: some microseconds at the brake's full torque."""
 
 
 class Course(NamedTuple):
@@ -120,78 +118,43 @@ class Outlook:
     ) -> int:
         """When to release the brake so that `slip_left` remains `settle_us` later.
 
-        Slip after release falls the later the release comes, so bisection finds it; `earliest`
-        where it is late already, `latest` where it is far off."""
-        left = self.slip_rad_s
-        if left(earliest_us + settle_us, earliest_us) <= slip_left_rad_s:
-            return earliest_us
-        if left(latest_us + settle_us, latest_us) >= slip_left_rad_s:
-            return latest_us
-        low, high = earliest_us, latest_us
-        for _ in range(BISECTIONS):
-            middle = (low + high) // 2
-            if left(middle + settle_us, middle) > slip_left_rad_s:
-                low = middle
-            else:
-                high = middle
-            if high - low <= 1:
-                break
-        return high
+        Slip after release falls the later the release comes; `earliest` where it is late already,
+        `latest` where it is far off."""
 
-    def aimed_release_us(
-        self, release_us: int, earliest_us: int, slip_rad_s: float, target_rad: float, pitch: float
-    ) -> tuple[int, int] | None:
-        """Release and contact times such that at contact both slip and phase are as wanted.
+        def over(release_us: int) -> float:
+            return self.slip_rad_s(release_us + settle_us, release_us) - slip_left_rad_s
 
-        For every release there is one moment at which the slip has fallen to `slip_rad_s`; the
-        phase at that moment falls the later the release comes, a pitch in a few milliseconds. So
-        the release nearest to `release_us`, not before `earliest_us`, is found by secant steps.
-        None where no such release is found. KeyError while the reference is unknown."""
-        first = self.contact(release_us, slip_rad_s)
-        if first is None:
-            return None
-        wanted = target_rad + pitch * round((first[1] - target_rad) / pitch)
-        for _ in range(2):
-            solved = self._solve_release(release_us, slip_rad_s, wanted, first[1])
-            if solved is not None and solved[0] >= earliest_us:
-                return solved
-            wanted -= pitch
-        return None
+        return _falling_root(over, earliest_us, latest_us)
 
-    def _solve_release(
-        self, release_us: int, slip_rad_s: float, wanted_rad: float, phase_rad: float
-    ) -> tuple[int, int] | None:
-        time_us, error = float(release_us), phase_rad - wanted_rad
-        probe = self.contact(time_us + PROBE_US, slip_rad_s)
-        if probe is None:
-            return None
-        slope = (probe[1] - phase_rad) / PROBE_US
-        for _ in range(SECANT_STEPS):
-            if slope >= 0.0:
-                return None
-            step_us = -error / slope
-            found = self.contact(time_us + step_us, slip_rad_s)
-            if found is None:
-                return None
-            slope = (found[1] - wanted_rad - error) / step_us if abs(step_us) > 1.0 else slope
-            time_us, error = time_us + step_us, found[1] - wanted_rad
-            if abs(error) < CLOSE_RAD:
-                return round(time_us), round(found[0])
-        return None
-
-    def contact(self, release_us: float, slip_rad_s: float) -> tuple[float, float] | None:
-        """Time and unwrapped phase at which the slip has fallen to a value after a release."""
-        state, main = self.layshaft, self.main
-        switch_us, switch_u = self.brake.with_release(release_us)
-        # Seen from a main shaft of constant speed, its acceleration is a drag on the layshaft.
-        omega = (main.omega_at(state.time_us) + slip_rad_s) / self.i_gear
-        x = state.vector
-        x[DRAG] -= main.acceleration_rad_s2 / self.i_gear
-        time_us = time_at_speed(
-            x, state.time_us, omega, switch_us, switch_u, self.model.motion, self.model.law
+    def slip_falls_to_us(self, slip_rad_s: float, earliest_us: int, latest_us: int) -> int:
+        """When the slip, brake as commanded, has fallen to a value; `earliest` where it has
+        already, `latest` where it has not by then."""
+        return _falling_root(
+            lambda time_us: self.slip_rad_s(time_us) - slip_rad_s, earliest_us, latest_us
         )
-        if math.isinf(time_us):
-            return None
-        span_s = (time_us - state.time_us) * US
-        theta_main = main.theta_at(state.time_us) + main.omega_at(state.time_us) * span_s
-        return time_us, self.references.phase_rad(self.gear, float(x[0]), theta_main)
+
+
+def _falling_root(over: Callable[[int], float], first: int, last: int) -> int:
+    """Where a falling function is zero, by false position that halves the weight of an end kept
+    twice (Illinois; Dowell and Jarratt 1971); an end where it is not between them."""
+    above, below = over(first), over(last)
+    if above <= 0.0:
+        return first
+    if below >= 0.0:
+        return last
+    kept = 0
+    for _ in range(MOST_STEPS):
+        share = min(max(above / (above - below), LEAST_SHARE), 1.0 - LEAST_SHARE)
+        middle = round(first + share * (last - first))
+        found = over(middle)
+        if abs(found) < CLOSE_RAD_S or last - first <= 1:
+            return middle
+        if found > 0.0:
+            first, above = middle, found
+            below *= 0.5 if kept > 0 else 1.0
+            kept = 1
+        else:
+            last, below = middle, found
+            above *= 0.5 if kept < 0 else 1.0
+            kept = -1
+    return middle

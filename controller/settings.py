@@ -18,6 +18,7 @@ MS_IN_US: Final = 1000
 
 STRATEGY_NAMES: Final = {
     "speed_window": Strategy.SPEED_WINDOW,
+    "speed_window_anticipating": Strategy.SPEED_WINDOW_ANTICIPATING,
     "target_phase": Strategy.TARGET_PHASE,
 }
 ESTIMATOR_NAMES: Final = {
@@ -70,6 +71,15 @@ class Window:
     """Nor below this one: there the gear is slower than the sleeve, and gets slower yet."""
     release_slip_rad_s: float = quantity("release_slip_rpm", 1.0, 200.0, RPM, default=35.0 * RPM)
     """`speed_window` releases the brake so that this slip is left when it has died away."""
+    anticipate_slip_rad_s: float = quantity(
+        "anticipate_slip_rpm", 1.0, 200.0, RPM, default=25.0 * RPM
+    )
+    """`speed_window_anticipating` fires ahead so that contact is at this slip."""
+    anticipate_release_rad_s: float = quantity(
+        "anticipate_release_rpm", 1.0, 200.0, RPM, default=5.0 * RPM
+    )
+    """It releases the brake so that this slip would be left when it has died away. Both baselines'
+    releases are those of their least mean duration (`benchmarks/tune_baselines.py`)."""
     settle_time_constants: float = quantity("settle_time_constants", 0.0, 10.0, default=3.0)
     """When the brake counts as died away, in time constants of its pressure after release."""
     aim_slip_rad_s: float = quantity("aim_slip_rpm", 1.0, 200.0, RPM, default=15.0 * RPM)

@@ -1,9 +1,11 @@
-"""When to fire the sleeve: two engagement strategies behind one name each.
+"""When to fire the sleeve: three engagement strategies behind one name each.
 
 `speed_window` is what is done today: fire as soon as the slip is inside the window; tooth meets gap
-by luck. `target_phase` asks where the teeth will be when the sleeve arrives (thesis 6.2), and takes
-the release and the firing whose contact costs least by expectation: time, the price of a miss, the
-energy of the flanks, over the spread of the predicted phase (docs/strategy.md).
+by luck. `speed_window_anticipating` knows how long the sleeve takes, and fires ahead so that at
+contact the slip is the middle of the window; phase is luck all the same. `target_phase` asks
+where the teeth will be when the sleeve arrives (thesis 6.2), and takes the release and the firing
+whose contact costs least by expectation: time, the price of a miss, the energy of the flanks, over
+the spread of the predicted phase (docs/strategy.md).
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ from controller.plan_kernels import (
     expected_least,
 )
 from controller.settings import ControllerSettings
-from dbc.messages import ShiftDecision
+from dbc.messages import ShiftDecision, Strategy
 from gearbox import GearboxSheet
 
 US_PER_S = 1e6
@@ -44,6 +46,8 @@ COARSE_US, COURSE_STEPS = 2_000.0, 150
 degree at 20 rpm."""
 FINE_US, FINE_STEPS = 100.0, 41
 """Around the best of these."""
+AHEAD_US = 300_000
+"""How far ahead a slip is looked for."""
 GROWTH_US = 100_000.0
 """Over this the growth of the phase's variance is taken."""
 NEAR_US = 50_000
@@ -52,7 +56,8 @@ EARLIER_US, LATER_US, RELEASE_STEP_US, RELEASE_FINE_US = 6_000, 8_000, 1_000, 20
 """Releases looked at around the unaimed one: 14 ms move the phase at contact by more than a pitch.
 """
 MARGIN_US = 10_000
-"""From release to the earliest firing: the tick in which the sequence sees it."""
+"""From release to the earliest firing: it is chosen from the first tick on that can no longer move
+the release."""
 SETTLED_SHARE = 0.1
 """What is left at firing of the variance that the phase has at the release."""
 REFERENCE_SD_RAD = math.radians(0.1)
@@ -71,7 +76,7 @@ class Plan(NamedTuple):
 
 
 class Strategist:
-    """Both strategies over the same outlook."""
+    """All strategies over the same outlook."""
 
     def __init__(self, sheet: GearboxSheet, settings: ControllerSettings) -> None:
         self._dog = sheet.dog
@@ -81,6 +86,12 @@ class Strategist:
         self._reference_variance = REFERENCE_SD_RAD**2
         half_gap = self._dog.backlash_rad / 2.0
         self._target_rad = settings.aim.target_rad_share * half_gap
+        window = settings.window
+        self._left = {
+            Strategy.SPEED_WINDOW: window.release_slip_rad_s,
+            Strategy.SPEED_WINDOW_ANTICIPATING: window.anticipate_release_rad_s,
+            Strategy.TARGET_PHASE: window.aim_slip_rad_s,
+        }
         brake = sheet.brake
         self._settle_us, self._aim_us = (
             US_PER_S * (brake.valve_delay_s + constants * brake.time_constant_s)
@@ -96,6 +107,13 @@ class Strategist:
         if slip_now > self._window.fire_slip_rad_s:
             return None
         return self.plan_at(outlook, earliest_us + outlook.delay_us, ShiftDecision.FIRE)
+
+    def anticipating(self, outlook: Outlook, earliest_us: int) -> Plan:
+        """The contact at which the slip is the wanted one, or the earliest after it."""
+        first_us = earliest_us + outlook.delay_us
+        wanted = self._window.anticipate_slip_rad_s
+        contact_us = outlook.slip_falls_to_us(wanted, first_us, first_us + AHEAD_US)
+        return self.plan_at(outlook, contact_us, ShiftDecision.FIRE)
 
     def target_phase(self, outlook: Outlook, now_us: int, earliest_us: int) -> Plan:
         """The contact of least expected cost that a sleeve not yet fired can still make."""
@@ -140,16 +158,14 @@ class Strategist:
         return terms
 
     def release(
-        self, outlook: Outlook, now_us: int, earliest_us: int, aimed: bool
+        self, outlook: Outlook, now_us: int, earliest_us: int, strategy: Strategy
     ) -> tuple[int, int]:
         """When to let the brake go, and when contact would be.
 
         Unaimed, a set slip is left when the brake has died away. Aimed, release and contact are
         planned together: of the releases around that one, the one of least expected cost."""
-        window = self._window
-        slip, settle_us = window.release_slip_rad_s, self._settle_us
-        if aimed:
-            slip, settle_us = window.aim_slip_rad_s, self._aim_us
+        aimed = strategy is Strategy.TARGET_PHASE
+        slip, settle_us = self._left[strategy], self._aim_us if aimed else self._settle_us
         latest_us = earliest_us + LATEST_RELEASE_US
         release_us = outlook.release_time_us(earliest_us, latest_us, slip, settle_us)
         if not aimed or release_us > earliest_us + NEAR_US:

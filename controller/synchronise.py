@@ -31,7 +31,8 @@ def synchronise(desk: ShiftDesk, moment: Moment) -> Trigger | None:
     outlook = desk.outlook(shift.target.main, moment)
     if outlook is None:
         return None
-    if shift.release_us is not None and now >= shift.release_us:
+    if shift.release_us is not None and moment.earliest_us >= shift.release_us:
+        # It can no longer be moved: from here on the firing is chosen, the brake still dying away.
         return Trigger.BRAKE_RELEASED
     command = desk.board.command(Valve.BRAKE)
     if not command.on and not command.before:
@@ -42,8 +43,7 @@ def synchronise(desk: ShiftDesk, moment: Moment) -> Trigger | None:
             return Trigger.BRAKE_RELEASED
         shift.pulses += 1
     _keep_braking(desk, moment)
-    if shift.release_us is None or shift.release_us > moment.earliest_us:
-        _plan_release(desk, outlook, moment)
+    _plan_release(desk, outlook, moment)
     return None
 
 
@@ -76,8 +76,11 @@ def _brake_helps(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> bool:
     limits, window = desk.settings.limits, desk.settings.window
     if desk.running.pulses >= limits.pulses:
         return False
-    aimed = _aims_at(desk, outlook.gear)
-    wanted = window.contact_high_rad_s if aimed else window.fire_slip_rad_s
+    wanted = {
+        Strategy.SPEED_WINDOW: window.fire_slip_rad_s,
+        Strategy.SPEED_WINDOW_ANTICIPATING: window.anticipate_slip_rad_s,
+        Strategy.TARGET_PHASE: window.contact_high_rad_s,
+    }[_strategy(desk, outlook.gear)]
     slip = outlook.slip_rad_s(moment.now_us)
     fall = slip - outlook.slip_rad_s(moment.now_us + FALL_US)
     return slip - wanted > fall * (limits.coast_ms * MS / FALL_US)
@@ -105,8 +108,8 @@ def _plan_release(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> None:
     command = desk.board.command(Valve.BRAKE)
     on_us = command.time_us if command.on else moment.now_us
     earliest_us = max(moment.earliest_us, on_us)
-    aimed = _aims_at(desk, shift.target.main)
-    release_us, contact_us = desk.strategist.release(outlook, moment.now_us, earliest_us, aimed)
+    strategy = _strategy(desk, shift.target.main)
+    release_us, contact_us = desk.strategist.release(outlook, moment.now_us, earliest_us, strategy)
     horizon_us = moment.now_us + RELEASE_HORIZON_US
     if shift.release_us is not None:
         # A release once sent is moved, never taken back: its slot holds the newest time.
@@ -120,8 +123,21 @@ def _plan_release(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> None:
     desk.decision = Plan(decision, 0, contact_us, 0.0, 0.0, slip)
 
 
-def _aims_at(desk: ShiftDesk, gear: MainGear) -> bool:
-    return desk.settings.strategy is Strategy.TARGET_PHASE and desk.reference_known(gear)
+def _strategy(desk: ShiftDesk, gear: MainGear) -> Strategy:
+    """The one asked for; without a phase reference there is nothing to aim at."""
+    asked = desk.settings.strategy
+    if asked is Strategy.TARGET_PHASE and not desk.reference_known(gear):
+        return Strategy.SPEED_WINDOW
+    return asked
+
+
+def _plan(desk: ShiftDesk, outlook: Outlook, moment: Moment, strategy: Strategy) -> Plan | None:
+    strategist = desk.strategist
+    if strategy is Strategy.TARGET_PHASE:
+        return strategist.target_phase(outlook, moment.now_us, moment.earliest_us)
+    if strategy is Strategy.SPEED_WINDOW_ANTICIPATING:
+        return strategist.anticipating(outlook, moment.earliest_us)
+    return strategist.speed_window(outlook, moment.now_us, moment.earliest_us)
 
 
 def _plan_firing(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> None:
@@ -129,13 +145,9 @@ def _plan_firing(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> None:
     valve = SLEEVE_VALVE[shift.target.main]
     if shift.attempts == 0:
         shift.reference_known = desk.reference_known(shift.target.main)
-    aimed = _aims_at(desk, shift.target.main)
-    shift.strategy = Strategy.TARGET_PHASE if aimed else Strategy.SPEED_WINDOW
-    plan: Plan | None
-    if aimed:
-        plan = strategist.target_phase(outlook, moment.now_us, moment.earliest_us)
-    else:
-        plan = strategist.speed_window(outlook, moment.now_us, moment.earliest_us)
+    shift.strategy = _strategy(desk, shift.target.main)
+    aimed = shift.strategy is Strategy.TARGET_PHASE
+    plan = _plan(desk, outlook, moment, shift.strategy)
     if plan is not None and plan.fire_us > moment.now_us + RELEASE_HORIZON_US:
         plan = None  # not sent yet, like a release: the valve side would refuse it
     if plan is None:

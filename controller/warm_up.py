@@ -8,7 +8,7 @@ from controller import edge_gate, edge_kernels, plan_kernels
 from controller.crossing import CrossingFilter, Pressures
 from controller.kernels import cruise_filter, propagate, thesis_filter
 from controller.motion import first_order_law, following_motion, predict
-from controller.motion_kernels import STATES, time_at_speed
+from controller.motion_kernels import STATES
 from controller.settings import CrossingFilterTuning
 
 
@@ -33,4 +33,3 @@ def _warm_up_crossing() -> None:
     shaft.take(np.array([1e3]), np.array([0.1]), 0.1, Pressures(none, none), (none, none), model)
     state = shaft.at(2e3, (none, none), model)
     predict(state, 3e3, (none, none), model)
-    time_at_speed(state.vector, 2e3, 0.0, none, none, model.motion, model.law)

@@ -100,6 +100,7 @@ def add_controller(parser: argparse.ArgumentParser, strategy: bool = True) -> No
             "--strategy",
             choices=tuple(STRATEGY_NAMES),
             help="speed_window: fire when the slip is inside its window, as is done today; "
+            "speed_window_anticipating: so that it is at contact; "
             "target_phase: fire so that tooth meets gap (default)",
         )
 

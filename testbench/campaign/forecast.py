@@ -100,18 +100,6 @@ class Path:
         self.extend(int(index[-1]) + 2)
         return _between(np.array(self.phase), np.array(self.slip), index, time_us - self.start_us)
 
-    def falls_to(self, slip_rad_s: float) -> tuple[float, float] | None:
-        """Time at which the slip has fallen to a value, and the phase then."""
-        self.extend(BRANCH_SAMPLES)
-        below = np.flatnonzero(np.array(self.slip) <= slip_rad_s)
-        if not below.size:
-            return None
-        index = max(1, int(below[0]))
-        before, after = self.slip[index - 1], self.slip[index]
-        share = (before - slip_rad_s) / (before - after) if before > after else 1.0
-        time_us = self.start_us + (index - 1 + share) * SAMPLE_US
-        return time_us, self.at(time_us)[0]
-
     def _run_to(self, time_us: float) -> None:
         plant = self._plant
         while not self._is_at_rest and plant.time_us < time_us:
@@ -212,29 +200,6 @@ class Forecast:
         phase[~before] = phase0 + slip0 * after_us * 1e-6 + turned
         slip[~before] = slip0 + less
         return phase, slip
-
-    def falls_to(
-        self, times: Floats, states: Floats, slip_rad_s: float
-    ) -> tuple[float, float] | None:
-        """Time and phase at which the slip has fallen to a value, for such switches; None where it
-        does not within the length of a branch."""
-        switches = self._switches(times, states)
-        if not switches:
-            return self._in_sensor_time(self._path(()).falls_to(slip_rad_s))
-        path, release_us = self._trunk(switches)
-        slip0 = path.at(release_us)[1]
-        if slip0 <= slip_rad_s:
-            return self._in_sensor_time(path.falls_to(slip_rad_s))
-        slip, _ = self._curve(switches[:-1], path, release_us)
-        index = int(np.argmax(slip <= slip_rad_s - slip0))
-        if index == 0:
-            return None
-        share = (slip_rad_s - slip0 - slip[index - 1]) / (slip[index] - slip[index - 1])
-        time_us = self._offset_us + release_us + (index - 1 + float(share)) * SAMPLE_US
-        return time_us, self.after_release(times, states, time_us)[0]
-
-    def _in_sensor_time(self, found: tuple[float, float] | None) -> tuple[float, float] | None:
-        return None if found is None else (found[0] + self._offset_us, found[1])
 
     def _switches(self, times: Floats, states: Floats) -> Switches:
         """What was still to come when this forecast was made."""

@@ -71,10 +71,6 @@ class ForecastOutlook(Outlook):
         times_us = first_us + step_us * np.arange(count, dtype=np.float64)
         return Course(first_us, step_us, *self.forecast.course(*switches, times_us, is_released))
 
-    def contact(self, release_us: float, slip_rad_s: float) -> tuple[float, float] | None:
-        """Time and unwrapped phase at which the slip has fallen to a value after a release."""
-        return self.forecast.falls_to(*self.brake.with_release(release_us), slip_rad_s)
-
     def _layshaft(self, time_us: float, phase_rad: float, slip_rad_s: float) -> LayshaftState:
         zero = self.references.phase_rad(self.gear, 0.0, 0.0)
         theta = (phase_rad - zero + self.main.theta_at(time_us)) / self.i_gear

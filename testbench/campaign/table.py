@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, Final
 
 from rich.console import Console
 from rich.table import Table
@@ -19,35 +20,17 @@ def print_tables(out: Console, values: dict[str, Any]) -> None:
 
 
 def _strategies(values: dict[str, Any]) -> Table:
+    """A column a strategy, a line a figure: as many fit as are compared."""
     table = Table(
         title=f"{values['runs']} runs, 95 % intervals", title_justify="left", box=None,
         pad_edge=False,
     )  # fmt: skip
-    table.add_column("strategy", no_wrap=True)
-    for column in (
-        "shifts", "first in gap", "mean ms", "p50", "p99", "mean J", "p99", "retries", "blocked",
-        "given up", "phase sd deg", "known",
-    ):  # fmt: skip
-        table.add_column(column, justify="right", no_wrap=True)
-    for name, figures in values["strategies"].items():
-        gap, duration, impact = (
-            figures[key] for key in ("first_contact_gap", "duration_ms", "impact_j")
-        )
-        table.add_row(
-            name,
-            str(figures["shifts"]),
-            _rate(gap),
-            _number(duration["mean"], 0),
-            _number(duration["p50"], 0),
-            _number(duration["p99"], 0),
-            _number(impact["mean"], 2),
-            _number(impact["p99"], 2),
-            str(figures["retries"]),
-            str(figures["blocked"]),
-            str(figures["given_up"]),
-            _number(figures["phase_error_sd_deg"], 2),
-            _percent(figures["reference_known"]),
-        )
+    strategies: dict[str, dict[str, Any]] = values["strategies"]
+    table.add_column("", no_wrap=True)
+    for name in strategies:
+        table.add_column(name, justify="right", overflow="fold")
+    for title, cell in CELLS.items():
+        table.add_row(title, *(cell(figures) for figures in strategies.values()))
     return table
 
 
@@ -105,3 +88,21 @@ def _number(value: float | None, digits: int) -> str:
 
 def _percent(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:.1f} %"
+
+
+CELLS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
+    "shifts": lambda f: str(f["shifts"]),
+    "first in gap": lambda f: _rate(f["first_contact_gap"]),
+    "mean ms": lambda f: _number(f["duration_ms"]["mean"], 0),
+    "p50 ms": lambda f: _number(f["duration_ms"]["p50"], 0),
+    "p99 ms": lambda f: _number(f["duration_ms"]["p99"], 0),
+    "mean impact J": lambda f: _number(f["impact_j"]["mean"], 2),
+    "p99 impact J": lambda f: _number(f["impact_j"]["p99"], 2),
+    "mean slip rpm": lambda f: _number(f["slip_rpm_mean"], 1),
+    "retries": lambda f: str(f["retries"]),
+    "blocked": lambda f: str(f["blocked"]),
+    "given up": lambda f: str(f["given_up"]),
+    "phase sd deg": lambda f: _number(f["phase_error_sd_deg"], 2),
+    "reference known": lambda f: _percent(f["reference_known"]),
+}
+"""A line of the table each."""

@@ -1,0 +1,26 @@
+"""What the log says of a decision."""
+
+from __future__ import annotations
+
+import math
+
+from controller.say import decision_line
+from controller.strategy import Plan
+from dbc.messages import ShiftDecision
+
+DEG, RPM = math.pi / 180.0, math.pi / 30.0
+
+
+def test_a_firing_says_when_and_what_it_expects() -> None:
+    plan = Plan(ShiftDecision.FIRE, 112_500, 159_800, 0.2 * DEG, 0.3 * DEG, 18.0 * RPM)
+    line = decision_line(plan, 100_000)
+    assert line == "fire in 12.5 ms for contact in 59.8 ms: phase +0.20 +- 0.30 deg, 18.0 rpm"
+
+
+def test_a_phase_nobody_knows_is_not_given_a_number() -> None:
+    plan = Plan(ShiftDecision.COMMITTED, 0, 150_000, 0.0, 0.0, 30.0 * RPM)
+    assert "unknown" in (decision_line(plan, 100_000) or "")
+
+
+def test_nothing_decided_says_nothing() -> None:
+    assert decision_line(Plan(ShiftDecision.NONE, 0, 0, 0.0, 0.0, 0.0), 0) is None
