@@ -138,8 +138,8 @@ class ControllerCore:
         self._observer.take(inputs, now_us, events)
         self._speeds.take(inputs, self._observer.clock.now_us(now_us))
         moment = self._moment(now_us)
-        self._observer.learn(events)
         self._decide(inputs.requested_gear, moment, events)
+        self._observer.learn(events)
         frames = self._commands(inputs, moment, events)
         frames += self._reporter.frames(self._transmitter, moment)
         status = self._reporter.status(

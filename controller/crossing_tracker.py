@@ -28,6 +28,9 @@ NO_SWITCHES: Final = (np.empty(0), np.empty(0))
 LEAST_FREE_EDGES: Final = 100
 """With fewer edges of free motion brake and drag were not really seen."""
 
+STRUCK_RAD_S: Final = 5.0
+"""Standard deviation of the step that a flank's impact makes in the layshaft's speed (48 rpm)."""
+
 
 class _Shaft:
     """A filter over a wheel's edges with its teeth: what layshaft and main shaft have in common."""
@@ -37,6 +40,7 @@ class _Shaft:
         self._start_rad_s2 = start_rad_s2
         self._filter = CrossingFilter(tuning)
         self.teeth = WheelTeeth(teeth, tuning)
+        self._half_pitch_rad = math.pi / teeth
         self._seed = WindowSpeed()
         self._running = False
 
@@ -202,7 +206,9 @@ class CrossingTracker(_Shaft):
         both = state.p[:2, :2].copy()
         state.p[:] = diagonal(0.0, 0.0, 1.0, follow, 1e-9, follow)
         state.p[:2, :2] = both
-        state.p[OMEGA, OMEGA] += 1.0
+        # The flank has struck since: the speed took a step, and the angle went on with the old one.
+        state.p[THETA, THETA] += self._half_pitch_rad**2
+        state.p[OMEGA, OMEGA] += STRUCK_RAD_S**2
 
 
 class MainTracker(_Shaft):

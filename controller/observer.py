@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from controller.baseline_tracker import BaselineTracker
@@ -32,6 +34,8 @@ from dbc.messages import (
 from gearbox import GearboxSheet, MainGear, Split
 
 CLUTCH_OPEN_SHARE = 0.05
+LOOK_SHARE = 0.15
+"""Standard deviation of a look at a gear in mesh, in backlashes: more tells no flank."""
 
 
 class Observer:
@@ -93,9 +97,9 @@ class Observer:
         pressures = self._sensors(inputs.sensors, now_us)
         self.valves = inputs.valve_status or self.valves
         self._lose_what_broke(events)
+        self._see_whether_free(events)
         self._main.edges(main)
         self.layshaft.edges(layshaft, pressures)
-        self._see_whether_free(events)
 
     def _sensors(self, sensors: list[GearboxSensors], now_us: int) -> Pressures:
         """Clutch, air supply, and the brake's pressure, gauge."""
@@ -177,7 +181,13 @@ class Observer:
         if len(newest) < 2:
             return
         layshaft, main = self.layshaft_at(max(newest)), self.main_at(max(newest))
-        if layshaft is None or main is None:
+        if layshaft is None or main is None or not self._sees_flanks(gear, layshaft, main):
             return
         if self.references.watch(gear, layshaft.theta_rad, main.theta_rad):
             events.append(f"phase reference of {gear.name.lower()} learned")
+
+    def _sees_flanks(self, gear: MainGear, layshaft: LayshaftState, main: ShaftState) -> bool:
+        """Whether the angles are good enough to tell the gap's flanks apart."""
+        ratio = self._sheet.main_mesh(gear).ratio
+        sd_rad = math.hypot(ratio * layshaft.theta_sd_rad, main.theta_sd_rad)
+        return sd_rad < LOOK_SHARE * self._sheet.dog.backlash_rad

@@ -2,9 +2,9 @@
 
 The sensor wheels count teeth but know no angle (thesis 8.2). In mesh a tooth lies on one flank of
 its gap or the other, so the phase is + or - b/2 and the constant between counted angles and phase
-is known once the flank is. Which one: torque that turns carries the tooth across the gap, and a
-move of nearly b shows on which side it lies then. A tooth that does not move lies where the slip at
-contact carried it. Tooth counts keep the reference exact; it is lost when either count is lost.
+is known once the flank is. Which one: impact and torque carry the tooth through the gap, and one
+that has come from above, within the gap's width, lies on the lower flank. A tooth that has not
+moved lies where the slip at contact carried it. Tooth counts keep the reference exact; it is lost when either count is lost.
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ STILL_LOOKS = 6
 """Looks over which a tooth must lie still to be at a flank: 60 ms, more than it takes to cross."""
 STILL_SHARE = 0.1
 """Standard deviation of a still tooth's looks, in backlashes."""
-CROSSED_SHARE = 0.6
-STAYED_SHARE = 0.4
-"""A tooth that was this share of the backlash away has crossed; less than this, it has not."""
+MOVED_SHARE = 0.3
+STAYED_SHARE = 0.15
+"""A tooth that was this share of the backlash away has moved to where it lies; less, it has not."""
+GAP_SHARE = 1.25
+"""No tooth in its gap can have been farther away: the look was a wrong one."""
 UNMOVED_LOOKS = 20
 """After so many looks without a move the tooth lies where the slip at contact carried it."""
 FLANK_SLIP_RAD_S = 0.2
@@ -50,11 +52,12 @@ class _Learning:
         variance = sum((look - mean) ** 2 for look in still) / STILL_LOOKS
         if variance > (STILL_SHARE * backlash_rad) ** 2:
             return None
-        above = (max(self.seen) - mean) / backlash_rad
-        below = (mean - min(self.seen)) / backlash_rad
-        if above > CROSSED_SHARE and below < STAYED_SHARE:
+        away = [(look - mean) / backlash_rad for look in self.seen]
+        possible = [share for share in away if abs(share) < GAP_SHARE]
+        above, below = max(possible), -min(possible)
+        if above > MOVED_SHARE and below < STAYED_SHARE:
             return -1, mean
-        if below > CROSSED_SHARE and above < STAYED_SHARE:
+        if below > MOVED_SHARE and above < STAYED_SHARE:
             return 1, mean
         unmoved = max(above, below) < STAYED_SHARE
         if unmoved and self.flank != 0 and len(self.seen) >= UNMOVED_LOOKS:
