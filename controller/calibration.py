@@ -214,4 +214,6 @@ def check(calibration: Calibration, sheet: GearboxSheet, where: str) -> None:
         sleeve = calibration.sleeves.of(gear)
         if sleeve is not None and sleeve.delay_s < least_s:
             found = f"sleeves: {gear.name.lower()}: delay_ms = {sleeve.delay_s / MS:g}"
-            raise TableError(f"{where}: {found}, allowed is no less than its valve's {least_s / MS:g}")
+            raise TableError(
+                f"{where}: {found}, allowed is no less than its valve's {least_s / MS:g}"
+            )

@@ -37,7 +37,7 @@ class Memory(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """What a wheel has shown since it was numbered anew."""
+    """Equations of one window of free motion, or the sum of several."""
 
     normal: Vector
     right: Vector
@@ -68,7 +68,7 @@ class Verdict(NamedTuple):
 
 
 def turned(error_rad: Vector, teeth: int) -> Vector:
-    """The pattern as the present numbering has it: present tooth t is remembered tooth t + teeth."""
+    """The pattern in the present numbering, where tooth t is remembered tooth t + teeth."""
     return np.roll(error_rad, -2 * teeth)
 
 
