@@ -80,9 +80,9 @@ def _record(pattern: Memory | None) -> WheelRecord | None:
 
 def _references(kept: Kept, pitch_rad: float) -> References:
     offsets = kept.offsets_rad
-    return References(
-        *(
-            wrap_to_pitch(offsets[gear], pitch_rad) if gear in offsets else None
-            for gear in MAIN_GEARS
-        )
-    )
+    given = {
+        f"{gear.name.lower()}_rad": wrap_to_pitch(offsets[gear], pitch_rad)
+        for gear in MAIN_GEARS
+        if gear in offsets
+    }
+    return References(**given)

@@ -105,6 +105,11 @@ class ControllerCore:
         if header.calibration is not None:
             restore(header.calibration, self._observer, self._sequence.delays)
 
+    @property
+    def knows(self) -> tuple[int, int]:
+        """Changes when there is more to keep: shifts that have ended, references that are known."""
+        return self.shifts, self._observer.references.mask
+
     def calibration(self, written: str) -> Calibration:
         """What has been learned, earlier runs included; `written` says when, for people."""
         return collect(self.header, self._observer, self._sequence.delays, self.shifts, written)
