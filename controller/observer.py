@@ -112,6 +112,8 @@ class Observer:
         self._see_whether_free(events)
         self._main.edges(main)
         self.layshaft.edges(layshaft, pressures)
+        if self.recall is not None:
+            self.recall.look(events)
 
     def _sensors(self, sensors: list[GearboxSensors], now_us: int) -> Pressures:
         """Clutch, air supply, and the brake's pressure, gauge."""

@@ -129,7 +129,7 @@ class WheelTeeth:
         self._seen = (0.0, 0.0)
         """Squares and edges of the windows that have ended since the teeth were numbered."""
         self._looked_at = 0.0
-        self._strangers = self._untold = 0
+        self._strangers = self._unlike = self._untold = 0
         self.memory: Memory | None = None
         self.found: Found | None = None
         """Set where a memory was found again, until someone has taken it."""
@@ -201,7 +201,7 @@ class WheelTeeth:
         self._seen, self._looked_at = (0.0, 0.0), 0.0
         self.error_rad = np.zeros(self._edges)
         self.sd_rad, self.learned = self._unlearned_sd_rad, False
-        self._strangers = self._untold = self.edges_seen = 0
+        self._strangers = self._unlike = self._untold = self.edges_seen = 0
         self.found = None
         self.learner.running = False
 
@@ -238,9 +238,9 @@ class WheelTeeth:
         """After a whole window: gives the memory up where it is another wheel's, or where the
         wheel's own teeth are known and still do not tell."""
         if verdict.stranger:
-            self._strangers += 1
-            if self._strangers >= WINDOWS_TO_FORGET:
-                self.memory, self._strangers = None, 0
+            self._unlike += 1
+            if self._unlike >= WINDOWS_TO_FORGET:
+                self.memory, self._unlike = None, 0
                 return "teeth forgotten: they are not those that were remembered"
             return "teeth do not agree with those that were remembered"
         self._untold += self.learned
