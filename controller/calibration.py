@@ -168,14 +168,16 @@ class Calibration:
         return to_toml(self, COMMENT)
 
 
-def read_calibration(content: str, where: str, sheet: GearboxSheet) -> Calibration:
+def read_calibration(content: str, where: str, sheet: GearboxSheet | None) -> Calibration:
     """The calibration in a file's content. CalibrationError names `where`, key, found and allowed.
+    Without a sheet, whether it fits one is not asked.
 
     What is returned is exactly what its own `to_text` gives back, digits beyond those included: a
     run that is repeated from a header starts with the same bits."""
     try:
         calibration = _parsed(content, where)
-        check(calibration, sheet, where)
+        if sheet is not None:
+            check(calibration, sheet, where)
         return _parsed(calibration.to_text(), where)
     except TableError as error:
         raise CalibrationError(str(error)) from error

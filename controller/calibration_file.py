@@ -27,7 +27,7 @@ class Loaded(NamedTuple):
     writable: bool
 
 
-def read_file(path: Path, sheet: GearboxSheet) -> Calibration:
+def read_file(path: Path, sheet: GearboxSheet | None) -> Calibration:
     """The calibration in a file. CalibrationError names file, key, found and allowed."""
     try:
         size = path.stat().st_size
