@@ -14,7 +14,7 @@ from typing import Any, Final
 from gearbox import GearboxSheet, MainGear
 from gearbox.gears import MAIN_GEARS
 from gearbox.table_text import to_toml
-from gearbox.tables import TableError, count, group, quantities, quantity, read_group, text
+from gearbox.tables import TableError, count, flag, group, quantities, quantity, read_group, text
 
 FORMAT: Final = 1
 DEG: Final = math.pi / 180.0
@@ -148,6 +148,17 @@ class Sleeves:
 
 
 @dataclass(frozen=True)
+class End:
+    """The last lines of a file: one that was cut off before them is torn, wherever it was cut."""
+
+    complete: bool = flag("complete")
+
+    def __post_init__(self) -> None:
+        if not self.complete:
+            raise TableError("complete = false, allowed is true")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Calibration:
     """All of it."""
 
@@ -157,6 +168,7 @@ class Calibration:
     references: References = group(References, default=References())
     brake: BrakeRecord | None = group(BrakeRecord, default=None)
     sleeves: Sleeves = group(Sleeves, default=Sleeves())
+    end: End = group(End)
 
     def __post_init__(self) -> None:
         wheels = self.wheels

@@ -7,6 +7,7 @@ import numpy as np
 from controller.calibration import (
     FORMAT,
     Calibration,
+    End,
     Provenance,
     References,
     WheelRecord,
@@ -62,7 +63,15 @@ def collect(
         wheels = Wheels(_record(kept.layshaft), _record(kept.main))
         references = _references(kept, header.sheet.dog.pitch_rad)
         brake = observer.brake.record()
-    return Calibration(FORMAT, provenance, wheels, references, brake, sleeves)
+    return Calibration(
+        format_=FORMAT,
+        provenance=provenance,
+        wheels=wheels,
+        references=references,
+        brake=brake,
+        sleeves=sleeves,
+        end=End(complete=True),
+    )
 
 
 def _pattern(record: WheelRecord | None) -> Memory | None:
