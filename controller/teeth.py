@@ -31,8 +31,6 @@ DISAGREES: Final = 3.0
 WINDOWS_TO_FORGET: Final = 2
 WINDOWS_TO_TELL: Final = 3
 """After so many windows with teeth of its own a wheel whose turn is not certain never shows it."""
-AGED_RAD: Final = math.radians(0.01)
-"""What a pattern may have changed by while nobody looked: another temperature, another day."""
 LEAST_EDGES: Final = 40
 """A window with fewer edges says too little to be judged."""
 
@@ -226,9 +224,8 @@ class WheelTeeth:
 
     def _take_over(self, memory: Memory, verdict: Verdict) -> None:
         """The memory counts like edges that were seen."""
-        weight = 1.0 / (memory.sd_rad**2 + AGED_RAD**2)
-        self._normal += weight * np.eye(self._edges)
-        self._right += weight * turned(memory.error_rad, verdict.teeth)
+        self._normal += memory.weight * np.eye(self._edges)
+        self._right += memory.weight * turned(memory.error_rad, verdict.teeth)
         self.edges_seen += memory.edges
         self.found = Found(verdict.teeth, verdict.margin)
         self.memory = None
