@@ -57,7 +57,8 @@ def load(path: Path, sheet: GearboxSheet) -> Loaded:
             return Loaded(None, f"{told}; cold start", False)
         return Loaded(None, f"{told}; kept as {kept}; cold start", True)
     shifts = calibration.provenance.shifts
-    return Loaded(calibration, f"calibration {path}: learned over {shifts} shifts", True)
+    noun = "shift" if shifts == 1 else "shifts"
+    return Loaded(calibration, f"calibration {path}: learned over {shifts} {noun}", True)
 
 
 def _put_aside(path: Path) -> Path:

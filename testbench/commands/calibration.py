@@ -12,6 +12,7 @@ from rich.table import Table
 
 from controller.calibration import BrakeRecord, Calibration, WheelRecord
 from controller.calibration_file import read_file
+from controller.sleeve_delay import PRIOR_SAMPLES
 from controller.tooth_parts import take_apart
 from gearbox import load_sheet
 from gearbox.gears import MAIN_GEARS
@@ -124,7 +125,7 @@ def _gear_table(calibration: Calibration) -> Table:
                 else (
                     f"{1e3 * sleeve.delay_s:.2f}",
                     f"{1e3 * sleeve.scatter_s:.2f}",
-                    f"{sleeve.samples:.1f}",
+                    f"{sleeve.samples - PRIOR_SAMPLES:.0f}",
                 )
             ),
         )
