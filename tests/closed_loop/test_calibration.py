@@ -50,8 +50,10 @@ def restarted(sheet: GearboxSheet) -> tuple[Loop, Calibration]:
     loop = Loop(shifts=FIRST + LATER, sheet=sheet, preset=Preset.TRUCK, seed=3)
     run_shifts(loop, FIRST)
     assert loop.status.reference_known == 0b1100
+    assert loop.status.cold_start
     calibration = restart(loop)
     run_shifts(loop, FIRST + LATER)
+    assert not loop.status.cold_start
     return loop, calibration
 
 
