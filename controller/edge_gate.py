@@ -63,7 +63,9 @@ SEARCHED: Final = 19
 """Pitches since the search began."""
 WIDEST: Final = 20
 """The widest gap of the wheel, pitches."""
-COUNTS: Final = 21
+DRAGGED: Final = 21
+"""1 while a synchroniser drags the shaft to another speed."""
+COUNTS: Final = 22
 
 SEEKING, SEARCHING, COUNTING = range(3)
 """Modes: no steady speed yet; a speed, but not yet the place of the missing teeth; each edge gets
@@ -112,6 +114,8 @@ LONG: Final = 2.0
 """At the least speed, a wheel may stop within so many pitches."""
 FOLLOW, FOLLOW_RATE, MOST_ERROR = 0.6, 0.3, 0.15
 """alpha, beta, and the largest error that moves the speed."""
+MOST_DRAGGED: Final = 0.4
+"""The same in a shaft that is dragged, by over 2,000 rad/s2: its speed is that of the last edge."""
 LONGEST_WAIT: Final = 1.5
 """An edge waits for the next of its polarity until the other one is so many pitches on."""
 SURE, SURE_SCATTERS, BETTER = 0.02, 3.0, 0.02
@@ -213,10 +217,15 @@ def judge_gap(counts: Integers, floats: Floats, advance: Integers, falling: int)
 def accept(counts: Integers, floats: Floats, time_us: int, falling: int) -> None:
     """The edge has the tooth in SLOT: moves the filter on."""
     error, share = floats[ERROR], floats[DUTY] if falling == 1 else 0.0
-    bounded = min(max(error, -MOST_ERROR), MOST_ERROR)
     turned = max((counts[SLOT] - counts[TOOTH]) + (share - floats[AT]), 0.5)
-    floats[RATE] *= 1.0 - FOLLOW_RATE * bounded / turned
-    floats[LAG] = error * (1.0 - FOLLOW)
+    if counts[DRAGGED] == 1:
+        bounded = min(max(error, -MOST_DRAGGED), MOST_DRAGGED)
+        floats[RATE] *= turned / (turned + bounded)
+        floats[LAG] = 0.0
+    else:
+        bounded = min(max(error, -MOST_ERROR), MOST_ERROR)
+        floats[RATE] *= 1.0 - FOLLOW_RATE * bounded / turned
+        floats[LAG] = error * (1.0 - FOLLOW)
     scatter = floats[SCATTER] + SCATTER_SHARE * (abs(bounded) - floats[SCATTER])
     floats[SCATTER] = min(max(scatter, LEAST_SCATTER), MOST_SCATTER)
     if falling == 1:
@@ -512,12 +521,15 @@ def advances(teeth: int, missing: tuple[int, ...]) -> Integers:
     return steps
 
 
-def new_state(pitch_rad: float, most_rad_s2: float, advance: Integers) -> tuple[Integers, Floats]:
-    """Counts and quantities of a wheel not seen yet; `most_rad_s2` bounds its acceleration."""
+def new_state(
+    pitch_rad: float, most_rad_s2: float, stopping_rad_s2: float, advance: Integers
+) -> tuple[Integers, Floats]:
+    """Counts and quantities of a wheel not seen yet; the bounds are those of its acceleration, and
+    of the one with which it may come to a stop."""
     counts, floats = np.zeros(COUNTS, np.int64), np.zeros(QUANTITIES)
     counts[GUESS], counts[WIDEST] = UNKNOWN, advance.max()
     # At omega^2 = 6 a pitch it takes three pitches to stop.
-    floats[LEAST_RATE] = np.sqrt(6.0 * most_rad_s2 / pitch_rad) * 1e-6
+    floats[LEAST_RATE] = np.sqrt(6.0 * stopping_rad_s2 / pitch_rad) * 1e-6
     floats[MOST_RATE] = MOST_RAD_S / pitch_rad * 1e-6
     floats[BEND] = 0.5 * most_rad_s2 / pitch_rad * 1e-12
     return counts, floats
@@ -526,7 +538,7 @@ def new_state(pitch_rad: float, most_rad_s2: float, advance: Integers) -> tuple[
 def warm_up() -> None:
     """Compiles all, or loads what was compiled before."""
     one, room = np.ones(1, np.int64), np.zeros(8, np.int64)
-    counts, floats = new_state(1.0, 1.0, one)
+    counts, floats = new_state(1.0, 1.0, 1.0, one)
     edge = np.zeros(8)
     gate_edges(
         counts, floats, one, room, room, room, 0, room, 0, 0.5, 1.0, edge, edge, room, room, room

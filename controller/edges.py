@@ -25,6 +25,9 @@ LONGEST_US: Final = 65_535
 MOST_RAD_S2: Final = 300.0
 """What a shaft's speed may change by: a layshaft of 0.33 kg m2 braked with 100 Nm."""
 
+BRAKED_RAD_S2: Final = 170.0
+"""What a shaft that drives the wheels stops by: 8 m/s2 at a tyre of 0.5 m, axle 2.85, range 3.75."""
+
 
 class EdgeFrame(Protocol):
     """What the eight edge messages of the DBC have in common."""
@@ -156,14 +159,16 @@ class WheelEdges:
         teeth: int,
         duty_share: float,
         missing: tuple[int, ...] = (),
-        most_rad_s2: float = MOST_RAD_S2,
+        stopping_rad_s2: float = MOST_RAD_S2,
     ) -> None:
         self.pitch_rad = 2.0 * np.pi / teeth
         self._duty_share = duty_share
         self._advance = edge_gate.advances(teeth, missing)
         self._candidates = np.zeros_like(self._advance)
         self._rise, self._fall = Polarity(), Polarity()
-        self._counts, self._floats = edge_gate.new_state(self.pitch_rad, most_rad_s2, self._advance)
+        self._counts, self._floats = edge_gate.new_state(
+            self.pitch_rad, MOST_RAD_S2, stopping_rad_s2, self._advance
+        )
         self.broken = 0
         """How often tooth numbers were lost: every phase reference of this wheel with them."""
         self.newest: Edge | None = None
@@ -171,9 +176,9 @@ class WheelEdges:
         """Times of the edges that were left out as extra at the last read."""
 
     @classmethod
-    def of(cls, wheel: Wheel) -> WheelEdges:
-        """The edges of a wheel of the data sheet."""
-        return cls(wheel.teeth, wheel.duty_share, wheel.missing)
+    def of(cls, wheel: Wheel, stopping_rad_s2: float = MOST_RAD_S2) -> WheelEdges:
+        """The edges of a wheel of the data sheet, and what its shaft may come to a stop by."""
+        return cls(wheel.teeth, wheel.duty_share, wheel.missing, stopping_rad_s2)
 
     @property
     def health(self) -> EdgeHealth:
@@ -186,6 +191,10 @@ class WheelEdges:
             int(c[edge_gate.STOPS]),
             bool(c[edge_gate.MODE] == edge_gate.COUNTING),
         )
+
+    def set_dragged(self, dragged: bool) -> None:
+        """Whether a synchroniser may be dragging the shaft to another speed."""
+        self._counts[edge_gate.DRAGGED] = int(dragged)
 
     def restart(self) -> None:
         """Forgets all numbers: the sensor side has restarted."""

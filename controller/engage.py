@@ -16,6 +16,9 @@ from gearbox.gears import SLEEVE_OF_MAIN
 LET_GO_US: Final = 120 * MS
 """A sleeve that has not come back by itself so long after its valve went off is pulled."""
 
+STRAIGHT_US: Final = 22 * MS
+"""A sleeve that goes straight into a gap is in mesh so long after contact, as the sensors see it."""
+
 
 def engage(desk: ShiftDesk, moment: Moment) -> Trigger | None:
     """Until the gear is in, or rests on a tooth for too long."""
@@ -27,7 +30,7 @@ def engage(desk: ShiftDesk, moment: Moment) -> Trigger | None:
     if shift.measured_contact_us is None:
         _look_for_contact(desk, moment)
     if moment.view.main_gear is gear:
-        desk.references.locked(gear, _flank_slip_rad_s(desk))
+        desk.references.locked(gear, _flank_slip_rad_s(desk, moment.now_us))
         desk.end(moment, ShiftResult.ENGAGED, FaultCode.NONE)
         return Trigger.ENGAGED
     if _rests_on_a_tooth(desk, moment) or desk.late(moment, desk.settings.limits.engage_ms):
@@ -63,13 +66,14 @@ def _rests_on_a_tooth(desk: ShiftDesk, moment: Moment) -> bool:
     return not entered and rested_us > desk.settings.limits.face_ms * MS
 
 
-def _flank_slip_rad_s(desk: ShiftDesk) -> float:
+def _flank_slip_rad_s(desk: ShiftDesk, now_us: float) -> float:
     """The slip that carried the tooth to its flank; 0 where its sign cannot be told.
 
     Slip falls while the layshaft is free. A positive one that is too small to cross the whole
-    gap before it reverses may have left the tooth on either flank."""
-    outlook = desk.free_outlook
-    if outlook is None:
+    gap before it reverses may have left the tooth on either flank. So may one that met a tooth or a
+    flank long before the gear was in: impact and drag have moved it since."""
+    outlook, contact_us = desk.free_outlook, desk.running.measured_contact_us
+    if outlook is None or contact_us is None or now_us - contact_us > STRAIGHT_US:
         return 0.0
     slip = outlook.slip_rad_s(desk.free_us)
     later = outlook.slip_rad_s(desk.free_us + FALL_US)

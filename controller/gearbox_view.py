@@ -149,9 +149,9 @@ class GearboxView:
 
     @property
     def main_box_free(self) -> bool:
-        """Whether no main sleeve has entered a gear (one may rest on a tooth)."""
-        limit = self._contact_m + ENTERED_M
+        """Whether no main sleeve is at a gear's teeth, where it rubs on them or is in mesh."""
+        limit = self._contact_m - SHORT_M
         return all(
-            abs(self.position_m(sleeve)) < limit
+            abs(self.position_m(sleeve) - self._rest_m[sleeve]) < limit
             for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
         )

@@ -13,7 +13,7 @@ from controller.calibration import BrakeRecord
 from controller.clock import SensorClock
 from controller.crossing import Pressures
 from controller.crossing_tracker import CrossingTracker, MainTracker
-from controller.edges import EdgeBatch, EdgeFrame, WheelEdges
+from controller.edges import BRAKED_RAD_S2, EdgeBatch, EdgeFrame, WheelEdges
 from controller.gearbox_view import GearboxView
 from controller.inputs import StepInputs
 from controller.kinematics import are_finite
@@ -36,6 +36,8 @@ from dbc.messages import (
 from gearbox import GearboxSheet, MainGear, Split
 
 CLUTCH_OPEN_SHARE = 0.05
+DRAGGED_US = 30_000
+"""So long after splitter or range has its step there are edges to come of how it got there."""
 LOOK_SHARE = 0.15
 """Standard deviation of a look at a gear in mesh, in backlashes: more tells no flank."""
 
@@ -59,7 +61,7 @@ class Observer:
         self.references = PhaseReferences(sheet)
         self._split = Split.HIGH
         self._layshaft_wheel = WheelEdges.of(wheels.layshaft)
-        self._main_wheel = WheelEdges.of(wheels.main)
+        self._main_wheel = WheelEdges.of(wheels.main, BRAKED_RAD_S2)
         self.brake = BrakeModel(sheet, tuning.gain_sd, tuning.drag_sd_nm)
         self._learns = estimator is Estimator.CROSSING
         """The baselines know the data sheet and nothing more."""
@@ -79,6 +81,9 @@ class Observer:
         self._model_layshaft()
         self.valves: ValveStatus | None = None
         self._lost = (0, 0, 0)
+        self._split_us = self._range_us = -DRAGGED_US
+        """When splitter and range were last between their steps."""
+        self._dragged = False
 
     def take_brake(self, record: BrakeRecord) -> None:
         """The brake as earlier runs have learned it."""
@@ -97,6 +102,7 @@ class Observer:
 
     def take(self, inputs: StepInputs, now_us: int, events: list[str]) -> None:
         """One step's messages, at `now_us` of the controller's clock."""
+        self._see_synchronisers(now_us)
         layshaft = self._read(
             self._layshaft_wheel, inputs, EdgesLayshaftRise, EdgesLayshaftFall, now_us
         )
@@ -114,6 +120,18 @@ class Observer:
         self.layshaft.edges(layshaft, pressures)
         if self.recall is not None:
             self.recall.look(events)
+
+    def _see_synchronisers(self, now_us: int) -> None:
+        """Splitter and range change by cones, which drag layshaft and main shaft hard."""
+        if self.view.split is None:
+            self._split_us = now_us
+        if self.view.range_ is None:
+            self._range_us = now_us
+        layshaft = now_us - self._split_us < DRAGGED_US
+        main = now_us - self._range_us < DRAGGED_US
+        self._layshaft_wheel.set_dragged(layshaft)
+        self._main_wheel.set_dragged(main)
+        self._dragged = layshaft or main
 
     def _sensors(self, sensors: list[GearboxSensors], now_us: int) -> Pressures:
         """Clutch, air supply, and the brake's pressure, gauge."""
@@ -166,8 +184,7 @@ class Observer:
             self._split = view.split
             self._model_layshaft()
         clutch_open = (view.clutch_closed or 0.0) < CLUTCH_OPEN_SHARE
-        free = clutch_open and view.main_box_free and view.split is not None
-        free = free and view.range_ is not None
+        free = clutch_open and view.main_box_free and not self._dragged
         newest = self._layshaft_wheel.newest
         if newest is None:
             return

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from controller.kinematics import raw_phase_rad, wrap_to_pitch
 from gearbox import GearboxSheet, MainGear
 
-STILL_LOOKS = 6
-"""Looks over which a tooth must lie still to be at a flank: 60 ms, more than it takes to cross."""
-STILL_SHARE = 0.1
+STILL_LOOKS = 10
+"""Looks over which a tooth must lie still to be at a flank: 100 ms, more than it takes to turn round within it."""
+STILL_SHARE = 0.05
 """Standard deviation of a still tooth's looks, in backlashes."""
 MOVED_SHARE = 0.3
 STAYED_SHARE = 0.15

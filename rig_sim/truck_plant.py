@@ -245,15 +245,17 @@ class TruckPlant:
         self.advance(-math.inf, math.inf)
 
     def watch(self, row: int, gear: MainGear, span: tuple[float, float], with_lash: bool) -> None:
-        """Ask for the instant at which the gear's phase leaves a span, which it is in now: the
-        phase is taken on the branch nearest to the span's middle."""
+        """Ask for the instant at which the gear's phase leaves a span: the phase is taken on the
+        branch nearest to the span's middle. One that stands outside, on a chamfer, may move in; it
+        leaves where it moves out from there."""
         index = INDEX[gear]
         phase = float(self.y[at.PHASE + index])
         if with_lash:
             phase += float(self.y[at.LASH + 1 + index])
         middle = (span[0] + span[1]) / 2.0
         offset = wrapped(phase - middle, self._sheet.dog.pitch_rad) + middle - phase
-        self._watches[row] = (index, span[0], span[1], offset, with_lash)
+        low, high = min(span[0], phase + offset), max(span[1], phase + offset)
+        self._watches[row] = (index, low, high, offset, with_lash)
 
     def unwatch(self, row: int) -> None:
         """No more events of that row."""
