@@ -54,6 +54,7 @@ class _Shaft:
         """Starts anew with the edges to come; teeth keep their numbers."""
         self._running = False
         self._seed.restart()
+        self.teeth.learner.running = False
 
     def restart(self) -> None:
         """Tooth numbers were lost: starts anew; which tooth is which is not known any more."""
@@ -158,9 +159,9 @@ class CrossingTracker(_Shaft):
         elif not free and self._free:
             self._end_free(events)
 
-    def restart(self) -> None:
-        """Tooth numbers were lost: starts anew."""
-        super().restart()
+    def lose_speed(self) -> None:
+        """Starts anew with the edges to come; teeth keep their numbers."""
+        super().lose_speed()
         self._free = False
 
     def edges(self, batch: EdgeBatch, pressures: Pressures) -> None:

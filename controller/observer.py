@@ -170,10 +170,11 @@ class Observer:
         if self.recall is not None:
             self.recall.lost(*lost)
         self.references.lose_all()
-        if lost[0]:
-            self.layshaft.restart()
-        if lost[1]:
-            self._main.restart()
+        for tracker, numbers_lost in zip((self.layshaft, self._main), lost, strict=True):
+            if numbers_lost or not isinstance(tracker, CrossingTracker | MainTracker):
+                tracker.restart()
+            else:
+                tracker.lose_speed()
         events.append("tooth numbers lost: phase references unknown again")
 
     def _see_whether_free(self, events: list[str]) -> None:
