@@ -26,7 +26,7 @@ MOST_RAD_S2: Final = 300.0
 """What a shaft's speed may change by: a layshaft of 0.33 kg m2 braked with 100 Nm."""
 
 BRAKED_RAD_S2: Final = 170.0
-"""What a shaft that drives the wheels stops by: 8 m/s2 at a tyre of 0.5 m, axle 2.85, range 3.75."""
+"""What a shaft that drives the wheels stops by: 8 m/s2, tyre 0.5 m, axle 2.85, range 3.75."""
 
 
 class EdgeFrame(Protocol):

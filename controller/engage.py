@@ -17,7 +17,7 @@ LET_GO_US: Final = 120 * MS
 """A sleeve that has not come back by itself so long after its valve went off is pulled."""
 
 STRAIGHT_US: Final = 22 * MS
-"""A sleeve that goes straight into a gap is in mesh so long after contact, as the sensors see it."""
+"""A sleeve that goes straight into a gap is seen in mesh so long after contact."""
 
 
 def engage(desk: ShiftDesk, moment: Moment) -> Trigger | None:

@@ -38,6 +38,9 @@ from gearbox import GearboxSheet, MainGear, Split
 CLUTCH_OPEN_SHARE = 0.05
 DRAGGED_US = 30_000
 """So long after splitter or range has its step there are edges to come of how it got there."""
+CLUTCH_BITES_SHARE = 0.2
+PULL_RAD_S2 = 5.0
+"""A tooth that falls so fast crosses a gap of 1.5 deg in 0.1 s."""
 LOOK_SHARE = 0.15
 """Standard deviation of a look at a gear in mesh, in backlashes: more tells no flank."""
 
@@ -185,7 +188,8 @@ class Observer:
             self._split = view.split
             self._model_layshaft()
         clutch_open = (view.clutch_closed or 0.0) < CLUTCH_OPEN_SHARE
-        free = clutch_open and view.main_box_free and not self._dragged
+        steps_in = view.split is not None and view.range_ is not None and not self._dragged
+        free = clutch_open and view.main_box_free and steps_in
         newest = self._layshaft_wheel.newest
         if newest is None:
             return
@@ -221,7 +225,8 @@ class Observer:
         layshaft, main = self.layshaft_at(max(newest)), self.main_at(max(newest))
         if layshaft is None or main is None or not self._sees_flanks(gear, layshaft, main):
             return
-        if self.references.watch(gear, layshaft.theta_rad, main.theta_rad):
+        pulled = self._drag_pulls(gear, main)
+        if self.references.watch(gear, layshaft.theta_rad, main.theta_rad, pulled):
             events.append(f"phase reference of {gear.name.lower()} learned")
             if self.recall is not None:
                 self.recall.learned(gear, events)
@@ -231,3 +236,11 @@ class Observer:
         ratio = self._sheet.main_mesh(gear).ratio
         sd_rad = math.hypot(ratio * layshaft.theta_sd_rad, main.theta_sd_rad)
         return sd_rad < LOOK_SHARE * self._sheet.dog.backlash_rad
+
+    def _drag_pulls(self, gear: MainGear, main: ShaftState) -> bool:
+        """Whether drag alone turns the layshaft, and holds the gear's tooth at its lower flank."""
+        if (self.view.clutch_closed or 0.0) >= CLUTCH_BITES_SHARE:
+            return False
+        drag_rad_s2 = self.brake.drag_nm.value / self._sheet.inertia_kgm2(self._split)
+        ahead = self._sheet.main_mesh(gear).ratio * drag_rad_s2 - main.acceleration_rad_s2
+        return ahead < -PULL_RAD_S2

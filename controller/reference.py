@@ -4,7 +4,9 @@ The sensor wheels count teeth but know no angle (thesis 8.2). In mesh a tooth li
 its gap or the other, so the phase is + or - b/2 and the constant between counted angles and phase
 is known once the flank is. Which one: impact and torque carry the tooth through the gap, and one
 that has come from above, within the gap's width, lies on the lower flank. A tooth that has not
-moved lies where the slip at contact carried it. Tooth counts keep the reference exact; it is lost when either count is lost.
+moved lies where the slip at contact carried it, if the sleeve went straight in; or, in a gearbox
+where teeth have been seen to move, where the layshaft's drag pulls it. Tooth counts keep the
+reference exact; it is lost when either count is lost.
 """
 
 from __future__ import annotations
@@ -15,17 +17,22 @@ from dataclasses import dataclass, field
 from controller.kinematics import raw_phase_rad, wrap_to_pitch
 from gearbox import GearboxSheet, MainGear
 
-STILL_LOOKS = 10
-"""Looks over which a tooth must lie still to be at a flank: 100 ms, more than it takes to turn round within it."""
+STILL_LOOKS = 5
+"""Looks over which a tooth must lie still, one every 10 ms, if it has come from the other flank."""
 STILL_SHARE = 0.05
 """Standard deviation of a still tooth's looks, in backlashes."""
+CROSSED_SHARE = 0.85
 MOVED_SHARE = 0.3
-STAYED_SHARE = 0.15
-"""A tooth that was this share of the backlash away has moved to where it lies; less, it has not."""
+STAYED_SHARE = 0.2
+"""A tooth that was this share of the backlash away has crossed, has moved; less, it has not."""
 GAP_SHARE = 1.25
 """No tooth in its gap can have been farther away: the look was a wrong one."""
+MOVED_LOOKS = 16
+"""Still looks of a tooth that has come from within the gap: it may turn round there, too."""
 UNMOVED_LOOKS = 20
 """After so many looks without a move the tooth lies where the slip at contact carried it."""
+PULLED_LOOKS = 6
+"""So many still looks under drag alone are longer than a tooth needs to turn round in its gap."""
 FLANK_SLIP_RAD_S = 0.2
 """Below this slip (2 rpm) at contact the flank cannot be told from it."""
 
@@ -37,32 +44,61 @@ class _Learning:
     gear: MainGear
     flank: int
     seen: list[float] = field(default_factory=list)
+    pulled: int = 0
+    """How many of the newest looks drag alone has pulled the tooth down."""
 
-    def add(self, raw_rad: float, pitch_rad: float) -> None:
+    def add(self, raw_rad: float, pitch_rad: float, pulled: bool) -> None:
         """One look, unwrapped beside the first."""
         first = self.seen[0] if self.seen else raw_rad
+        self.pulled = self.pulled + 1 if pulled else 0
         self.seen.append(first + wrap_to_pitch(raw_rad - first, pitch_rad))
 
-    def lies(self, backlash_rad: float) -> tuple[int, float] | None:
-        """Flank and raw phase of a tooth that lies still; None while that cannot be told."""
-        if len(self.seen) < STILL_LOOKS:
+    def lies(self, backlash_rad: float, moves: bool) -> tuple[int, float] | None:
+        """Flank and raw phase of a tooth that lies still; None while that cannot be told.
+
+        moves: whether this gearbox's teeth have been seen to move in their gaps."""
+        if moves and self.pulled >= PULLED_LOOKS and self._still(PULLED_LOOKS, backlash_rad):
+            return -1, _mean(self.seen[-PULLED_LOOKS:])
+        if not self._still(STILL_LOOKS, backlash_rad):
             return None
-        still = self.seen[-STILL_LOOKS:]
-        mean = sum(still) / STILL_LOOKS
-        variance = sum((look - mean) ** 2 for look in still) / STILL_LOOKS
-        if variance > (STILL_SHARE * backlash_rad) ** 2:
+        mean = _mean(self.seen[-STILL_LOOKS:])
+        moved = self.moved_share(mean, backlash_rad)
+        if moved is None:
             return None
+        if abs(moved) > CROSSED_SHARE or (moved and self._still(MOVED_LOOKS, backlash_rad)):
+            return int(math.copysign(1.0, moved)), mean
+        if moves or moved != 0.0 or self.flank == 0 or len(self.seen) < UNMOVED_LOOKS:
+            return None
+        stayed = all(abs(look - mean) < STAYED_SHARE * backlash_rad for look in self.seen)
+        return (self.flank, mean) if stayed else None
+
+    def moved_share(self, mean: float, backlash_rad: float) -> float | None:
+        """How far the tooth has come to where it lies, in backlashes, up or down; 0 where it has
+        not moved, None where it has been on both sides. Single looks do not count: an impact leads
+        the estimate astray for one."""
         away = [(look - mean) / backlash_rad for look in self.seen]
-        possible = [share for share in away if abs(share) < GAP_SHARE]
-        above, below = max(possible), -min(possible)
+        smooth = [sorted(away[k - 1 : k + 2])[1] for k in range(1, len(away) - 1)]
+        possible = [share for share in smooth if abs(share) < GAP_SHARE]
+        above, below = max(possible, default=0.0), -min(possible, default=0.0)
+        if max(above, below) < STAYED_SHARE:
+            return 0.0
         if above > MOVED_SHARE and below < STAYED_SHARE:
-            return -1, mean
+            return -above
         if below > MOVED_SHARE and above < STAYED_SHARE:
-            return 1, mean
-        unmoved = max(above, below) < STAYED_SHARE
-        if unmoved and self.flank != 0 and len(self.seen) >= UNMOVED_LOOKS:
-            return self.flank, mean
+            return below
         return None
+
+    def _still(self, looks: int, backlash_rad: float) -> bool:
+        if len(self.seen) < looks:
+            return False
+        still = self.seen[-looks:]
+        mean = _mean(still)
+        variance = sum((look - mean) ** 2 for look in still) / looks
+        return variance <= (STILL_SHARE * backlash_rad) ** 2
+
+
+def _mean(looks: list[float]) -> float:
+    return sum(looks) / len(looks)
 
 
 class PhaseReferences:
@@ -72,6 +108,8 @@ class PhaseReferences:
         self._sheet = sheet
         self._offset_rad: dict[MainGear, float] = {}
         self._learning: _Learning | None = None
+        self._moves = False
+        """Whether teeth have been seen to move in their gaps."""
 
     def known(self, gear: MainGear) -> bool:
         """Whether this gear's phase can be told."""
@@ -89,17 +127,21 @@ class PhaseReferences:
         certain = abs(slip_rad_s) >= FLANK_SLIP_RAD_S
         self._learning = _Learning(gear, int(math.copysign(certain, slip_rad_s)))
 
-    def watch(self, gear: MainGear, theta_layshaft: float, theta_main: float) -> bool:
-        """One look at the gear in mesh. True when its reference has just been stored."""
+    def watch(self, gear: MainGear, theta_layshaft: float, theta_main: float, pulled: bool) -> bool:
+        """One look at the gear in mesh; `pulled`: drag alone pulls its teeth, hard enough to cross
+        the gap within a few looks. True when its reference has just been stored."""
         learning = self._learning
         if learning is None or learning.gear is not gear:
             return False
         mesh, dog = self._sheet.main_mesh(gear), self._sheet.dog
-        learning.add(raw_phase_rad(mesh.ratio, theta_layshaft, theta_main), dog.pitch_rad)
-        lies = learning.lies(dog.backlash_rad)
+        raw = raw_phase_rad(mesh.ratio, theta_layshaft, theta_main)
+        learning.add(raw, dog.pitch_rad, pulled)
+        lies = learning.lies(dog.backlash_rad, self._moves)
         if lies is None:
             return False
         flank, mean = lies
+        share = learning.moved_share(mean, dog.backlash_rad)
+        self._moves = self._moves or (share is not None and abs(share) > CROSSED_SHARE)
         self._offset_rad[gear] = mean - flank * dog.backlash_rad / 2.0
         self._learning = None
         return True

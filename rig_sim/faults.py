@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 CHANNELS: Final = "channel 0..7: input, layshaft, main, propeller, each rise then fall"
 VALVES: Final = "valve 0..8 in the order of ValveCommand"
-MAIN_SLEEVES: Final = "sleeve 0 first/second, 1 crawl/third"
+SLEEVES: Final = "sleeve 0 first/second, 1 crawl/third, 2 splitter, 3 range"
 MOST_PPM: Final = 1e4
 FOREVER_US: Final = 1 << 53
 
@@ -51,9 +51,9 @@ KINDS: Final[dict[RigFault, Kind]] = {
     RigFault.VALVE_STUCK: Kind("a valve stays as it is", VALVES, 9, "-"),
     RigFault.VALVE_SLOW: Kind("a valve follows its coil late", VALVES, 9, "ms"),
     RigFault.SUPPLY_DROP: Kind("the tank leaks down to a pressure", "-", 0, "bar, absolute"),
-    RigFault.SLEEVE_JAMMED: Kind("activations do not move a sleeve", MAIN_SLEEVES, 2, "-"),
-    RigFault.POSITION_OFFSET: Kind("a position sensor lies by", "sleeve 0..3", 4, "mm"),
-    RigFault.POSITION_FROZEN: Kind("a position sensor repeats itself", "sleeve 0..3", 4, "-"),
+    RigFault.SLEEVE_JAMMED: Kind("activations do not move a sleeve", SLEEVES, 4, "-"),
+    RigFault.POSITION_OFFSET: Kind("a position sensor lies by", SLEEVES, 4, "mm"),
+    RigFault.POSITION_FROZEN: Kind("a position sensor repeats itself", SLEEVES, 4, "-"),
     RigFault.FROZEN_PAYLOAD: Kind("old content under a live counter", "0 edges, 1 slow", 2, "-"),
     RigFault.BRAKE_FADE: Kind("the brake has this share of its torque", "-", 0, "%"),
     RigFault.CLUTCH_STUCK: Kind("the clutch stays on its way", "-", 0, "-"),
@@ -203,7 +203,8 @@ def _fade(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], No
 
 
 def _jam(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
-    sleeve = world.engagement.sleeves[Sleeve(order.target)]
+    name = Sleeve(order.target)
+    sleeve = world.script.step_sleeve(name) or world.engagement.sleeves[name]
     sleeve.jammed = True
     return partial(setattr, sleeve, "jammed", False)
 

@@ -46,7 +46,7 @@ class RigSettings:
     faults          what goes wrong with the truck, and when
     """
 
-    preset: Preset = Preset.THESIS
+    preset: Preset = Preset.TRUCK
     seed: int = 1
     start_gear: int = 8
     main_speed_rpm: float = 644.0

@@ -251,6 +251,7 @@ class ShiftingSleeve:
     def __init__(self, actuator: SleeveActuator, side: int) -> None:
         self._actuator = actuator
         self.side = side
+        self.jammed = False
         self.arrival_us = NEVER_US
         self._stroke = resting(0.0, side * actuator.stroke_m)
 

@@ -295,6 +295,10 @@ class TruckWorld:
         sleeve = self.script.splitter if name is Sleeve.SPLITTER else self.script.range_
         if sleeve.side == side or self.engagement.scripted:
             return
+        if sleeve.jammed:
+            text = f"activation of {name.name} lost: jammed"
+            self.engagement.lines.append((self.plant.time_us, text))
+            return
         delay_us = self.sheet.sleeve.valve_delay_s * SECOND_US
         sleeve.change_over(self.plant.time_us, side, self.delays.draw_s())
         self.plant.take_air(self.delays.air_share())

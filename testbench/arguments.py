@@ -140,9 +140,9 @@ def add_preset(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--preset",
         choices=tuple(preset.value for preset in Preset),
-        default=Preset.THESIS.value,
-        help="physics of the rig: thesis, its equations 4.1-4.17 to the letter; truck, a gearbox "
-        "with friction, backlash and impacts, drawn from the seed (default: %(default)s)",
+        default=Preset.TRUCK.value,
+        help="physics of the rig: truck, a gearbox with friction, backlash and impacts, drawn from "
+        "the seed; thesis, its equations 4.1-4.17 to the letter (default: %(default)s)",
     )
 
 

@@ -62,6 +62,11 @@ class _Score:
         self._angle_sum = self._offset_sum = self._speed_sum = 0.0
         self._count = 0
 
+    @property
+    def heard(self) -> bool:
+        """Whether it has a stamp: all count time from the first, or a wrap would part them."""
+        return self.observer.clock.latest_us != 0
+
     def add(self, state: LayshaftState, theta_rad: float, omega_rad_s: float) -> float:
         """One encoder instant. The encoder counts from tooth 0, the wheel from any tooth.
 
@@ -159,7 +164,7 @@ class EstimationScore:
         self._encoder.clear()
         inputs, self._inputs = self._inputs, StepInputs()
         for score in self._scores.values():
-            if self.active or score is self._learning:
+            if self.active or score is self._learning or not score.heard:
                 score.observer.take(inputs, status.step_time_us, [])
 
     def _add(self, message: ReferenceEncoder) -> None:

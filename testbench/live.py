@@ -59,6 +59,8 @@ class LiveRun:
     node_arguments: Sequence[str] = ()
     """Bus and data-sheet arguments for the two processes."""
     controller_arguments: Sequence[str] = ()
+    rig_arguments: Sequence[str] = ()
+    """Files the rig's process reads; what they say is in `rig` as well."""
     on_row: Callable[[], None] = lambda: None
     on_event: Callable[[str], None] = lambda _line: None
 
@@ -213,7 +215,8 @@ async def _start_nodes(run: LiveRun, clocks: _Clocks, stop: asyncio.Event) -> No
     common = [*run.node_arguments, "--speed", str(run.speed), *pace, "--quiet"]
     rig = [
         "rig", "--seed", str(run.rig.seed), "--gear", str(run.rig.start_gear),
-        "--main-speed", str(run.rig.main_speed_rpm), "--preset", run.rig.preset.value, *common,
+        "--main-speed", str(run.rig.main_speed_rpm), "--preset", run.rig.preset.value,
+        *run.rig_arguments, *common,
     ]  # fmt: skip
     controller = ["controller", *run.controller_arguments, *common]
     return [await _spawn(rig), await _spawn(controller)]

@@ -66,9 +66,11 @@ def estimated_phase(shift: ReportShift, ratio: float, truth: Points) -> Points:
 
 
 def _anchored(shift: ReportShift, times: Curve, curve: Curve, pitch: float) -> list[Any]:
-    """Shifted so that the contact, or else the end, lies within half a pitch of the middle."""
-    contact_ms = shift.contact_ms
-    anchor_ms = shift.row.duration_ms if contact_ms is None else contact_ms
+    """Shifted by whole pitches so that the contact lies where the rig reported it; without one, so
+    that the end lies within half a pitch of the middle."""
+    anchor_ms, phase_deg = shift.contact_ms, shift.contact_phase_deg
+    if anchor_ms is None or phase_deg is None:
+        anchor_ms, phase_deg = shift.row.duration_ms, 0.0
     at_anchor = float(np.interp(anchor_ms, times, curve))
-    shifted: list[Any] = (curve - pitch * np.round(at_anchor / pitch)).tolist()
+    shifted: list[Any] = (curve - pitch * np.round((at_anchor - phase_deg) / pitch)).tolist()
     return shifted

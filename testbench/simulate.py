@@ -43,7 +43,7 @@ class Setup:
 
     sheet: GearboxSheet
     settings: ControllerSettings
-    preset: Preset = Preset.THESIS
+    preset: Preset = Preset.TRUCK
     seed: int = 1
     shifts: int = 20
     pairs: Pairs = UPSHIFTS

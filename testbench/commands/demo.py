@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import asyncio
 import math
 import os
 import sys
@@ -16,13 +15,15 @@ import can
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from bus.fine_timers import run as run_loop
 from bus.logs import LogError, read_log
 from bus.options import add_bus_arguments, open_bus_from
 from bus.register import register_interface
 from controller.header import new_header
+from gearbox import GearboxSheet
 from rig_sim.settings import Preset, RigSettings
 from testbench import arguments
-from testbench.bench import plan_shifts
+from testbench.bench import PlannedShift, plan_shifts
 from testbench.exits import Exit
 from testbench.live import LiveResult, LiveRun, run_live, uses_virtual
 from testbench.output import check_json, console, folder_for, rows_table, summary_table, write_json
@@ -72,15 +73,16 @@ def add_parser(commands: Any) -> None:
 def run(namespace: argparse.Namespace) -> int:
     """Runs both strategies one after the other, on the same seed."""
     out = console(namespace.json)
+    sheet = arguments.sheet_of(namespace)
+    rig = _rig(namespace, sheet)
     folder_for(namespace.out)
     check_json(namespace.json)
-    sheet = arguments.sheet_of(namespace)
     results: dict[str, LiveResult] = {}
     sessions: dict[str, Session] = {}
     lives: dict[str, LiveRun] = {}
     with tempfile.TemporaryDirectory(prefix="meshpoint-") as private:
         for strategy in STRATEGIES:
-            live = lives[strategy] = _live_run(namespace, strategy, Path(private))
+            live = lives[strategy] = _live_run(namespace, rig, strategy, Path(private))
             results[strategy] = _with_progress(namespace, strategy, live)
             rows = results[strategy].monitor.rows.rows
             out.print(rows_table(strategy, rows))
@@ -132,25 +134,36 @@ def _log_path(folder: Path, strategy: str) -> Path:
     return folder / f"{strategy}.log"
 
 
-def _live_run(namespace: argparse.Namespace, strategy: str, private: Path) -> LiveRun:
-    sheet = arguments.sheet_of(namespace)
-    settings = arguments.settings_of(namespace, strategy)
+def _plan(namespace: argparse.Namespace, sheet: GearboxSheet) -> list[PlannedShift]:
     pairs = arguments.pairs_of(namespace, sheet, Preset(namespace.preset))
-    plan = plan_shifts(sheet, list(pairs), namespace.shifts, LAYSHAFT_RAD_S)
-    header = new_header(product_version(), sheet, settings)
+    return plan_shifts(sheet, list(pairs), namespace.shifts, LAYSHAFT_RAD_S)
+
+
+def _rig(namespace: argparse.Namespace, sheet: GearboxSheet) -> RigSettings:
+    first = _plan(namespace, sheet)[0]
+    return RigSettings(
+        preset=Preset(namespace.preset),
+        seed=namespace.seed,
+        start_gear=first.from_,
+        main_speed_rpm=first.main_rad_s * 30.0 / math.pi,
+        as_built=arguments.as_built_of(namespace),
+        faults=arguments.faults_of(namespace),
+    )
+
+
+def _live_run(
+    namespace: argparse.Namespace, rig: RigSettings, strategy: str, private: Path
+) -> LiveRun:
+    sheet = arguments.sheet_of(namespace)
+    header = new_header(product_version(), sheet, arguments.settings_of(namespace, strategy))
     header.save(namespace.out)
     in_process = uses_virtual(namespace)
     bus = _bus_arguments(namespace, strategy, private)
-    controller = ["--strategy", strategy, *_optional(namespace)]
+    controller = ["--strategy", strategy, *_given(namespace, "settings", "estimator")]
     return LiveRun(
         header=header,
-        rig=RigSettings(
-            preset=Preset(namespace.preset),
-            seed=namespace.seed,
-            start_gear=plan[0].from_,
-            main_speed_rpm=plan[0].main_rad_s * 30.0 / math.pi,
-        ),
-        plan=plan,
+        rig=rig,
+        plan=_plan(namespace, sheet),
         log=_log_path(namespace.out, strategy),
         open_bus=_opener(bus),
         speed=namespace.speed,
@@ -158,15 +171,17 @@ def _live_run(namespace: argparse.Namespace, strategy: str, private: Path) -> Li
         paced=not namespace.wall_clock,
         node_arguments=[*bus, "--gearbox", namespace.gearbox],
         controller_arguments=controller,
+        rig_arguments=_given(namespace, "as_built", "faults"),
     )
 
 
-def _optional(namespace: argparse.Namespace) -> list[str]:
+def _given(namespace: argparse.Namespace, *names: str) -> list[str]:
+    """These arguments as they were given, for a node's own command line."""
     chosen = []
-    if namespace.settings is not None:
-        chosen += ["--settings", str(namespace.settings)]
-    if namespace.estimator is not None:
-        chosen += ["--estimator", namespace.estimator]
+    for name in names:
+        value = getattr(namespace, name)
+        if value is not None:
+            chosen += [f"--{name.replace('_', '-')}", str(value)]
     return chosen
 
 
@@ -205,7 +220,7 @@ def _with_progress(namespace: argparse.Namespace, strategy: str, live: LiveRun) 
         task = progress.add_task(strategy, total=namespace.shifts)
         live.on_row = lambda: progress.advance(task)
         live.on_event = lambda line: _complain(line)
-        return asyncio.run(run_live(live))
+        return run_loop(run_live(live))
 
 
 def _complain(line: str) -> None:

@@ -13,6 +13,7 @@ from typing import Any
 import can
 
 from bus.clock import Clock, NodeClock
+from bus.fine_timers import run as run_loop
 from bus.options import add_bus_arguments, open_bus_from
 from bus.pace import PacedClock, PaceFile
 from bus.signals import stop_on_signals
@@ -115,7 +116,7 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     keep=writer,
                 )
 
-    asyncio.run(run())
+    run_loop(run())
     unwritten = writer.close() if writer is not None else None
     if unwritten is not None:
         complain(unwritten)
@@ -150,7 +151,7 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
                     stop=stop,
                 )
 
-    asyncio.run(run())
+    run_loop(run())
     return Exit.DONE
 
 

@@ -24,6 +24,8 @@ pytestmark = pytest.mark.timeout(120)
 GAP_CONTACT, TOOTH_CONTACT, LOCKED = 1, 2, 4
 ENGAGED = 1
 
+BETWEEN_SHIFTS_MS = 100.0
+
 
 def decoded(recorded: Recorded, wire: Wire, name: str) -> list[dict[str, Any]]:
     wanted = wire.ids[name]
@@ -95,6 +97,8 @@ def test_cyclic_messages_keep_the_cycle_time_of_the_contract(
             continue  # the bench sends while it has something to say
         times = [frame.time_s for frame in frames]
         gaps_ms = [(b - a) * 1e3 for a, b in itertools.pairwise(times)]
+        if wire.name(can_id) == "TSC1":  # only while the engine is asked for something
+            gaps_ms = [gap_ms for gap_ms in gaps_ms if gap_ms < BETWEEN_SHIFTS_MS]
         mean_ms = sum(gaps_ms) / len(gaps_ms)
         assert mean_ms == pytest.approx(cycle_ms, rel=0.02), wire.name(can_id)
         assert max(gaps_ms) <= 1.5 * cycle_ms, wire.name(can_id)

@@ -154,11 +154,16 @@ def test_a_sweep_makes_the_same_draws_with_one_thing_changed(tmp_path: Path) -> 
     found = campaign(tmp_path, "--runs", "2", "--jobs", "1", "--sweep", "backlash_percent=10,40")
     rows = found.table
     assert [point["value"] for point in found.values["sweep"]] == [10.0, 40.0]
+    unswept = {row["seed"]: row["backlash_percent"] for row in rows if row["sweep"] == ""}
+    assert set(unswept) == {1_000_000, 1_000_001}
+    assert (
+        unswept[1_000_000] != unswept[1_000_001]
+    )  # each gearbox has its own, about the sheet's 20
     for value in (10.0, 40.0):
         swept = [row for row in rows if row["sweep_value"] == value]
-        assert {row["backlash_percent"] for row in swept} == {value}
-        assert {row["seed"] for row in swept} == {1_000_000, 1_000_001}
-    assert {row["backlash_percent"] for row in rows if row["sweep"] == ""} == {20.0}
+        assert {row["seed"] for row in swept} == set(unswept)
+        for row in swept:
+            assert row["backlash_percent"] == pytest.approx(unswept[row["seed"]] * value / 20.0)
 
 
 @pytest.mark.parametrize(

@@ -162,5 +162,5 @@ def test_a_road_uphill_takes_speed_and_the_row_says_how_much() -> None:
     for row in simulate(setup).rows:
         lost = 3.6 * 9.81 * (0.04 + 0.006) * row.duration_ms / 1000
         assert row.speed_lost_kmh == pytest.approx(lost, rel=0.25)
-    (row,) = simulate(Setup(THESIS, ControllerSettings(), shifts=1)).rows
+    (row,) = simulate(Setup(THESIS, ControllerSettings(), Preset.THESIS, shifts=1)).rows
     assert row.speed_lost_kmh is None

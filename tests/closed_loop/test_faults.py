@@ -64,6 +64,8 @@ jammed for a while         | 8-10 | coasting       | sleeve_jammed 0 0 400 | in 
 air lost in mid-shift      | 8-10 | synchronising  | supply_drop 0 4      | neutral low_supply neutral
 splitter valve stuck       | 7-8  | in_gear        | valve_stuck 2        | old splitter_failed in_gear
 splitter stuck, all move   | 6-7  | in_gear        | valve_stuck 1        | neutral splitter_failed neutral
+splitter jammed            | 7-8  | in_gear        | sleeve_jammed 2      | old splitter_failed in_gear
+range jammed               | 6-7  | in_gear        | sleeve_jammed 3      | neutral range_failed neutral
 range valve stuck          | 6-7  | in_gear        | valve_stuck 8        | neutral range_failed neutral
 layshaft sensor, braking   | 8-10 | synchronising  | hall_dropout 2       | neutral speed_stale neutral
 layshaft sensor, falling   | 8-10 | coasting       | hall_dropout 2       | neutral speed_stale neutral

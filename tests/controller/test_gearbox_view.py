@@ -83,11 +83,11 @@ def test_between_neutral_and_mesh_there_is_no_gear(first_second: float, crawl_th
         assert gear is None
 
 
-def test_a_sleeve_resting_on_a_tooth_leaves_the_layshaft_free() -> None:
-    """Contact is at 5 mm; past it the teeth are in each other."""
-    assert view_at(5.0, 0, STROKE, STROKE).main_box_free
-    assert view_at(0, -5.2, STROKE, STROKE).main_box_free
-    assert not view_at(5.4, 0, STROKE, STROKE).main_box_free
+def test_a_sleeve_at_the_teeth_takes_the_layshaft_its_freedom() -> None:
+    """Contact is at 5 mm: there the sleeve rubs on a tooth, or is in the gap."""
+    assert view_at(4.5, 0, STROKE, STROKE).main_box_free
+    assert view_at(0, -4.5, STROKE, STROKE).main_box_free
+    assert not view_at(4.9, 0, STROKE, STROKE).main_box_free
     assert not view_at(0, -5.4, STROKE, STROKE).main_box_free
 
 

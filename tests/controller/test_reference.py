@@ -130,8 +130,45 @@ def test_a_gear_that_turns_back_in_its_gap_lies_on_the_other_flank(sheet: Gearbo
     while not references.watch(MainGear.SECOND, box.layshaft_at_phase(-HALF_GAP, 5.0, 3), 5.0):
         pass
     error = references.phase_rad(MainGear.SECOND, 1.0, 2.0) - box.phase(1.0, 2.0)
-    # The last look on the way is one of the six that were still enough.
+    # The last look on the way is one of the five that were still enough.
     assert abs(math.remainder(error, PITCH)) < 0.1 * HALF_GAP
+
+
+def watched(box: Gearbox, shares: list[float], slip: float, pulled: bool) -> PhaseReferences:
+    """A second gear that was seen at these places, in halves of the gap, one after the other."""
+    references = PhaseReferences(SHEET)
+    references.locked(MainGear.SECOND, slip)
+    for share in shares:
+        at = box.layshaft_at_phase(share * HALF_GAP, 5.0, 3)
+        references.watch(MainGear.SECOND, at, 5.0, pulled)
+    return references
+
+
+def test_a_tooth_that_turns_round_amid_its_gap_lies_on_no_flank() -> None:
+    """Thrown back by the lower flank it rises, slows down, and for 50 ms seems to lie still."""
+    box = Gearbox(*TEETH[MainGear.SECOND], 0.1, 0.2, 0.3)
+    turn = [-1.0, -0.6, -0.2, 0.03, 0.1, 0.12, 0.1, 0.03, -0.2, -0.6]
+    assert not watched(box, turn, 1.0, pulled=False).known(MainGear.SECOND)
+
+
+def test_one_look_gone_astray_by_an_impact_moves_no_tooth() -> None:
+    box = Gearbox(*TEETH[MainGear.SECOND], 0.1, 0.2, 0.3)
+    astray = [1.0] * 5 + [-0.7] + [1.0] * 20
+    assert not watched(box, astray, -1.0, pulled=False).known(MainGear.SECOND)
+
+
+def test_drag_holds_a_tooth_at_the_lower_flank_where_teeth_are_known_to_move() -> None:
+    """In a gearbox whose teeth have not been seen to move, drag says nothing."""
+    box = Gearbox(*TEETH[MainGear.SECOND], 0.1, 0.2, 0.3)
+    still = [-1.0] * 8
+    assert not watched(box, still, 0.0, pulled=True).known(MainGear.SECOND)
+    references = watched(box, [1.0] * 4 + [0.0] + [-1.0] * 8, 0.0, pulled=False)
+    references.lose_all()
+    references.locked(MainGear.SECOND, 0.0)
+    at = box.layshaft_at_phase(-HALF_GAP, 9.0, 3)
+    assert any(references.watch(MainGear.SECOND, at, 9.0, pulled=True) for _ in range(8))
+    error = references.phase_rad(MainGear.SECOND, 1.0, 2.0) - box.phase(1.0, 2.0)
+    assert abs(math.remainder(error, PITCH)) < 1e-8
 
 
 @pytest.mark.parametrize("end", ["released", "lose_all"])

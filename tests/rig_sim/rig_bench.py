@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 from dbc.frame import Frame
@@ -20,10 +21,12 @@ from dbc.messages import (
 )
 from dbc.node import Node
 from gearbox.sheet import RPM, GearboxSheet, load_sheet
-from rig_sim import RigCore, RigSettings
+from rig_sim import Preset, RigCore, RigSettings
 
 CYCLE_US = 10_000
-DEFAULTS = RigSettings()
+thesis_rig = partial(RigSettings, preset=Preset.THESIS)
+"""Settings of the preset `thesis`, whose equations have closed forms to hold it against."""
+DEFAULTS = thesis_rig()
 SHEET = load_sheet("thesis")
 
 

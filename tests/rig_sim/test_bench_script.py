@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from rig_bench import SHEET, RigBench, edges_of, upshift
+from rig_bench import SHEET, RigBench, edges_of, thesis_rig, upshift
 
 from dbc.messages import (
     EdgesInputRise,
@@ -24,7 +24,6 @@ from dbc.messages import (
 )
 from gearbox.gears import DRIVE_GEARS, MainGear
 from gearbox.sheet import RPM
-from rig_sim import RigSettings
 from rig_sim.bench_script import ScriptPhase
 
 BACKLASH = SHEET.dog.backlash_rad
@@ -36,7 +35,7 @@ def shifting_from(start_us: int) -> Callable[[int], ValveCommand]:
 
 
 def test_after_a_shift_the_rig_stands_in_the_old_gear_again() -> None:
-    bench = RigBench(RigSettings(seed=3))
+    bench = RigBench(thesis_rig(seed=3))
     for sequence in range(1, 3):
         start_us = bench.now_us
         bench.run(start_us + 1_200_000, shifting_from(start_us))
@@ -54,7 +53,7 @@ def test_after_a_shift_the_rig_stands_in_the_old_gear_again() -> None:
 
 
 def test_the_ramp_changes_speeds_smoothly_and_edges_come_evenly() -> None:
-    bench = RigBench(RigSettings(seed=3))
+    bench = RigBench(thesis_rig(seed=3))
     bench.run(1_200_000, upshift)
     ramp_from = len(bench.of(ReferenceEncoder))
     kinds = (EdgesLayshaftRise, EdgesInputRise, EdgesMainRise, EdgesPropellerRise)
@@ -86,7 +85,7 @@ def test_the_ramp_changes_speeds_smoothly_and_edges_come_evenly() -> None:
 def test_any_gear_can_be_returned_to_at_any_speed(
     seed: int, start: int, target: int, main_rpm: float
 ) -> None:
-    bench = RigBench(RigSettings(seed=seed, start_gear=start, main_speed_rpm=300.0))
+    bench = RigBench(thesis_rig(seed=seed, start_gear=start, main_speed_rpm=300.0))
     bench.run(50_000)
     bench.return_to_gear(target, 1, main_rpm)
     bench.run(800_000)
@@ -112,7 +111,7 @@ def test_any_gear_can_be_returned_to_at_any_speed(
 
 
 def test_a_repeated_sequence_number_does_nothing() -> None:
-    bench = RigBench(RigSettings(seed=3))
+    bench = RigBench(thesis_rig(seed=3))
     for _ in range(100):
         bench.return_to_gear(8, 5)
         bench.run(bench.now_us + 10_000)
@@ -123,7 +122,7 @@ def test_a_repeated_sequence_number_does_nothing() -> None:
 
 
 def test_neutral_can_be_asked_for() -> None:
-    bench = RigBench(RigSettings(seed=3))
+    bench = RigBench(thesis_rig(seed=3))
     bench.run(50_000)
     bench.return_to_gear(0, 1)
     bench.run(600_000)
@@ -133,7 +132,7 @@ def test_neutral_can_be_asked_for() -> None:
 
 
 def test_valves_do_not_move_sleeves_while_the_script_does() -> None:
-    bench = RigBench(RigSettings(seed=3))
+    bench = RigBench(thesis_rig(seed=3))
     bench.run(50_000)
     bench.return_to_gear(8, 1)
     on = ValveCommand(main_third_action=ValveAction.ON_NOW)
@@ -144,7 +143,7 @@ def test_valves_do_not_move_sleeves_while_the_script_does() -> None:
 
 def test_a_new_command_in_the_middle_of_a_ramp_starts_over() -> None:
     for interrupt_us in range(60_000, 600_000, 85_000):
-        bench = RigBench(RigSettings(seed=3))
+        bench = RigBench(thesis_rig(seed=3))
         bench.run(50_000)
         bench.return_to_gear(7, 1, 500.0)
         bench.run(interrupt_us)

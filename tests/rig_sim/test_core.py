@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rig_bench import SHEET, RigBench, edges_of, upshift
+from rig_bench import SHEET, RigBench, edges_of, thesis_rig, upshift
 
 from dbc.frame import Frame
 from dbc.link import Transmitter
@@ -28,7 +28,7 @@ from dbc.messages import (
 )
 from dbc.node import Node
 from gearbox.gears import MainGear
-from rig_sim import RigCore, RigSettings, SettingsError, kernels
+from rig_sim import RigCore, SettingsError, kernels
 from rig_sim.world import World
 
 VALVE_COMMAND_ID = Transmitter(Node.TRANSMISSION_CONTROL).encode(ValveCommand()).can_id
@@ -75,7 +75,7 @@ def test_the_clutch_moves_linearly_and_opens_by_itself() -> None:
     )
 )
 def test_no_frame_whatever_stops_the_rig_or_moves_it(frames: list[Frame]) -> None:
-    core, twin = RigCore(SHEET, RigSettings()), RigCore(SHEET, RigSettings())
+    core, twin = RigCore(SHEET, thesis_rig()), RigCore(SHEET, thesis_rig())
     for now_us in range(0, 200_001, 10_000):
         for frame in frames:
             core.receive(frame)
@@ -108,7 +108,7 @@ def test_it_asks_for_a_step_at_once_when_a_frame_has_come() -> None:
 
 
 def test_power_up_is_the_first_step_whatever_the_drivers_clock_says() -> None:
-    early, late = RigCore(SHEET, RigSettings()), RigCore(SHEET, RigSettings())
+    early, late = RigCore(SHEET, thesis_rig()), RigCore(SHEET, thesis_rig())
     for now_us in range(0, 300_001, 10_000):
         assert early.step(now_us).frames == late.step(now_us + 123_456_789_012).frames
 
@@ -125,7 +125,7 @@ def test_shutdown_switches_everything_off_and_says_so() -> None:
 
 
 def test_in_an_hour_in_gear_the_phase_stays_exact_and_no_tooth_is_lost() -> None:
-    world = World(SHEET, RigSettings(seed=13))
+    world = World(SHEET, thesis_rig(seed=13))
     start_main = world.shafts.main
     start_layshaft = world.shafts.layshaft
     phase = world.shafts.phase_rad(MainGear.FIRST)
@@ -160,7 +160,7 @@ def test_settings_that_cannot_be_used_are_named() -> None:
         ({"clock_start_us": 1 << 32}, "clock_start_us"),
     ):
         with pytest.raises(SettingsError, match=key):
-            RigSettings(**wrong)  # type: ignore[arg-type]
+            thesis_rig(**wrong)  # type: ignore[arg-type]
 
 
 def test_everything_is_compiled_before_the_first_step() -> None:
@@ -169,7 +169,7 @@ def test_everything_is_compiled_before_the_first_step() -> None:
         pytest.skip("kernels run as plain Python")
     kernels.warm_up()
     before = [len(kernel.signatures) for kernel in dispatchers]
-    bench = RigBench(RigSettings(seed=2))
+    bench = RigBench(thesis_rig(seed=2))
     bench.run(1_200_000, upshift)
     bench.return_to_gear(7, 1)
     bench.run(2_000_000)
@@ -179,10 +179,9 @@ def test_everything_is_compiled_before_the_first_step() -> None:
 SHIFT_WITHOUT_COMPILER = """
 import sys
 sys.path[:0] = sys.argv[1:]
-from rig_bench import RigBench, edges_of, upshift
-from rig_sim import RigSettings
+from rig_bench import RigBench, edges_of, thesis_rig, upshift
 from dbc.messages import EdgesLayshaftRise, EdgesInputFall
-bench = RigBench(RigSettings(seed=2))
+bench = RigBench(thesis_rig(seed=2))
 bench.run(500_000, upshift)
 print([sorted(edges_of(bench.of(kind)).items()) for kind in (EdgesLayshaftRise, EdgesInputFall)])
 """
@@ -197,7 +196,7 @@ def test_the_kernels_give_the_same_edges_without_the_compiler() -> None:
         text=True,
         check=True,
     )
-    bench = RigBench(RigSettings(seed=2))
+    bench = RigBench(thesis_rig(seed=2))
     bench.run(500_000, upshift)
     for kind, plain in zip(
         (EdgesLayshaftRise, EdgesInputFall), ast.literal_eval(run.stdout), strict=True

@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rig_bench import SHEET, RigBench, release_first, upshift
+from rig_bench import SHEET, RigBench, release_first, thesis_rig, upshift
 
 from dbc.messages import EngagementEvent, ValveAction, ValveCommand
 from gearbox.gears import MainGear, Sleeve
 from gearbox.sheet import RPM
-from rig_sim import RigSettings
 from rig_sim.engagement import Engaged, Violation
 from rig_sim.sleeves import SleeveState
 from rig_sim.valves import Order, Valve
@@ -33,7 +32,7 @@ def engagements() -> list[dict[EngagementEvent, Engaged]]:
     """Scripted engagements of SECOND, whose phase no seed ties to that of the start gear."""
     runs = []
     for seed in range(250):
-        world = World(SHEET, RigSettings(seed=seed))
+        world = World(SHEET, thesis_rig(seed=seed))
         run_world(world, 10_000)
         world.return_to_gear(10, 644.0 * RPM, 10_000)
         run_world(world, 520_000)
@@ -88,7 +87,7 @@ def test_the_slide_to_the_gap_and_on_to_the_flank_takes_the_slips_time(
 def test_delays_are_normal_and_cut_at_their_limit() -> None:
     delays = []
     for seed in range(300):
-        world = World(SHEET, RigSettings(seed=seed))
+        world = World(SHEET, thesis_rig(seed=seed))
         delays += [world.engagement._delays.draw_s() for _ in range(10)]
     assert max(abs(delay - 0.045) for delay in delays) <= 0.005
     assert np.mean(delays) == pytest.approx(0.045, abs=3 * 0.0025 / math.sqrt(len(delays)))
@@ -98,7 +97,7 @@ def test_delays_are_normal_and_cut_at_their_limit() -> None:
 
 def test_a_shift_by_valves_ends_locked_at_a_flank_of_the_new_gear() -> None:
     for seed in range(5):
-        bench = RigBench(RigSettings(seed=seed))
+        bench = RigBench(thesis_rig(seed=seed))
         bench.run(1_000_000, upshift)
         truth = bench.core.truth
         assert truth.locked_gear is MainGear.SECOND
@@ -110,7 +109,7 @@ def test_a_shift_by_valves_ends_locked_at_a_flank_of_the_new_gear() -> None:
 
 def test_contact_comes_a_delay_after_the_activations_microsecond() -> None:
     sheet = replace(SHEET, sleeve=replace(SHEET.sleeve, delay_sd_s=0.0))
-    bench = RigBench(RigSettings(seed=1), sheet)
+    bench = RigBench(thesis_rig(seed=1), sheet)
 
     def valves(now_us: int) -> ValveCommand:
         if 700_000 <= now_us < 800_000:
@@ -127,7 +126,7 @@ def test_contact_comes_a_delay_after_the_activations_microsecond() -> None:
 
 def coasting_world(seed: int, omega_rad_s: float) -> World:
     """A world in neutral, its layshaft coasting at a speed."""
-    world = World(SHEET, RigSettings(seed=seed))
+    world = World(SHEET, thesis_rig(seed=seed))
     run_world(world, 10_000)
     world.return_to_gear(0, 644.0 * RPM, 10_000)
     run_world(world, 400_000)
@@ -186,13 +185,13 @@ def test_a_sleeve_whose_valve_goes_off_on_the_tooth_falls_back() -> None:
 
 
 def test_a_locked_gear_stays_when_its_valve_goes_off() -> None:
-    bench = RigBench(RigSettings(seed=2))
+    bench = RigBench(thesis_rig(seed=2))
     bench.run(1_500_000, upshift)
     assert bench.core.truth.sleeve_state(Sleeve.FIRST_SECOND) is SleeveState.LOCKED
 
 
 def test_a_second_gear_is_a_counted_violation_and_the_first_stays() -> None:
-    bench = RigBench(RigSettings(seed=5))
+    bench = RigBench(thesis_rig(seed=5))
     on = ValveCommand(main_third_action=ValveAction.ON_NOW)
     bench.run(1_000_000, lambda now_us: on)
     truth = bench.core.truth
@@ -202,7 +201,7 @@ def test_a_second_gear_is_a_counted_violation_and_the_first_stays() -> None:
 
 
 def test_braking_in_gear_moves_nothing_and_is_counted() -> None:
-    bench = RigBench(RigSettings(seed=5))
+    bench = RigBench(thesis_rig(seed=5))
     on = ValveCommand(brake_action=ValveAction.ON_NOW)
     bench.run(500_000, lambda now_us: on)
     assert bench.core.truth.violations == {Violation.BRAKE_IN_GEAR: 1}
@@ -211,7 +210,7 @@ def test_braking_in_gear_moves_nothing_and_is_counted() -> None:
 
 
 def test_both_valves_of_a_sleeve_move_nothing_and_are_counted() -> None:
-    bench = RigBench(RigSettings(seed=5))
+    bench = RigBench(thesis_rig(seed=5))
     on = ValveCommand(main_crawl_action=ValveAction.ON_NOW, main_third_action=ValveAction.ON_NOW)
     bench.run(500_000, lambda now_us: on)
     assert bench.core.truth.violations == {Violation.BOTH_VALVES: 1}
@@ -219,7 +218,7 @@ def test_both_valves_of_a_sleeve_move_nothing_and_are_counted() -> None:
 
 
 def test_splitter_and_range_valves_are_ignored_and_said_so() -> None:
-    bench = RigBench(RigSettings(seed=5))
+    bench = RigBench(thesis_rig(seed=5))
     on = ValveCommand(split_low_action=ValveAction.ON_NOW)
     bench.run(500_000, lambda now_us: on)
     assert any("SPLIT_LOW ignored" in line for line in bench.lines)

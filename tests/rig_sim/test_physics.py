@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from rig_bench import SHEET, RigBench, edges_of, release_first
+from rig_bench import SHEET, RigBench, edges_of, release_first, thesis_rig
 from scipy.integrate import solve_ivp
 
 from dbc.messages import (
@@ -27,7 +27,6 @@ from dbc.messages import (
     ValveCommand,
 )
 from gearbox.sheet import RPM
-from rig_sim import RigSettings
 from rig_sim.kernels import free_motion
 
 RELEASE_US = 400_000
@@ -107,7 +106,7 @@ def pulsing(bench: RigBench, pulses: list[tuple[int, int]]) -> Callable[[int], V
 def test_every_edge_of_a_braked_shift_lies_where_an_independent_integration_has_it(
     seed: int, pulses: list[tuple[int, int]]
 ) -> None:
-    bench = RigBench(RigSettings(seed=seed))
+    bench = RigBench(thesis_rig(seed=seed))
     bench.step(0)
     wheels = [turns * 2 * math.pi + rest for turns, rest in bench.core.truth.angles]
     bench.run(END_US, pulsing(bench, pulses))
@@ -200,7 +199,7 @@ def test_the_series_for_slow_rates_joins_the_closed_form(a: float) -> None:
 
 def test_without_friction_the_brake_follows_its_closed_curve() -> None:
     sheet = replace(SHEET, shafts=replace(SHEET.shafts, friction_nms=0.0))
-    bench = RigBench(RigSettings(seed=3), sheet)
+    bench = RigBench(thesis_rig(seed=3), sheet)
     brake_us = 400_000
 
     def valves(now_us: int) -> ValveCommand:
@@ -219,7 +218,7 @@ def test_without_friction_the_brake_follows_its_closed_curve() -> None:
 
 
 def test_the_brake_stops_the_layshaft_and_never_turns_it_back() -> None:
-    bench = RigBench(RigSettings(seed=4))
+    bench = RigBench(thesis_rig(seed=4))
 
     def valves(now_us: int) -> ValveCommand:
         on = ValveAction.ON_NOW if now_us >= 400_000 else ValveAction.OFF_NOW

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from rig_bench import SHEET, RigBench, edges_of, release_first, upshift
+from rig_bench import SHEET, RigBench, edges_of, release_first, thesis_rig, upshift
 
 from dbc.messages import (
     EEC1,
@@ -29,7 +29,7 @@ from dbc.messages import (
     ValveStatus,
 )
 from gearbox.sheet import RPM
-from rig_sim import RigCore, RigSettings
+from rig_sim import RigCore
 
 ORDER = [
     "EdgesInputRise",
@@ -64,7 +64,7 @@ def test_the_edges_of_a_steady_shaft_are_those_of_its_wheel_to_the_microsecond()
         SHEET, wheels=replace(SHEET.wheels, main=replace(SHEET.wheels.main, duty_share=0.3))
     )
     for seed in range(3):
-        bench = RigBench(RigSettings(seed=seed), sheet)
+        bench = RigBench(thesis_rig(seed=seed), sheet)
         bench.step(0)
         angle = bench.core.truth.angles[2][1]
         bench.run(3_000_000)
@@ -82,7 +82,7 @@ def test_the_edges_of_a_steady_shaft_are_those_of_its_wheel_to_the_microsecond()
 
 def test_no_edge_is_missing_when_every_second_frame_is() -> None:
     # 45 teeth at 1,400 rpm: 27 stamps reach back over 25 ms
-    bench = RigBench(RigSettings(seed=7))
+    bench = RigBench(thesis_rig(seed=7))
     bench.run(1_200_000, upshift)
     for kind in (EdgesLayshaftRise, EdgesLayshaftFall, EdgesInputRise):
         frames = bench.of(kind)
@@ -94,9 +94,9 @@ def test_no_edge_is_missing_when_every_second_frame_is() -> None:
 
 def test_the_sensor_clock_wraps_within_the_first_seconds_and_nothing_jumps() -> None:
     for seed in range(20):
-        drawn_us = RigCore(SHEET, RigSettings(seed=seed)).truth.clock_start_us
+        drawn_us = RigCore(SHEET, thesis_rig(seed=seed)).truth.clock_start_us
         assert (1 << 32) - 5_000_000 <= drawn_us < (1 << 32) - 500_000
-    bench = RigBench(RigSettings(seed=11, clock_start_us=(1 << 32) - 700_001))
+    bench = RigBench(thesis_rig(seed=11, clock_start_us=(1 << 32) - 700_001))
     bench.run(1_500_000)
     reads = [frame.read_time_us for frame in bench.of(EdgesMainRise)]
     assert min(reads) < 10_000_000 < max(reads)
@@ -107,7 +107,7 @@ def test_the_sensor_clock_wraps_within_the_first_seconds_and_nothing_jumps() -> 
 
 
 def test_a_stopped_shaft_says_so_and_a_slow_one_flags_its_long_intervals() -> None:
-    bench = RigBench(RigSettings(seed=4))
+    bench = RigBench(thesis_rig(seed=4))
 
     def valves(now_us: int) -> ValveCommand:
         on = ValveAction.ON_NOW if now_us >= 400_000 else ValveAction.OFF_NOW
@@ -121,7 +121,7 @@ def test_a_stopped_shaft_says_so_and_a_slow_one_flags_its_long_intervals() -> No
     assert frames[-1].newest_index == frames[-20].newest_index
     assert not any(frame.stopped for frame in bench.of(EdgesMainRise))
 
-    slow = RigBench(RigSettings(seed=1, main_speed_rpm=644.0 / 1400.0 * 15.0))  # layshaft 15 rpm
+    slow = RigBench(thesis_rig(seed=1, main_speed_rpm=644.0 / 1400.0 * 15.0))  # layshaft 15 rpm
     slow.run(1_500_000)
     last = slow.of(EdgesLayshaftRise)[-1]
     assert last.long_interval
@@ -129,7 +129,7 @@ def test_a_stopped_shaft_says_so_and_a_slow_one_flags_its_long_intervals() -> No
 
 
 def test_a_standing_gearbox_has_no_edges() -> None:
-    bench = RigBench(RigSettings(seed=1, main_speed_rpm=0.0))
+    bench = RigBench(thesis_rig(seed=1, main_speed_rpm=0.0))
     bench.run(200_000)
     last = bench.of(EdgesLayshaftRise)[-1]
     assert (last.newest_index, last.valid_stamps, last.stopped) == (0, 0, True)
@@ -138,7 +138,7 @@ def test_a_standing_gearbox_has_no_edges() -> None:
 
 def moved(cut_us: list[int], seed: int = 9) -> RigBench:
     """The same shift and return, stepped in pieces of other lengths between the same commands."""
-    bench = RigBench(RigSettings(seed=seed))
+    bench = RigBench(thesis_rig(seed=seed))
     pieces = 0
     while bench.now_us < 2_500_000:
         if bench.now_us % 10_000 == 0:
@@ -165,7 +165,7 @@ def test_however_time_is_cut_up_the_frames_are_the_same_bytes() -> None:
 
 
 def test_a_late_step_sends_every_read_with_its_own_content() -> None:
-    prompt, late = RigBench(RigSettings(seed=8)), RigBench(RigSettings(seed=8))
+    prompt, late = RigBench(thesis_rig(seed=8)), RigBench(thesis_rig(seed=8))
     for now_us in range(0, 500_001, 10_000):
         prompt.step(now_us)
     for now_us in range(0, 500_001, 37_000):
@@ -176,7 +176,7 @@ def test_a_late_step_sends_every_read_with_its_own_content() -> None:
 
 def test_the_seed_is_all_there_is_to_a_run() -> None:
     assert moved([10_000], seed=1).frames == moved([10_000], seed=1).frames
-    angles = {moved_seed: RigBench(RigSettings(seed=moved_seed)) for moved_seed in range(4)}
+    angles = {moved_seed: RigBench(thesis_rig(seed=moved_seed)) for moved_seed in range(4)}
     for bench in angles.values():
         bench.step(0)
     starts = {bench.core.truth.angles for bench in angles.values()}
@@ -186,7 +186,7 @@ def test_the_seed_is_all_there_is_to_a_run() -> None:
 
 
 def test_the_reference_encoder_is_zero_where_tooth_0_rises() -> None:
-    bench = RigBench(RigSettings(seed=6))
+    bench = RigBench(thesis_rig(seed=6))
     bench.run(500_000)
     start = bench.of(ReferenceEncoder)[0].angle_rad[0]
     pitch = SHEET.wheels.layshaft.pitch_rad
@@ -202,7 +202,7 @@ def test_the_reference_encoder_is_zero_where_tooth_0_rises() -> None:
 
 
 def test_reference_phases_move_with_the_slip() -> None:
-    bench = RigBench(RigSettings(seed=6))
+    bench = RigBench(thesis_rig(seed=6))
     bench.run(200_000)
     samples = bench.of(ReferencePhase)
     pitch = SHEET.dog.pitch_rad
@@ -222,7 +222,7 @@ def sleeve_path(messages: list[Any], field: str) -> list[float]:
 
 
 def test_the_sleeve_sensor_shows_the_way_to_neutral_to_contact_and_home() -> None:
-    bench = RigBench(RigSettings(seed=7))
+    bench = RigBench(thesis_rig(seed=7))
     bench.run(1_200_000, upshift)
     path = sleeve_path(bench.of(SleevesMain), "sleeve_first_second_m")
     assert path[0] == pytest.approx(-0.012)  # FIRST, to which the sleeve moves backwards
@@ -252,7 +252,7 @@ def test_the_engine_turns_with_the_input_shaft_until_the_clutch_opens() -> None:
 
 
 def test_the_propeller_follows_the_main_shaft_by_the_range() -> None:
-    low = RigBench(RigSettings(seed=2, start_gear=2))
+    low = RigBench(thesis_rig(seed=2, start_gear=2))
     low.run(2_000_000)
     main = max(edges_of(low.of(EdgesMainRise)))
     propeller = max(edges_of(low.of(EdgesPropellerRise)))

@@ -104,6 +104,31 @@ def test_a_jammed_sleeve_stays_in_its_gear() -> None:
     assert truck.truth.sleeve_state(Sleeve.FIRST_SECOND) is SleeveState.LOCKED
 
 
+@pytest.mark.parametrize(
+    ("name", "valves"),
+    [
+        (Sleeve.SPLITTER, (Valve.SPLIT_LOW, Valve.SPLIT_HIGH)),
+        (Sleeve.RANGE, (Valve.RANGE_LOW, Valve.RANGE_HIGH)),
+    ],
+)
+def test_a_jammed_splitter_or_range_stays_at_its_side_for_as_long(
+    name: Sleeve, valves: tuple[Valve, Valve]
+) -> None:
+    """Asked to the side where it does not stand; told again after the fault, it goes there."""
+    truck = with_fault(RigFault.SLEEVE_JAMMED, int(name), for_us=200_000)
+    sleeve = truck.script.step_sleeve(name)
+    assert sleeve is not None
+    side = sleeve.side
+    other = valves[0] if side > 0 else valves[1]
+    truck.plant.chain.open(at.CLUTCH)
+    truck._at(150_000.0, lambda: truck._switch(other, True))
+    run(truck, 290_000)
+    assert sleeve.side == side
+    truck._at(350_000.0, lambda: truck._switch(other, True))
+    run(truck, 360_000)
+    assert sleeve.side == -side
+
+
 def test_a_position_sensor_lies_and_another_repeats_itself() -> None:
     truck = with_fault(RigFault.POSITION_OFFSET, int(Sleeve.CRAWL_THIRD), value=2.0)
     run(truck, 50_000)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from rig_bench import RigBench, edges_of, release_first, upshift
+from rig_bench import RigBench, edges_of, release_first, thesis_rig, upshift
 
 from dbc.messages import (
     EdgesInputFall,
@@ -38,7 +38,7 @@ def braked_to_rest(now_us: int) -> ValveCommand:
 
 def pair(seed: int, valves: object, until_us: int) -> tuple[RigBench, RigBench]:
     benches = (
-        RigBench(RigSettings(seed=seed)),
+        RigBench(thesis_rig(seed=seed)),
         RigBench(RigSettings(seed=seed, preset=Preset.TRUCK, as_built=linear())),
     )
     for bench in benches:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import re
 import shutil
 import subprocess
@@ -17,8 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from controller.settings import load_settings
+from controller.settings import ControllerSettings
 from gearbox import load_sheet
+from rig_sim.settings import Preset
 from testbench.cli import main
 from testbench.errors import CommandError
 from testbench.report import report_data, report_provenance, write_report
@@ -41,7 +41,7 @@ BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stab
 @pytest.fixture(scope="module")
 def simulated() -> tuple[Report, list[ShiftRow]]:
     """Four shifts, of which the last two could aim."""
-    setup = Setup(SHEET, load_settings(None, strategy_name="target_phase"), seed=3, shifts=4)
+    setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=3, shifts=4)
     collector = ReportCollector(SHEET)
     result = simulate(setup, lambda _time_us, frame: collector.receive(frame))
     run = Run("target_phase", collector.finish(), [f"from {HOSTILE}"])
@@ -68,25 +68,28 @@ def test_the_report_has_the_rows_of_the_run(simulated: tuple[Report, list[ShiftR
     assert len(rows) == 4
 
 
-@pytest.mark.xfail(reason="known: 3.6 % of a pitch off; not looked into")
 def test_slip_and_phase_curves_lead_to_the_contact_that_the_rig_reported(
     simulated: tuple[Report, list[ShiftRow]], data: dict[str, Any]
 ) -> None:
-    """Curves come from encoder and phase frames, the contact from an event frame of its own."""
+    """Curves come from encoder and phase frames, the contact from an event frame of its own.
+
+    The brake may be on until contact and take 9 rpm of slip in the 10 ms after the last sample: the
+    phase goes on from there by the mean of the slips at both ends."""
     for shift, figure in zip(simulated[0].runs[0].shifts, data["shifts"].values(), strict=True):
         contact_ms, row = shift.contact_ms, shift.row
         assert contact_ms is not None
         assert row.slip_rpm is not None
-        assert row.phase_error_pct_of_pitch is not None
+        assert shift.contact_phase_deg is not None
         times, slips = trace(figure, "y2", "truth")
         before = [k for k, at_ms in enumerate(times) if at_ms < contact_ms][-4:]
         curve = np.polyfit([times[k] - contact_ms for k in before], [slips[k] for k in before], 3)
         assert curve[-1] == pytest.approx(row.slip_rpm, abs=0.1)
         times, phases = trace(figure, "y6", "truth")
         k = max(k for k, at_ms in enumerate(times) if at_ms < contact_ms)
-        moved = 100 / PITCH_DEG * 0.006 * row.slip_rpm * (contact_ms - times[k])
-        reached = phases[k] + moved - row.phase_error_pct_of_pitch
-        assert abs(math.remainder(reached, 100.0)) < 1.5
+        mean_rpm = 0.5 * (np.polyval(curve, times[k] - contact_ms) + row.slip_rpm)
+        moved_pct = 100.0 / PITCH_DEG * 0.006 * mean_rpm * (contact_ms - times[k])
+        contact_pct = 100.0 / PITCH_DEG * shift.contact_phase_deg
+        assert phases[k] + moved_pct == pytest.approx(contact_pct, abs=0.2)
 
 
 def test_the_estimate_lies_around_the_truth_where_the_model_holds(
