@@ -13,17 +13,17 @@ from controller.core import ControllerCore
 from controller.header import new_header
 from dbc.frame import Frame
 from dbc.layout import CODECS
-from dbc.messages import EngagementEvent, PhaseReference, ReferenceEngagement
+from dbc.messages import PhaseReference
 from gearbox import GearboxSheet
 from gearbox.sheet import Mesh
 from rig_sim.settings import Preset
+from testbench.rows import RowCollector
 
 WHOLE = replace(SHEET, main=replace(SHEET.main, second=Mesh(37, 48), third=Mesh(62, 48)))
 """Gears of as many teeth as their dog teeth: turns of the layshaft meanwhile do not matter."""
 LATER, MOST, LIMIT_US = 2, 14, 60_000_000
 BOTH = 0b1100
 """Second and third, as the status frame has them."""
-CONTACTS = {EngagementEvent.GAP_CONTACT: True, EngagementEvent.TOOTH_CONTACT: False}
 
 
 def run_shifts(loop: Loop, shifts: int) -> None:
@@ -73,8 +73,10 @@ def test_a_restarted_controller_aims_from_its_first_shift_on() -> None:
     loop, calibration, learned = restarted(WHOLE)
     assert calibration.provenance.shifts == learned
     assert references(loop)[learned:] == [PhaseReference.KNOWN] * LATER
-    hits = [CONTACTS[c.event] for c in loop.of(ReferenceEngagement) if c.event in CONTACTS]
-    assert hits[-LATER:] == [True] * LATER
+    shifts = RowCollector(loop.sheet)
+    for _, message in loop.messages:
+        shifts.take(message)
+    assert [row.contact for row in shifts.rows[learned:]] == ["gap"] * LATER
     assert loop.violations == 0
     core = loop.controller.core
     assert isinstance(core, ControllerCore)
