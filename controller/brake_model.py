@@ -18,6 +18,7 @@ from typing import Final
 
 import numpy as np
 
+from controller.calibration import BrakeRecord
 from controller.motion_kernels import PRESSURE, SEGMENTS, STATES, US, Vector, travel
 from gearbox import GearboxSheet
 
@@ -41,6 +42,9 @@ ITERATIONS: Final = 3
 LEAST_SAMPLES: Final = 8
 PROBE: Final = 1e-3
 LEAST_B: Final = 1e-3
+LEAST_SD: Final = 1e-4
+LEAST_SD_S: Final = 1e-6
+"""What comes from a file is never certain: a covariance has an inverse."""
 
 
 TOUCH_SD_PA: Final = 0.15e5
@@ -75,6 +79,42 @@ class BrakeModel:
             self._covariance[half, half] += COMMON_SD**2
         self.shifts = 0
         """How many shifts have taught it the law."""
+
+    def record(self) -> BrakeRecord | None:
+        """What a calibration file keeps; None before any shift taught it."""
+        if self.shifts == 0:
+            return None
+        mean, sd = self._mean, np.sqrt(np.diag(self._covariance))
+        factors = np.exp(mean[: 2 * RATES])
+        return BrakeRecord(
+            shifts=self.shifts,
+            gain=self.gain.value,
+            gain_sd=self.gain.sd,
+            drag_nm=self.drag_nm.value,
+            drag_sd_nm=self.drag_nm.sd,
+            touch_pa=self.touch_pa.value,
+            touch_sd_pa=self.touch_pa.sd,
+            emptying=tuple(factors[:RATES].tolist()),
+            emptying_sd=tuple(sd[:RATES].tolist()),
+            filling=tuple(factors[RATES:].tolist()),
+            filling_sd=tuple(sd[RATES : 2 * RATES].tolist()),
+            off_delay_s=float(mean[OFF_DELAY]),
+            off_delay_sd_s=float(sd[OFF_DELAY]),
+            on_delay_s=float(mean[ON_DELAY]),
+            on_delay_sd_s=float(sd[ON_DELAY]),
+        )
+
+    def restore(self, record: BrakeRecord) -> None:
+        """Goes on from a record; how its errors hang together is not kept."""
+        self.shifts = record.shifts
+        self.gain = Carried(record.gain, record.gain_sd)
+        self.drag_nm = Carried(record.drag_nm, record.drag_sd_nm)
+        self.touch_pa = Carried(record.touch_pa, record.touch_sd_pa)
+        rates = np.log([*record.emptying, *record.filling])
+        self._mean = np.array([*rates, record.off_delay_s, record.on_delay_s])
+        sd = [*record.emptying_sd, *record.filling_sd]
+        delays_sd = np.maximum((record.off_delay_sd_s, record.on_delay_sd_s), LEAST_SD_S)
+        self._covariance = np.diag([*np.maximum(sd, LEAST_SD), *delays_sd]) ** 2
 
     @property
     def off_delay_us(self) -> int:

@@ -17,6 +17,8 @@ from typing import Final, NamedTuple
 
 from bus.core import Step
 from controller.brake_input import BrakeInput
+from controller.calibration import Calibration
+from controller.carry_over import collect, restore
 from controller.guard import Guard
 from controller.guard_limits import guard_limits
 from controller.guard_view import GuardView
@@ -101,6 +103,19 @@ class ControllerCore:
         self._reporter = Reporter(header, self._observer, self._sequence)
         self._due_us: int | None = None
         self._wake_us: int | None = None
+        self.shifts = 0
+        """How many shifts have ended since the start."""
+        if header.calibration is not None:
+            restore(header.calibration, self._observer, self._sequence.delays)
+
+    @property
+    def knows(self) -> tuple[int, int]:
+        """Changes when there is more to keep: shifts that have ended, references that are known."""
+        return self.shifts, self._observer.references.mask
+
+    def calibration(self, written: str) -> Calibration:
+        """What has been learned, earlier runs included; `written` says when, for people."""
+        return collect(self.header, self._observer, self._sequence.delays, self.shifts, written)
 
     def change_settings(self, settings: ControllerSettings) -> None:
         """Other engagement settings from the next step on; what was learned stays. Call it between
@@ -235,6 +250,7 @@ class ControllerCore:
             events.append(f"{before.name.lower()} -> {sequence.state.name.lower()}")
         if sequence.finished is not None:
             shift = sequence.finished
+            self.shifts += 1
             events.append(
                 f"shift {shift.from_number} -> {shift.to_number}: {shift.result.name.lower()}"
                 f", {shift.attempts} fired, fault {shift.fault.name.lower()}"

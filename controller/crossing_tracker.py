@@ -35,11 +35,17 @@ STRUCK_RAD_S: Final = 5.0
 class _Shaft:
     """A filter over a wheel's edges with its teeth: what layshaft and main shaft have in common."""
 
-    def __init__(self, tuning: CrossingFilterTuning, teeth: int, start_rad_s2: float) -> None:
+    def __init__(
+        self,
+        tuning: CrossingFilterTuning,
+        teeth: int,
+        missing: tuple[int, ...],
+        start_rad_s2: float,
+    ) -> None:
         self._tuning = tuning
         self._start_rad_s2 = start_rad_s2
         self._filter = CrossingFilter(tuning)
-        self.teeth = WheelTeeth(teeth, tuning)
+        self.teeth = WheelTeeth(teeth, tuning, missing)
         self._half_pitch_rad = math.pi / teeth
         self._seed = WindowSpeed()
         self._running = False
@@ -48,11 +54,12 @@ class _Shaft:
         """Starts anew with the edges to come; teeth keep their numbers."""
         self._running = False
         self._seed.restart()
+        self.teeth.learner.running = False
 
     def restart(self) -> None:
         """Tooth numbers were lost: starts anew; which tooth is which is not known any more."""
         self.lose_speed()
-        self.teeth.forget()
+        self.teeth.lose_numbers()
 
     @property
     def newest_us(self) -> float:
@@ -76,6 +83,13 @@ class _Shaft:
         self._filter.take(batch.time_us, angles, teeth.sd_rad, pressures, switches, model)
         if teeth.learner.running:
             teeth.learner.take(batch, place, pressures, switches, model)
+            if teeth.look():
+                self._teeth_found()
+
+    def _teeth_found(self) -> None:
+        """From here on edges stand for other angles, by as much as an unlearned tooth was wrong."""
+        self._filter.forget_past()
+        self._filter.p[THETA, THETA] += self._tuning.tooth_error_rad**2
 
     def _angles(self, batch: EdgeBatch) -> Vector:
         return self.teeth.angles(batch, self.teeth.place(batch))
@@ -103,9 +117,14 @@ class CrossingTracker(_Shaft):
     """Angle, speed and brake pressure of the layshaft at any time near now."""
 
     def __init__(
-        self, tuning: CrossingFilterTuning, brake: BrakeInput, known: BrakeModel, teeth: int
+        self,
+        tuning: CrossingFilterTuning,
+        brake: BrakeInput,
+        known: BrakeModel,
+        teeth: int,
+        missing: tuple[int, ...] = (),
     ) -> None:
-        super().__init__(tuning, teeth, tuning.follow_rad_s2)
+        super().__init__(tuning, teeth, missing, tuning.follow_rad_s2)
         self._brake = brake
         self._known = known
         self._following = following_motion(tuning.follow_rad_s2, tuning.follow_s, 50.0)
@@ -114,6 +133,8 @@ class CrossingTracker(_Shaft):
         self._free = False
         self._free_edges = 0
         self._run = FreeRun(tuning)
+        self._one_pattern = True
+        """The window's angles all stand on the same knowledge of the teeth."""
 
     @property
     def free(self) -> bool:
@@ -138,9 +159,9 @@ class CrossingTracker(_Shaft):
         elif not free and self._free:
             self._end_free(events)
 
-    def restart(self) -> None:
-        """Tooth numbers were lost: starts anew."""
-        super().restart()
+    def lose_speed(self) -> None:
+        """Starts anew with the edges to come; teeth keep their numbers."""
+        super().lose_speed()
         self._free = False
 
     def edges(self, batch: EdgeBatch, pressures: Pressures) -> None:
@@ -166,6 +187,10 @@ class CrossingTracker(_Shaft):
         """The state at the newest edge; where a prediction starts. Valid only while `free`."""
         return self._filter.latest()
 
+    def _teeth_found(self) -> None:
+        super()._teeth_found()
+        self._one_pattern = False
+
     def _begin_free(self) -> None:
         tuning, known, state = self._tuning, self._known, self._filter
         state.forget_past()
@@ -184,7 +209,7 @@ class CrossingTracker(_Shaft):
         p = diagonal(2.0 * tuning.tooth_error_rad, 1.0, pressure_sd, torque_sd, gain_sd, drag_sd)
         self.teeth.learner.begin(state.time_us, x, p)
         self._run.begin(state.time_us, state.x, state.p)
-        self._free, self._free_edges = True, 0
+        self._free, self._free_edges, self._one_pattern = True, 0, True
 
     def _end_free(self, events: list[str]) -> None:
         self._free = False
@@ -197,7 +222,8 @@ class CrossingTracker(_Shaft):
         if self._free_edges >= LEAST_FREE_EDGES and np.isfinite(x).all():
             known.gain = Carried(float(x[GAIN]), float(sd[GAIN]))
             known.drag_nm = Carried(float(x[DRAG]) * inertia, float(sd[DRAG]) * inertia)
-            if known.learn(*self._run.pressures, *self._brake.commands) and self.teeth.learned:
+            learned = known.learn(*self._run.pressures, *self._brake.commands)
+            if learned and self.teeth.learned and self._one_pattern:
                 sd_rad = self.teeth.sd_rad
                 self._run.learn_touch(known, sd_rad, self._brake.arrays(), self.model)
         # What drives it now is unknown.
@@ -214,8 +240,10 @@ class CrossingTracker(_Shaft):
 class MainTracker(_Shaft):
     """Angle, speed and acceleration of the main shaft."""
 
-    def __init__(self, tuning: CrossingFilterTuning, teeth: int) -> None:
-        super().__init__(tuning, teeth, tuning.main_rad_s2)
+    def __init__(
+        self, tuning: CrossingFilterTuning, teeth: int, missing: tuple[int, ...] = ()
+    ) -> None:
+        super().__init__(tuning, teeth, missing, tuning.main_rad_s2)
         self._model = following_motion(tuning.main_rad_s2, tuning.main_s, tuning.main_walk_rad_s2)
 
     def edges(self, batch: EdgeBatch) -> None:

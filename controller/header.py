@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from controller.calibration import Calibration, read_calibration
 from controller.settings import ControllerSettings
 from dbc import DBC_SHA256
 from gearbox import GearboxSheet
@@ -29,13 +30,15 @@ class HeaderError(ValueError):
 
 @dataclass(frozen=True)
 class RunHeader:
-    """Version, contract, data sheet and settings of one controller run."""
+    """Version, contract, data sheet, settings and calibration of one controller run."""
 
     version: str
     architecture: str
     dbc_sha256: str
     sheet: GearboxSheet
     settings: ControllerSettings
+    calibration: Calibration | None = None
+    """What earlier runs have learned; None: a cold start."""
 
     def canonical(self) -> str:
         """One line of JSON with sorted keys; what is hashed and saved."""
@@ -45,6 +48,7 @@ class RunHeader:
             "dbc_sha256": self.dbc_sha256,
             "sheet": json.loads(self.sheet.canonical()),
             "settings": dataclasses.asdict(self.settings),
+            "calibration": self.calibration.to_text() if self.calibration is not None else None,
         }
         return json.dumps(fields, sort_keys=True, separators=(",", ":"))
 
@@ -64,9 +68,14 @@ class RunHeader:
         return path
 
 
-def new_header(version: str, sheet: GearboxSheet, settings: ControllerSettings) -> RunHeader:
+def new_header(
+    version: str,
+    sheet: GearboxSheet,
+    settings: ControllerSettings,
+    calibration: Calibration | None = None,
+) -> RunHeader:
     """The header of a controller that starts here and now."""
-    return RunHeader(version, architecture(), DBC_SHA256, sheet, settings)
+    return RunHeader(version, architecture(), DBC_SHA256, sheet, settings, calibration)
 
 
 def architecture() -> str:
@@ -98,12 +107,14 @@ def load_header(folder: Path, run_hash: int) -> RunHeader:
 
 
 def _from_values(values: dict[str, Any]) -> RunHeader:
+    sheet, calibration = sheet_from_canonical(values["sheet"]), values["calibration"]
     return RunHeader(
         values["version"],
         values["architecture"],
         values["dbc_sha256"],
-        sheet_from_canonical(values["sheet"]),
+        sheet,
         _settings_from(values["settings"]),
+        None if calibration is None else read_calibration(calibration, "calibration", sheet),
     )
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from datetime import UTC, datetime
 from typing import Final
 
 from bus.clock import NodeClock
 from bus.driver import OpenBus, run_node
 from bus.settle import settle
 from bus.statistics import NodeStatistics
+from controller.calibration_keeper import CalibrationKeeper, Keep
 from controller.core import OWN_ADDRESS, ControllerCore
 from controller.header import RunHeader
 from controller.warm_up import warm_up
@@ -24,13 +26,16 @@ async def run_controller(
     *,
     on_event: Callable[[str], None],
     stop: asyncio.Event,
+    keep: Keep | None = None,
 ) -> NodeStatistics:
-    """Runs a controller until `stop` is set; its last frames switch all valves off."""
+    """Runs a controller until `stop` is set; its last frames switch all valves off.
+
+    `keep` gets the calibration whenever more is known, and at the end."""
     warm_up()
     core = ControllerCore(header)
     settle()
     return await run_node(
-        core,
+        core if keep is None else CalibrationKeeper(core, keep, _utc),
         open_bus,
         clock,
         on_event=on_event,
@@ -38,3 +43,8 @@ async def run_controller(
         name="controller",
         own_addresses=ADDRESSES,
     )
+
+
+def _utc(_now_us: int) -> str:
+    """The wall clock, for people: the controller's own clock begins anywhere."""
+    return datetime.now(UTC).isoformat(timespec="seconds")

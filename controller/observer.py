@@ -9,6 +9,7 @@ import numpy as np
 from controller.baseline_tracker import BaselineTracker
 from controller.brake_input import BrakeInput
 from controller.brake_model import BrakeModel
+from controller.calibration import BrakeRecord
 from controller.clock import SensorClock
 from controller.crossing import Pressures
 from controller.crossing_tracker import CrossingTracker, MainTracker
@@ -19,6 +20,7 @@ from controller.kinematics import are_finite
 from controller.layshaft import LayshaftModels, LayshaftTracker
 from controller.motion import LayshaftState, first_order_law, free_motion
 from controller.predictor import layshaft_model
+from controller.recall import Recall
 from controller.reference import PhaseReferences
 from controller.settings import ControllerSettings
 from controller.shafts import CruiseTracker, ShaftState
@@ -68,9 +70,14 @@ class Observer:
         """The baselines know the data sheet and nothing more."""
         self.layshaft: LayshaftTracker
         self._main: CruiseTracker | MainTracker
+        self.recall: Recall | None = None
+        """What outlives lost tooth numbers; the baselines know no teeth by which to find them."""
         if self._learns:
-            self.layshaft = CrossingTracker(tuning, brake, self.brake, wheels.layshaft.teeth)
-            self._main = MainTracker(tuning, wheels.main.teeth)
+            layshaft = self.layshaft = CrossingTracker(
+                tuning, brake, self.brake, wheels.layshaft.teeth, wheels.layshaft.missing
+            )
+            main = self._main = MainTracker(tuning, wheels.main.teeth, wheels.main.missing)
+            self.recall = Recall(sheet, self.references, layshaft.teeth, main.teeth)
         else:
             self.layshaft = BaselineTracker(estimator, settings, brake, wheels.layshaft.pitch_rad)
             self._main = CruiseTracker(settings.cruise_filter, wheels.main.pitch_rad)
@@ -80,6 +87,11 @@ class Observer:
         self._split_us = self._range_us = -DRAGGED_US
         """When splitter and range were last between their steps."""
         self._dragged = False
+
+    def take_brake(self, record: BrakeRecord) -> None:
+        """The brake as earlier runs have learned it."""
+        self.brake.restore(record)
+        self._model_layshaft()
 
     def _model_layshaft(self) -> None:
         sheet, split = self._sheet, self._split
@@ -109,6 +121,8 @@ class Observer:
         self._see_whether_free(events)
         self._main.edges(main)
         self.layshaft.edges(layshaft, pressures)
+        if self.recall is not None:
+            self.recall.look(events)
 
     def _see_synchronisers(self, now_us: int) -> None:
         """Splitter and range change by cones, which drag layshaft and main shaft hard."""
@@ -153,10 +167,17 @@ class Observer:
             self._layshaft_wheel.restart()
             self._main_wheel.restart()
             events.append("sensor clock jumped: teeth and phases start anew")
+        _, layshaft, main = self._lost
         self._lost = (self.clock.jumps, self._layshaft_wheel.broken, self._main_wheel.broken)
+        lost = (self._lost[1] != layshaft, self._lost[2] != main)
+        if self.recall is not None:
+            self.recall.lost(*lost)
         self.references.lose_all()
-        self.layshaft.restart()
-        self._main.restart()
+        for tracker, numbers_lost in zip((self.layshaft, self._main), lost, strict=True):
+            if numbers_lost or not isinstance(tracker, CrossingTracker | MainTracker):
+                tracker.restart()
+            else:
+                tracker.lose_speed()
         events.append("tooth numbers lost: phase references unknown again")
 
     def _see_whether_free(self, events: list[str]) -> None:
@@ -207,6 +228,8 @@ class Observer:
         pulled = self._drag_pulls(gear, main)
         if self.references.watch(gear, layshaft.theta_rad, main.theta_rad, pulled):
             events.append(f"phase reference of {gear.name.lower()} learned")
+            if self.recall is not None:
+                self.recall.learned(gear, events)
 
     def _sees_flanks(self, gear: MainGear, layshaft: LayshaftState, main: ShaftState) -> bool:
         """Whether the angles are good enough to tell the gap's flanks apart."""

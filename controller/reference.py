@@ -172,6 +172,19 @@ class PhaseReferences:
             self._stays = True
         self._learning = None
 
+    @property
+    def offsets_rad(self) -> dict[MainGear, float]:
+        """The known constants by gear."""
+        return dict(self._offset_rad)
+
+    def adopt(self, gear: MainGear, offset_rad: float) -> None:
+        """A constant that is known without a look at the gear in mesh."""
+        self._offset_rad[gear] = offset_rad
+
+    def lose(self, gear: MainGear) -> None:
+        """One gear's constant was wrong."""
+        self._offset_rad.pop(gear, None)
+
     def lose_all(self) -> None:
         """A wheel's count was lost: nothing is known any more."""
         self._offset_rad.clear()

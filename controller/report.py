@@ -144,6 +144,7 @@ class Reporter:
             guard_blocks=guard_blocks & WORD,
             invalid_channels=receiver.invalid_channels,
             step_lateness_us=min(lateness_us, LATENESS_TOP_US),
+            cold_start=self._header.calibration is None,
         )
         self._previous = (now_us, count, crc)
         self._steps += 1

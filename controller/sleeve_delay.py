@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from controller.calibration import SleeveRecord, Sleeves
 from gearbox import GearboxSheet, MainGear
 from gearbox.gears import MAIN_GEARS
 
@@ -89,19 +90,30 @@ class SleeveDelays:
             learned.scatter_samples *= fade
             learned.squares_s2 *= fade
 
-    def table(self) -> dict[str, list[float]]:
-        """What was learned, as a calibration file keeps it."""
-        return {
-            gear.name.lower(): [
-                learned.mean_s, learned.samples, learned.squares_s2, learned.scatter_samples
-            ]
-            for gear, learned in self._learned.items()
-        }  # fmt: skip
+    def records(self) -> Sleeves:
+        """What a calibration file keeps: the gears whose contacts have been seen."""
+        return Sleeves(
+            **{
+                gear.name.lower(): SleeveRecord(
+                    delay_s=learned.mean_s,
+                    samples=learned.samples,
+                    scatter_s=math.sqrt(learned.squares_s2 / learned.scatter_samples),
+                    scatter_samples=learned.scatter_samples,
+                )
+                for gear, learned in self._learned.items()
+                if self.samples(gear) > 0
+            }
+        )
 
-    def restore(self, table: dict[str, list[float]]) -> None:
-        """Takes a table back. KeyError or TypeError where it is not one of these."""
+    def restore(self, records: Sleeves) -> None:
+        """Goes on from records; gears without one keep what the data sheet says."""
         for gear in MAIN_GEARS:
-            self._learned[gear] = _Learned(*table[gear.name.lower()])
+            record = records.of(gear)
+            if record is not None:
+                squares_s2 = record.scatter_s**2 * record.scatter_samples
+                self._learned[gear] = _Learned(
+                    record.delay_s, record.samples, squares_s2, record.scatter_samples
+                )
 
     def _faster(self) -> float:
         ratio = max(self.supply_pa, 0.1 * self._sheet_pa) / self._sheet_pa

@@ -860,6 +860,9 @@ class ControllerStatus(NamedTuple):
     step_lateness_us: int = ...
     """How late this step ran against its due time, saturated (0..65535)."""
 
+    cold_start: bool = ...
+    """Started without a calibration of earlier runs."""
+
 class ControllerEstimates(NamedTuple):
     """What the controller believes, with standard deviations.
 

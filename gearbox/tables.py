@@ -39,6 +39,8 @@ class Rule:
             return "true or false"
         if self.kind is tuple:
             return f"a list of whole numbers from {self.low:g} to {self.high:g}, rising"
+        if self.kind is list:
+            return f"a list of numbers from {self.low:g} to {self.high:g}"
         if self.kind is str:
             return f"one of {', '.join(self.choices)}" if self.choices else "a text"
         noun = "a whole number" if self.kind is int else "a number"
@@ -62,6 +64,11 @@ def counts(key: str, low: int, high: int, **default: Any) -> Any:
     return dataclasses.field(metadata={"rule": Rule(key, tuple, low, high)}, **default)
 
 
+def quantities(key: str, low: float, high: float, si: float = 1.0, **default: Any) -> Any:
+    """Real numbers in any order, each within the range; a tuple, in SI."""
+    return dataclasses.field(metadata={"rule": Rule(key, list, low, high, si)}, **default)
+
+
 def text(key: str, *choices: str, **default: Any) -> Any:
     """A text, free or one of `choices`."""
     return dataclasses.field(metadata={"rule": Rule(key, str, 0, 0, 1.0, choices)}, **default)
@@ -80,7 +87,8 @@ def load_toml(path: Path) -> dict[str, Any]:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise TableError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+    # A whole number of over 4300 digits is a ValueError of another kind than TOML's own.
+    except (ValueError, RecursionError) as error:
         raise TableError(f"{path}: not a TOML file: {error}") from error
     _check_depth(table, path, 1)
     return table
@@ -103,7 +111,7 @@ def read_group(cls: type[T], table: Any, where: str) -> T:
     """
     if not isinstance(table, dict):
         raise TableError(f"{where}: found {table!r}, allowed is a table")
-    fields = {_key(field): field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    fields = {key_of(field): field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
     unknown = sorted(set(table) - set(fields))
     if unknown:
         raise TableError(f"{where}: unknown key '{unknown[0]}', allowed are {', '.join(fields)}")
@@ -119,7 +127,8 @@ def read_group(cls: type[T], table: Any, where: str) -> T:
         raise TableError(f"{where}: {error}") from error
 
 
-def _key(field: dataclasses.Field[Any]) -> str:
+def key_of(field: dataclasses.Field[Any]) -> str:
+    """The field's key in the file."""
     rule: Rule | None = field.metadata.get("rule")
     return rule.key if rule else field.name.rstrip("_")
 
@@ -133,12 +142,13 @@ def _read(field: dataclasses.Field[Any], value: Any, where: str) -> Any:
     if rule is None:
         group = field.metadata["group"]
         return read_group(group, value, where)
-    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if rule.kind is list:
+        return _read_list(value, rule, where)
     fits = {
         bool: isinstance(value, bool),
         str: isinstance(value, str) and (not rule.choices or value in rule.choices),
-        int: isinstance(value, int) and is_number and rule.low <= value <= rule.high,
-        float: is_number and math.isfinite(value) and rule.low <= value <= rule.high,
+        int: isinstance(value, int) and _is_inside(value, rule),
+        float: _is_inside(value, rule),
         tuple: _is_rising(value, rule),
     }[rule.kind]
     if not fits:
@@ -146,6 +156,22 @@ def _read(field: dataclasses.Field[Any], value: Any, where: str) -> Any:
     if rule.kind is tuple:
         return tuple(value)
     return value * rule.si if rule.kind is float else value
+
+
+def _is_inside(value: Any, rule: Rule) -> bool:
+    """Whether it is a number in the range; NaN never is, and a whole number may be a huge one."""
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return is_number and bool(rule.low <= value <= rule.high) and math.isfinite(value)
+
+
+def _read_list(value: Any, rule: Rule, where: str) -> tuple[float, ...]:
+    if not isinstance(value, list):
+        raise TableError(f"{where} = {value!r}, allowed is {rule.allowed()}")
+    for index, item in enumerate(value):
+        if not _is_inside(item, rule):
+            found = f"{where}[{index}] = {item!r}"
+            raise TableError(f"{found}, allowed is a number from {rule.low:g} to {rule.high:g}")
+    return tuple(item * rule.si for item in value)
 
 
 def _is_rising(value: Any, rule: Rule) -> bool:

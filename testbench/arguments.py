@@ -5,10 +5,14 @@ from __future__ import annotations
 import argparse
 import math
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 from bus.log_set import MIN_PART_BYTES
 from bus.logs import MAX_LOG_BYTES
+from controller.calibration import Calibration
+from controller.calibration_file import load
+from controller.calibration_keeper import CalibrationWriter
 from controller.settings import (
     ESTIMATOR_NAMES,
     STRATEGY_NAMES,
@@ -21,6 +25,8 @@ from rig_sim.as_built import load_as_built
 from rig_sim.faults import ScheduledFault
 from rig_sim.scenario import load_scenario
 from rig_sim.settings import Preset
+from testbench.errors import CommandError
+from testbench.output import folder_for
 from testbench.schedules import NAMES, UPSHIFTS, Pairs, check_preset, pairs
 
 MAX_SHIFTS = 100_000
@@ -103,6 +109,18 @@ def add_controller(parser: argparse.ArgumentParser, strategy: bool = True) -> No
             "speed_window_anticipating: so that it is at contact; "
             "target_phase: fire so that tooth meets gap (default)",
         )
+
+
+def add_calibration(parser: argparse.ArgumentParser) -> None:
+    """--calibration."""
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help="what the controller has learned of this gearbox, TOML: read where it exists, written "
+        "after every shift (`meshpoint calibration show FILE`). A file that does not hold together "
+        "is put aside as FILE.refused and the controller starts cold",
+    )
 
 
 def add_rig(parser: argparse.ArgumentParser) -> None:
@@ -229,6 +247,23 @@ def settings_of(namespace: argparse.Namespace, strategy: str | None = None) -> C
         strategy_name=strategy or getattr(namespace, "strategy", None),
         estimator_name=namespace.estimator,
     )
+
+
+def calibration_of(
+    namespace: argparse.Namespace, sheet: GearboxSheet, threaded: bool, tell: Callable[[str], None]
+) -> tuple[Calibration | None, CalibrationWriter | None]:
+    """The calibration to start with and who writes it; CommandError where nothing can be written
+    there. What became of the file is told in a line."""
+    path: Path | None = namespace.calibration
+    if path is None:
+        return None, None
+    if path.is_dir():
+        raise CommandError(f"{path}: is a folder, allowed is a file")
+    folder_for(path.parent)
+    loaded = load(path, sheet)
+    tell(loaded.line)
+    writer = CalibrationWriter(path, sheet, threaded) if loaded.writable else None
+    return loaded.calibration, writer
 
 
 def as_built_of(namespace: argparse.Namespace) -> dict[str, float]:

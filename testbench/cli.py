@@ -43,6 +43,7 @@ MODULES = {
     "health": "health",
     "pace": "pace",
     "gearbox": "gearbox",
+    "calibration": "calibration",
     "captures": "captures",
     "study": "study",
 }

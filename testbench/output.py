@@ -34,6 +34,12 @@ def write_json(target: str, values: dict[str, Any]) -> None:
         raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
+def complain(line: str) -> None:
+    """A line on standard error, where it does not get into anybody's results."""
+    sys.stderr.write(line + "\n")
+    sys.stderr.flush()
+
+
 def console(json_target: str | None = None) -> Console:
     """Where people read: standard output, or standard error when JSON goes to standard output.
 

@@ -196,9 +196,14 @@ class Summary:
             return self.gap_known / self.known if self.known else None
         return self.gap / self.shifts if self.shifts else None
 
+    @property
+    def reference_known(self) -> float | None:
+        """Share of the shifts whose phase reference was known when the sleeve was fired."""
+        return self.known / self.shifts if self.shifts else None
+
     def to_json(self) -> dict[str, Any]:
         """Counts and figures by name."""
-        return vars(self) | {"gap_rate": self.gap_rate}
+        return vars(self) | {"gap_rate": self.gap_rate, "reference_known": self.reference_known}
 
 
 def summarise(strategy: str, rows: list[ShiftRow]) -> Summary:

@@ -11,6 +11,8 @@ import numpy as np
 
 from bus.core import Core
 from bus.settle import settle
+from controller.calibration import Calibration
+from controller.calibration_keeper import CalibrationKeeper, Keep
 from controller.core import ControllerCore
 from controller.header import RunHeader, new_header
 from controller.settings import ControllerSettings
@@ -47,11 +49,13 @@ class Setup:
     pairs: Pairs = UPSHIFTS
     as_built: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[ScheduledFault, ...] = ()
+    calibration: Calibration | None = None
+    """What the controller starts with."""
 
     @property
     def header(self) -> RunHeader:
         """The controller's run header."""
-        return new_header(product_version(), self.sheet, self.settings)
+        return new_header(product_version(), self.sheet, self.settings, self.calibration)
 
 
 @dataclass
@@ -66,6 +70,8 @@ class Result:
     stuck: list[int] = field(default_factory=list)
     as_built: dict[str, Any] | None = None
     """What was drawn for the rig; None for the preset thesis."""
+    cold_start: bool = True
+    """The controller started without a calibration."""
 
     def to_json(self, strategy: str) -> dict[str, Any]:
         """As `simulate --json` prints it."""
@@ -75,6 +81,7 @@ class Result:
             "estimation": self.estimation,
             "simulated_s": self.simulated_s,
             "bus_load": round(self.bus_load, 4),
+            "cold_start": self.cold_start,
             "provenance": self.provenance,
         } | ({} if self.as_built is None else {"as_built": self.as_built})
 
@@ -91,16 +98,22 @@ def tick_phases(seed: int) -> list[int]:
     return [int(phase) for phase in rng.integers(0, TICK_US, 3)]
 
 
+def _virtual_time(now_us: int) -> str:
+    return f"{now_us / 1e6:.2f} s of virtual time"
+
+
 def simulate(
     setup: Setup,
     on_frame: Callable[[int, Frame], None] | None = None,
     on_row: Callable[[ShiftRow], None] | None = None,
     on_event: Callable[[int, int, str], None] | None = None,
     monitor: Monitor | None = None,
+    keep: Keep | None = None,
 ) -> Result:
     """Runs all shifts. A function of `setup`: same setup, same frames, same rows.
 
-    `monitor` is one of the caller's making that hears more."""
+    `monitor` is one of the caller's making that hears more; `keep` gets the calibration whenever
+    the controller knows more, and at the end."""
     monitor = monitor or Monitor(setup.sheet, setup.settings)
     plan = plan_shifts(setup.sheet, list(setup.pairs), setup.shifts, LAYSHAFT_RAD_S)
     bench = BenchCore(plan)
@@ -125,7 +138,9 @@ def simulate(
                 on_row(row)
             reported = len(monitor.rows.rows)
 
-    cores: list[Core] = [ControllerCore(setup.header), rig, bench]
+    core = ControllerCore(setup.header)
+    controller = core if keep is None else CalibrationKeeper(core, keep, _virtual_time)
+    cores: list[Core] = [controller, rig, bench]
     filters = [
         frozenset[int](),
         not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
@@ -135,6 +150,7 @@ def simulate(
     settle()
     if plan:
         driver.run(lambda: bench.done, LIMIT_US_PER_SHIFT * len(plan))
+    controller.shutdown(driver.now_us)
     return Result(
         rows=monitor.rows.rows,
         estimation=monitor.estimation.figures(),
@@ -143,4 +159,5 @@ def simulate(
         bus_load=driver.bus.busy_us / max(1, driver.now_us),
         stuck=bench.gave_up,
         as_built=rig.as_built,
+        cold_start=setup.calibration is None,
     )

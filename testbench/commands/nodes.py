@@ -26,7 +26,7 @@ from testbench import arguments
 from testbench.describe import describe_rig
 from testbench.errors import CommandError
 from testbench.exits import Exit
-from testbench.output import folder_for
+from testbench.output import complain, folder_for
 from testbench.provenance import product_version
 from testbench.recording import recording, start_log
 
@@ -41,6 +41,7 @@ def add_parser(commands: Any) -> None:
     )
     arguments.add_gearbox(controller)
     arguments.add_controller(controller)
+    arguments.add_calibration(controller)
     controller.add_argument(
         "--header-dir",
         type=Path,
@@ -96,9 +97,9 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
 
 def run_controller_command(namespace: argparse.Namespace) -> int:
     """Runs the controller until a signal."""
-    header = new_header(
-        product_version(), arguments.sheet_of(namespace), arguments.settings_of(namespace)
-    )
+    sheet, settings = arguments.sheet_of(namespace), arguments.settings_of(namespace)
+    calibration, writer = arguments.calibration_of(namespace, sheet, threaded=True, tell=complain)
+    header = new_header(product_version(), sheet, settings, calibration)
     if namespace.header_dir is not None:
         header.save(folder_for(namespace.header_dir))
 
@@ -112,9 +113,13 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     _clock(namespace),
                     on_event=_printer(namespace),
                     stop=stop,
+                    keep=writer,
                 )
 
     run_loop(run())
+    unwritten = writer.close() if writer is not None else None
+    if unwritten is not None:
+        complain(unwritten)
     return Exit.DONE
 
 

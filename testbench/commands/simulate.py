@@ -6,13 +6,16 @@ import argparse
 from contextlib import ExitStack
 from typing import Any
 
+from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 
+from controller.calibration import Calibration
+from controller.calibration_keeper import CalibrationWriter, Keep
 from dbc.frame import Frame
 from rig_sim.settings import Preset
 from testbench import arguments
 from testbench.exits import Exit
-from testbench.output import check_json, console, rows_table, summary_table, write_json
+from testbench.output import check_json, complain, console, rows_table, summary_table, write_json
 from testbench.recording import start_log, written
 from testbench.report import (
     aim_rad,
@@ -40,6 +43,7 @@ def add_parser(commands: Any) -> None:
     arguments.add_rig(parser)
     arguments.add_gearbox(parser)
     arguments.add_controller(parser)
+    arguments.add_calibration(parser)
     arguments.add_shifts(parser, default=20, least=1)
     arguments.add_log(parser)
     arguments.add_json(parser)
@@ -50,6 +54,8 @@ def add_parser(commands: Any) -> None:
 def run(namespace: argparse.Namespace) -> int:
     """Runs it."""
     sheet, preset = arguments.sheet_of(namespace), Preset(namespace.preset)
+    calibration, writer = arguments.calibration_of(namespace, sheet, threaded=False, tell=complain)
+    unwritten: list[str] = []
     setup = Setup(
         sheet=sheet,
         settings=arguments.settings_of(namespace),
@@ -59,6 +65,7 @@ def run(namespace: argparse.Namespace) -> int:
         pairs=arguments.pairs_of(namespace, sheet, preset),
         as_built=arguments.as_built_of(namespace),
         faults=arguments.faults_of(namespace),
+        calibration=calibration,
     )
     out = console(namespace.json)
     check_json(namespace.json)
@@ -90,7 +97,7 @@ def run(namespace: argparse.Namespace) -> int:
         def on_row(_row: ShiftRow) -> None:
             progress.advance(task)
 
-        result = simulate(setup, on_frame, on_row)
+        result = simulate(setup, on_frame, on_row, keep=_keep(writer, unwritten))
     if collector is not None:
         write_report(namespace.report, _report(setup, result, collector))
     if namespace.json is not None:
@@ -98,15 +105,36 @@ def run(namespace: argparse.Namespace) -> int:
     if log is not None:
         out.print(f"log {written(log)}", markup=False)
     if namespace.json != "-":
-        out.print(rows_table(f"{setup.settings.strategy_name}, seed {setup.seed}", result.rows))
-        out.print()
-        out.print(summary_table([summarise(setup.settings.strategy_name, result.rows)]))
-        for name, figures in result.estimation.items():
-            out.print(
-                f"estimator {name}: angle RMS {figures['angle_rms_deg']} deg, "
-                f"speed RMS {figures['speed_rms_rpm']} rpm (simulated)"
-            )
-    return Exit.DONE if not result.stuck else Exit.FAILED
+        _show(out, setup, result)
+    return Exit.DONE if not (result.stuck or unwritten) else Exit.FAILED
+
+
+def _show(out: Console, setup: Setup, result: Result) -> None:
+    """Rows, summary and estimators as people read them."""
+    name = setup.settings.strategy_name
+    out.print(rows_table(f"{name}, seed {setup.seed}", result.rows))
+    out.print()
+    out.print(summary_table([summarise(name, result.rows)]))
+    for name, figures in result.estimation.items():
+        out.print(
+            f"estimator {name}: angle RMS {figures['angle_rms_deg']} deg, "
+            f"speed RMS {figures['speed_rms_rpm']} rpm (simulated)"
+        )
+
+
+def _keep(writer: CalibrationWriter | None, unwritten: list[str]) -> Keep | None:
+    """Writes, and says where that failed."""
+    if writer is None:
+        return None
+
+    def keep(learned: Calibration) -> str | None:
+        line = writer(learned)
+        if line is not None:
+            complain(line)
+            unwritten.append(line)
+        return line
+
+    return keep
 
 
 def _report(setup: Setup, result: Result, collector: ReportCollector) -> Report:

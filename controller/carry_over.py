@@ -1,0 +1,97 @@
+"""From a controller to its calibration and back: what it has learned, gathered and handed out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from controller.calibration import (
+    FORMAT,
+    Calibration,
+    End,
+    Provenance,
+    References,
+    WheelRecord,
+    Wheels,
+)
+from controller.header import RunHeader
+from controller.kinematics import wrap_to_pitch
+from controller.observer import Observer
+from controller.recall import Kept
+from controller.sleeve_delay import SleeveDelays
+from controller.tooth_match import Memory
+from gearbox.gears import MAIN_GEARS
+
+
+def restore(calibration: Calibration, observer: Observer, delays: SleeveDelays) -> None:
+    """Starts with what earlier runs learned. Teeth and phase references are memories until the
+    wheels show which tooth is which; the baseline estimators take the sleeve delays alone."""
+    delays.restore(calibration.sleeves)
+    recall = observer.recall
+    if recall is None:
+        return
+    if calibration.brake is not None:
+        observer.take_brake(calibration.brake)
+    wheels = calibration.wheels
+    recall.restore(
+        Kept(
+            _pattern(wheels.layshaft),
+            _pattern(wheels.main),
+            calibration.references.offsets_rad,
+        )
+    )
+
+
+def collect(
+    header: RunHeader, observer: Observer, delays: SleeveDelays, shifts: int, written: str
+) -> Calibration:
+    """What is known now, at a time that the caller says in `written`.
+
+    What this run cannot learn stays as it was read."""
+    before = header.calibration
+    earlier = before.provenance.shifts if before is not None else 0
+    provenance = Provenance(
+        header.version, header.sheet.name, header.sheet.sha256, written, earlier + shifts
+    )
+    sleeves = delays.records()
+    recall = observer.recall
+    if recall is None:
+        wheels = before.wheels if before is not None else Wheels()
+        references = before.references if before is not None else References()
+        brake = before.brake if before is not None else None
+    else:
+        kept = recall.kept()
+        wheels = Wheels(_record(kept.layshaft), _record(kept.main))
+        references = _references(kept, header.sheet.dog.pitch_rad)
+        brake = observer.brake.record()
+    return Calibration(
+        format_=FORMAT,
+        provenance=provenance,
+        wheels=wheels,
+        references=references,
+        brake=brake,
+        sleeves=sleeves,
+        end=End(complete=True),
+    )
+
+
+def _pattern(record: WheelRecord | None) -> Memory | None:
+    if record is None:
+        return None
+    return Memory(np.array(record.error_rad), record.sd_rad, record.edges)
+
+
+def _record(pattern: Memory | None) -> WheelRecord | None:
+    if pattern is None:
+        return None
+    errors = tuple(pattern.error_rad.tolist())
+    return WheelRecord(len(errors) // 2, pattern.edges, pattern.sd_rad, errors)
+
+
+def _references(kept: Kept, pitch_rad: float) -> References:
+    offsets = kept.offsets_rad
+    given = {
+        f"{gear.name.lower()}_rad": wrap_to_pitch(offsets[gear], pitch_rad)
+        for gear in MAIN_GEARS
+        if gear in offsets
+    }
+    return References(**given)

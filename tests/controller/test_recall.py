@@ -1,0 +1,301 @@
+"""Tooth patterns found again in another numbering, and the phase references that come with them.
+
+The wheels and the gearbox here are made: their true pattern, turn and angles are known.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from controller.kinematics import raw_phase_rad, wrap_to_pitch
+from controller.recall import Kept, Recall, turn_candidates
+from controller.reference import PhaseReferences
+from controller.settings import CrossingFilterTuning
+from controller.teeth import Found, WheelTeeth
+from controller.tooth_match import Memory, Seen, compare, turned
+from gearbox import GearboxSheet, MainGear, load_sheet
+from gearbox.gears import MAIN_GEARS
+from gearbox.sheet import Mesh
+
+DEG = math.pi / 180.0
+TURN = 2.0 * math.pi
+TEETH = 45
+EDGE_SD = 0.05 * DEG
+"""Of one look at an edge."""
+FREE_SD = 2.0 * DEG
+THESIS, TRUCK12 = load_sheet("thesis"), load_sheet("truck12")
+WHOLE = replace(
+    THESIS, main=replace(THESIS.main, crawl=Mesh(13, 48), first=Mesh(22, 48), second=Mesh(37, 48),
+                         third=Mesh(62, 48)),
+)  # fmt: skip
+"""Gears with as many teeth as their dog teeth: a turn of the layshaft moves them by whole ones."""
+
+
+def pattern(rng: np.random.Generator, sd_rad: float = 0.06 * DEG) -> np.ndarray:
+    errors = rng.normal(0.0, sd_rad, 2 * TEETH)
+    return errors - errors.mean()
+
+
+def seen(rng: np.random.Generator, errors: np.ndarray, looks: int) -> Seen:
+    """Equations of so many looks at each edge, the mean error not to be seen in them."""
+    weight = looks / EDGE_SD**2
+    normal = weight * (np.eye(2 * TEETH) - np.full((2 * TEETH, 2 * TEETH), 0.5 / TEETH))
+    means = errors + rng.normal(0.0, EDGE_SD / math.sqrt(looks), 2 * TEETH)
+    right = normal @ means
+    scatter = (2 * TEETH) * (looks - 1)
+    return Seen(normal, right, scatter + float(means @ right), 2.0 * TEETH * looks)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 1 << 30), teeth=st.integers(0, TEETH - 1), looks=st.integers(2, 10))
+def test_a_pattern_is_found_at_whatever_tooth_the_count_begins(
+    seed: int, teeth: int, looks: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    errors = pattern(rng)
+    memory = Memory(errors, 0.01 * DEG, 5000)
+    verdict = compare(memory, seen(rng, turned(errors, teeth), looks), FREE_SD, False)
+    assert verdict is not None
+    assert not verdict.stranger
+    assert verdict.certain
+    assert verdict.teeth == teeth
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 1 << 30), looks=st.integers(2, 10))
+def test_a_wheel_without_a_pattern_is_never_certain(seed: int, looks: int) -> None:
+    """What was learned of an ideal wheel is noise, and so is what is seen of it."""
+    rng = np.random.default_rng(seed)
+    memory = Memory(pattern(rng, 0.01 * DEG), 0.01 * DEG, 5000)
+    verdict = compare(memory, seen(rng, np.zeros(2 * TEETH), looks), FREE_SD, False)
+    assert verdict is not None
+    assert not verdict.certain
+    assert not verdict.stranger
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 1 << 30), looks=st.integers(2, 10))
+def test_another_wheel_is_never_taken_for_the_remembered_one(seed: int, looks: int) -> None:
+    rng = np.random.default_rng(seed)
+    memory = Memory(pattern(rng), 0.01 * DEG, 5000)
+    verdict = compare(memory, seen(rng, pattern(rng), looks), FREE_SD, False)
+    assert verdict is not None
+    assert not verdict.certain
+    assert verdict.stranger or looks < 4
+
+
+def test_less_than_two_turns_of_the_wheel_say_nothing() -> None:
+    rng = np.random.default_rng(1)
+    errors = pattern(rng)
+    few = seen(rng, errors, 2)._replace(edges=4.0 * TEETH - 1)
+    assert compare(Memory(errors, 0.01 * DEG, 1), few, FREE_SD, False) is None
+
+
+def test_missing_teeth_leave_one_turn_only() -> None:
+    """Then even a wheel without pattern errors has its numbers, and a stranger is seen as one."""
+    rng = np.random.default_rng(1)
+    nothing = np.zeros(2 * TEETH)
+    ideal = Memory(nothing, 0.01 * DEG, 1)
+    same = compare(ideal, seen(rng, nothing, 4), FREE_SD, True)
+    other = compare(ideal, seen(rng, pattern(rng), 4), FREE_SD, True)
+    assert same is not None
+    assert other is not None
+    assert (same.certain, same.teeth) == (True, 0)
+    assert other.stranger
+
+
+@dataclass
+class Box:
+    """True angles = counted ones + where counting began; whole turns of the layshaft count."""
+
+    sheet: GearboxSheet
+    layshaft_rad: float = 0.0
+    main_rad: float = 0.0
+    mounted_rad: float = 1.234
+
+    def offset(self, gear: MainGear) -> float:
+        """The reference of a gear in the present counting."""
+        ratio = self.sheet.main_mesh(gear).ratio
+        own = self.mounted_rad * (1.0 + gear)
+        return -raw_phase_rad(ratio, self.layshaft_rad, self.main_rad) - own
+
+    def agrees(self, references: PhaseReferences, gear: MainGear) -> bool:
+        """Whether a known reference is the true one."""
+        error = references.offsets_rad[gear] - self.offset(gear)
+        return abs(wrap_to_pitch(error, self.sheet.dog.pitch_rad)) < 1e-9
+
+
+class Bench:
+    """A recall with its wheels; the box is counted anew when a wheel's numbers are lost."""
+
+    def __init__(self, sheet: GearboxSheet) -> None:
+        tuning, wheels = CrossingFilterTuning(), sheet.wheels
+        self.box = Box(sheet)
+        self.references = PhaseReferences(sheet)
+        self.layshaft = WheelTeeth(wheels.layshaft.teeth, tuning)
+        self.main = WheelTeeth(wheels.main.teeth, tuning)
+        self.recall = Recall(sheet, self.references, self.layshaft, self.main)
+        self.events: list[str] = []
+
+    def restore(self, *gears: MainGear) -> None:
+        """As after a restart: all of these were known."""
+        memory = [Memory(np.zeros(2 * w), 1e-4, 1) for w in self._teeth]
+        offsets = {gear: self.box.offset(gear) for gear in gears}
+        self.recall.restore(Kept(memory[0], memory[1], offsets))
+
+    @property
+    def _teeth(self) -> tuple[int, int]:
+        wheels = self.box.sheet.wheels
+        return wheels.layshaft.teeth, wheels.main.teeth
+
+    def count_from(self, layshaft: int, main: int, turns: int = 0) -> None:
+        """Present tooth 0 is so many teeth and turns further on."""
+        sizes = self._teeth
+        self.box.layshaft_rad += layshaft * TURN / sizes[0] + turns * TURN
+        self.box.main_rad += main * TURN / sizes[1]
+
+    def find(self, layshaft: int | None, main: int | None) -> None:
+        for teeth, at in ((self.layshaft, layshaft), (self.main, main)):
+            if at is not None:
+                teeth.found, teeth.memory, teeth.learned = Found(at, 99.0), None, True
+        self.recall.look(self.events)
+
+    def learn(self, gear: MainGear, error_rad: float = 0.0) -> None:
+        self.references.adopt(gear, self.box.offset(gear) + error_rad)
+        self.recall.learned(gear, self.events)
+
+    def known(self) -> set[MainGear]:
+        """The known gears; each of them must be right."""
+        known = set(self.references.offsets_rad)
+        assert all(self.box.agrees(self.references, gear) for gear in known)
+        return known
+
+
+AT = st.tuples(st.integers(0, 42), st.integers(0, 44), st.integers(0, 10_000))
+
+
+@settings(max_examples=30, deadline=None)
+@given(at=AT)
+def test_gears_that_turns_move_by_whole_teeth_are_known_at_once(at: tuple[int, int, int]) -> None:
+    """As soon as both wheels were found, wherever counting began and however often they turned."""
+    bench = Bench(WHOLE)
+    bench.restore(*MAIN_GEARS)
+    bench.count_from(*at)
+    bench.find(at[0], None)
+    assert bench.known() == set()
+    bench.find(None, at[1])
+    assert bench.known() == set(MAIN_GEARS)
+
+
+@settings(max_examples=30, deadline=None)
+@given(at=AT)
+def test_first_tells_second_where_their_turns_have_a_common_factor(
+    at: tuple[int, int, int],
+) -> None:
+    """Of the thesis's box, first stands as before after 25 turns, second after 5, third after 31:
+    first or second tells nothing of third."""
+    assert [turn_candidates(THESIS, gear) for gear in MAIN_GEARS] == [17, 25, 5, 31]
+    bench = Bench(THESIS)
+    bench.restore(*MAIN_GEARS)
+    bench.count_from(*at)
+    bench.find(*at[:2])
+    assert bench.known() == set()
+    assert bench.recall.candidates(MainGear.SECOND) == 5
+    bench.learn(MainGear.SECOND)
+    assert bench.known() == {MainGear.SECOND}
+    assert bench.recall.candidates(MainGear.FIRST) == 5
+    assert bench.recall.candidates(MainGear.THIRD) == 31
+    # 25 candidates are closer than two learnings agree, but those left are not.
+    bench.learn(MainGear.FIRST)
+    assert bench.known() == {MainGear.FIRST, MainGear.SECOND}
+
+
+def test_coprime_gears_tell_nothing_of_each_other() -> None:
+    """All of truck12: hunting teeth keep each gear's phase to itself."""
+    bench = Bench(TRUCK12)
+    bench.restore(*MAIN_GEARS)
+    bench.count_from(3, 7, 11)
+    bench.find(3, 7)
+    assert bench.known() == set()
+    for known, gear in enumerate(MAIN_GEARS[:3], 1):
+        bench.learn(gear)
+        assert len(bench.known()) == known
+
+
+@pytest.mark.parametrize("sheet", [THESIS, TRUCK12], ids=lambda sheet: sheet.name)
+def test_a_main_shaft_that_stood_costs_no_reference(sheet: GearboxSheet) -> None:
+    """The layshaft has been counted all along, so the main shaft's pattern is enough: at every
+    stop of the truck with the engine running."""
+    bench = Bench(sheet)
+    for gear in MAIN_GEARS:
+        bench.learn(gear)
+    bench.main.learned = bench.layshaft.learned = True
+    bench.recall.lost(layshaft=False, main=True)
+    bench.main.lose_numbers()
+    assert bench.known() == set()
+    bench.count_from(0, 13)
+    bench.find(None, 13)
+    assert bench.known() == set(MAIN_GEARS)
+    # Once more, from the new numbering.
+    bench.recall.lost(layshaft=False, main=True)
+    bench.main.lose_numbers()
+    bench.count_from(0, 40)
+    bench.find(None, 40)
+    assert bench.known() == set(MAIN_GEARS)
+
+
+def test_numbers_lost_again_before_they_were_found_are_still_found() -> None:
+    bench = Bench(WHOLE)
+    bench.restore(*MAIN_GEARS)
+    bench.count_from(5, 6, 7)
+    bench.find(5, None)
+    bench.recall.lost(layshaft=True, main=False)
+    bench.layshaft.lose_numbers()
+    bench.count_from(8, 0, 9)
+    bench.find(8, 6)
+    assert bench.known() == set(MAIN_GEARS)
+
+
+def test_references_that_do_not_agree_with_a_gear_in_mesh_are_forgotten() -> None:
+    """Somebody took the gearbox apart: the one that was looked at is right, the others go."""
+    bench = Bench(WHOLE)
+    bench.restore(*MAIN_GEARS)
+    bench.find(0, 0)
+    bench.box.mounted_rad += 0.02
+    bench.learn(MainGear.SECOND)
+    assert bench.known() == {MainGear.SECOND}
+    assert any("do not agree" in line for line in bench.events)
+
+
+def test_a_wheel_that_was_exchanged_ends_the_wait_for_its_references() -> None:
+    bench = Bench(WHOLE)
+    bench.restore(*MAIN_GEARS)
+    bench.find(4, None)
+    bench.main.forget()
+    bench.recall.look(bench.events)
+    bench.main.memory = Memory(np.zeros(90), 1e-4, 1)
+    bench.find(None, 3)
+    assert bench.known() == set()
+
+
+def test_what_was_not_found_yet_is_kept_as_it_was() -> None:
+    """A run too short to find the teeth must not cost what earlier ones have learned."""
+    bench = Bench(THESIS)
+    bench.restore(*MAIN_GEARS)
+    offsets = dict(bench.recall.kept().offsets_rad)
+    assert set(offsets) == set(MAIN_GEARS)
+    bench.layshaft.error_rad = np.arange(90.0)
+    bench.layshaft.learned, bench.layshaft.memory = True, None
+    bench.layshaft.found = Found(7, 99.0)
+    bench.recall.look(bench.events)
+    kept = bench.recall.kept()
+    assert kept.offsets_rad == offsets
+    assert kept.layshaft is not None
+    # In the remembered numbering: present tooth 0 is its tooth 7.
+    assert kept.layshaft.error_rad[14] == 0.0
