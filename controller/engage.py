@@ -19,6 +19,9 @@ LET_GO_US: Final = 120 * MS
 STRAIGHT_US: Final = 22 * MS
 """A sleeve that goes straight into a gap is seen in mesh so long after contact."""
 
+SEEN_US: Final = 20 * MS
+"""A gear is in so long before it is seen to be, at most."""
+
 
 def engage(desk: ShiftDesk, moment: Moment) -> Trigger | None:
     """Until the gear is in, or rests on a tooth for too long."""
@@ -32,7 +35,8 @@ def engage(desk: ShiftDesk, moment: Moment) -> Trigger | None:
     if moment.view.main_gear is gear:
         contact_us = shift.measured_contact_us
         straight = contact_us is not None and moment.now_us - contact_us < STRAIGHT_US
-        desk.references.locked(gear, _flank_slip_rad_s(desk), straight)
+        struck_us = desk.free_us if straight else moment.now_us - SEEN_US
+        desk.references.locked(gear, _flank_slip_rad_s(desk, struck_us), straight)
         desk.end(moment, ShiftResult.ENGAGED, FaultCode.NONE)
         return Trigger.ENGAGED
     if _rests_on_a_tooth(desk, moment) or desk.late(moment, desk.settings.limits.engage_ms):
@@ -68,7 +72,7 @@ def _rests_on_a_tooth(desk: ShiftDesk, moment: Moment) -> bool:
     return not entered and rested_us > desk.settings.limits.face_ms * MS
 
 
-def _flank_slip_rad_s(desk: ShiftDesk) -> float:
+def _flank_slip_rad_s(desk: ShiftDesk, struck_us: int) -> float:
     """The slip that carried the tooth to its flank; 0 where its sign cannot be told.
 
     Slip falls while the layshaft is free. A positive one that is too small to cross the whole
@@ -76,8 +80,8 @@ def _flank_slip_rad_s(desk: ShiftDesk) -> float:
     outlook = desk.free_outlook
     if outlook is None:
         return 0.0
-    slip = outlook.slip_rad_s(desk.free_us)
-    later = outlook.slip_rad_s(desk.free_us + FALL_US)
+    slip = outlook.slip_rad_s(struck_us)
+    later = outlook.slip_rad_s(struck_us + FALL_US)
     if slip <= 0.0:
         return later
     fall_rad_s2 = (slip - later) / (FALL_US * 1e-6)

@@ -121,6 +121,8 @@ class PhaseReferences:
         """Whether teeth have been seen to move in their gaps."""
         self._stays = False
         """Whether one has been seen that did not."""
+        self._likely_rad: dict[MainGear, float] = {}
+        """Constants that hold if teeth lie where the slip carried them in this gearbox."""
 
     def known(self, gear: MainGear) -> bool:
         """Whether this gear's phase can be told."""
@@ -162,15 +164,24 @@ class PhaseReferences:
         )
         share = learning.moved_share(mean, dog.backlash_rad)
         self._moves = self._moves or (share is not None and abs(share) > CROSSED_SHARE)
+        self._stays = self._stays or share == 0.0
+        if not self._moves:
+            self._offset_rad = self._likely_rad | self._offset_rad
+        self._likely_rad.clear()
         self._offset_rad[gear] = mean - flank * dog.backlash_rad / 2.0
         self._learning = None
         return True
 
     def released(self) -> None:
         """The gear left the mesh, perhaps before it was learned."""
-        if self._learning is not None and self._learning.stayed(self._sheet.dog.backlash_rad):
-            self._stays = True
+        learning, backlash_rad = self._learning, self._sheet.dog.backlash_rad
         self._learning = None
+        if learning is None or not learning.stayed(backlash_rad):
+            return
+        self._stays = True
+        if learning.flank != 0:
+            mean = _mean(learning.seen)
+            self._likely_rad[learning.gear] = mean - learning.flank * backlash_rad / 2.0
 
     @property
     def offsets_rad(self) -> dict[MainGear, float]:
@@ -188,6 +199,7 @@ class PhaseReferences:
     def lose_all(self) -> None:
         """A wheel's count was lost: nothing is known any more."""
         self._offset_rad.clear()
+        self._likely_rad.clear()
         self._learning = None
 
     @property
