@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 from free_layshaft import US, flow_pa_s, law_array
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
@@ -114,3 +114,38 @@ def test_within_a_segment_the_transition_is_the_matrix_exponential(
     grown = f @ mixed @ mixed.T @ f.T
     assert ours.covariance is not None
     assert np.all(np.abs(ours.covariance / np.outer(unit, unit) - grown) <= 1e-9 * np.trace(grown))
+
+
+@settings(deadline=None, max_examples=40, derandomize=True)
+@example(rates=(2.0, 1e-3, 2.0), b=2.0, span_us=20_000, share=0)  # equal rates
+@given(
+    rates=st.tuples(st.floats(0.0, 2.0), st.floats(1e-5, 1e-3), st.floats(2.0, 100.0)),
+    b=st.floats(2.0, 40.0),
+    span_us=st.integers(100, 60_000),
+    share=st.integers(0, 2),
+)
+def test_noise_grows_the_covariance_as_van_loans_integral_does(
+    rates: tuple[float, float, float], b: float, span_us: int, share: int
+) -> None:
+    """One noise at a time, from a state that is known: within 2 % of each standard deviation, and
+    of the correlations."""
+    a, g, b_d = rates
+    driven = (3, 2, 5)[share]
+    noise = QUIET.copy()
+    noise[(0, 1, 3)[share]] = 7.0
+    model = MotionModel(np.array(rates), law_array(law=(((b, b * SUPPLY_PA),),) * 2), noise)
+    known = LayshaftState(0.0, 0.0, 150.0, SUPPLY_PA, covariance=np.zeros((6, 6)))
+    grown = predict_spread(known, float(span_us), (np.empty(0), np.empty(0)), model).covariance
+    flow, drive = np.zeros((6, 6)), np.zeros((6, 6))
+    flow[0, 1] = 1.0
+    flow[1, [1, 2, 3, 5]] = -a, -g, 1.0, 1.0
+    flow[2, 2], flow[3, 3] = -b, -b_d
+    drive[driven, driven] = 7.0
+    whole = expm(np.block([[-flow, drive], [np.zeros((6, 6)), flow.T]]) * span_us * US)
+    exact = whole[6:, 6:].T @ whole[:6, 6:]
+    moved = [0, 1, driven]
+    assert grown is not None
+    sd, ours_sd = np.sqrt(np.diag(exact)[moved]), np.sqrt(np.diag(grown)[moved])
+    assert np.allclose(ours_sd, sd, rtol=0.02)
+    ours, theirs = grown[np.ix_(moved, moved)], exact[np.ix_(moved, moved)]
+    assert np.allclose(ours / np.outer(sd, sd), theirs / np.outer(sd, sd), atol=0.04)
