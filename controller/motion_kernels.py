@@ -56,7 +56,7 @@ Q_DRAG: Final = 3
 
 US: Final = 1e-6
 LONGEST_S: Final = 5e-3
-"""Within this step the process noise of `spread_over` is good to 1 %."""
+"""Within this step the process noise of `spread_over` is good to 2 %."""
 CLOSE: Final = 1e-6
 
 
@@ -133,9 +133,9 @@ def transition(x: Vector, dt: float, u: int, motion: Vector, law: Vector, f: Vec
 def spread_over(p: Vector, dt: float, f: Vector, motion: Vector, noise: Vector, x: Vector) -> None:
     """Covariance prediction P = F P F' + Q, in place; p (6, 6), its upper half; f of `transition`.
 
-    Q is Van Loan's integral with the fading of pressure and disturbance in it: with e = e^(-b dt) and
-    phi = (1 - e) / b the variance phi (1 + e) / 2, that with omega phi^2 / 2, that of omega, dt phi
-    (phi + dt) / 6, and so on; within 1 % of the standard deviations up to 5 ms. Written out: a loop
+    Q is Van Loan's integral with the fading of pressure and disturbance in it: with e = e^(-b dt)
+    and phi = (1 - e) / b the variance phi (1 + e) / 2, that with omega phi^2 / 2, that of omega
+    dt phi (phi + dt) / 6, and so on; standard deviations within 2 % up to 5 ms. Written out: a loop
     over six states costs twice as much."""
     a1, a2, a3, a4, a5 = f[0, 1], f[0, 2], f[0, 3], f[0, 4], f[0, 5]
     b1, b2, b3, b4, b5 = f[1, 1], f[1, 2], f[1, 3], f[1, 4], f[1, 5]
