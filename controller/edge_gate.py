@@ -64,7 +64,8 @@ SEARCHED: Final = 19
 WIDEST: Final = 20
 """The widest gap of the wheel, pitches."""
 DRAGGED: Final = 21
-"""1 while a synchroniser drags the shaft to another speed."""
+"""1 while a synchroniser drags the shaft to another speed: none tells where an edge is due then, so
+each edge is taken for the next one."""
 COUNTS: Final = 22
 
 SEEKING, SEARCHING, COUNTING = range(3)
@@ -153,9 +154,9 @@ def judge(counts: Integers, floats: Floats, advance: Integers, time_us: int, fal
     if advance.size > 1 and floats[SCATTER] > CLEAN:
         # Missing teeth show every turn whether an erratic count was right.
         reach += WIDER * (floats[SCATTER] - CLEAN) * expected
-    if error < -reach:
+    if error < -reach and counts[DRAGGED] == 0:
         return WRONG
-    if error <= reach:
+    if error <= reach or counts[DRAGGED] == 1:
         return RIGHT
     return judge_late(counts, floats, advance, time_us, falling)
 
@@ -418,7 +419,9 @@ def weigh(
     at = counts[NEXT + falling]
     time_us = own_us[at]
     verdict = judge(counts, floats, advance, time_us, falling)
-    if verdict != RIGHT or abs(floats[ERROR]) < SURE + SURE_SCATTERS * floats[SCATTER]:
+    if verdict != RIGHT or counts[DRAGGED] == 1:
+        return verdict
+    if abs(floats[ERROR]) < SURE + SURE_SCATTERS * floats[SCATTER]:
         return verdict
     if at + 1 < owns:
         return WRONG if is_nearer(counts, floats, own_us[at + 1], falling) else RIGHT

@@ -86,7 +86,7 @@ class Observer:
         self._lost = (0, 0, 0)
         self._split_us = self._range_us = -DRAGGED_US
         """When splitter and range were last between their steps."""
-        self._dragged = False
+        self._dragged = self._main_dragged = False
 
     def take_brake(self, record: BrakeRecord) -> None:
         """The brake as earlier runs have learned it."""
@@ -120,6 +120,9 @@ class Observer:
         self._lose_what_broke(events)
         self._see_whether_free(events)
         self._main.edges(main)
+        if self._main_dragged:
+            # No filter for a vehicle's motion follows cones that take 400 rpm in 20 ms.
+            self._main.lose_speed()
         self.layshaft.edges(layshaft, pressures)
         if self.recall is not None:
             self.recall.look(events)
@@ -134,7 +137,7 @@ class Observer:
         main = now_us - self._range_us < DRAGGED_US
         self._layshaft_wheel.set_dragged(layshaft)
         self._main_wheel.set_dragged(main)
-        self._dragged = layshaft or main
+        self._main_dragged, self._dragged = main, layshaft or main
 
     def _sensors(self, sensors: list[GearboxSensors], now_us: int) -> Pressures:
         """Clutch, air supply, and the brake's pressure, gauge."""

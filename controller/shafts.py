@@ -84,6 +84,10 @@ class CruiseTracker:
         self._seed = WindowSpeed()
         self._running = False
 
+    def lose_speed(self) -> None:
+        """Starts anew with the edges to come; teeth keep their numbers."""
+        self.restart()
+
     def restart(self) -> None:
         """Starts anew from the edges to come; after a jump in speed or lost teeth."""
         self._running = False

@@ -253,16 +253,28 @@ class ShiftingSleeve:
         self.side = side
         self.jammed = False
         self.arrival_us = NEVER_US
+        self.baulked = False
+        """Held at the cones until both sides have one speed."""
         self._stroke = resting(0.0, side * actuator.stroke_m)
 
-    def change_over(self, time_us: float, side: int, delay_s: float) -> None:
-        """Move to this side; arrives exactly delay_s later."""
-        self.side = side
+    def change_over(self, time_us: float, side: int, delay_s: float, baulked: bool = False) -> None:
+        """Move to this side; arrives exactly delay_s later: there, or `baulked` at the cones on the
+        way, where it stays until `go_in`."""
+        self.side, self.baulked = side, baulked
         self.arrival_us = time_us + delay_s * SECOND_US
         start_us = time_us + self._actuator.valve_delay_s * SECOND_US
-        stroke_m = self._actuator.stroke_m
+        way_m = self._actuator.to_contact_m if baulked else self._actuator.stroke_m
         from_m = self._stroke.at(time_us)
-        self._stroke = Stroke(time_us, start_us, self.arrival_us, from_m, side * stroke_m, 2)
+        self._stroke = Stroke(time_us, start_us, self.arrival_us, from_m, side * way_m, 2)
+
+    def go_in(self, time_us: float) -> None:
+        """The cones hold: nothing keeps a baulked sleeve from its teeth any more."""
+        if not self.baulked or self.arrival_us != NEVER_US:
+            return
+        self.baulked = False
+        from_m, to_m = self._stroke.at(time_us), self.side * self._actuator.stroke_m
+        end_us = time_us + abs(to_m - from_m) / self._actuator.speed_m_s * SECOND_US
+        self._stroke = Stroke(time_us, time_us, end_us, from_m, to_m, 1)
 
     def arrive(self) -> None:
         """The other side has been reached."""

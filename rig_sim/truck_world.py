@@ -235,6 +235,10 @@ class TruckWorld:
             self.engagement.left(event - at.LEFT_BOTTOM, -1)
         else:
             self.engagement.left(event - at.LEFT_TOP, 1)
+        if self.engagement.scripted:
+            # The bench moves the shafts: there is nothing left for the cones to do.
+            self.script.splitter.go_in(time_us)
+            self.script.range_.go_in(time_us)
         self.script.watch()
         self.engine.settle()
 
@@ -253,6 +257,9 @@ class TruckWorld:
             self.clutch.grips()
         elif slot in (at.CONE_SPLITTER, at.CONE_RANGE):
             self.plant.cone_holds(slot)
+            splits = slot == at.CONE_SPLITTER
+            sleeve = self.script.splitter if splits else self.script.range_
+            sleeve.go_in(self.plant.time_us)
         else:
             self.engagement.no_slip(slot)
 
@@ -300,6 +307,6 @@ class TruckWorld:
             self.engagement.lines.append((self.plant.time_us, text))
             return
         delay_us = self.sheet.sleeve.valve_delay_s * SECOND_US
-        sleeve.change_over(self.plant.time_us, side, self.delays.draw_s())
+        sleeve.change_over(self.plant.time_us, side, self.delays.draw_s(), baulked=True)
         self.plant.take_air(self.delays.air_share())
         self.later(delay_us, partial(self.plant.chain.open, LINK_OF[name]))

@@ -33,6 +33,8 @@ CHUNK: Final = 10
 """Shifts a job."""
 CASES: Final = {"matched": False, "as_built": True}
 OURS: Final = "crossing_learned"
+SHOWN: Final = (0.5, 200.0)
+"""Ends of the picture's scale, in bounds."""
 COLUMNS: Final = (
     "angle_rms_deg",
     "speed_rms_rpm",
@@ -155,17 +157,19 @@ def _chart(rows: Mapping[str, list[dict[str, Any]]]) -> Chart:
     places = list(range(1, len(NAMES) + 1))
     panels = tuple(
         Panel(
-            title,
+            f"{title}, over the bound",
             tuple(
-                Line(case.replace("_", " "), places, [row[key] for row in rows[case]], Style.JOINED)
+                Line(case.replace("_", " "), places, [row[key] for row in rows[case]], Style.BARS)
                 for case in CASES
             ),
+            {"bound": 1.0},
+            y_range=SHOWN,
             log_y=True,
         )
         for key, title in (
-            ("angle_rms_deg", "angle, deg RMS"),
-            ("speed_rms_rpm", "speed, rpm RMS"),
-            ("predict45_pct_of_pitch", "45 ms ahead, % of a pitch"),
+            ("angle_over_bound", "angle RMS"),
+            ("speed_over_bound", "speed RMS"),
+            ("predict45_over_bound", "angle 45 ms ahead"),
         )
     )
     names = tuple(name.replace("_", " ") for name in NAMES)

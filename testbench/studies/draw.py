@@ -145,8 +145,12 @@ def _log_ticks(axis: Any, ends: tuple[float, float] | None) -> None:
 
 
 def _draw_panel(axis: Any, panel: Panel, colour_of: dict[str, str]) -> None:
+    bars = [line for line in panel.lines if line.style is Style.BARS]
     for line in panel.lines:
-        _draw_line(axis, line, colour_of[line.name])
+        if line.style is Style.BARS:
+            _draw_bars(axis, line, colour_of[line.name], bars.index(line), len(bars))
+        else:
+            _draw_line(axis, line, colour_of[line.name])
     for name, level in panel.levels.items():
         axis.axhline(level, color=GREY, lw=0.9, ls="-.")
         axis.annotate(
@@ -168,12 +172,15 @@ def _draw_panel(axis: Any, panel: Panel, colour_of: dict[str, str]) -> None:
     axis.legend(loc="best", fontsize="x-small")
 
 
+def _draw_bars(axis: Any, line: Line, colour: str, place: int, count: int) -> None:
+    """Bars of several lines of a panel stand side by side."""
+    x = np.asarray(line.x, dtype=np.float64)
+    width = (0.9 * float(np.min(np.diff(x))) if x.size > 1 else 1.0) / count
+    beside = (place - 0.5 * (count - 1)) * width
+    axis.bar(x + beside, line.y, width=width, color=colour, alpha=0.6, label=line.name)
+
+
 def _draw_line(axis: Any, line: Line, colour: str) -> None:
-    if line.style is Style.BARS:
-        x = np.asarray(line.x, dtype=np.float64)
-        width = 0.9 * float(np.min(np.diff(x))) if x.size > 1 else 1.0
-        axis.bar(x, line.y, width=width, color=colour, alpha=0.6, label=line.name)
-        return
     styles: dict[Style, dict[str, Any]] = {
         Style.LINE: {"ls": "-"},
         Style.DASHED: {"ls": "--"},

@@ -223,6 +223,23 @@ def test_the_splitter_s_valve_changes_the_step_through_its_cone() -> None:
     assert truck.plant.layshaft_rad_s < before
 
 
+def test_a_splitter_sleeve_is_baulked_until_its_cones_hold() -> None:
+    """Its position sensor must not say that the step is in while the speeds still differ."""
+    truck = opened({"clutch.kiss": 1.0, "synchro.splitter_nm": 40.0})
+    truck._at(1000.0, lambda: truck._switch(Valve.SPLIT_LOW, True))
+    low, differed = SHEET.splitter.low.ratio, 0
+    for now_us in range(0, 800_000, 5_000):
+        run(truck, now_us)
+        y = truck.plant.y
+        apart = abs(low * y[at.SPEED + at.INPUT] - y[at.SPEED + at.LAYSHAFT]) > 1.0 * RPM
+        position_m = truck.script.splitter.position_m(now_us)
+        if apart and position_m < 0.0:
+            differed += 1
+            assert position_m >= -SHEET.sleeve.to_contact_m
+    assert differed > 10
+    assert truck.script.splitter.position_m(800_000) == -SHEET.sleeve.stroke_m
+
+
 def test_a_loaded_sleeve_stays_until_the_torque_goes() -> None:
     truck = world(nominal() | {"vehicle.slope_percent": 8.0, "sleeve.back_taper_deg": 5.0}, seed=2)
     for now_us in range(0, 900_000, 10_000):
