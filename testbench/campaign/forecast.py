@@ -129,6 +129,8 @@ class Branch:
         slip, phase = np.array(path.slip), np.array(path.phase)
         self.slip: Floats = slip - slip[0]
         self.phase: Floats = phase - phase[0] - slip[0] * SAMPLE_S * np.arange(BRANCH_SAMPLES)
+        self.slip_list: list[float] = self.slip.tolist()
+        self.phase_list: list[float] = self.phase.tolist()
 
 
 class Forecast:
@@ -171,12 +173,31 @@ class Forecast:
         return self._path(self._switches(times, states)).at(time_us - self._offset_us)
 
     def after_release(self, times: Floats, states: Floats, time_us: float) -> tuple[float, float]:
-        """The same for switches of which the last is a release that may be moved."""
+        """The same for switches of which the last is a release that may be moved.
+
+        What `course` has for this one time, to the bit: a root is looked for one time after the
+        other, where arrays of one cost several times the arithmetic."""
         switches = self._switches(times, states)
+        own_us = float(time_us) - self._offset_us
         if not switches:
-            return self.at(times, states, time_us)
-        phase, slip = self.course(times, states, np.array([time_us]), True)
-        return float(phase[0]), float(slip[0])
+            return self._path(switches).at(own_us)
+        path, release_us = self._trunk(switches)
+        if own_us <= release_us:
+            return path.at(own_us)
+        phase0, slip0 = path.at(release_us)
+        after_us = own_us - release_us
+        index = int(min(after_us // SAMPLE_US, BRANCH_SAMPLES - 2))
+        first, second, share = self._neighbours(switches[:-1], path, release_us)
+        slip, after = (
+            first.slip_list[i] + share * (second.slip_list[i] - first.slip_list[i])
+            for i in (index, index + 1)
+        )
+        turned = first.phase_list[index]
+        turned += share * (second.phase_list[index] - turned)
+        after_s = (after_us - SAMPLE_US * index) * 1e-6
+        fall = (after - slip) / SAMPLE_S
+        turned += (slip + fall * after_s / 2.0) * after_s
+        return phase0 + slip0 * after_us * 1e-6 + turned, slip0 + (slip + fall * after_s)
 
     def course(
         self, times: Floats, states: Floats, at_us: Floats, is_released: bool
@@ -223,17 +244,23 @@ class Forecast:
         return path
 
     def _curve(self, trunk: Switches, path: Path, release_us: float) -> tuple[Floats, Floats]:
-        filled_us = (trunk[-1][0] if trunk else path.start_us) + FILLING_US
-        apart = COARSE if release_us > filled_us else 1
-        place = (release_us - path.start_us) / (SAMPLE_US * apart)
-        node = int(place)
-        share = place - node
-        first = self._branch(trunk, path, apart * node)
-        second = self._branch(trunk, path, apart * (node + 1))
+        first, second, share = self._neighbours(trunk, path, release_us)
         return (
             first.slip + share * (second.slip - first.slip),
             first.phase + share * (second.phase - first.phase),
         )
+
+    def _neighbours(
+        self, trunk: Switches, path: Path, release_us: float
+    ) -> tuple[Branch, Branch, float]:
+        """The branches before and after a release, and how far on it is from one to the other."""
+        filled_us = (trunk[-1][0] if trunk else path.start_us) + FILLING_US
+        apart = COARSE if release_us > filled_us else 1
+        place = (release_us - path.start_us) / (SAMPLE_US * apart)
+        node = int(place)
+        first = self._branch(trunk, path, apart * node)
+        second = self._branch(trunk, path, apart * (node + 1))
+        return first, second, place - node
 
     def _branch(self, trunk: Switches, path: Path, sample: int) -> Branch:
         branch = self._branches.get((trunk, sample))

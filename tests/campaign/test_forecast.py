@@ -1,0 +1,52 @@
+"""The plant run ahead for the oracle: one time or many, it is the same forecast."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gearbox import MainGear, load_sheet
+from rig_sim.core import RigCore
+from rig_sim.settings import Preset, RigSettings
+from testbench.campaign.forecast import Forecast
+
+CLOCK_START_US = 1_234
+
+
+@pytest.fixture(scope="module")
+def forecast() -> tuple[Forecast, float]:
+    """Of a truck in its old gear, and the instant it begins at."""
+    sheet = load_sheet("truck12")
+    rig = RigCore(sheet, RigSettings(preset=Preset.TRUCK, seed=5))
+    plant = rig.truth.plant
+    assert plant is not None
+    plant.coast()
+    start = plant.snapshot()
+    ahead = Forecast(plant, start, MainGear.THIRD, sheet.dog.pitch_rad, CLOCK_START_US)
+    return ahead, start.time_us + CLOCK_START_US
+
+
+@given(
+    on_ms=st.floats(0.0, 40.0),
+    braked_ms=st.floats(1.0, 380.0),
+    after_ms=st.floats(-30.0, 300.0),
+    is_released=st.booleans(),
+)
+def test_one_time_alone_is_forecast_as_among_many(
+    forecast: tuple[Forecast, float],
+    on_ms: float,
+    braked_ms: float,
+    after_ms: float,
+    is_released: bool,
+) -> None:
+    ahead, start_us = forecast
+    # whole steps of 20 ms: each brake command of its own is a plant run of its own
+    on_us = start_us + 1_000.0 * round(on_ms / 20.0) * 20
+    release_us = on_us + 1_000.0 * braked_ms
+    times = np.array([on_us, release_us]) if is_released else np.array([release_us])
+    states = np.array([1.0, 0.0]) if is_released else np.array([0.0])
+    at_us = max(start_us, release_us + 1_000.0 * after_ms)
+    many = ahead.course(times, states, np.array([at_us, at_us + 5_000.0]), True)
+    assert ahead.after_release(times, states, at_us) == (many[0][0], many[1][0])
