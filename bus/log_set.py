@@ -10,11 +10,10 @@ import re
 from collections.abc import Iterable, Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import can
 
+from bus.closing import Closing
 from bus.logs import FORMATS, EmptyLogError, LogError, read_log
 from bus.recorder import FLUSH_EVERY_S, LogWriter
 from dbc.frame import Frame
@@ -25,7 +24,7 @@ _DATED_ENDING = ".log"
 _PART_DIGITS = 3
 
 
-class RotatingLog:
+class RotatingLog(Closing):
     """Writes a log in parts, none larger than `max_bytes`; the same use as a LogWriter.
 
     path: `run.blf` makes `run_001.blf`, `run_002.blf` ... Parts of an earlier log of that name are
@@ -79,17 +78,6 @@ class RotatingLog:
     def close(self) -> None:
         """Completes the last part."""
         self._log.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _make_room(self) -> None:
         if self._log.frames and not self._log.has_room(self._max_bytes):

@@ -7,12 +7,12 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Protocol, Self, TextIO
+from typing import Protocol, TextIO
 
 import can
 
 from bus.clock import US_PER_S, Clock
+from bus.closing import Closing
 from bus.core import Step
 from bus.driver import OnEvent, OpenBus, run_node
 from bus.logs import FORMATS, LogError
@@ -36,7 +36,7 @@ _MAX_UNFLUSHED = _BUFFER_BYTES // _LONGEST_LINE_BYTES
 _Writer = can.CanutilsLogWriter | can.ASCWriter | can.BLFWriter
 
 
-class LogWriter:
+class LogWriter(Closing):
     """Writes one log; its format is told by its ending (`bus.logs.FORMATS`). A file that is there
     is replaced.
 
@@ -127,17 +127,6 @@ class LogWriter:
         """Completes the log."""
         with self._errors():
             self._writer.stop()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def _is_flush_due(self, now_s: float) -> bool:
         if self._flush_every_s is None:

@@ -99,14 +99,15 @@ def add_controller(parser: argparse.ArgumentParser, strategy: bool = True) -> No
     parser.add_argument(
         "--estimator",
         choices=tuple(ESTIMATOR_NAMES),
-        help="layshaft estimator: the thesis's Kalman filter or the 10 ms window speed of today",
+        help="layshaft estimator: window, the 10 ms window speed of today; thesis, its Kalman "
+        "filter; crossing, a filter on the time of each edge (default)",
     )
     if strategy:
         parser.add_argument(
             "--strategy",
             choices=tuple(STRATEGY_NAMES),
             help="speed_window: fire when the slip is inside its window, as is done today; "
-            "speed_window_anticipating: so that it is at contact; "
+            "speed_window_anticipating: fire ahead, so that the slip is small at contact; "
             "target_phase: fire so that tooth meets gap (default)",
         )
 
@@ -143,7 +144,7 @@ def add_preset(parser: argparse.ArgumentParser) -> None:
         choices=tuple(preset.value for preset in Preset),
         default=Preset.TRUCK.value,
         help="physics of the rig: truck, a gearbox with friction, backlash and impacts, drawn from "
-        "the seed; thesis, its equations 4.1-4.17 to the letter (default: %(default)s)",
+        "the seed; thesis, the thesis's equations 4.1-4.17 to the letter (default: %(default)s)",
     )
 
 
@@ -164,7 +165,7 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
         type=whole(0, 2**63 - 1),
         default=1,
         metavar="N",
-        help="draws all start angles and delays (default: 1)",
+        help="draws start angles and delays, in the preset truck also every part (default: 1)",
     )
 
 

@@ -15,8 +15,8 @@ from testbench.rows import ShiftRow, Summary
 
 WIDTH_WITHOUT_TERMINAL = 130
 COLUMNS = (
-    "from", "to", "strategy", "reference", "duration ms", "slip rpm", "phase error deg",
-    "% of pitch", "contact", "attempts", "result",
+    "from", "to", "strategy", "reference", "duration\nms", "slip\nrpm", "phase\nerror\ndeg",
+    "% of\npitch", "contact", "tries", "result",
 )  # fmt: skip
 
 
@@ -97,11 +97,18 @@ def cells(row: ShiftRow) -> list[str]:
 
 
 def rows_table(title: str, rows: list[ShiftRow]) -> Table:
-    """One row a shift."""
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    """One row a shift, in a terminal of 80 columns too: a name too long for it is folded."""
+    table = Table(
+        title=title, title_justify="left", box=None, pad_edge=False, collapse_padding=True
+    )
     for column in COLUMNS:
         right = column not in ("strategy", "reference", "contact", "result")
-        table.add_column(column, justify="right" if right else "left", no_wrap=True)
+        table.add_column(
+            column,
+            justify="right" if right else "left",
+            no_wrap=column not in ("strategy", "result"),
+            overflow="fold",
+        )
     for row in rows:
         table.add_row(*cells(row))
     return table

@@ -42,7 +42,8 @@ def run(namespace: argparse.Namespace) -> int:
     """Prints the table."""
     if not namespace.folder.is_dir():
         raise CommandError(f"{namespace.folder}: not a folder; allowed is a folder of captures")
-    rows = capture_rows(namespace.folder)
+    with console("-").status("reading captures"):
+        rows = capture_rows(namespace.folder)
     if namespace.json is not None:
         write_json(namespace.json, {"captures": [row.to_json() for row in rows]})
     if namespace.json != "-":

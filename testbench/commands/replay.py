@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+
+from rich.progress import Progress, SpinnerColumn, TextColumn
 
 from bus.log_set import log_files, read_logs
 from bus.logs import LogError
@@ -17,6 +19,7 @@ from dbc.link import Receiver
 from dbc.messages import ReferenceEngagement, ShiftOutcome
 from dbc.node import Node
 from testbench import arguments
+from testbench.counterfactual import Counterfactuals, counterfactual_table
 from testbench.exits import Exit
 from testbench.output import console, rows_table, write_json
 from testbench.replay import LogReplay, Session, Verification
@@ -25,6 +28,7 @@ from testbench.report_collect import MADE, ReportCollector
 from testbench.report_run import Report, Run
 from testbench.rows import RowCollector, ShiftRow
 
+TELL_FRAMES = 500
 EXIT_OF = {
     Verification.IDENTICAL: Exit.DONE,
     Verification.DIFFERS: Exit.FAILED,
@@ -56,7 +60,8 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--strategy",
         choices=tuple(STRATEGY_NAMES),
-        help="what another strategy would have commanded on the same frames",
+        help="what another strategy would have commanded on the same frames: when it fires, and "
+        "the phase it then expects, beside what was recorded",
     )
     parser.add_argument("--header-dir", type=Path, metavar="DIR", help="where the run headers are")
     arguments.add_json(parser)
@@ -67,9 +72,10 @@ def add_parser(commands: Any) -> None:
 class _Log:
     """The log's frames; remembers the defect that ended it early."""
 
-    def __init__(self, files: list[Path], rows: _Rows) -> None:
+    def __init__(self, files: list[Path], rows: _Rows, tell: Callable[[int], None]) -> None:
         self._files = files
         self._rows = rows
+        self._tell = tell
         self.defect: LogError | None = None
         self.frames = 0
 
@@ -78,6 +84,8 @@ class _Log:
             for _, frame in read_logs(self._files):
                 self.frames += 1
                 self._rows.logged(frame)
+                if self.frames % TELL_FRAMES == 0:
+                    self._tell(self.frames)
                 yield frame
         except LogError as error:
             if not self.frames:
@@ -86,10 +94,12 @@ class _Log:
 
 
 class _Rows:
-    """Rows from the replayed controller's outcomes beside the logged truth."""
+    """Rows from the replayed controller's outcomes beside the logged truth; with another strategy
+    beside the logged commands, since that truth came of those."""
 
-    def __init__(self, for_report: bool = False) -> None:
+    def __init__(self, for_report: bool = False, other: bool = False) -> None:
         self._for_report = for_report
+        self.counterfactuals = Counterfactuals() if other else None
         self._logged = Receiver(*Node)
         self._made = Receiver(Node.BENCH)
         self._collector: RowCollector | None = None
@@ -101,7 +111,10 @@ class _Rows:
     def logged(self, frame: Frame) -> None:
         """A frame of the log: rows use the truth of it, a report all but the controller's."""
         message = self._logged.receive(frame).message
-        if isinstance(message, ReferenceEngagement):
+        if self.counterfactuals is not None:
+            if isinstance(message, ShiftOutcome):
+                self.counterfactuals.recorded(message)
+        elif isinstance(message, ReferenceEngagement):
             self._truth.append(message)
         if self.report is not None and message is not None and not isinstance(message, MADE):
             self.report.take(message)
@@ -124,6 +137,8 @@ class _Rows:
                 self._collector.take(truth)
             self._truth.clear()
             self._collector.take(message)
+            if self.counterfactuals is not None:
+                self.counterfactuals.made(message)
         if self.report is not None and isinstance(message, MADE):
             self.report.take(message)
 
@@ -138,7 +153,7 @@ def run(namespace: argparse.Namespace) -> int:
     other = namespace.strategy
     files = log_files(namespace.log)
     check_report(namespace.report)
-    rows = _Rows(namespace.report is not None)
+    rows = _Rows(namespace.report is not None, other is not None)
 
     def change(header: RunHeader) -> RunHeader:
         rows.start(header)
@@ -158,11 +173,18 @@ def run(namespace: argparse.Namespace) -> int:
         rows.made,
         lambda time_us, line: events.append((time_us, line)),
     )
-    log = _Log(files, rows)
-    sessions = replay.run(log)
+    with Progress(
+        SpinnerColumn(),
+        TextColumn("replaying {task.completed} frames"),
+        console=console("-"),
+        transient=True,
+    ) as progress:
+        task = progress.add_task("frames", total=None)
+        log = _Log(files, rows, lambda frames: progress.update(task, completed=frames))
+        sessions = replay.run(log)
     if log.defect is not None:
         _end_early(sessions[-1], log.defect)
-    _show(namespace, out, files, sessions, rows.rows, events)
+    _show(namespace, out, files, sessions, rows, events)
     if namespace.report is not None:
         _report(namespace, out, files, sessions, rows)
     return _exit_code(sessions, namespace.verify)
@@ -189,23 +211,27 @@ def _show(
     out: Any,
     files: list[Path],
     sessions: list[Session],
-    rows: list[ShiftRow],
+    rows: _Rows,
     events: list[tuple[int, str]],
 ) -> None:
+    pairs = rows.counterfactuals.pairs() if rows.counterfactuals else None
     if namespace.json is not None:
-        write_json(
-            namespace.json,
-            {
-                "log": str(namespace.log[0]),
-                "logs": [str(path) for path in files],
-                "sessions": [_session_json(session) for session in sessions],
-                "shifts": [row.to_json() for row in rows],
-                "events": [{"time_us": time_us, "event": line} for time_us, line in events],
-            },
-        )
-    if namespace.json != "-" and rows:
+        values = {
+            "log": str(namespace.log[0]),
+            "logs": [str(path) for path in files],
+            "sessions": [_session_json(session) for session in sessions],
+            "shifts": [row.to_json() for row in rows.rows],
+            "events": [{"time_us": time_us, "event": line} for time_us, line in events],
+        }
+        if pairs is not None:
+            values["commanded"] = [pair.to_json() for pair in pairs]
+        write_json(namespace.json, values)
+    if namespace.json != "-" and rows.rows:
         title = f"{_name(files)} as {namespace.strategy or 'recorded'} commands it"
-        out.print(rows_table(title, rows))
+        if pairs is None:
+            out.print(rows_table(title, rows.rows))
+        else:
+            out.print(counterfactual_table(title, pairs))
     for number, session in enumerate(sessions, 1):
         if namespace.verify or session.verdict is not Verification.IDENTICAL:
             out.print(f"run {number} of {len(sessions)}: {session}", markup=False)

@@ -115,11 +115,8 @@ def _show(out: Console, setup: Setup, result: Result) -> None:
     out.print(rows_table(f"{name}, seed {setup.seed}", result.rows))
     out.print()
     out.print(summary_table([summarise(name, result.rows)]))
-    for name, figures in result.estimation.items():
-        out.print(
-            f"estimator {name}: angle RMS {figures['angle_rms_deg']} deg, "
-            f"speed RMS {figures['speed_rms_rpm']} rpm (simulated)"
-        )
+    for line in estimator_notes(name, result.estimation):
+        out.print(line)
 
 
 def _keep(writer: CalibrationWriter | None, unwritten: list[str]) -> Keep | None:

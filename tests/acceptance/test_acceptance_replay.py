@@ -253,7 +253,15 @@ def test_replay_with_another_strategy_is_what_the_other_would_have_done(
 ) -> None:
     outcome = run("replay", recorded.log, "--strategy", "speed_window", "--json", "-")
     assert_ended_well(outcome)
-    assert outcome.json["shifts"]
+    was = recorded.report["shifts"]
+    commanded = outcome.json["commanded"]
+    assert [(c["from"], c["to"]) for c in commanded] == [(row["from"], row["to"]) for row in was]
+    assert {c["strategy"] for c in commanded} == {"speed_window"}
+    assert [c["recorded"]["strategy"] for c in commanded] == [row["strategy"] for row in was]
+    aimed = [c for c in commanded if c["recorded"]["strategy"] == "target_phase"]
+    assert any(c["fired_ms"] != c["recorded"]["fired_ms"] for c in aimed)
+    # Where teeth met came of the recorded commands: it is nothing the other strategy did.
+    assert all(row["contact"] is None for row in outcome.json["shifts"])
 
 
 def test_reference_frames_change_nothing_of_what_the_controller_commands(

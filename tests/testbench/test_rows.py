@@ -7,6 +7,7 @@ import math
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rich.console import Console
 
 from dbc.messages import (
     EngagementEvent,
@@ -19,6 +20,7 @@ from dbc.messages import (
     Strategy,
 )
 from gearbox import load_sheet
+from testbench.output import rows_table
 from testbench.road_speed import span_us
 from testbench.rows import RowCollector, ShiftRow, summarise
 
@@ -62,6 +64,22 @@ def rows_of(
     for message in messages:
         collector.take(message)
     return collector.rows
+
+
+def shown(**changed: object) -> str:
+    out = Console(width=80, record=True)
+    out.print(rows_table("demo", rows_of(contact(-0.5), outcome(**changed))))
+    return out.export_text()
+
+
+def test_the_table_of_rows_fits_a_terminal_of_80_columns() -> None:
+    usual = shown(from_gear=12, to_gear=10)
+    for said in ("12", "target_phase", "600", "+18.0", "-0.50", "-6.7", "gap", "engaged"):
+        assert said in usual
+    longest = shown(
+        strategy=Strategy.SPEED_WINDOW_ANTICIPATING, result=ShiftResult.ENDED_BETWEEN_GEARS
+    )
+    assert "…" not in usual + longest
 
 
 def test_a_row_is_the_outcome_beside_the_truth() -> None:
