@@ -80,6 +80,10 @@ class BaselineTracker:
         self._cruise.restart()
         self._window.restart()
 
+    def lose_speed(self) -> None:
+        """A baseline keeps nothing over a hole in the edges: starts anew."""
+        self.restart()
+
     def edges(self, batch: EdgeBatch, pressures: Pressures) -> None:  # noqa: ARG002
         """Takes new edges in order of time; the baselines know no measured pressure."""
         if self._estimator is Estimator.WINDOW:

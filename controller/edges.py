@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from controller import edge_gate
+from controller import edge_gate, edge_layout
 from controller.clock import SensorClock
 from controller.edge_kernels import BROKEN, CHAIN, STAMPS, Integers, chain_edges
 from controller.kernels import Vector
@@ -185,16 +185,16 @@ class WheelEdges:
         """What was wrong with this wheel's edges since power-up."""
         c = self._counts
         return EdgeHealth(
-            int(c[edge_gate.EXTRA]),
-            int(c[edge_gate.MISSED]),
-            int(c[edge_gate.DOUBTS]),
-            int(c[edge_gate.STOPS]),
-            bool(c[edge_gate.MODE] == edge_gate.COUNTING),
+            int(c[edge_layout.EXTRA]),
+            int(c[edge_layout.MISSED]),
+            int(c[edge_layout.DOUBTS]),
+            int(c[edge_layout.STOPS]),
+            bool(c[edge_layout.MODE] == edge_layout.COUNTING),
         )
 
     def set_dragged(self, dragged: bool) -> None:
         """Whether a synchroniser may be dragging the shaft to another speed."""
-        self._counts[edge_gate.DRAGGED] = int(dragged)
+        self._counts[edge_layout.DRAGGED] = int(dragged)
 
     def restart(self) -> None:
         """Forgets all numbers: the sensor side has restarted."""
@@ -212,14 +212,14 @@ class WheelEdges:
             self._take(risen, rise, clock, now_us), self._take(fallen, fall, clock, now_us)
         )
         counts = self._counts
-        lost = int(counts[edge_gate.LOST])
+        lost = int(counts[edge_layout.LOST])
         batch = self._gate(risen, fallen)
-        if read_us - counts[edge_gate.TIME] > LONGEST_US:
-            counts[edge_gate.STOPS] += edge_gate.lose(counts)
-        if counts[edge_gate.LOST] > lost:
-            self.broken += int(counts[edge_gate.LOST]) - lost
+        if read_us - counts[edge_layout.TIME] > LONGEST_US:
+            counts[edge_layout.STOPS] += edge_gate.lose(counts)
+        if counts[edge_layout.LOST] > lost:
+            self.broken += int(counts[edge_layout.LOST]) - lost
             self.newest = None
-        if batch.time_us.size and counts[edge_gate.MODE] == edge_gate.COUNTING:
+        if batch.time_us.size and counts[edge_layout.MODE] == edge_layout.COUNTING:
             self.newest = Edge(int(batch.time_us[-1]), float(batch.theta_rad[-1]))
         return batch
 
@@ -232,7 +232,7 @@ class WheelEdges:
         tooth, falling = np.empty(room, np.int64), np.empty(room, np.int64)
         extra_us = np.empty(room, np.int64)
         counts = self._counts
-        extra = int(counts[edge_gate.EXTRA])
+        extra = int(counts[edge_layout.EXTRA])
         n = edge_gate.gate_edges(
             counts,
             self._floats,
@@ -251,9 +251,9 @@ class WheelEdges:
             falling,
             extra_us,
         )
-        risen.use(int(counts[edge_gate.NEXT]))
-        fallen.use(int(counts[edge_gate.NEXT + 1]))
-        self.extra_us = extra_us[: counts[edge_gate.EXTRA] - extra]
+        risen.use(int(counts[edge_layout.NEXT]))
+        fallen.use(int(counts[edge_layout.NEXT + 1]))
+        self.extra_us = extra_us[: counts[edge_layout.EXTRA] - extra]
         return EdgeBatch(edge_us[:n], edge_rad[:n], tooth[:n], falling[:n])
 
     @staticmethod

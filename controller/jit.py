@@ -21,7 +21,8 @@ FOLDER: Final = Path(__file__).parent
 
 def _digest() -> str:
     hashed = hashlib.sha256(Path(__file__).read_bytes())
-    for path in [*sorted(FOLDER.glob("*kernels.py")), FOLDER / "edge_gate.py"]:
+    others = [FOLDER / "edge_gate.py", FOLDER / "edge_layout.py"]
+    for path in [*sorted(FOLDER.glob("*kernels.py")), *others]:
         hashed.update(path.read_bytes())
     return hashed.hexdigest()[:12]
 

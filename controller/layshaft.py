@@ -39,6 +39,9 @@ class LayshaftTracker(Protocol):
     def restart(self) -> None:
         """Tooth numbers were lost: starts anew."""
 
+    def lose_speed(self) -> None:
+        """A hole in the edges, or cones that dragged: teeth keep their numbers, the speed not."""
+
     def edges(self, batch: EdgeBatch, pressures: Pressures) -> None:
         """Takes new edges and measured pressures."""
 

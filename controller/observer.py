@@ -177,7 +177,7 @@ class Observer:
             self.recall.lost(*lost)
         self.references.lose_all()
         for tracker, numbers_lost in zip((self.layshaft, self._main), lost, strict=True):
-            if numbers_lost or not isinstance(tracker, CrossingTracker | MainTracker):
+            if numbers_lost:
                 tracker.restart()
             else:
                 tracker.lose_speed()
