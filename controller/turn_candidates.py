@@ -21,7 +21,7 @@ were counted on, N itself is listed: then all n share all, c_g = n_g.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import NamedTuple
 
 from gearbox import GearboxSheet, MainGear
@@ -39,8 +39,11 @@ class TurnSet(NamedTuple):
     residues: Mapping[MainGear, frozenset[int]]
     """N modulo n of each gear, as the gear itself has allowed it."""
 
-    def of(self, gear: MainGear) -> frozenset[int]:
-        """N modulo n of a gear that are still possible: one phase candidate each."""
+    def candidates(self, gear: MainGear) -> frozenset[int]:
+        """N modulo n of a gear that are still possible, one phase each; empty for a gear to which
+        turns do not matter."""
+        if gear not in self.moduli:
+            return frozenset()
         c = self.shared[gear]
         told = {turn % c for turn in self.turns}
         return frozenset(r for r in self.residues[gear] if r % c in told)
@@ -73,7 +76,26 @@ def narrowed(turns: TurnSet, gear: MainGear, agrees: Callable[[int], bool]) -> T
     """Leaves the hypotheses whose phase of `gear` agrees with what was measured of it.
 
     agrees: whether N modulo n of the gear does."""
-    left = frozenset(r for r in turns.of(gear) if agrees(r))
+    left = frozenset(r for r in turns.candidates(gear) if agrees(r))
     told = {r % turns.shared[gear] for r in left}
     kept = frozenset(turn for turn in turns.turns if turn % turns.shared[gear] in told)
     return turns._replace(turns=kept, residues={**turns.residues, gear: left})
+
+
+def without(turns: TurnSet, gears: Collection[MainGear]) -> TurnSet:
+    """These gears need N no more; what they have told of it stays."""
+    return TurnSet(
+        {gear: n for gear, n in turns.moduli.items() if gear not in gears},
+        {gear: c for gear, c in turns.shared.items() if gear not in gears},
+        turns.turns,
+        {gear: left for gear, left in turns.residues.items() if gear not in gears},
+    )
+
+
+def any_one(turns: TurnSet) -> dict[MainGear, int]:
+    """N modulo n of each gear for one N that is possible."""
+    turn = min(turns.turns)
+    return {
+        gear: min(r for r in residues if (r - turn) % turns.shared[gear] == 0)
+        for gear, residues in turns.residues.items()
+    }

@@ -14,11 +14,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.kinematics import raw_phase_rad, wrap_to_pitch
-from controller.recall import Kept, Recall, turn_candidates
+from controller.recall import Kept, Recall
 from controller.reference import PhaseReferences
+from controller.sensor_count import Renumbered
 from controller.settings import CrossingFilterTuning
 from controller.teeth import Found, WheelTeeth
 from controller.tooth_match import Memory, Seen, compare, turned
+from controller.turn_candidates import turn_candidates
 from gearbox import GearboxSheet, MainGear, load_sheet
 from gearbox.gears import MAIN_GEARS
 from gearbox.sheet import Mesh
@@ -142,6 +144,7 @@ class Bench:
         self.main = WheelTeeth(wheels.main.teeth, tuning)
         self.recall = Recall(sheet, self.references, self.layshaft, self.main)
         self.events: list[str] = []
+        self.renumbered = Renumbered()
 
     def restore(self, *gears: MainGear) -> None:
         """As after a restart: all of these were known."""
@@ -164,11 +167,11 @@ class Bench:
         for teeth, at in ((self.layshaft, layshaft), (self.main, main)):
             if at is not None:
                 teeth.found, teeth.memory, teeth.learned = Found(at, 99.0), None, True
-        self.recall.look(self.events)
+        self.recall.look(self.events, self.renumbered)
 
     def learn(self, gear: MainGear, error_rad: float = 0.0) -> None:
         self.references.adopt(gear, self.box.offset(gear) + error_rad)
-        self.recall.learned(gear, self.events)
+        self.recall.learned(gear, 0.0, self.events)
 
     def known(self) -> set[MainGear]:
         """The known gears; each of them must be right."""
@@ -278,7 +281,7 @@ def test_a_wheel_that_was_exchanged_ends_the_wait_for_its_references() -> None:
     bench.restore(*MAIN_GEARS)
     bench.find(4, None)
     bench.main.forget()
-    bench.recall.look(bench.events)
+    bench.recall.look(bench.events, bench.renumbered)
     bench.main.memory = Memory(np.zeros(90), 1e-4, 1)
     bench.find(None, 3)
     assert bench.known() == set()
@@ -293,7 +296,7 @@ def test_what_was_not_found_yet_is_kept_as_it_was() -> None:
     bench.layshaft.error_rad = np.arange(90.0)
     bench.layshaft.learned, bench.layshaft.memory = True, None
     bench.layshaft.found = Found(7, 99.0)
-    bench.recall.look(bench.events)
+    bench.recall.look(bench.events, bench.renumbered)
     kept = bench.recall.kept()
     assert kept.offsets_rad == offsets
     assert kept.layshaft is not None
