@@ -28,26 +28,26 @@ MODULI = st.dictionaries(st.sampled_from(MAIN_GEARS), st.integers(1, 40), min_si
     lambda moduli: math.lcm(*moduli.values()) < 50_000
 )
 MESH = st.builds(Mesh, st.integers(8, 200), st.integers(8, 200))
+MESHES = st.lists(MESH, min_size=4, max_size=4, unique_by=lambda mesh: mesh.ratio).map(
+    lambda meshes: sorted(meshes, key=lambda mesh: mesh.ratio)
+)
+Engagements = list[tuple[MainGear, frozenset[int]]]
 
 
-@st.composite
-def engagements(draw: st.DrawFn) -> list[tuple[MainGear, int, frozenset[int]]]:
-    """Gears that were in mesh, each with what it excludes: phases that lie together, not the true
-    one. Given as a start (share of the circle's candidates) and offsets."""
-    gears = draw(st.lists(st.sampled_from(MAIN_GEARS), max_size=5))
-    return [
-        (gear, draw(st.integers(0, 60)), draw(st.frozensets(st.integers(0, 39), max_size=6)))
-        for gear in gears
-    ]
+ENGAGEMENTS = st.lists(
+    st.tuples(st.sampled_from(MAIN_GEARS), st.frozensets(st.integers(0, 39), max_size=6)),
+    max_size=5,
+)
+"""Gears that were in mesh, and what could not be excluded then beside the truth."""
 
 
 def looked_at(
-    moduli: dict[MainGear, int], true: int, seen: list[tuple[MainGear, int, frozenset[int]]]
+    moduli: dict[MainGear, int], true: int, seen: Engagements
 ) -> tuple[TurnSet, set[int]]:
     """The joint set and the plain list after the same engagements."""
     turns = all_turns(moduli)
     plain = set(range(math.lcm(*moduli.values())))
-    for gear, _, also in seen:
+    for gear, also in seen:
         if gear not in moduli:
             continue
         n = moduli[gear]
@@ -58,9 +58,9 @@ def looked_at(
 
 
 @settings(max_examples=60, deadline=None)
-@given(moduli=MODULI, true=st.integers(0, 10**6), seen=engagements())
+@given(moduli=MODULI, true=st.integers(0, 10**6), seen=ENGAGEMENTS)
 def test_the_joint_set_is_exactly_the_list_of_all_turns_that_agree(
-    moduli: dict[MainGear, int], true: int, seen: list[tuple[MainGear, int, frozenset[int]]]
+    moduli: dict[MainGear, int], true: int, seen: Engagements
 ) -> None:
     """No more, no less: the truth is never excluded, and what can be excluded is."""
     turns, plain = looked_at(moduli, true, seen)
@@ -77,15 +77,15 @@ def test_the_joint_set_is_exactly_the_list_of_all_turns_that_agree(
 @settings(max_examples=60, deadline=None)
 @given(
     moduli=MODULI, low=st.integers(-500, 500), size=st.integers(1, 60), at=st.integers(0, 59),
-    seen=engagements(),
+    seen=ENGAGEMENTS,
 )  # fmt: skip
 def test_counted_turns_leave_no_more_than_were_counted(
     moduli: dict[MainGear, int], low: int, size: int, at: int,
-    seen: list[tuple[MainGear, int, frozenset[int]]],
+    seen: Engagements,
 ) -> None:  # fmt: skip
     true, turns = low + at % size, all_turns(moduli, range(low, low + size))
     plain = set(range(low, low + size))
-    for gear, _, also in seen:
+    for gear, also in seen:
         if gear in moduli:
             agree = {turn % moduli[gear] for turn in also | {true}}
             turns = narrowed(turns, gear, lambda turn, agree=agree: turn in agree)
@@ -95,7 +95,7 @@ def test_counted_turns_leave_no_more_than_were_counted(
 
 
 @settings(max_examples=60, deadline=None)
-@given(meshes=st.lists(MESH, min_size=4, max_size=4), dog=st.integers(8, 96))
+@given(meshes=MESHES, dog=st.integers(8, 96))
 def test_of_any_data_sheet_no_more_than_40_000_hypotheses_are_listed(
     meshes: list[Mesh], dog: int
 ) -> None:
