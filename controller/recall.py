@@ -141,14 +141,15 @@ class Recall:
             wheel.shift = None
         if layshaft:
             self._same_turn = False
-            if self._turns.moduli:
-                # Gears that waited for other turns than these cannot be told any more.
-                waited = self._turns.moduli
-                self._remembered = {g: o for g, o in self._remembered.items() if g not in waited}
-                self._turns = all_turns({})
+            self._remembered, self._turns = self._without_waiting(), all_turns({})
         self._found = False
         self._from_memory.clear()
         self._references.lose_all()
+
+    def _without_waiting(self) -> dict[MainGear, float]:
+        """What is remembered, but for gears that wait for other turns than are lost now."""
+        waiting = self._turns.moduli
+        return {gear: at for gear, at in self._remembered.items() if gear not in waiting}
 
     @property
     def _pending(self) -> bool:
@@ -314,7 +315,7 @@ class Recall:
             return Kept(layshaft, main, self._in_present_numbering() if both else {})
         layshaft, main = (wheel.kept() for wheel in self._wheels)
         whole = layshaft is not None and main is not None
-        return Kept(layshaft, main, self._remembered if whole else {})
+        return Kept(layshaft, main, self._without_waiting() if whole else {})
 
 
 _WHY: Final = {

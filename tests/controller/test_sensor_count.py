@@ -141,6 +141,31 @@ def test_lost_frames_of_a_wheel_that_had_no_time_to_stop_cost_no_tooth(
     assert renumbered.most - renumbered.least == 2 * SLACK * wheel.broken
 
 
+@settings(max_examples=25, deadline=None)
+@given(
+    rpm=st.floats(300.0, 900.0), then_rpm=st.floats(300.0, 900.0), back=st.floats(5.0, 20.0),
+    hard_rad_s2=st.floats(200.0, 299.0),
+)  # fmt: skip
+def test_lost_frames_of_a_wheel_that_stopped_and_turned_back_meanwhile_hide_no_tooth(
+    rpm: float, then_rpm: float, back: float, hard_rad_s2: float
+) -> None:
+    """As fast as a shaft can: the count then allows for two teeth an edge."""
+    course, rate, then = Course(), rpm * PITCHES_A_RPM, then_rpm * PITCHES_A_RPM
+    bend = hard_rad_s2 * PITCHES_A_RAD
+    course.go(60.0, rate, rate)
+    since_s = course.at_s - 0.02
+    course.go(rate**2 / (2.0 * bend), rate, 0.0)
+    course.go(-back / 2.0, 0.0, math.sqrt(bend * back))
+    course.go(-back / 2.0, math.sqrt(bend * back), 0.0)
+    course.go(then**2 / (2.0 * bend), 0.0, then)
+    until_s = course.at_s + 0.02
+    course.go(60.0, then, then)
+    wheel, ahead = watched(course, (since_s, until_s))
+    renumbered = wheel.sensor.renumbered
+    assert renumbered.uncounted == 0
+    assert renumbered.least <= ahead[0] - ahead[-1] <= renumbered.most
+
+
 @pytest.mark.parametrize("rpm", [400.0, 1400.0])
 def test_what_a_blind_sensor_has_not_counted_is_not_said(rpm: float) -> None:
     course, rate = Course(), rpm * PITCHES_A_RPM
