@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from enum import Enum, auto
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -34,6 +33,7 @@ from controller.turn_candidates import (
     turn_candidates,
     without,
 )
+from dbc.messages import ReferenceSource
 from gearbox import GearboxSheet, MainGear
 
 TURN: Final = 2.0 * math.pi
@@ -79,17 +79,6 @@ class _Wheel:
         return Memory(turned, teeth.sd_rad, teeth.edges_seen)
 
 
-class ReferenceSource(Enum):
-    """Where a known reference came from."""
-
-    MEASURED = auto()
-    """Learned in mesh since the wheels were numbered."""
-    RESTORED = auto()
-    """Remembered; came back with the tooth numbers."""
-    NARROWED = auto()
-    """Remembered; another gear in mesh has told the turns."""
-
-
 class Recall:
     """The references of a numbering that was lost, and what is known of it by now."""
 
@@ -115,14 +104,12 @@ class Recall:
         """What the sensor had counted when the references were remembered, where it tells."""
         self._found = False
         """Both wheels are numbered as remembered, so that candidates can be told apart."""
-        self._from_memory: dict[MainGear, ReferenceSource] = {}
 
     def restore(self, kept: Kept) -> None:
         """Patterns and references of an earlier run."""
         self._remembered, self._same_turn = dict(kept.offsets_rad), False
         self._turns, self._found = all_turns({}), False
         self._counted_from = None
-        self._from_memory.clear()
         for wheel, memory in zip(self._wheels, (kept.layshaft, kept.main), strict=True):
             wheel.teeth.memory = memory
             wheel.shift, wheel.base = None, 0
@@ -143,7 +130,6 @@ class Recall:
             self._same_turn = False
             self._remembered, self._turns = self._without_waiting(), all_turns({})
         self._found = False
-        self._from_memory.clear()
         self._references.lose_all()
 
     def _without_waiting(self) -> dict[MainGear, float]:
@@ -189,7 +175,6 @@ class Recall:
         self._counted_from = self._renumbered
         self._remembered, self._same_turn, self._found = remembered, True, False
         self._turns = all_turns({})
-        self._from_memory.clear()
         for wheel in self._wheels:
             wheel.shift, wheel.base = 0, 0
 
@@ -237,7 +222,6 @@ class Recall:
         sd_rad: of the phase as it was seen then."""
         if not self._found or gear not in self._remembered:
             return
-        self._from_memory.pop(gear, None)
         offset, pitch_rad = self._references.offsets_rad[gear], self._sheet.dog.pitch_rad
         tolerance = AGREES_SDS * math.hypot(LEARNED_SD_RAD, sd_rad)
 
@@ -254,8 +238,9 @@ class Recall:
     def _drop(self, gear: MainGear, events: list[str]) -> None:
         """A gear in mesh contradicts all that was possible: what was seen counts."""
         forgotten = [other.name.lower() for other in self._remembered if other is not gear]
-        for other in self._from_memory:
-            self._references.lose(other)
+        for other in self._references.offsets_rad:
+            if self._references.source(other) is not ReferenceSource.MEASURED:
+                self._references.lose(other)
         self._start({})
         events.append(
             f"remembered phase references do not agree with {gear.name.lower()} in mesh: forgotten"
@@ -269,8 +254,7 @@ class Recall:
                 continue
             offset = self._agreed(gear)
             if offset is not None:
-                self._references.adopt(gear, offset)
-                self._from_memory[gear] = source
+                self._references.adopt(gear, offset, source)
                 events.append(
                     f"phase reference of {gear.name.lower()} found again ({_WHY[source]})"
                 )
@@ -299,12 +283,6 @@ class Recall:
     def candidates(self, gear: MainGear) -> int:
         """How many phases of this gear are possible; 0 where nothing is remembered of it."""
         return 1 if self._references.known(gear) else len(self._turns_of(gear))
-
-    def source(self, gear: MainGear) -> ReferenceSource | None:
-        """Where a gear's reference came from; None while it is unknown."""
-        if not self._references.known(gear):
-            return None
-        return self._from_memory.get(gear, ReferenceSource.MEASURED)
 
     def kept(self) -> Kept:
         """What is worth keeping: the remembered numbering while it may still be found again, else

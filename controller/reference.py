@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass, field
 
 from controller.kinematics import raw_phase_rad, wrap_to_pitch
+from dbc.messages import ReferenceSource
 from gearbox import GearboxSheet, MainGear
 
 STILL_LOOKS = 5
@@ -116,6 +117,8 @@ class PhaseReferences:
     def __init__(self, sheet: GearboxSheet) -> None:
         self._sheet = sheet
         self._offset_rad: dict[MainGear, float] = {}
+        self._adopted: dict[MainGear, ReferenceSource] = {}
+        """Where constants came from that were not seen in mesh."""
         self._learning: _Learning | None = None
         self._moves = False
         """Whether teeth have been seen to move in their gaps."""
@@ -169,6 +172,7 @@ class PhaseReferences:
             self._offset_rad = self._likely_rad | self._offset_rad
         self._likely_rad.clear()
         self._offset_rad[gear] = mean - flank * dog.backlash_rad / 2.0
+        self._adopted.pop(gear, None)
         self._learning = None
         return True
 
@@ -188,17 +192,25 @@ class PhaseReferences:
         """The known constants by gear."""
         return dict(self._offset_rad)
 
-    def adopt(self, gear: MainGear, offset_rad: float) -> None:
+    def adopt(self, gear: MainGear, offset_rad: float, source: ReferenceSource) -> None:
         """A constant that is known without a look at the gear in mesh."""
         self._offset_rad[gear] = offset_rad
+        self._adopted[gear] = source
+
+    def source(self, gear: MainGear) -> ReferenceSource:
+        """Where a gear's constant came from; NONE while it is unknown."""
+        known = ReferenceSource.MEASURED if gear in self._offset_rad else ReferenceSource.NONE
+        return self._adopted.get(gear, known)
 
     def lose(self, gear: MainGear) -> None:
         """One gear's constant was wrong."""
         self._offset_rad.pop(gear, None)
+        self._adopted.pop(gear, None)
 
     def lose_all(self) -> None:
         """A wheel's count was lost: nothing is known any more."""
         self._offset_rad.clear()
+        self._adopted.clear()
         self._likely_rad.clear()
         self._learning = None
 

@@ -13,7 +13,7 @@ from controller.core import ControllerCore
 from controller.header import new_header
 from dbc.frame import Frame
 from dbc.layout import CODECS
-from dbc.messages import ControllerState, PhaseReference, RigFault
+from dbc.messages import ControllerState, PhaseReference, ReferenceSource, RigFault
 from gearbox import GearboxSheet, load_sheet
 from gearbox.sheet import Mesh
 from rig_sim.settings import Preset
@@ -88,20 +88,21 @@ def test_a_restarted_controller_aims_from_its_first_shift_on() -> None:
 
 
 def test_one_gear_in_mesh_tells_another_where_their_turns_have_a_common_factor() -> None:
-    """After the restart the teeth are found, but seven phases of each gear are possible, and it does
-    not pretend to know: the first shift is by luck. It tells the turns, and the second, into a gear
-    that was not in mesh since, is aimed."""
+    """After the restart the teeth are found, but seven phases of each gear are possible, and it
+    does not pretend to know: the first shift is by luck. It tells the turns, and the second, into a
+    gear that was not in mesh since, is aimed."""
     loop, _, learned = restarted(TIED)
     assert sum("teeth found again" in line for line in loop.events) == 2
     assert references(loop)[learned:] == [PhaseReference.UNKNOWN, PhaseReference.KNOWN]
     assert any("third found again (by the gears in mesh)" in line for line in loop.events)
-    assert_aimed_well(loop)
+    assert_aimed_well(loop, ReferenceSource.NARROWED)
 
 
-def assert_aimed_well(loop: Loop) -> None:
-    """The last shift was aimed by a reference that is right: the rig's truth at contact is what
-    the controller expected."""
+def assert_aimed_well(loop: Loop, source: ReferenceSource) -> None:
+    """The last shift was aimed by a reference from there that is right: the rig's truth at contact
+    is what the controller expected."""
     assert loop.outcomes[-1].reference is PhaseReference.KNOWN
+    assert loop.outcomes[-1].reference_source is source
     shifts = RowCollector(loop.sheet)
     for _, message in loop.messages:
         shifts.take(message)
@@ -137,7 +138,7 @@ def test_a_wheel_that_was_not_seen_for_a_while_is_found_again(wheel: str) -> Non
     run_shifts(loop, 1)
     assert any("tooth numbers lost" in line for line in loop.events)
     assert sum("teeth found again" in line for line in loop.events) == 1
-    assert_aimed_well(loop)
+    assert_aimed_well(loop, ReferenceSource.RESTORED)
 
 
 def test_after_a_standstill_of_the_layshaft_one_gear_in_mesh_tells_the_others() -> None:
@@ -158,4 +159,4 @@ def test_after_a_standstill_of_the_layshaft_one_gear_in_mesh_tells_the_others() 
     assert references(loop)[-1] is PhaseReference.UNKNOWN
     assert loop.status.reference_known == FIRST_AND_SECOND
     loop.run(again[1][0] + 1_000_000)
-    assert_aimed_well(loop)
+    assert_aimed_well(loop, ReferenceSource.NARROWED)

@@ -15,13 +15,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.kinematics import raw_phase_rad, wrap_to_pitch
-from controller.recall import Kept, Recall, ReferenceSource
+from controller.recall import Kept, Recall
 from controller.reference import PhaseReferences
 from controller.sensor_count import Renumbered
 from controller.settings import CrossingFilterTuning
 from controller.teeth import Found, WheelTeeth
 from controller.tooth_match import Memory, Seen, compare, turned
 from controller.turn_candidates import turn_candidates
+from dbc.messages import ReferenceSource
 from gearbox import GearboxSheet, MainGear, load_sheet
 from gearbox.gears import MAIN_GEARS
 from gearbox.sheet import Mesh
@@ -205,7 +206,7 @@ class Bench:
         self.recall.look(self.events, self.renumbered)
 
     def learn(self, gear: MainGear, error_rad: float = 0.0, sd_rad: float = 0.0) -> None:
-        self.references.adopt(gear, self.box.offset(gear) + error_rad)
+        self.references.adopt(gear, self.box.offset(gear) + error_rad, ReferenceSource.MEASURED)
         self.recall.learned(gear, sd_rad, self.events)
 
     def known(self, within_rad: float = 1e-9) -> set[MainGear]:
@@ -359,14 +360,14 @@ def test_where_all_turns_count_alike_one_gear_tells_the_others(
     bench.learn(first)
     assert bench.known() == set(MAIN_GEARS[:3])
     assert bench.recall.candidates(MainGear.THIRD) == 5
-    sources = [bench.recall.source(gear) for gear in MAIN_GEARS[:3]]
+    sources = [bench.references.source(gear) for gear in MAIN_GEARS[:3]]
     assert sources.count(ReferenceSource.MEASURED) == 1
     assert sources.count(ReferenceSource.NARROWED) == 2
     # The truck stops, and what third waits for outlives it.
     bench.lose(None, 17)
     bench.find()
     assert bench.known() == set(MAIN_GEARS[:3])
-    assert bench.recall.source(first) is ReferenceSource.RESTORED
+    assert bench.references.source(first) is ReferenceSource.RESTORED
     assert bench.recall.candidates(MainGear.THIRD) == 5
 
 
@@ -481,7 +482,7 @@ def test_two_learnings_of_a_gear_may_differ_by_four_standard_deviations(
     bench.restore(*MAIN_GEARS)
     bench.find()
     bench.learn(MainGear.SECOND, off_deg * DEG)
-    assert bench.recall.source(MainGear.SECOND) is ReferenceSource.MEASURED
+    assert bench.references.source(MainGear.SECOND) is ReferenceSource.MEASURED
     assert (len(bench.references.offsets_rad) == 4) is agrees
     # A look that is itself poorly known excludes less.
     bench = Bench(WHOLE)
