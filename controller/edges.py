@@ -286,5 +286,5 @@ class WheelEdges:
         for frame in frames:
             read_us = clock.stamp(frame.read_time_us, now_us)
             polarity.take(frame, read_us)
-            self.sensor.frame(falling, frame.newest_index, read_us)
+            self.sensor.frame(falling, frame.newest_index, frame.valid_stamps, read_us)
         return read_us

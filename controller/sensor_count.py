@@ -52,7 +52,7 @@ class SensorCount:
         self._most_bend, self._least_rate, self._whole = most_bend, least_rate, whole
         self._numbers = [0, 0]
         self._indices: list[int | None] = [None, None]
-        self._read_us = [0, 0]
+        self._read_us, self._stamps = [0, 0], [0, 0]
         self._last: _Count | None = None
         self._before: _Count | None = None
         """As it was when teeth were lost that are not numbered again yet."""
@@ -64,8 +64,8 @@ class SensorCount:
         """A synchroniser may change the speed at once."""
         self._dragged = True
 
-    def frame(self, falling: bool, index: int, read_us: int) -> None:
-        """The running number of a frame's newest edge."""
+    def frame(self, falling: bool, index: int, stamps: int, read_us: int) -> None:
+        """A frame: the running number of its newest edge, and how many stamps it holds."""
         before = self._indices[falling]
         if before is not None:
             gap_us = read_us - self._read_us[falling]
@@ -73,7 +73,10 @@ class SensorCount:
             self._numbers[falling] += (index - before) & 0xFFFF
             if gap_us > LONGEST_GAP_US:
                 self._doubt()
+        if stamps < self._stamps[falling]:
+            self._doubt()  # an array gets emptier only where the sensor counts anew
         self._indices[falling], self._read_us[falling] = index, read_us
+        self._stamps[falling] = stamps
 
     def lost(self) -> None:
         """Teeth are not numbered any more."""

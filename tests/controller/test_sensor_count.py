@@ -176,6 +176,19 @@ def test_what_a_blind_sensor_has_not_counted_is_not_said(rpm: float) -> None:
     assert wheel.sensor.renumbered.uncounted == 1
 
 
+def test_a_sensor_that_was_powered_up_anew_has_not_counted_on() -> None:
+    """Its clock may go on where it was; that its frames are not full yet gives it away."""
+    course, rate = Course(), 1400.0 * PITCHES_A_RPM
+    course.go(0.8 * rate, rate, rate)
+    wheel, _ = watched(course)
+    assert wheel.sensor.renumbered.uncounted == 0
+    later_us = START_US + 900_000
+    edges = [later_us - 9_000 + 950 * k for k in range(9)]
+    risen = EdgesMainRise(**capture(edges, 1, later_us))
+    wheel.read([risen], [], SensorClock(), later_us)
+    assert wheel.sensor.renumbered.uncounted == 1
+
+
 def test_too_long_without_frames_is_not_said_either() -> None:
     course, rate = Course(), 1400.0 * PITCHES_A_RPM
     course.go(6.5 * rate, rate, rate)
