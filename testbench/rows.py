@@ -186,7 +186,7 @@ class Summary:
     shifts: int
     known: int
     """Shifts with the phase reference known when the sleeve was fired."""
-    sources: dict[str, int]
+    reference_sources: dict[str, int]
     """Of them by where it came from: measured in mesh, restored with the tooth numbers, narrowed by
     other gears in mesh."""
     gap: int
@@ -222,7 +222,7 @@ def summarise(strategy: str, rows: list[ShiftRow]) -> Summary:
         strategy=strategy,
         shifts=len(rows),
         known=len(known),
-        sources={
+        reference_sources={
             source: sum(row.reference_source == source for row in known) for source in SOURCES
         },
         gap=sum(row.contact == "gap" for row in rows),

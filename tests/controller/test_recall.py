@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -27,6 +29,7 @@ from gearbox import GearboxSheet, MainGear, load_sheet
 from gearbox.gears import MAIN_GEARS
 from gearbox.sheet import Mesh
 
+DOCUMENT = (Path(__file__).parents[2] / "docs/calibration.md").read_text(encoding="utf-8")
 DEG = math.pi / 180.0
 TURN = 2.0 * math.pi
 TEETH = 45
@@ -523,3 +526,30 @@ def test_whatever_is_lost_and_learned_in_whatever_order_what_is_known_is_true(
             bench.count_from(11, 22, 33)
         bench.known(within_rad=0.2 * DEG)
     assert not any("agree" in line for line in bench.events)
+
+
+def left(sheet: GearboxSheet, *in_mesh: MainGear) -> str:
+    """Candidates of each gear after a restart and with these gears having been in mesh since."""
+    bench = Bench(sheet)
+    bench.restore(*MAIN_GEARS)
+    bench.count_from(3, 4, 1236)
+    bench.find()
+    for gear in in_mesh:
+        bench.learn(gear)
+    return ", ".join(str(bench.recall.candidates(gear)) for gear in MAIN_GEARS)
+
+
+@pytest.mark.parametrize(
+    ("name", "sheet"),
+    [
+        ("`thesis`", THESIS),
+        ("`truck12`", TRUCK12),
+        ("crawl 17/56, first 18/42, second 29/42, third 37/35", TIED),
+    ],
+)
+def test_the_documented_table_says_what_a_restart_costs(name: str, sheet: GearboxSheet) -> None:
+    """How many phases are left, and the least number of engagements until all are known."""
+    orders = [gears for size in range(5) for gears in combinations(MAIN_GEARS, size)]
+    fewest = next(len(gears) for gears in orders if left(sheet, *gears) == "1, 1, 1, 1")
+    cells = [name, left(sheet), *(left(sheet, gear) for gear in MAIN_GEARS), str(fewest)]
+    assert f"| {' | '.join(cells)} |" in DOCUMENT
