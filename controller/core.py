@@ -89,7 +89,7 @@ class ControllerCore:
         self._observer = Observer(sheet, settings, brake, settings.estimator)
         timing = ValveTiming(settings.valve_timing)
         self._board = ValveBoard(timing)
-        self._probe = ClockProbe(timing is ValveTiming.IMMEDIATE)
+        self._probe = ClockProbe()
         self._ahead_us = settings.timing.wire_us if timing is ValveTiming.IMMEDIATE else 0
         self._sequence = ShiftSequence(
             sheet, settings, self._board, brake, self._observer.references

@@ -52,6 +52,8 @@ class Outlook:
     delay_sd_s: float
     drift_rad_s: float
     """Learned: what the slip is above what the model says (`phase_drift`)."""
+    spread_share: float
+    """Learned: what phases scatter by over the filter's standard deviation."""
 
     def slip_rad_s(self, time_us: float, release_us: int | None = None) -> float:
         """Slip at a time with the brake as commanded, or released at `release_us`."""
@@ -79,9 +81,8 @@ class Outlook:
         """Standard deviation of the phase at contact: angles, speeds to then, and delay."""
         layshaft_sd = self._layshaft_sd_rad(time_us)
         slip = self.slip_rad_s(time_us)
-        return math.hypot(
-            self.i_gear * layshaft_sd, self._main_sd_rad(time_us), slip * self.delay_sd_s
-        )
+        angles = math.hypot(self.i_gear * layshaft_sd, self._main_sd_rad(time_us))
+        return math.hypot(self.spread_share * angles, slip * self.delay_sd_s)
 
     def _layshaft_sd_rad(self, time_us: float) -> float:
         state = self.layshaft
@@ -93,7 +94,7 @@ class Outlook:
     def estimate_variance(self, time_us: float) -> float:
         """Variance of the phase at a time without what the delay adds, rad2."""
         sd = math.hypot(self.i_gear * self._layshaft_sd_rad(time_us), self._main_sd_rad(time_us))
-        return sd * sd
+        return (self.spread_share * sd) ** 2
 
     def _main_sd_rad(self, time_us: float) -> float:
         horizon_s = (time_us - self.main.time_us) * US

@@ -21,6 +21,9 @@ from controller.outlook import Outlook
 from gearbox import MainGear
 from gearbox.gears import MAIN_GEARS
 
+PRIOR_SHARE_SAMPLES: Final = 4.0
+"""How many contacts the filter's own spread is worth."""
+LEAST_SHARE: Final = 0.3
 PRIOR_SAMPLES: Final = 0.3
 """What "no drift" is worth: single contacts scatter by half as much as gearboxes do (simulated)."""
 MOST_SAMPLES: Final = 15.0
@@ -35,6 +38,8 @@ LEAST_S: Final = 0.02
 class _Learned:
     mean_rad_s: float = 0.0
     samples: float = PRIOR_SAMPLES
+    share_squares: float = PRIOR_SHARE_SAMPLES
+    share_samples: float = PRIOR_SHARE_SAMPLES
 
 
 class PhaseDrifts:
@@ -47,6 +52,11 @@ class PhaseDrifts:
         """What the slip is expected to be above its prediction, on average until contact."""
         return self._learned[gear].mean_rad_s
 
+    def spread_share(self, gear: MainGear) -> float:
+        """What phases scatter by, drift left out, over the filter's standard deviation."""
+        learned = self._learned[gear]
+        return max(math.sqrt(learned.share_squares / learned.share_samples), LEAST_SHARE)
+
     def learn(self, fired: Outlook, seen: Outlook, contact_us: float) -> None:
         """Contact was at `contact_us`: `fired` is the outlook when the sleeve was fired, `seen`
         the last one before it entered its gear."""
@@ -54,14 +64,19 @@ class PhaseDrifts:
         if passed_s < LEAST_S:
             return
         apart = _undrifted_rad(seen, contact_us) - _undrifted_rad(fired, contact_us)
-        self._add(fired.gear, apart / passed_s)
+        variance = fired.estimate_variance(contact_us) / fired.spread_share**2
+        self._add(fired.gear, apart / passed_s, variance / passed_s**2)
 
-    def _add(self, gear: MainGear, drift_rad_s: float) -> None:
+    def _add(self, gear: MainGear, drift_rad_s: float, variance: float) -> None:
         if not math.isfinite(drift_rad_s) or abs(drift_rad_s) > FAR_RAD_S:
             return
         learned = self._learned[gear]
+        off = drift_rad_s - learned.mean_rad_s
+        if learned.samples > PRIOR_SAMPLES:
+            learned.share_squares += off * off / variance
+            learned.share_samples += 1.0
         learned.samples = min(learned.samples + 1.0, MOST_SAMPLES)
-        learned.mean_rad_s += (drift_rad_s - learned.mean_rad_s) / learned.samples
+        learned.mean_rad_s += off / learned.samples
 
     def records(self) -> Drifts:
         """What a calibration file keeps: the gears that have been engaged."""

@@ -153,6 +153,7 @@ class ShiftDesk:
             self.delays.delay_us(gear),
             self.delays.delay_sd_s(gear),
             self.drifts.rad_s(gear),
+            self.drifts.spread_share(gear),
         )
         return outlook if self.outlook_source is None else self.outlook_source(outlook)
 
