@@ -219,7 +219,9 @@ class Observer:
             return
         gear = self.view.main_gear
         if gear is None or gear is MainGear.NEUTRAL:
-            self.references.released()
+            floated = self.references.released()
+            if floated is not None and self.recall is not None:
+                self.recall.floated(floated, events)
             return
         # At the newest edge there is nothing to extrapolate, and an impact does least harm.
         newest = [w.newest.time_us for w in (self._layshaft_wheel, self._main_wheel) if w.newest]

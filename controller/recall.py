@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from controller.kinematics import wrap_to_pitch
-from controller.reference import PhaseReferences
+from controller.reference import Floated, PhaseReferences
 from controller.sensor_count import Renumbered
 from controller.teeth import WheelTeeth
 from controller.tooth_match import Memory
@@ -40,6 +40,8 @@ TURN: Final = 2.0 * math.pi
 LEARNED_SD_RAD: Final = math.radians(0.1)
 """Of the difference of two references of one gear learned apart (docs/calibration.md)."""
 AGREES_SDS: Final = 4.0
+LEAST_FREE_SHARE: Final = -0.1
+"""A tooth has not moved by more than the backlash; where it seems to, looks were wrong."""
 MOST_COUNTED: Final = 1000
 """Turns, of a layshaft that a sensor has counted."""
 
@@ -222,8 +224,22 @@ class Recall:
         sd_rad: of the phase as it was seen then."""
         if not self._found or gear not in self._remembered:
             return
-        offset, pitch_rad = self._references.offsets_rad[gear], self._sheet.dog.pitch_rad
-        tolerance = AGREES_SDS * math.hypot(LEARNED_SD_RAD, sd_rad)
+        offset = self._references.offsets_rad[gear]
+        self._exclude(gear, offset, AGREES_SDS * math.hypot(LEARNED_SD_RAD, sd_rad), events)
+
+    def floated(self, floated: Floated, events: list[str]) -> None:
+        """A gear has been in mesh and was not learned: its tooth was in its gap all the same."""
+        if not self._found or floated.gear not in self._remembered:
+            return
+        low, high = floated.low_rad, floated.high_rad
+        free = self._sheet.dog.backlash_rad - (high - low)
+        tolerance = 0.5 * free + AGREES_SDS * math.hypot(LEARNED_SD_RAD, LEARNED_SD_RAD)
+        if free > LEAST_FREE_SHARE * self._sheet.dog.backlash_rad:
+            self._exclude(floated.gear, 0.5 * (low + high), tolerance, events)
+
+    def _exclude(self, gear: MainGear, offset: float, tolerance: float, events: list[str]) -> None:
+        """The turns by which a gear's reference would be farther from `offset`."""
+        pitch_rad = self._sheet.dog.pitch_rad
 
         def agrees(turn: int) -> bool:
             return abs(wrap_to_pitch(self._predicted(gear, turn) - offset, pitch_rad)) < tolerance

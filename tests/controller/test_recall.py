@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from controller.kinematics import raw_phase_rad, wrap_to_pitch
 from controller.recall import Kept, Recall
-from controller.reference import PhaseReferences
+from controller.reference import Floated, PhaseReferences
 from controller.sensor_count import Renumbered
 from controller.settings import CrossingFilterTuning
 from controller.teeth import Found, WheelTeeth
@@ -493,6 +493,28 @@ def test_two_learnings_of_a_gear_may_differ_by_four_standard_deviations(
     bench.find()
     bench.learn(MainGear.SECOND, off_deg * DEG, sd_rad=0.1 * DEG)
     assert len(bench.references.offsets_rad) == 4
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    at=AT, gear=st.sampled_from(MAIN_GEARS), low=st.floats(-0.5, 0.5), high=st.floats(-0.5, 0.5)
+)  # fmt: skip
+def test_a_gear_that_was_in_mesh_unlearned_leaves_the_phases_at_which_it_can_be_in(
+    at: tuple[int, int, int], gear: MainGear, low: float, high: float
+) -> None:
+    """Its tooth was somewhere in the gap, a fifth of the pitch: the truth stays, most others go."""
+    bench = Bench(TRUCK12)
+    bench.restore(*MAIN_GEARS)
+    bench.count_from(*at)
+    bench.find()
+    n, dog = bench.recall.candidates(gear), TRUCK12.dog
+    seen = sorted(bench.box.offset(gear) + share * dog.backlash_rad for share in (low, high))
+    bench.recall.floated(Floated(gear, *seen), bench.events)
+    least = (dog.backlash_rad - (seen[1] - seen[0])) / dog.pitch_rad * n - 1.0
+    assert least <= bench.recall.candidates(gear) <= 0.37 * n + 1.0
+    bench.learn(gear)
+    assert bench.known() == {gear}
+    assert not bench.events[2:]
 
 
 TEETH_ON = st.one_of(st.none(), st.integers(0, 44))
