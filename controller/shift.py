@@ -8,7 +8,7 @@ from typing import Final
 
 from controller.strategy import Plan
 from dbc.messages import ControllerState as State
-from dbc.messages import FaultCode, ShiftResult, Strategy
+from dbc.messages import FaultCode, ReferenceSource, ShiftResult, Strategy
 from gearbox import DriveGear, Range, Split
 
 
@@ -101,6 +101,7 @@ class ShiftRecord:
     strategy: Strategy
     """The strategy that acts: the fallback while the reference is unknown."""
     reference_known: bool = False
+    reference_source: ReferenceSource = ReferenceSource.NONE
     attempts: int = 0
     raises: int = 0
     """How often the engine was asked to bring the layshaft up."""

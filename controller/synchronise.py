@@ -165,6 +165,7 @@ def _plan_firing(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> None:
     valve = SLEEVE_VALVE[shift.target.main]
     if shift.attempts == 0:
         shift.reference_known = desk.reference_known(shift.target.main)
+        shift.reference_source = desk.references.source(shift.target.main)
     shift.strategy = _strategy(desk, shift.target.main)
     aimed = shift.strategy is Strategy.TARGET_PHASE
     plan = _plan(desk, outlook, moment, shift.strategy)
