@@ -87,6 +87,8 @@ class Observer:
         self._split_us = self._range_us = -DRAGGED_US
         """When splitter and range were last between their steps."""
         self._dragged = self._main_dragged = False
+        self._looked_us = 0.0
+        """The newest edge when a gear in mesh was last looked at."""
 
     def take_brake(self, record: BrakeRecord) -> None:
         """The brake as earlier runs have learned it."""
@@ -225,8 +227,9 @@ class Observer:
             return
         # At the newest edge there is nothing to extrapolate, and an impact does least harm.
         newest = [w.newest.time_us for w in (self._layshaft_wheel, self._main_wheel) if w.newest]
-        if len(newest) < 2:
-            return
+        if len(newest) < 2 or max(newest) == self._looked_us:
+            return  # a step between two reads has nothing new to look at
+        self._looked_us = max(newest)
         layshaft, main = self.layshaft_at(max(newest)), self.main_at(max(newest))
         if layshaft is None or main is None or not self._sees_flanks(gear, layshaft, main):
             return
