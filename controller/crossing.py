@@ -12,16 +12,21 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from controller.crossing_kernels import GATED, Integers, crossing_filter
+from controller.crossing_kernels import crossing_filter
+from controller.crossing_layout import (
+    GATED,
+    KEPT,
+    LATE,
+    SENSOR,
+    SIGMA_ANGLE,
+    FilterArrays,
+)
 from controller.motion import LayshaftState, MotionModel, diagonal, predict_spread, state_of
-from controller.motion_kernels import PRESSURE, STATES, Vector
+from controller.motion_kernels import PRESSURE, Vector
 from controller.settings import CrossingFilterTuning
 
-KEPT: Final = 4
-"""Batches that can be taken back: 40 ms, more than two lost frames."""
 NOTHING: Final = np.empty(0)
 NO_PLACES: Final = np.empty(0, np.int64)
-NO_TEETH: Final = (np.zeros((STATES, 0)), np.zeros((0, 0)), np.zeros(0))
 
 
 class Pressures(NamedTuple):
@@ -34,47 +39,44 @@ class Pressures(NamedTuple):
 NO_PRESSURES: Final = Pressures(NOTHING, NOTHING)
 
 
-class _Taken(NamedTuple):
-    """A batch that has been taken, and the state before it."""
-
-    time_us: float
-    x: Vector
-    p: Vector
-    edge_us: Vector
-    edge_rad: Vector
-    pressures: Pressures
-
-
 class CrossingFilter:
     """State and covariance of one shaft at its newest edge."""
 
     def __init__(self, tuning: CrossingFilterTuning) -> None:
         self._tuning = tuning
-        self.x = np.zeros(STATES)
-        self.p = np.zeros((STATES, STATES))
-        self.time_us = 0.0
-        self._sensor = np.array(
-            [tuning.edge_time_s, tuning.tooth_error_rad, tuning.pressure_sd_pa, tuning.gate_sd]
-        )
-        self.counts: Integers = np.zeros(3, np.int64)
-        self.agreement = np.zeros(2)
+        self._arrays = arrays = FilterArrays()
+        self._floats, self._integers = arrays.floats, arrays.integers
+        self.x, self.p = arrays.x, arrays.p
+        arrays.sensor[:] = (
+            tuning.edge_time_s, tuning.tooth_error_rad, tuning.pressure_sd_pa, tuning.gate_sd,
+        )  # fmt: skip
+        self._sd_rad = tuning.tooth_error_rad
+        self._model: MotionModel | None = None
+        self.agreement = arrays.agreement
         """Sum and number of normalised squared innovations (NIS) since it was last cleared."""
-        self._taken: deque[_Taken] = deque(maxlen=KEPT)
+        self._taken: deque[tuple[Vector, Vector, Pressures]] = deque(maxlen=KEPT)
+        """The batches behind the moments that the arrays hold."""
 
     def begin(self, time_us: float, x: Vector, p: Vector) -> None:
         """A new state; nothing before it counts any more."""
-        self.time_us = time_us
+        self._arrays.time_us = time_us
         self.x[:], self.p[:] = x, p
-        self._taken.clear()
+        self.forget_past()
 
     def forget_past(self) -> None:
         """The model changes here: what came before cannot be taken once more."""
         self._taken.clear()
+        self._arrays.forget_past()
+
+    @property
+    def time_us(self) -> float:
+        """Time of the state."""
+        return self._arrays.time_us
 
     @property
     def gated(self) -> int:
         """Edges that the gate has refused so far."""
-        return int(self.counts[GATED])
+        return int(self._integers[GATED])
 
     def take(
         self,
@@ -86,38 +88,40 @@ class CrossingFilter:
         model: MotionModel,
     ) -> None:
         """New edges, with the angles they stand for and what is unknown of these (sd)."""
-        self._sensor[1] = sd_rad
-        while self._taken and edge_us.size and edge_us[0] < self.time_us:
-            before = self._taken.pop()
-            self.time_us = before.time_us
-            self.x[:], self.p[:] = before.x, before.p
-            edge_us, edge_rad = _merged(before.edge_us, before.edge_rad, edge_us, edge_rad)
-            pressures = Pressures(
-                np.concatenate((before.pressures.time_us, pressures.time_us)),
-                np.concatenate((before.pressures.pressure_pa, pressures.pressure_pa)),
-            )
-        self._taken.append(
-            _Taken(self.time_us, self.x.copy(), self.p.copy(), edge_us, edge_rad, pressures)
+        if model is not self._model:
+            self._model = model
+            self._arrays.set_model(*model)
+        if sd_rad != self._sd_rad:
+            self._sd_rad = self._floats[SENSOR + SIGMA_ANGLE] = sd_rad
+        switch_us, switch_u = switches
+        while True:
+            pressure_us, pressure_pa = pressures
+            done = crossing_filter(
+                self._floats, self._integers, edge_us, edge_rad, pressure_us, pressure_pa,
+                switch_us, switch_u, NOTHING, NO_PLACES,
+            )  # fmt: skip
+            if done != LATE:
+                break
+            edge_us, edge_rad, pressures = self._with_newest(edge_us, edge_rad, pressures)
+            self._arrays.go_back()
+        self._taken.append((edge_us, edge_rad, pressures))
+
+    def _with_newest(
+        self, late_us: Vector, late_rad: Vector, late: Pressures
+    ) -> tuple[Vector, Vector, Pressures]:
+        """Late edges and the newest batch, which is taken back, as one batch."""
+        early_us, early_rad, early = self._taken.pop()
+        time_us = np.concatenate((early_us, late_us))
+        order = np.argsort(time_us, kind="stable")
+        pressures = Pressures(
+            np.concatenate((early.time_us, late.time_us)),
+            np.concatenate((early.pressure_pa, late.pressure_pa)),
         )
-        self.time_us = crossing_filter(
-            self.x,
-            self.p,
-            self.time_us,
-            edge_us,
-            edge_rad,
-            *pressures,
-            *switches,
-            *model,
-            self._sensor,
-            self.counts,
-            self.agreement,
-            NO_PLACES,
-            *NO_TEETH,
-        )
+        return time_us[order], np.concatenate((early_rad, late_rad))[order], pressures
 
     def latest(self) -> LayshaftState:
         """The state at the newest edge; where a prediction starts."""
-        return state_of(self.x, self.p.copy(), self.time_us)
+        return state_of(self.x, self.p.copy(), self._arrays.time_us)
 
     def at(
         self, time_us: float, switches: tuple[Vector, Vector], model: MotionModel
@@ -133,14 +137,6 @@ def start_covariance(
     return diagonal(
         theta_sd_rad, omega_sd_rad_s, tuning.pressure_start_sd_pa, acceleration, 1e-6, acceleration
     )
-
-
-def _merged(
-    early_us: Vector, early_rad: Vector, late_us: Vector, late_rad: Vector
-) -> tuple[Vector, Vector]:
-    time_us = np.concatenate((early_us, late_us))
-    order = np.argsort(time_us, kind="stable")
-    return time_us[order], np.concatenate((early_rad, late_rad))[order]
 
 
 __all__ = ["NO_PRESSURES", "PRESSURE", "CrossingFilter", "Pressures", "start_covariance"]

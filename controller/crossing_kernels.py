@@ -17,15 +17,43 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from controller.jit import compiled, inlined
+from controller.crossing_layout import (
+    AGREEMENT,
+    DONE,
+    GATE,
+    GATED,
+    HELD,
+    HISTORY,
+    IN_A_ROW,
+    KALMAN,
+    KEPT,
+    LATE,
+    LAW,
+    MOMENT,
+    MOTION,
+    NEXT,
+    NOISE,
+    SENSOR,
+    SIGMA_ANGLE,
+    SIGMA_PRESSURE,
+    SIGMA_TIME,
+    STEP,
+    TAKEN,
+    TEETH,
+    TIME,
+    Integers,
+    P,
+    X,
+)
+from controller.jit import bare, compiled, inlined
 from controller.motion_kernels import (
     DRAG,
     GAIN,
     LONGEST_S,
     OMEGA,
     PRESSURE,
+    SEGMENTS,
     STATES,
     THETA,
     US,
@@ -38,19 +66,6 @@ from controller.motion_kernels import (
     transition,
 )
 
-Integers = NDArray[np.int64]
-
-SIGMA_TIME: Final = 0
-SIGMA_ANGLE: Final = 1
-SIGMA_PRESSURE: Final = 2
-GATE: Final = 3
-"""Indices into the sensor vector: sd of an edge's time (s), of its angle (rad), of the measured
-pressure (Pa); how many sd an innovation may have."""
-
-TAKEN: Final = 0
-GATED: Final = 1
-IN_A_ROW: Final = 2
-"""Indices into the counts: edges used, edges refused, edges refused in a row."""
 MOST_IN_A_ROW: Final = 8
 """So many refused edges in a row mean that the filter is wrong, not the edges."""
 LEAST_GAIN: Final = 0.2
@@ -62,23 +77,30 @@ LED_RAD_S2: Final = 100.0
 """
 
 
-@compiled
+@bare
 def crossing_filter(
-    x: Vector, p: Vector, t_us: float, edge_us: Vector, edge_rad: Vector,
+    floats: Vector, integers: Integers, edge_us: Vector, edge_rad: Vector,
     pressure_us: Vector, pressure_pa: Vector, switch_us: Vector, switch_u: Vector,
-    motion: Vector, law: Vector, noise: Vector, sensor: Vector, counts: Integers, agreement: Vector,
-    place: Integers, by_tooth: Vector, normal: Vector, right: Vector,
-) -> float:  # fmt: skip
+    teeth: Vector, place: Integers,
+) -> int:  # fmt: skip
     """The filter over a batch of edges and pressure samples, both rising in time, in place.
 
-    x (6,), p (6, 6) at `t_us`; edge_rad the angle each edge stands for; brake switches as in
-    `travel`. counts (3,) and agreement (2,) (sum and number of normalised squared innovations) are
-    added to. To learn teeth: place (n,) which of the N tooth edges each edge is, by_tooth (6, N)
-    the state's derivatives by the tooth errors, normal (N, N) upper half and right (N,) their
-    normal equations, added to; N = 0 otherwise. What is not later than the state is skipped.
-    Returns the time of the new state."""
-    f, gain = np.zeros((3, STATES)), np.empty(STATES)
-    row = np.empty(by_tooth.shape[1])
+    floats and integers as `crossing_layout` has them; edge_rad the angle each edge stands for;
+    brake switches as in `travel`. To learn teeth: teeth as `TeethArrays` has it, place (n,) which
+    of the wheel's N edges each edge is; both empty otherwise. Says LATE and takes nothing where the
+    batch begins before the state and a moment is held; what is not later than the state is skipped
+    where none is. Else keeps the moment before the batch."""
+    if edge_us.shape[0] > 0 and integers[HELD] > 0 and edge_us[0] < floats[TIME]:
+        return LATE
+    keep(floats, integers)
+    x, p = floats[X : X + STATES], floats[P : P + STATES * STATES].reshape(STATES, STATES)
+    f, gain = floats[STEP:KALMAN].reshape(3, STATES), floats[KALMAN : KALMAN + STATES]
+    sensor, motion = floats[SENSOR:MOTION], floats[MOTION:NOISE]
+    noise, law = floats[NOISE:LAW], floats[LAW:AGREEMENT].reshape(2, SEGMENTS, 3)
+    agreement, size, t_us = floats[AGREEMENT:STEP], integers[TEETH], floats[TIME]
+    by_tooth = teeth[: STATES * size].reshape(STATES, size)
+    right, row = teeth[STATES * size : (STATES + 1) * size], teeth[(STATES + 1) * size :][:size]
+    normal = teeth[(STATES + 2) * size :].reshape(size, size)
     i = input_at(t_us, switch_us)
     n, m, j, k = edge_us.shape[0], pressure_us.shape[0], 0, 0
     while k < n or j < m:
@@ -92,21 +114,32 @@ def crossing_filter(
             if not late:
                 r = sensor[SIGMA_PRESSURE] * sensor[SIGMA_PRESSURE]
                 measure(x, p, PRESSURE, pressure_pa[j] - x[PRESSURE], r, gain)
-                for c in range(row.shape[0]):
+                for c in range(size):
                     row[c] = -by_tooth[PRESSURE, c]
                 follow(by_tooth, gain, row)
             j += 1
         else:
             if not late:
                 innovation = edge_rad[k] - x[THETA]
-                s = take_edge(x, p, innovation, sensor, counts, agreement, gain)
-                if row.shape[0] > 0 and s > 0.0:
+                s = take_edge(x, p, innovation, sensor, integers, agreement, gain)
+                if size > 0 and s > 0.0:
                     learn(by_tooth, place[k], innovation, s, normal, right, row)
                     follow(by_tooth, gain, row)
             k += 1
         x[GAIN] = max(x[GAIN], LEAST_GAIN)
     mirror(p)
-    return t_us
+    floats[TIME] = t_us
+    return DONE
+
+
+@inlined
+def keep(floats: Vector, integers: Integers) -> None:
+    """The present moment into the ring."""
+    at = HISTORY + integers[NEXT] * MOMENT
+    for k in range(MOMENT):
+        floats[at + k] = floats[k]
+    integers[NEXT] = (integers[NEXT] + 1) % KEPT
+    integers[HELD] = min(integers[HELD] + 1, KEPT)
 
 
 @inlined
@@ -139,7 +172,7 @@ def move(
 
 @inlined
 def take_edge(
-    x: Vector, p: Vector, innovation: float, sensor: Vector, counts: Integers, agreement: Vector,
+    x: Vector, p: Vector, innovation: float, sensor: Vector, integers: Integers, agreement: Vector,
     gain: Vector,
 ) -> float:  # fmt: skip
     """One edge into the filter; returns the innovation's variance, 0 where the gate refused it."""
@@ -147,9 +180,9 @@ def take_edge(
     r = sigma * sigma + sensor[SIGMA_ANGLE] * sensor[SIGMA_ANGLE]
     square = innovation * innovation / (p[THETA, THETA] + r)
     if square > sensor[GATE] * sensor[GATE]:
-        counts[GATED] += 1
-        counts[IN_A_ROW] += 1
-        if counts[IN_A_ROW] < MOST_IN_A_ROW:
+        integers[GATED] += 1
+        integers[IN_A_ROW] += 1
+        if integers[IN_A_ROW] < MOST_IN_A_ROW:
             return 0.0
         # Eight in a row: what the filter believes is wrong; let it be led.
         p[THETA, THETA] += innovation * innovation
@@ -158,8 +191,8 @@ def take_edge(
     else:
         agreement[0] += square
         agreement[1] += 1.0
-    counts[IN_A_ROW] = 0
-    counts[TAKEN] += 1
+    integers[IN_A_ROW] = 0
+    integers[TAKEN] += 1
     return measure(x, p, THETA, innovation, r, gain)
 
 
