@@ -26,21 +26,32 @@ X: Final = 1
 """State (6,)."""
 P: Final = X + STATES
 """Covariance (6, 6)."""
-MOMENT: Final = P + STATES * STATES
+OFFSET: Final = P + STATES * STATES
+"""Angle of a further wheel, by the exact ratio, less that of the shaft, rad."""
+OFFSET_VAR: Final = OFFSET + 1
+"""Its variance; 0 while it is not known."""
+CROSS: Final = OFFSET_VAR + 1
+"""Its covariances with the state (6,)."""
+MOMENT: Final = CROSS + STATES
 """So many floats are a moment."""
 
 # --- floats: what it is told ----------------------------------------------------------------------
 SENSOR: Final = MOMENT
-"""Sensor vector (4,); indices below."""
-MOTION: Final = SENSOR + 4
+"""Sensor vector (5,); indices below."""
+MOTION: Final = SENSOR + 5
 """[a, g, b_d] (3,) of `motion_kernels`."""
 NOISE: Final = MOTION + 3
 """Densities of the driving noises (4,)."""
 LAW: Final = NOISE + 4
 """Pressure law (2, SEGMENTS, 3)."""
+MESH: Final = LAW + 2 * SEGMENTS * 3
+"""How the offset moves (3,): its density while the mesh lies at one flank and while it may change
+to the other, rad2/s, and how long after a switch of the brake it may, us."""
+SCALE: Final = MESH + 3
+"""Angle of the shaft over that of the wheel whose teeth are learned."""
 
 # --- floats: what it says and works with --------------------------------------------------------
-AGREEMENT: Final = LAW + 2 * SEGMENTS * 3
+AGREEMENT: Final = SCALE + 1
 """Sum and number of normalised squared innovations (NIS) (2,)."""
 STEP: Final = AGREEMENT + 2
 """Derivatives f (3, 6) of `transition`."""
@@ -55,21 +66,33 @@ TAKEN: Final = 0
 GATED: Final = 1
 IN_A_ROW: Final = 2
 """Edges used, edges refused, edges refused in a row."""
-TEETH: Final = 3
-"""N, how many of a wheel's edges are being learned; 0: none."""
-HELD: Final = 4
+HELD: Final = 3
 """How many moments of HISTORY may be gone back to."""
-NEXT: Final = 5
+NEXT: Final = 4
 """Where in the ring the next one goes."""
-INTEGERS: Final = 6
+FURTHER: Final = 5
+"""How many of the edges, at their end, are those of a further wheel."""
+ASTRAY: Final = 6
+"""Edges of the further wheel refused in a row."""
+INTEGERS: Final = 7
+
+# --- rows of what teeth are learned by, of N columns ------------------------------------------
+RIGHT: Final = STATES
+"""Before it the state's derivatives by the tooth errors (6, N); it is the right side of the normal
+equations."""
+ROW: Final = RIGHT + 1
+"""What the kernel works with."""
+NORMAL: Final = ROW + 1
+"""From here on the matrix of the normal equations (N, N), its upper half."""
 
 # --- the sensor vector ---------------------------------------------------------------------------
 SIGMA_TIME: Final = 0
 SIGMA_ANGLE: Final = 1
 SIGMA_PRESSURE: Final = 2
 GATE: Final = 3
+SIGMA_FURTHER: Final = 4
 """sd of an edge's time (s), of its angle (rad), of the measured pressure (Pa); how many sd an
-innovation may have."""
+innovation may have; sd of a further wheel's edge, as an angle of the shaft."""
 
 # --- what the kernel answers ---------------------------------------------------------------------
 DONE: Final = 0
@@ -85,11 +108,14 @@ class FilterArrays:
         self.integers: Integers = np.zeros(INTEGERS, np.int64)
         floats = self.floats
         self.x = floats[X:P]
-        self.p = floats[P:MOMENT].reshape(STATES, STATES)
+        self.p = floats[P:OFFSET].reshape(STATES, STATES)
+        self.cross = floats[CROSS:MOMENT]
         self.sensor = floats[SENSOR:MOTION]
         self.motion = floats[MOTION:NOISE]
         self.noise = floats[NOISE:LAW]
-        self.law = floats[LAW:AGREEMENT].reshape(2, SEGMENTS, 3)
+        self.law = floats[LAW:MESH].reshape(2, SEGMENTS, 3)
+        self.mesh = floats[MESH:SCALE]
+        floats[SCALE] = 1.0
         self.agreement = floats[AGREEMENT:STEP]
         self.counts = self.integers[: IN_A_ROW + 1]
         self.moment = floats[:MOMENT]
@@ -121,14 +147,10 @@ class FilterArrays:
 
 
 class TeethArrays:
-    """What the teeth of a wheel with N edges are learned by, in one array; all parts are views."""
+    """What the teeth of a wheel with N edges are learned by, rows of one array; all parts are
+    views."""
 
     def __init__(self, edges: int) -> None:
-        self.floats: Vector = np.zeros((STATES + 2 + edges) * edges)
-        by_tooth, right, rest = np.split(self.floats, [STATES * edges, (STATES + 1) * edges])
-        self.by_tooth = by_tooth.reshape(STATES, edges)
-        """The state's derivatives by the tooth errors."""
-        self.right = right
-        self.normal = rest[edges:].reshape(edges, edges)
-        """Right side and matrix (its upper half) of the normal equations. Before the matrix stands
-        a row that the kernel works with."""
+        self.floats: Vector = np.zeros((NORMAL + edges, edges))
+        self.right = self.floats[RIGHT]
+        self.normal = self.floats[NORMAL:]

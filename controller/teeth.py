@@ -14,7 +14,7 @@ import numpy as np
 
 from controller.crossing import Pressures
 from controller.crossing_kernels import crossing_filter, inverse_of_positive
-from controller.crossing_layout import TEETH, FilterArrays, Integers, TeethArrays
+from controller.crossing_layout import FilterArrays, Integers, TeethArrays
 from controller.edges import EdgeBatch
 from controller.motion import MotionModel
 from controller.motion_kernels import Vector
@@ -41,8 +41,7 @@ class TeethLearner:
 
     def __init__(self, tuning: CrossingFilterTuning, edges: int) -> None:
         self._arrays, self._teeth = FilterArrays(), TeethArrays(edges)
-        self._arrays.integers[TEETH] = edges
-        self._arrays.sensor[:] = tuning.edge_time_s, 1e-9, tuning.pressure_sd_pa, NEVER_GATED
+        self._arrays.sensor[:] = tuning.edge_time_s, 1e-9, tuning.pressure_sd_pa, NEVER_GATED, 0.0
         self._model: MotionModel | None = None
         self.running = False
 
