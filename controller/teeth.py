@@ -14,7 +14,7 @@ import numpy as np
 
 from controller.crossing import Pressures
 from controller.crossing_kernels import crossing_filter, inverse_of_positive
-from controller.crossing_layout import FilterArrays, Integers, TeethArrays
+from controller.crossing_layout import SCALE, FilterArrays, Integers, TeethArrays
 from controller.edges import EdgeBatch
 from controller.motion import MotionModel
 from controller.motion_kernels import Vector
@@ -60,16 +60,19 @@ class TeethLearner:
         pressures: Pressures,
         switches: tuple[Vector, Vector],
         model: MotionModel,
+        scale: float = 1.0,
     ) -> None:
-        """New edges of the window, nominal angles."""
+        """New edges of the window, nominal angles; scale: angle of the model's shaft over that of
+        the wheel."""
         arrays = self._arrays
+        arrays.floats[SCALE] = scale
         if model is not self._model:
             self._model = model
             arrays.set_model(*model)
         arrays.forget_past()
         crossing_filter(
-            arrays.floats, arrays.integers, batch.time_us, batch.theta_rad, *pressures, *switches,
-            self._teeth.floats, place,
+            arrays.floats, arrays.integers, batch.time_us, scale * batch.theta_rad, *pressures,
+            *switches, self._teeth.floats, place,
         )  # fmt: skip
 
     @property
