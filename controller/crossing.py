@@ -66,22 +66,20 @@ class CrossingFilter:
         self._tuning = tuning
         self._arrays = arrays = FilterArrays()
         self._floats, self._integers = arrays.floats, arrays.integers
-        self.x, self.p = arrays.x, arrays.p
         arrays.sensor[:] = (
             tuning.edge_time_s, tuning.tooth_error_rad, tuning.pressure_sd_pa, tuning.gate_sd,
             tuning.tooth_error_rad,
         )  # fmt: skip
         self._sd_rad = tuning.tooth_error_rad
         self._model: MotionModel | None = None
-        self.agreement = arrays.agreement
-        """Sum and number of normalised squared innovations (NIS) since it was last cleared."""
         self._taken: deque[_Batch] = deque(maxlen=KEPT)
         """The batches behind the moments that the arrays hold."""
 
     def begin(self, time_us: float, x: Vector, p: Vector) -> None:
         """A new state; nothing before it counts any more."""
-        self._arrays.time_us = time_us
-        self.x[:], self.p[:] = x, p
+        arrays = self._arrays
+        arrays.time_us = time_us
+        arrays.x[:], arrays.p[:] = x, p
         self.lose_offset()
 
     def set_mesh(self, at_flank_rad2_s: float, loose_rad2_s: float, loose_us: float) -> None:
@@ -108,6 +106,21 @@ class CrossingFilter:
     def time_us(self) -> float:
         """Time of the state."""
         return self._arrays.time_us
+
+    @property
+    def x(self) -> Vector:
+        """The state (6,), a view."""
+        return self._arrays.x
+
+    @property
+    def p(self) -> Vector:
+        """Its covariance (6, 6), a view."""
+        return self._arrays.p
+
+    @property
+    def agreement(self) -> Vector:
+        """Sum and number of normalised squared innovations (NIS) since it was last cleared."""
+        return self._arrays.agreement
 
     @property
     def gated(self) -> int:

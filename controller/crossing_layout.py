@@ -100,12 +100,43 @@ LATE: Final = 1
 """Nothing was taken: the batch begins before the state, and there is a moment to go back to."""
 
 
-class FilterArrays:
+class _Views:
+    """Arrays whose parts are views: copied (a campaign copies whole controllers) as arrays alone,
+    for copies of views would be arrays of their own."""
+
+    def __getstate__(self) -> dict[str, object]:
+        return {name: array for name, array in vars(self).items() if array.base is None}
+
+    def __setstate__(self, arrays: dict[str, object]) -> None:
+        vars(self).update(arrays)
+        self._name_parts()
+
+    def _name_parts(self) -> None:
+        raise NotImplementedError
+
+
+class FilterArrays(_Views):
     """A filter's two arrays and their parts; all parts are views."""
+
+    x: Vector
+    p: Vector
+    cross: Vector
+    sensor: Vector
+    motion: Vector
+    noise: Vector
+    law: Vector
+    mesh: Vector
+    agreement: Vector
+    moment: Vector
+    history: Vector
 
     def __init__(self) -> None:
         self.floats: Vector = np.zeros(FLOATS)
         self.integers: Integers = np.zeros(INTEGERS, np.int64)
+        self.floats[SCALE] = 1.0
+        self._name_parts()
+
+    def _name_parts(self) -> None:
         floats = self.floats
         self.x = floats[X:P]
         self.p = floats[P:OFFSET].reshape(STATES, STATES)
@@ -115,9 +146,7 @@ class FilterArrays:
         self.noise = floats[NOISE:LAW]
         self.law = floats[LAW:MESH].reshape(2, SEGMENTS, 3)
         self.mesh = floats[MESH:SCALE]
-        floats[SCALE] = 1.0
         self.agreement = floats[AGREEMENT:STEP]
-        self.counts = self.integers[: IN_A_ROW + 1]
         self.moment = floats[:MOMENT]
         self.history = floats[HISTORY:].reshape(KEPT, MOMENT)
 
@@ -146,11 +175,17 @@ class FilterArrays:
         self.moment[:] = self.history[integers[NEXT]]
 
 
-class TeethArrays:
+class TeethArrays(_Views):
     """What the teeth of a wheel with N edges are learned by, rows of one array; all parts are
     views."""
 
+    right: Vector
+    normal: Vector
+
     def __init__(self, edges: int) -> None:
         self.floats: Vector = np.zeros((NORMAL + edges, edges))
+        self._name_parts()
+
+    def _name_parts(self) -> None:
         self.right = self.floats[RIGHT]
         self.normal = self.floats[NORMAL:]

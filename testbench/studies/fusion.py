@@ -50,11 +50,16 @@ class Settings:
     """How many trucks and shifts."""
 
     trucks: int = count("trucks", 1, 100)
+    learning_shifts: int = count("learning_shifts", 0, 100)
+    """Before these the wheels' teeth are not known."""
     shifts: int = count("shifts", 1, 1000)
 
 
 def _run(given: Given[Settings], as_built: AsBuilt, truck: int) -> FusionRun:
-    return FusionRun(given.sheet, given.common.seed + truck, given.own.shifts, as_built)
+    own = given.own
+    return FusionRun(
+        given.sheet, given.common.seed + truck, own.learning_shifts, own.shifts, as_built
+    )
 
 
 def _jobs(given: Given[Settings]) -> tuple[FusionRun, ...]:
@@ -117,9 +122,9 @@ def _reason(better: tuple[bool, bool], further: str, first: bool) -> str:
     if not first:
         return gained
     return (
-        f"{gained}. The {further}'s edges are taken as further edges of the shaft by the exact "
-        "ratio, with the same Q and R: more of them, each off by its own wheel's tooth errors and "
-        "by the backlash between. Errors of wheels that an estimator has learned would not count"
+        f"{gained}. The {further}'s edges are further edges of the shaft by the exact ratio, in "
+        "the controller's own filter: the offset between the wheels is a state, and both wheels' "
+        "teeth are learned"
     )
 
 
