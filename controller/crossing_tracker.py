@@ -55,14 +55,16 @@ class _Shaft:
         self._own_us = 0.0
         self._start_p = np.zeros((STATES, STATES))
         """What is not known of the shaft where a window of its teeth begins."""
-        self._set_mesh(False)
+        side = tuning.mesh_side_rad**2 / tuning.mesh_side_s
+        at_flank = tuning.mesh_walk_rad**2
+        self._filter.set_mesh(at_flank, max(at_flank, side), tuning.mesh_side_s * 1e6)
+        self._fuses = False
 
-    def _set_mesh(self, free: bool) -> None:
-        """A further wheel's mesh lies at another flank than before, and stays there while free."""
-        tuning = self._tuning
-        at_flank, loose = tuning.mesh_walk_rad**2, tuning.mesh_side_rad**2 / tuning.mesh_side_s
-        loose = max(at_flank, loose)
-        self._filter.set_mesh(at_flank if free else loose, loose, tuning.mesh_side_s * 1e6)
+    def _fuse(self, free: bool) -> None:
+        """The shaft becomes free, or ceases to be: a further wheel's mesh lies at another flank
+        than before. With a gear in mesh it turns over at any time, and what it would tell is worse
+        than nothing (docs/estimation.md)."""
+        self._fuses = free and self._further is not None
         if self._further is not None:
             self._filter.lose_offset()
 
@@ -94,7 +96,7 @@ class _Shaft:
             return
         wheel, further = self._further, None
         if wheel is not None:
-            further = wheel.edges_for(self._filter)
+            further = wheel.edges_for(self._filter) if self._fuses else None
             self._own_us = batch.time_us[-1] if batch.time_us.size else self._own_us
         if not batch.time_us.size and not pressures.time_us.size and further is None:
             return
@@ -234,7 +236,7 @@ class CrossingTracker(_Shaft):
         p = diagonal(2.0 * tuning.tooth_error_rad, 1.0, pressure_sd, torque_sd, gain_sd, drag_sd)
         self.teeth.learner.begin(state.time_us, x, p)
         self._start_p = p
-        self._set_mesh(True)
+        self._fuse(True)
         self._run.begin(state.time_us, state.x, state.p)
         self._free, self._free_edges, self._one_pattern = True, 0, True
 
@@ -247,7 +249,7 @@ class CrossingTracker(_Shaft):
             events.append(f"layshaft {line}")
         if self._further is not None:
             self._further.end_window(events)
-        self._set_mesh(False)
+        self._fuse(False)
         x, sd = state.x, np.sqrt(np.maximum(np.diag(state.p), 0.0))
         if self._free_edges >= LEAST_FREE_EDGES and np.isfinite(x).all():
             known.gain = Carried(float(x[GAIN]), float(sd[GAIN]))
@@ -290,14 +292,14 @@ class MainTracker(_Shaft):
         if free and not learner.running and self._running:
             self._start_p = p = self._covariance(1.0, self._start_rad_s2)
             learner.begin(self._filter.time_us, self._filter.x, p)
-            self._set_mesh(True)
+            self._fuse(True)
         elif not free and learner.running:
             line = self.teeth.end_window()
             if line is not None:
                 events.append(f"main shaft {line}")
             if self._further is not None:
                 self._further.end_window(events)
-            self._set_mesh(False)
+            self._fuse(False)
 
     def at(self, time_us: float) -> ShaftState | None:
         """The state at a time; None before enough edges, or without any for 60 ms."""
