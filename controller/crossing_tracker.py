@@ -70,9 +70,11 @@ class _Shaft:
 
     def lose_speed(self) -> None:
         """Starts anew with the edges to come; teeth keep their numbers."""
-        self._running = False
+        self._running = self._fuses = False
         self._seed.restart()
         self.teeth.learner.running = False
+        if self._further is not None:
+            self._further.teeth.learner.running = False
 
     def restart(self) -> None:
         """Tooth numbers were lost: starts anew; which tooth is which is not known any more."""

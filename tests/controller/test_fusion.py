@@ -172,30 +172,74 @@ def band(freedom: float) -> np.ndarray:
 def test_a_further_wheel_helps_where_the_mesh_has_no_backlash(
     alone: Followed, tight: Followed
 ) -> None:
-    print("tight", rms(tight), rms(alone), rms(tight) / rms(alone))
-    assert rms(tight) < 0.9 * rms(alone)
+    """0.77 over 1,000 runs of another seed; twice the edges cannot give less than 0.71."""
+    assert 0.7 < rms(tight) / rms(alone) < 0.85
 
 
 def test_fused_errors_are_as_large_as_is_claimed(tight: Followed) -> None:
-    """NIS over the edges of both wheels; NEES of the six states and of the offset, at moments so
-    far apart that they say something new."""
+    """NIS over the edges of both wheels; NEES of the six states and of the offset."""
     total, count = tight.innovations
+    assert count > 700 * RUNS
     low, high = band(count)
-    print(total / count, low, high, count)
     assert low < total / count < high
     for moment in (0, 6, 12, 17):
         low, high = band(6 * RUNS)
-        print(np.mean(tight.squares[:, moment]) / 6, low, high)
         assert low < np.mean(tight.squares[:, moment]) / 6 < high
         low, high = band(RUNS)
-        print(np.mean(tight.offset[:, moment] ** 2), low, high)
         assert low < np.mean(tight.offset[:, moment] ** 2) < high
 
 
 def test_backlash_that_turns_over_makes_fusion_hurt(bench: Bench, alone: Followed) -> None:
+    """A filter that takes the mesh for rigid is worse than without the wheel, and does not know
+    it: 1.25 times the error, 2.7 times the squares that it claims."""
     rigid = follow(bench, "lash")
-    print("rigid", rms(rigid) / rms(alone), np.mean(rigid.angle**2))
-    loose = follow(bench, "lash", MESH)
-    print("loose", rms(loose) / rms(alone), np.mean(loose.angle**2))
-    loose = follow(bench, "tight", MESH)
-    print("loose tight", rms(loose) / rms(alone), np.mean(loose.angle**2))
+    assert rms(rigid) > 1.15 * rms(alone)
+    assert np.mean(rigid.angle**2) > 2.0
+
+
+def test_an_offset_that_may_move_takes_the_backlash_up(
+    bench: Bench, alone: Followed, tight: Followed
+) -> None:
+    """At a price: some of what a rigid mesh would have given is gone, with backlash or without."""
+    told = {mesh: follow(bench, mesh, MESH) for mesh in ("tight", "lash")}
+    assert rms(tight) < rms(told["tight"]) < rms(told["lash"]) < 0.92 * rms(alone)
+    assert np.mean(told["lash"].angle ** 2) < 1.25
+
+
+@settings(deadline=None, max_examples=15, derandomize=True)
+@given(run=st.integers(0, RUNS - 1), delays=st.lists(st.integers(0, 3), min_size=25, max_size=25))
+def test_edges_of_a_further_wheel_that_come_late_end_in_the_same_state(
+    bench: Bench, run: int, delays: list[int]
+) -> None:
+    in_order, delayed = begun(bench, MESH), begun(bench, MESH)
+    time_us, angle = bench.further["lash"][run][:2]
+    arrives = np.maximum.accumulate([min(i + lag, 24) for i, lag in enumerate(delays)])
+    # The first edge sets the offset, so that of both must be the same one.
+    arrives[0] = 0
+    read = np.clip(np.ceil(time_us / BATCH_US).astype(int) - 1, 0, 24)
+    for batch in range(25):
+        span = batch * BATCH_US, (batch + 1) * BATCH_US
+        own = within(bench.runs.edges[run], *span)
+        take(in_order, bench, run, span, own, within((time_us, angle), *span))
+        here = arrives[read] == batch
+        take(delayed, bench, run, span, own, (time_us[here], angle[here]))
+    assert delayed.time_us == in_order.time_us
+    sd = np.sqrt(np.diag(in_order.p))
+    assert np.allclose(delayed.x / sd, in_order.x / sd, rtol=0.0, atol=1e-6)
+    assert np.allclose(delayed.p / np.outer(sd, sd), in_order.p / np.outer(sd, sd), atol=1e-6)
+    assert delayed.offset == pytest.approx(in_order.offset, rel=1e-9)
+
+
+def test_wheels_that_stand_otherwise_to_each_other_are_taken_as_they_stand(bench: Bench) -> None:
+    """A jump of a whole degree: the further wheel is left out until the new offset is found."""
+    crossing = begun(bench, RIGID_MESH)
+    for end_us in range(BATCH_US, END_US + 1, BATCH_US):
+        span = end_us - BATCH_US, end_us
+        time_us, angle = within(bench.further["tight"][0], *span)
+        further = time_us, angle + np.where(time_us > 150e3, math.radians(1.0), 0.0)
+        take(crossing, bench, 0, span, within(bench.runs.edges[0], *span), further)
+    offset_rad = bench.offset["tight"][-1, 0] + math.radians(1.0)
+    assert crossing.gated == 8
+    assert crossing.offset[0] == pytest.approx(offset_rad, abs=4.0 * crossing.offset[1])
+    state = crossing.at(END_US, SWITCHES, bench.model)
+    assert abs(state.theta_rad - bench.runs.state[-1, 0, 0]) < 4.0 * state.theta_sd_rad
