@@ -3,30 +3,40 @@
 Two observers hear the same frames at the controller's own steps, one of them with the input shaft's
 and the propeller shaft's edges fused; neither of them is the one that shifts. Scored is as for
 every estimator (`testbench/estimation.py`): the layshaft against its encoder, the main shaft
-against the rig's truth, from neutral to contact, the wait for the next read included.
+against the rig's truth, from neutral to contact, the wait for the next read included. And what was
+predicted: the layshaft 45 ms ahead where the brake's commands have not changed since, the main
+shaft 35 to 45 ms ahead, as its truth comes.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
+from controller.brake_input import BrakeInput
 from controller.clock import unwrap
+from controller.kernels import US
 from controller.kinematics import wrap_to_pitch
+from controller.motion import LayshaftState, predict
 from controller.settings import ControllerSettings
+from controller.shafts import ShaftState
 from dbc.frame import Frame
 from dbc.link import Receiver
-from dbc.messages import ControllerStatus, Estimator, Message, ReferencePhase
+from dbc.messages import ControllerStatus, Estimator, Message, ReferenceEncoder, ReferencePhase
 from dbc.node import Node
 from gearbox import GearboxSheet
 from rig_sim.settings import Preset
-from testbench.estimation import EstimationScore, Sample
+from testbench.estimation import ENCODER_STEP_US, EstimationScore, Sample
 from testbench.rows import ShiftRow
 from testbench.simulate import Setup, simulate
 from testbench.studies.jobs import AsBuilt, Squares
 
 LAYSHAFT, WITH_INPUT = "layshaft alone", "layshaft and input"
 MAIN, WITH_PROPELLER = "main alone", "main and propeller"
+AHEAD: Final = ", 45 ms ahead"
+"""After a variant's name."""
+AHEAD_US: Final = 45_000
+READ_US: Final = 10_000
 CROSSING: Final = {"crossing": Estimator.CROSSING}
 Fused = dict[str, Squares]
 
@@ -82,20 +92,61 @@ class _Listener:
         self._observer = self._score.observer
         self._pitch_rad = sheet.wheels.main.pitch_rad
         self._truth: list[ReferencePhase] = []
+        self._layshaft_pitch_rad = sheet.wheels.layshaft.pitch_rad
         self._layshaft, self._main = Squares(), Squares()
-        self.squares = {layshaft: self._layshaft, main: self._main}
+        self._layshaft_ahead, self._main_ahead = Squares(), Squares()
+        self.squares = {
+            layshaft: self._layshaft,
+            main: self._main,
+            layshaft + AHEAD: self._layshaft_ahead,
+            main + AHEAD: self._main_ahead,
+        }
+        self._predicted: list[_Predicted] = []
         self.counts = False
         """Whether errors count yet."""
 
     def take(self, message: Message) -> None:
         """One message in bus order; a status frame closes a step."""
+        scored = self.counts and self._observer.layshaft.free
         if isinstance(message, ReferencePhase):
             self._truth.append(message)
+        elif isinstance(message, ReferenceEncoder) and scored:
+            self._add_layshaft_ahead(message)
         elif isinstance(message, ControllerStatus):
-            if self.counts and self._observer.layshaft.free:
+            if scored:
                 self._add_main()
             self._truth.clear()
         self._score.take(message)
+        if isinstance(message, ControllerStatus):
+            self._predict(message.step_time_us)
+
+    def _predict(self, now_us: int) -> None:
+        """Both shafts 45 ms from now, as a strategy would have it."""
+        observer, brake = self._observer, self._score.brake
+        layshaft, at_us = observer.layshaft, observer.clock.now_us(now_us)
+        main = observer.main_at(at_us)
+        if not self.counts or not layshaft.free or main is None:
+            self._predicted.clear()
+            return
+        time_us = at_us + AHEAD_US
+        ahead = predict(layshaft.latest(), time_us, brake.arrays(), layshaft.model)
+        self._predicted.append(_Predicted(time_us, ahead, main, _switched(brake, time_us)))
+
+    def _add_layshaft_ahead(self, truth: ReferenceEncoder) -> None:
+        """The samples of a frame are 2 ms apart: between them the angle goes on at its speed."""
+        newest_us = unwrap(truth.sample_time_us, self._observer.clock.latest_us)
+        due = [each for each in self._predicted if each.time_us <= newest_us]
+        self._predicted = [each for each in self._predicted if each.time_us > newest_us]
+        for each in due:
+            k = round((newest_us - each.time_us) / ENCODER_STEP_US)
+            unforeseen = each.switched != _switched(self._score.brake, each.time_us)
+            if unforeseen or k >= len(truth.angle_rad) or self._score.is_after_contact(newest_us):
+                continue
+            since_s = (each.time_us - newest_us + k * ENCODER_STEP_US) * US
+            omega = truth.speed_rad_s[k]
+            theta = truth.angle_rad[k] + omega * since_s
+            error = wrap_to_pitch(each.layshaft.theta_rad - theta, self._layshaft_pitch_rad)
+            self._layshaft_ahead.put(error, each.layshaft.omega_rad_s - omega)
 
     def _add(self, sample: Sample) -> None:
         if self.counts:
@@ -104,11 +155,32 @@ class _Listener:
     def _add_main(self) -> None:
         for truth in self._truth:
             time_us = unwrap(truth.sample_time_us, self._observer.clock.latest_us)
-            state = self._observer.main_at(time_us)
-            if state is None or self._score.is_after_contact(time_us):
+            if self._score.is_after_contact(time_us):
                 continue
-            error = wrap_to_pitch(state.theta_rad - truth.main_angle_rad, self._pitch_rad)
-            self._main.samples += 1
-            self._main.angle_rad += error
-            self._main.angle_rad2 += error * error
-            self._main.speed_rad2_s2 += (state.omega_rad_s - truth.main_speed_rad_s) ** 2
+            state = self._observer.main_at(time_us)
+            if state is not None:
+                self._put_main(self._main, state, truth, time_us)
+            for each in self._predicted:
+                if 0 <= each.time_us - time_us < READ_US:
+                    self._put_main(self._main_ahead, each.main, truth, time_us)
+
+    def _put_main(
+        self, squares: Squares, state: ShaftState, truth: ReferencePhase, time_us: int
+    ) -> None:
+        error = wrap_to_pitch(state.theta_at(time_us) - truth.main_angle_rad, self._pitch_rad)
+        squares.put(error, state.omega_at(time_us) - truth.main_speed_rad_s)
+
+
+class _Predicted(NamedTuple):
+    """What was predicted for a time, and the brake's switches until then as commanded."""
+
+    time_us: float
+    layshaft: LayshaftState
+    main: ShaftState
+    """When it was predicted."""
+    switched: list[tuple[float, float]]
+
+
+def _switched(brake: BrakeInput, until_us: float) -> list[tuple[float, float]]:
+    times, states = brake.commands
+    return [(t, u) for t, u in zip(times.tolist(), states.tolist(), strict=True) if t <= until_us]
