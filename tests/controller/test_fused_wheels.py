@@ -14,11 +14,17 @@ from free_layshaft import STEP_S, US, Runs, World, drive, edges_of, law_array
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
+from wheel import READ_US, Wheel
 
+from controller.clock import SensorClock
 from controller.crossing import CrossingFilter, FurtherEdges, Pressures
+from controller.crossing_tracker import MainTracker
+from controller.edges import EdgeBatch
+from controller.further_wheel import FurtherWheel
 from controller.motion import MotionModel, diagonal, free_motion
 from controller.settings import CrossingFilterTuning
 from gearbox import GearboxSheet, Split
+from gearbox.sheet import Wheel as SheetWheel
 
 RUNS = 100
 BATCH_US = 10_000
@@ -28,6 +34,7 @@ FLIPS_S = (0.050, 0.165)
 """Where a mesh with backlash changes its flank: brake on, and brake nearly off again."""
 FLIGHT_S = 0.004
 LASH_RAD = math.radians(0.1)
+START_US = 1 << 20
 SETTLED_US = 80_000
 """By then both filters know the speed; scored from here on."""
 TUNING = replace(CrossingFilterTuning(), tooth_error_rad=math.radians(0.02))
@@ -243,3 +250,34 @@ def test_wheels_that_stand_otherwise_to_each_other_are_taken_as_they_stand(bench
     assert crossing.offset[0] == pytest.approx(offset_rad, abs=4.0 * crossing.offset[1])
     state = crossing.at(END_US, SWITCHES, bench.model)
     assert abs(state.theta_rad - bench.runs.state[-1, 0, 0]) < 4.0 * state.theta_sd_rad
+
+
+def test_a_further_wheel_does_not_stand_in_for_a_dead_sensor() -> None:
+    """The main shaft's own edges end at 0.3 s; the propeller shaft's go on."""
+    omega, sheet_wheel, ratio = 100.0, SheetWheel(45, 0.5), 0.25
+    times_us = START_US + np.round(np.arange(1, 2000) * math.pi / 45 / omega / ratio / US).astype(
+        int
+    )
+    wheel = Wheel(1, times_us[0::2].tolist(), times_us[1::2].tolist())
+    further, clock = FurtherWheel("propeller shaft", sheet_wheel, TUNING), SensorClock()
+    main = MainTracker(TUNING, 45, (), further)
+    further.set_ratio(1.0 / ratio, dragged=False)
+    own_us = START_US + np.arange(1.0, 430.0) * half_pitch / omega / US
+    number = np.arange(1, 430)
+    events: list[str] = []
+    states = {}
+    for now_us in range(START_US + READ_US, START_US + 500_000, READ_US):
+        new = (own_us > now_us - READ_US) & (own_us <= now_us)
+        batch = EdgeBatch(
+            own_us[new], math.pi / 45 * number[new], number[new] // 2, number[new] % 2
+        )
+        main.set_free(True, events)
+        further.read([wheel.rise(now_us)], [wheel.fall(now_us)], clock, now_us)
+        main.edges(batch)
+        states[now_us] = main.at(now_us)
+    dead_us = int(own_us[-1])
+    known = [now_us for now_us, state in states.items() if state is not None]
+    assert max(known) - dead_us < 60_000
+    assert main.newest_us > dead_us + 150_000
+    at_us = START_US + 290_000
+    assert abs(states[at_us].omega_rad_s - omega) < 0.1
