@@ -254,10 +254,9 @@ def test_wheels_that_stand_otherwise_to_each_other_are_taken_as_they_stand(bench
 
 def test_a_further_wheel_does_not_stand_in_for_a_dead_sensor() -> None:
     """The main shaft's own edges end at 0.3 s; the propeller shaft's go on."""
-    omega, sheet_wheel, ratio = 100.0, SheetWheel(45, 0.5), 0.25
-    times_us = START_US + np.round(np.arange(1, 2000) * math.pi / 45 / omega / ratio / US).astype(
-        int
-    )
+    omega, sheet_wheel, ratio, half_pitch = 100.0, SheetWheel(45, 0.5), 0.25, math.pi / 45
+    since_us = np.arange(1, 2000) * half_pitch / omega / ratio / US
+    times_us = START_US + np.round(since_us).astype(int)
     wheel = Wheel(1, times_us[0::2].tolist(), times_us[1::2].tolist())
     further, clock = FurtherWheel("propeller shaft", sheet_wheel, TUNING), SensorClock()
     main = MainTracker(TUNING, 45, (), further)
@@ -268,9 +267,7 @@ def test_a_further_wheel_does_not_stand_in_for_a_dead_sensor() -> None:
     states = {}
     for now_us in range(START_US + READ_US, START_US + 500_000, READ_US):
         new = (own_us > now_us - READ_US) & (own_us <= now_us)
-        batch = EdgeBatch(
-            own_us[new], math.pi / 45 * number[new], number[new] // 2, number[new] % 2
-        )
+        batch = EdgeBatch(own_us[new], half_pitch * number[new], number[new] // 2, number[new] % 2)
         main.set_free(True, events)
         further.read([wheel.rise(now_us)], [wheel.fall(now_us)], clock, now_us)
         main.edges(batch)
