@@ -14,8 +14,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from controller.kinematics import raw_phase_rad, wrap_to_pitch
+from dbc.messages import ReferenceSource
 from gearbox import GearboxSheet, MainGear
 
 STILL_LOOKS = 5
@@ -45,6 +47,14 @@ LEAST_SPAN, MOST_SPAN = 0.8, 1.1
 middle is then off by a tenth at most."""
 FLANK_SLIP_RAD_S = 0.2
 """Below this slip (2 rpm) at contact the flank cannot be told from it."""
+
+
+class Floated(NamedTuple):
+    """Lowest and highest raw phase at which the tooth of a gear has been in its gap."""
+
+    gear: MainGear
+    low_rad: float
+    high_rad: float
 
 
 @dataclass
@@ -133,6 +143,8 @@ class PhaseReferences:
     def __init__(self, sheet: GearboxSheet) -> None:
         self._sheet = sheet
         self._offset_rad: dict[MainGear, float] = {}
+        self._adopted: dict[MainGear, ReferenceSource] = {}
+        """Where constants came from that were not seen in mesh."""
         self._learning: _Learning | None = None
         self._moves = False
         """Whether teeth have been seen to move in their gaps."""
@@ -188,32 +200,30 @@ class PhaseReferences:
             self._offset_rad = self._likely_rad | self._offset_rad
         self._likely_rad.clear()
         self._offset_rad[gear] = mean - flank * dog.backlash_rad / 2.0
+        self._adopted.pop(gear, None)
         self._learning = None
         return True
 
-    def released(self) -> None:
-        """The gear left the mesh, perhaps before it was learned."""
+    def released(self) -> Floated | None:
+        """The gear left the mesh; where its tooth has been, if that was before it was learned."""
         learning, backlash_rad = self._learning, self._sheet.dog.backlash_rad
         self._learning = None
         if learning is None:
-            return
-        if not self.known(learning.gear):
-            self._bound(learning)
-        if not learning.stayed(backlash_rad):
-            return
-        self._stays = True
-        if learning.flank != 0:
-            mean = _mean(learning.seen)
-            self._likely_rad[learning.gear] = mean - learning.flank * backlash_rad / 2.0
+            return None
+        floated = learning.floated(backlash_rad)
+        if floated is not None and not self.known(learning.gear):
+            self._bound(learning.gear, *floated)
+        if learning.stayed(backlash_rad):
+            self._stays = True
+            if learning.flank != 0:
+                mean = _mean(learning.seen)
+                self._likely_rad[learning.gear] = mean - learning.flank * backlash_rad / 2.0
+        return None if floated is None else Floated(learning.gear, *floated)
 
-    def _bound(self, learning: _Learning) -> None:
+    def _bound(self, gear: MainGear, low: float, high: float) -> None:
         """A gear that has left the mesh with its flank untold: what its looks say of the gap, with
         those of earlier times."""
-        gear, dog = learning.gear, self._sheet.dog
-        floated = learning.floated(dog.backlash_rad)
-        if floated is None:
-            return
-        low, high = floated
+        dog = self._sheet.dog
         if gear in self._floated_rad:
             before_low, before_high = self._floated_rad[gear]
             turned = low - before_low - wrap_to_pitch(low - before_low, dog.pitch_rad)
@@ -230,17 +240,25 @@ class PhaseReferences:
         """The known constants by gear."""
         return dict(self._offset_rad)
 
-    def adopt(self, gear: MainGear, offset_rad: float) -> None:
+    def adopt(self, gear: MainGear, offset_rad: float, source: ReferenceSource) -> None:
         """A constant that is known without a look at the gear in mesh."""
         self._offset_rad[gear] = offset_rad
+        self._adopted[gear] = source
+
+    def source(self, gear: MainGear) -> ReferenceSource:
+        """Where a gear's constant came from; NONE while it is unknown."""
+        known = ReferenceSource.MEASURED if gear in self._offset_rad else ReferenceSource.NONE
+        return self._adopted.get(gear, known)
 
     def lose(self, gear: MainGear) -> None:
         """One gear's constant was wrong."""
         self._offset_rad.pop(gear, None)
+        self._adopted.pop(gear, None)
 
     def lose_all(self) -> None:
         """A wheel's count was lost: nothing is known any more."""
         self._offset_rad.clear()
+        self._adopted.clear()
         self._likely_rad.clear()
         self._floated_rad.clear()
         self._learning = None
