@@ -105,6 +105,11 @@ class GearboxView:
         """Whether every position and the clutch have been seen."""
         return len(self.tracks) == SLEEVES and self.clutch_closed is not None
 
+    @property
+    def oldest_us(self) -> int:
+        """Time of the newest sample of the sleeve that was seen longest ago; 0 before any."""
+        return min([track.newest_us for track in self.tracks.values()], default=0)
+
     def position_m(self, sleeve: Sleeve) -> float:
         """Where a sleeve is; KeyError before its first frame."""
         return self.tracks[sleeve].position_m
@@ -151,7 +156,8 @@ class GearboxView:
     def main_box_free(self) -> bool:
         """Whether no main sleeve is at a gear's teeth, where it rubs on them or is in mesh."""
         limit = self._contact_m - SHORT_M
-        return all(
-            abs(self.position_m(sleeve) - self._rest_m[sleeve]) < limit
-            for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
+        first, third = Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD
+        return (
+            abs(self.position_m(first) - self._rest_m[first]) < limit
+            and abs(self.position_m(third) - self._rest_m[third]) < limit
         )

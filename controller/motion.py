@@ -7,7 +7,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from controller.motion_kernels import SEGMENTS, STATES, Vector, forecast, travel
+from controller.kinematics import are_finite
+from controller.motion_kernels import (
+    OMEGA,
+    PRESSURE,
+    SEGMENTS,
+    STATES,
+    THETA,
+    Vector,
+    forecast,
+    travel,
+)
 from controller.settings import CrossingFilterTuning
 from gearbox import GearboxSheet, Split
 
@@ -34,6 +44,11 @@ class LayshaftState(NamedTuple):
     """Steady acceleration beside the viscous friction; negative: it brakes."""
     covariance: Vector | None = None
     """Of the six states of `motion_kernels` (6, 6), where the estimator has one."""
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether every number of it is one."""
+        return are_finite(self[:10])
 
     @property
     def vector(self) -> Vector:
@@ -117,10 +132,24 @@ def predict_spread(
 def state_of(x: Vector, p: Vector, time_us: float) -> LayshaftState:
     """The record of a filter's state and covariance."""
     theta, omega, pressure, disturbance, gain, drag = x.tolist()
-    theta_sd, omega_sd, pressure_sd = (math.sqrt(max(0.0, float(p[i, i]))) for i in range(3))
     return LayshaftState(
-        time_us, theta, omega, pressure, theta_sd, omega_sd, pressure_sd, disturbance, gain, drag, p
+        time_us,
+        theta,
+        omega,
+        pressure,
+        _root(p.item(THETA, THETA)),
+        _root(p.item(OMEGA, OMEGA)),
+        _root(p.item(PRESSURE, PRESSURE)),
+        disturbance,
+        gain,
+        drag,
+        p,
     )
+
+
+def _root(variance: float) -> float:
+    """Standard deviation; 0 where rounding has left a variance below it."""
+    return math.sqrt(variance) if variance > 0.0 else 0.0
 
 
 def diagonal(*sds: float) -> Vector:
