@@ -207,9 +207,7 @@ class BenchCore:
                 return seen.ready_in == shift.from_ and in_old_gear
             case Phase.SETTLING:
                 locked_us = now_us - seen.ready_us
-                return (
-                    waited_us >= self._pauses.settle_us and locked_us >= self._pauses.locked_us
-                )
+                return waited_us >= self._pauses.settle_us and locked_us >= self._pauses.locked_us
             case Phase.REQUESTING:
                 return seen.outcome or (status is not None and status.state in MOVING)
             case Phase.SHIFTING:

@@ -37,7 +37,8 @@ class Path:
     """Phase (unwrapped) and slip of one gear each 4 ms, run on only as far as they are asked for.
 
     `plant` is a copy that all paths run in turn; each keeps where it stands, and one from which
-    branches may begin (`keeps`) where it stood at every sample."""
+    branches may begin (`keeps`) where it stood at every sample. One that is a branch itself
+    switches nothing after its start."""
 
     def __init__(
         self,
@@ -66,18 +67,35 @@ class Path:
             return
         plant = self._plant
         plant.restore(self._snapshots[-1])
-        while len(self.slip) < count:
+        while self._keeps and len(self.slip) < count:
             self._run_to(self.start_us + SAMPLE_US * len(self.slip))
-            slip = -plant.main_rad_s if self._is_at_rest else plant.slip_rad_s(self._gear)
-            expected = self.phase[-1] + (slip + self.slip[-1]) / 2.0 * SAMPLE_S
-            found = expected if self._is_at_rest else plant.shafts.phase_rad(self._gear)
-            turns = math.floor((expected - found) / self._pitch + 0.5)
-            self.phase.append(found + self._pitch * turns)
-            self.slip.append(slip)
-            if self._keeps:
-                self._snapshots.append(plant.snapshot())
+            self._add(plant.slip_rad_s(self._gear), plant.shafts.phase_rad(self._gear))
+            self._snapshots.append(plant.snapshot())
         if not self._keeps:
+            self._run_alone(range(len(self.slip), count))
             self._snapshots = [plant.snapshot()]
+
+    def _add(self, slip: float, found: float) -> None:
+        """A sample's slip, and its phase within half a pitch; a layshaft at rest has neither."""
+        if self._is_at_rest:
+            slip = -self._plant.main_rad_s
+        expected = self.phase[-1] + (slip + self.slip[-1]) / 2.0 * SAMPLE_S
+        found = expected if self._is_at_rest else found
+        turns = math.floor((expected - found) / self._pitch + 0.5)
+        self.phase.append(found + self._pitch * turns)
+        self.slip.append(slip)
+
+    def _run_alone(self, numbers: range) -> None:
+        """Samples of a path that switches nothing but at its start, all in one go."""
+        plant, gear = self._plant, self._gear
+        while self._switches:
+            plant.set_brake(self._switches.pop(0)[1])
+        samples, rests = plant.sample(gear, SAMPLE_US, self.start_us, numbers)
+        ratio = plant.ratio(gear)
+        for layshaft, main, phase in samples.tolist():
+            self._is_at_rest = math.isnan(layshaft)
+            self._add(ratio * layshaft - main, phase)
+        self._is_at_rest = rests
 
     def snapshot(self, sample: int) -> Snapshot:
         """The plant at a sample."""

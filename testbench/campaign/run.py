@@ -63,8 +63,9 @@ def _shifts(spec: CampaignSpec, job: Job) -> tuple[list[Record], int]:
     learned.prepare()
     conditions = Conditions(spec.sheet, learned.as_built)
     records = []
-    for name in spec.names:
-        loop = learned.fork()
+    # The last strategy needs no copy: nothing goes on from the original after it.
+    copies = [learned.fork() for _ in spec.names[1:]]
+    for name, loop in zip(spec.names, [*copies, learned], strict=True):
         loop.use(spec.engagement(name), knows_all=name == ORACLE)
         key = {"sweep": job.point.name, "sweep_value": job.point.value, "seed": job.seed}
         records += [
