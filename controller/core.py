@@ -131,7 +131,8 @@ class ControllerCore:
 
     def receive(self, frame: Frame) -> None:
         """Keeps a frame for the next step."""
-        self._probe.receive(frame)
+        if self._probe.is_armed:
+            self._probe.receive(frame)
         if len(self._inbox) < INBOX_LIMIT:
             self._inbox.append(frame)
         else:

@@ -66,9 +66,7 @@ def decode(payload: bytes) -> Wish:
     if len(payload) != FRAME_LENGTH:
         raise ValueError(f"valve command of {len(payload)} bytes, allowed is {FRAME_LENGTH}")
     actions = int.from_bytes(payload[ACTION_BYTES], "little")
-    return Wish(
-        tuple([actions >> shift & 3 for shift in _SHIFTS]), _times_us(payload, TIME_BYTES)
-    )
+    return Wish(tuple([actions >> shift & 3 for shift in _SHIFTS]), _times_us(payload, TIME_BYTES))
 
 
 class Span(NamedTuple):

@@ -72,11 +72,16 @@ _KNOWN_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
 class _Sender:
     """One message this node sends, with its counter and the buffer its frames are made in."""
 
-    __slots__ = ("buffer", "codec", "counter")
+    __slots__ = ("buffer", "can_id", "codec", "counter", "data_id", "encode", "is_fd")
 
     def __init__(self, codec: Codec) -> None:
+        spec = codec.spec
         self.codec = codec
-        self.buffer = bytearray(codec.spec.length)
+        self.can_id = spec.can_id
+        self.is_fd = spec.is_fd
+        self.data_id = spec.data_id
+        self.encode = codec.encode
+        self.buffer = bytearray(spec.length)
         self.counter = COUNTER_MODULUS - 1  # that of the frame before: the first one carries 0
 
 
@@ -107,17 +112,16 @@ class Transmitter:
         sender = self._senders.get(type(message))
         if sender is None:
             raise EncodeError(f"{', '.join(self._nodes)}: does not send {type(message).__name__}")
-        codec = sender.codec
-        spec = codec.spec
-        buffer = sender.buffer
+        buffer, data_id = sender.buffer, sender.data_id
         try:
-            codec.encode(buffer, sender.counter, message)
+            sender.encode(buffer, sender.counter, message)
         except REFUSALS as error:
-            raise EncodeError(f"{spec.name}.{why_refused(codec.fields, message)}") from error
-        if spec.data_id is not None:
-            write_crc(buffer, spec.data_id)  # counts on by one, then protects
+            codec = sender.codec
+            raise EncodeError(f"{codec.spec.name}.{why_refused(codec.fields, message)}") from error
+        if data_id is not None:
+            write_crc(buffer, data_id)  # counts on by one, then protects
             sender.counter = buffer[2]
-        return _new(Frame, (spec.can_id, bytes(buffer), spec.is_fd, True))
+        return _new(Frame, (sender.can_id, bytes(buffer), sender.is_fd, True))
 
 
 class _Channel:
