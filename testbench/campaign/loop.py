@@ -32,9 +32,9 @@ from testbench.rows import ShiftRow
 from testbench.simulate import not_addressed_to, tick_phases
 from testbench.virtual_time import VirtualTime
 
-PAUSES: Final = Pauses(settle_us=20_000, locked_us=200_000, learn_us=300_000, learned_us=60_000)
+PAUSES: Final = Pauses(settle_us=0, locked_us=100_000, learn_us=300_000, learned_us=30_000)
 """Before a request the filters settle, as in driving; a gear is left once its phase is known."""
-RETURN_RAMP_S: Final = 0.1
+RETURN_RAMP_S: Final = 0.05
 """Nor does it take its time to bring the shafts to the speeds of the old gear."""
 LIMIT_US_PER_SHIFT: Final = 30_000_000
 ALL_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
