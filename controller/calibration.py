@@ -20,6 +20,7 @@ FORMAT: Final = 1
 DEG: Final = math.pi / 180.0
 MS: Final = 1e-3
 BAR: Final = 1e5
+RPM: Final = math.pi / 30.0
 MOST_SHIFTS: Final = 1_000_000_000
 PITCH_SHARE: Final = 0.25
 """A tooth's place is wrong by less than this share of a pitch, or it is another wheel's."""
@@ -148,6 +149,29 @@ class Sleeves:
 
 
 @dataclass(frozen=True)
+class DriftRecord:
+    """How one gear's slip drifts from its prediction (`controller/phase_drift.py`)."""
+
+    slip_rad_s: float = quantity("slip_rpm", -10.0, 10.0, RPM)
+    samples: float = quantity("samples", 0.01, 1e4)
+
+
+@dataclass(frozen=True)
+class Drifts:
+    """The gears that have been engaged."""
+
+    crawl: DriftRecord | None = group(DriftRecord, default=None)
+    first: DriftRecord | None = group(DriftRecord, default=None)
+    second: DriftRecord | None = group(DriftRecord, default=None)
+    third: DriftRecord | None = group(DriftRecord, default=None)
+
+    def of(self, gear: MainGear) -> DriftRecord | None:
+        """The record of a gear."""
+        record: DriftRecord | None = getattr(self, gear.name.lower())
+        return record
+
+
+@dataclass(frozen=True)
 class End:
     """The last lines of a file: one that was cut off before them is torn, wherever it was cut."""
 
@@ -168,6 +192,7 @@ class Calibration:
     references: References = group(References, default=References())
     brake: BrakeRecord | None = group(BrakeRecord, default=None)
     sleeves: Sleeves = group(Sleeves, default=Sleeves())
+    drifts: Drifts = group(Drifts, default=Drifts())
     end: End = group(End)
 
     def __post_init__(self) -> None:

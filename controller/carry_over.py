@@ -17,15 +17,16 @@ from controller.header import RunHeader
 from controller.kinematics import wrap_to_pitch
 from controller.observer import Observer
 from controller.recall import Kept
-from controller.sleeve_delay import SleeveDelays
+from controller.shift_desk import ShiftDesk
 from controller.tooth_match import Memory
 from gearbox.gears import MAIN_GEARS
 
 
-def restore(calibration: Calibration, observer: Observer, delays: SleeveDelays) -> None:
+def restore(calibration: Calibration, observer: Observer, desk: ShiftDesk) -> None:
     """Starts with what earlier runs learned. Teeth and phase references are memories until the
-    wheels show which tooth is which; the baseline estimators take the sleeve delays alone."""
-    delays.restore(calibration.sleeves)
+    wheels show which tooth is which; the baseline estimators take delays and drifts alone."""
+    desk.delays.restore(calibration.sleeves)
+    desk.drifts.restore(calibration.drifts)
     recall = observer.recall
     if recall is None:
         return
@@ -42,7 +43,7 @@ def restore(calibration: Calibration, observer: Observer, delays: SleeveDelays) 
 
 
 def collect(
-    header: RunHeader, observer: Observer, delays: SleeveDelays, shifts: int, written: str
+    header: RunHeader, observer: Observer, desk: ShiftDesk, shifts: int, written: str
 ) -> Calibration:
     """What is known now, at a time that the caller says in `written`.
 
@@ -52,7 +53,6 @@ def collect(
     provenance = Provenance(
         header.version, header.sheet.name, header.sheet.sha256, written, earlier + shifts
     )
-    sleeves = delays.records()
     recall = observer.recall
     if recall is None:
         wheels = before.wheels if before is not None else Wheels()
@@ -69,7 +69,8 @@ def collect(
         wheels=wheels,
         references=references,
         brake=brake,
-        sleeves=sleeves,
+        sleeves=desk.delays.records(),
+        drifts=desk.drifts.records(),
         end=End(complete=True),
     )
 

@@ -88,7 +88,7 @@ class ControllerCore:
         self._observer = Observer(sheet, settings, brake, settings.estimator)
         timing = ValveTiming(settings.valve_timing)
         self._board = ValveBoard(timing)
-        self._probe = ClockProbe(timing is ValveTiming.IMMEDIATE)
+        self._probe = ClockProbe()
         self._ahead_us = settings.timing.wire_us if timing is ValveTiming.IMMEDIATE else 0
         self._sequence = ShiftSequence(
             sheet, settings, self._board, brake, self._observer.references
@@ -105,7 +105,7 @@ class ControllerCore:
         self.shifts = 0
         """How many shifts have ended since the start."""
         if header.calibration is not None:
-            restore(header.calibration, self._observer, self._sequence.delays)
+            restore(header.calibration, self._observer, self._sequence)
 
     @property
     def knows(self) -> tuple[int, int]:
@@ -114,7 +114,7 @@ class ControllerCore:
 
     def calibration(self, written: str) -> Calibration:
         """What has been learned, earlier runs included; `written` says when, for people."""
-        return collect(self.header, self._observer, self._sequence.delays, self.shifts, written)
+        return collect(self.header, self._observer, self._sequence, self.shifts, written)
 
     def change_settings(self, settings: ControllerSettings) -> None:
         """Other engagement settings from the next step on; what was learned stays. Call it between

@@ -54,6 +54,9 @@ def _look_for_contact(desk: ShiftDesk, moment: Moment) -> None:
     shift.measured_contact_us = round(crossing)
     if shift.plan is not None:
         desk.delays.learn(shift.target.main, crossing - shift.plan.fire_us)
+    fired, free = desk.fired_outlook, desk.free_outlook
+    if fired is not None and free is not None:
+        desk.drifts.learn(fired, free, crossing)
     if desk.free_outlook is not None and desk.reference_known(shift.target.main):
         shift.estimated_phase_rad = desk.strategist.plan_at(
             desk.free_outlook, round(crossing), ShiftDecision.NONE

@@ -50,6 +50,10 @@ class Outlook:
     delay_us: int
     """From a sleeve valve's activation to contact, expected."""
     delay_sd_s: float
+    drift_rad_s: float
+    """Learned: what the slip is above what the model says (`phase_drift`)."""
+    spread_share: float
+    """Learned: what phases scatter by over the filter's standard deviation."""
 
     def slip_rad_s(self, time_us: float, release_us: int | None = None) -> float:
         """Slip at a time with the brake as commanded, or released at `release_us`."""
@@ -57,14 +61,15 @@ class Outlook:
 
     def _slip(self, state: LayshaftState) -> float:
         omega_main = self.main.omega_at(state.time_us)
-        return slip_rad_s(self.i_gear, state.omega_rad_s, omega_main)
+        return slip_rad_s(self.i_gear, state.omega_rad_s, omega_main) + self.drift_rad_s
 
     def phase_and_slip(self, time_us: float) -> tuple[float, float]:
         """Unwrapped phase and slip at a time. KeyError while the reference is unknown."""
         state = self.layshaft_at(time_us, None)
         theta_main = self.main.theta_at(time_us)
         phase = self.references.phase_rad(self.gear, state.theta_rad, theta_main)
-        return phase, self._slip(state)
+        drifted = self.drift_rad_s * (time_us - self.main.time_us) * US
+        return phase + drifted, self._slip(state)
 
     def layshaft_at(self, time_us: float, release_us: float | None) -> LayshaftState:
         """The layshaft at a time with the brake as commanded, or released at `release_us`."""
@@ -76,9 +81,8 @@ class Outlook:
         """Standard deviation of the phase at contact: angles, speeds to then, and delay."""
         layshaft_sd = self._layshaft_sd_rad(time_us)
         slip = self.slip_rad_s(time_us)
-        return math.hypot(
-            self.i_gear * layshaft_sd, self._main_sd_rad(time_us), slip * self.delay_sd_s
-        )
+        angles = math.hypot(self.i_gear * layshaft_sd, self._main_sd_rad(time_us))
+        return math.hypot(self.spread_share * angles, slip * self.delay_sd_s)
 
     def _layshaft_sd_rad(self, time_us: float) -> float:
         state = self.layshaft
@@ -90,7 +94,7 @@ class Outlook:
     def estimate_variance(self, time_us: float) -> float:
         """Variance of the phase at a time without what the delay adds, rad2."""
         sd = math.hypot(self.i_gear * self._layshaft_sd_rad(time_us), self._main_sd_rad(time_us))
-        return sd * sd
+        return (self.spread_share * sd) ** 2
 
     def _main_sd_rad(self, time_us: float) -> float:
         horizon_s = (time_us - self.main.time_us) * US
@@ -104,7 +108,10 @@ class Outlook:
         main, state, brake = self.main, self.layshaft, self.brake
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
         offset = -self.references.phase_rad(self.gear, 0.0, 0.0)
-        mesh = np.array([self.i_gear, offset, *main[:3], main.acceleration_rad_s2])
+        # Against a main shaft slower by the drift, phase and slip drift as they were seen to.
+        omega = main.omega_rad_s - self.drift_rad_s
+        motion = (main.time_us, main.theta_rad, omega, main.acceleration_rad_s2)
+        mesh = np.array([self.i_gear, offset, *motion])
         found = Course(first_us, step_us, np.empty(count), np.empty(count))
         model = self.model
         course(

@@ -1,9 +1,9 @@
 """A step at the very arrival of a frame, now and then: how late does the bus bring a read?
 
-A frame carries no arrival time; it counts from the step that consumes it, perhaps a tick later.
-Hardware that schedules does not care, because activation times leave room for that. Where the
-controller itself must switch at the moment, it steps a few times a second as soon as the first edge
-frame of a read is there, so that the least `now - stamp` is the bus's share alone.
+A frame carries no arrival time; it counts from the step that consumes it, perhaps a tick later. So
+the controller steps a few times a second as soon as the first edge frame of a read is there, and
+the least `now - stamp` is the bus's share alone. Where it switches valves itself it needs that to be
+on time; where activations are scheduled, a tick less of lead is a tick less to predict over.
 """
 
 from __future__ import annotations
@@ -24,10 +24,9 @@ FIRST_OF_A_READ: Final = CODECS[EdgesInputRise.__name__].spec.can_id
 class ClockProbe:
     """When to step at once, and the stamp that such a step is for."""
 
-    def __init__(self, enabled: bool) -> None:
-        self.is_armed = enabled
+    def __init__(self) -> None:
+        self.is_armed = True
         """A frame that arrives may be the awaited one."""
-        self._enabled = enabled
         self._probed_us = 0
         self.is_due = False
         """The awaited frame has come: step now."""
@@ -50,4 +49,4 @@ class ClockProbe:
         """After a step: whether to await the next read. Not before a switch, which the frames of
         one step more would delay."""
         due = now_us - self._probed_us >= EVERY_US
-        self.is_armed = self._enabled and switch_us is None and (due or self._probed_us == 0)
+        self.is_armed = switch_us is None and (due or self._probed_us == 0)

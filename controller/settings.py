@@ -40,9 +40,9 @@ class Timing:
     """The tick and the margins around it."""
 
     tick_ms: int = count("tick_ms", 1, 100, default=10)
-    lead_ms: int = count("lead_ms", 1, 80, default=18)
+    lead_ms: int = count("lead_ms", 1, 80, default=8)
     """How far ahead of the controller's notion of sensor time an activation is placed at least:
-    bus time, one tick of consuming, and the node's own lateness must fit into it."""
+    bus time and the node's own lateness must fit into it."""
 
     wire_us: int = count("wire_us", 0, 5000, default=900)
     """Hardware that cannot schedule: the least time from a read to its frame's arrival and from a
@@ -82,9 +82,9 @@ class Window:
     releases are those of their least mean duration (`benchmarks/tune_baselines.py`)."""
     settle_time_constants: float = quantity("settle_time_constants", 0.0, 10.0, default=3.0)
     """When the brake counts as died away, in time constants of its pressure after release."""
-    aim_slip_rad_s: float = quantity("aim_slip_rpm", 1.0, 200.0, RPM, default=15.0 * RPM)
+    aim_slip_rad_s: float = quantity("aim_slip_rpm", 1.0, 200.0, RPM, default=13.0 * RPM)
     """`target_phase` releases the brake so that at this slip the phase is the target."""
-    aim_time_constants: float = quantity("aim_time_constants", 0.0, 10.0, default=2.5)
+    aim_time_constants: float = quantity("aim_time_constants", 0.0, 10.0, default=1.3)
     """How long after release that moment lies about, in the same time constants."""
     least_rad_s: float = quantity("least_rpm", -200.0, 50.0, RPM, default=-25.0 * RPM)
     """Below this slip waiting has no end: the layshaft only gets slower."""
@@ -113,7 +113,7 @@ class Prices:
     block_s: float = quantity("block_ms", 0.0, 10_000.0, 1e-3, default=0.2)
     """More where the slip is too small to carry the tooth off: the sleeve stands on it."""
     block_slip_rad_s: float = quantity("block_slip_rpm", 0.1, 100.0, RPM, default=6.0 * RPM)
-    energy_s_per_j: float = quantity("energy_ms_per_j", 0.0, 10_000.0, 1e-3, default=0.015)
+    energy_s_per_j: float = quantity("energy_ms_per_j", 0.0, 10_000.0, 1e-3, default=0.01)
     """A joule that a flank takes."""
     aim_s: float = quantity("aim_ms", 0.0, 10_000.0, 1e-3, default=0.01)
     """Half a backlash away from the target angle."""

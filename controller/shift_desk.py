@@ -9,6 +9,7 @@ from typing import Final
 from controller.brake_input import BrakeInput
 from controller.moment import Moment
 from controller.outlook import Outlook
+from controller.phase_drift import PhaseDrifts
 from controller.reference import PhaseReferences
 from controller.settings import ControllerSettings
 from controller.shift import ShiftRecord, Trigger
@@ -61,6 +62,7 @@ class ShiftDesk:
         self.references = references
         self.strategist = Strategist(sheet, settings)
         self.delays = SleeveDelays(sheet)
+        self.drifts = PhaseDrifts()
         self.state = State.STARTING
         self.since_us = 0
         self.clutch = ClutchAction.OPEN
@@ -76,6 +78,8 @@ class ShiftDesk:
         self.free_outlook: Outlook | None = None
         """The last one before the sleeve entered its gear."""
         self.free_us = 0
+        self.fired_outlook: Outlook | None = None
+        """The one that the firing was decided by."""
 
     @property
     def running(self) -> ShiftRecord:
@@ -147,6 +151,8 @@ class ShiftDesk:
             self.references,
             self.delays.delay_us(gear),
             self.delays.delay_sd_s(gear),
+            self.drifts.rad_s(gear),
+            self.drifts.spread_share(gear),
         )
         return outlook if self.outlook_source is None else self.outlook_source(outlook)
 

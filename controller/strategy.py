@@ -55,9 +55,9 @@ NEAR_US = 50_000
 EARLIER_US, LATER_US, RELEASE_STEP_US, RELEASE_FINE_US = 6_000, 8_000, 1_000, 200
 """Releases looked at around the unaimed one: 14 ms move the phase at contact by more than a pitch.
 """
-MARGIN_US = 10_000
+MARGIN_US = 5_000
 """From release to the earliest firing: it is chosen from the first tick on that can no longer move
-the release."""
+the release, and that is half a tick late on average."""
 SETTLED_SHARE = 0.1
 """What is left at firing of the variance that the phase has at the release."""
 REFERENCE_SD_RAD = math.radians(0.1)

@@ -58,7 +58,7 @@ def coast(desk: ShiftDesk, moment: Moment) -> Trigger | None:
     if shift.plan is not None and shift.plan.fire_us < moment.earliest_us + KEEP_US:
         shift.attempts += 1
         shift.measured_contact_us = None
-        desk.free_outlook = None
+        desk.free_outlook, desk.fired_outlook = None, outlook
         desk.decision = shift.plan._replace(decision=ShiftDecision.COMMITTED)
         return Trigger.FIRED
     if outlook.slip_rad_s(moment.now_us) < desk.settings.window.least_rad_s:

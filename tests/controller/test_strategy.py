@@ -60,7 +60,7 @@ def outlook_at(
     delay_us = round(sleeve.delay_s * 1e6)
     return Outlook(
         GEAR, RATIO, layshaft, MAIN, brake, MOTION, references or learned(0.0), delay_us,
-        sleeve.delay_sd_s,
+        sleeve.delay_sd_s, 0.0, 1.0,
     )  # fmt: skip
 
 
