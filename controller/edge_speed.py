@@ -26,6 +26,7 @@ HELD_US: Final = 45_000
 WRAP: Final = 1 << 32
 HALF: Final = 1 << 31
 LOW: Final = 0xFFFF
+_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 _PACK_STAMPS: Final = struct.Struct(f"={STAMPS}q").pack_into
 
 
@@ -54,8 +55,8 @@ class EdgeSpeed:
         self._interval_us = 0
         self._index = 0
         self._low: Integers = np.zeros(STAMPS, np.int64)
-        self.turned: Turned | None = None
-        """Running count; None before the first edge."""
+        self._newest_us: int | None = None
+        self._teeth = 0
 
     def take(self, frame: EdgeFrame, now_us: int) -> None:
         """One frame, read shortly before `now_us` of the sensor clock."""
@@ -65,10 +66,9 @@ class EdgeSpeed:
         read_us = now_us + ((frame.read_time_us - now_us + HALF) % WRAP) - HALF
         stamps = frame.timestamp_low_us
         newest_us = read_us - ((read_us - stamps[0]) & LOW)
-        before = self.turned.teeth if self.turned is not None else 0
-        new = (frame.newest_index - self._index) & LOW
+        self._teeth += (frame.newest_index - self._index) & LOW
         self._index = frame.newest_index
-        self.turned = Turned(newest_us, before + new)
+        self._newest_us = newest_us
         self._is_dead = read_us - newest_us > max(DEAD_US, TEETH_LATE * self._interval_us)
         # A tuple gets into an array fastest through the bytes that the array stands on.
         _PACK_STAMPS(self._low.data, 0, *stamps)
@@ -76,13 +76,20 @@ class EdgeSpeed:
         if teeth:
             self._interval_us = span_us // teeth
             omega = teeth * self._pitch_rad / (span_us * 1e-6)
-            self._speed, self._measured_us = Speed(newest_us - span_us // 2, omega), newest_us
+            self._speed = _new(Speed, (newest_us - span_us // 2, omega))
+            self._measured_us = newest_us
+
+    @property
+    def turned(self) -> Turned | None:
+        """Running count; None before the first edge."""
+        return None if self._newest_us is None else Turned(self._newest_us, self._teeth)
 
     def at(self, now_us: int) -> Speed | None:
         """The newest speed; None without one, or when edges have failed to come."""
-        if self._speed is None or self.turned is None or self._is_dead:
+        newest_us = self._newest_us
+        if self._speed is None or newest_us is None or self._is_dead:
             return None
         limit_us = max(STALE_US, TEETH_LATE * self._interval_us)
-        is_turning = now_us - self.turned.time_us <= limit_us
+        is_turning = now_us - newest_us <= limit_us
         is_measured = now_us - self._measured_us <= max(HELD_US, limit_us)
         return self._speed if is_turning and is_measured else None

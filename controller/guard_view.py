@@ -113,13 +113,16 @@ class GuardView:
         now_us: int,
     ) -> int:
         """Row 13's evidence, gathered since both sleeves said neutral."""
-        turned = (self._shafts[EdgesLayshaftRise].turned, self._shafts[EdgesMainRise].turned)
+        turns = self._turns
         out = max(abs(positions[0]), abs(positions[1])) > NEUTRAL_M
         slow = layshaft is None or main is None or layshaft.omega_rad_s < TURNING_RAD_S
-        if out or slow or turned[0] is None or turned[1] is None:
-            self._turns.clear()
+        if out or slow:
+            turns.clear()
             return 0
-        turns = self._turns
+        turned = (self._shafts[EdgesLayshaftRise].turned, self._shafts[EdgesMainRise].turned)
+        if turned[0] is None or turned[1] is None:
+            turns.clear()
+            return 0
         turns.append((turned[0], turned[1]))
         while len(turns) > 1 and now_us - turns[1][0].time_us >= 2 * AGREE_US:
             turns.popleft()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from controller.motion_kernels import (
 from controller.settings import CrossingFilterTuning
 from gearbox import GearboxSheet, Split
 
+_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 LEAST_RATE: float = 1e-3
 """A pressure law's b closer to zero than this is taken as this: a singularity that can be avoided
 and makes no difference (1e-4 of the pressure in 0.1 s)."""
@@ -111,8 +112,9 @@ def predict(
     x = state.vector
     travel(x, state.time_us, to_us, switches[0], switches[1], model.motion, model.law)
     theta, omega, pressure, disturbance, gain, drag = x.tolist()
-    return LayshaftState(
-        to_us, theta, omega, pressure, *state[4:7], disturbance, gain, drag, state.covariance
+    return _new(
+        LayshaftState,
+        (to_us, theta, omega, pressure, *state[4:7], disturbance, gain, drag, state.covariance),
     )
 
 
@@ -132,24 +134,9 @@ def predict_spread(
 def state_of(x: Vector, p: Vector, time_us: float) -> LayshaftState:
     """The record of a filter's state and covariance."""
     theta, omega, pressure, disturbance, gain, drag = x.tolist()
-    return LayshaftState(
-        time_us,
-        theta,
-        omega,
-        pressure,
-        _root(p.item(THETA, THETA)),
-        _root(p.item(OMEGA, OMEGA)),
-        _root(p.item(PRESSURE, PRESSURE)),
-        disturbance,
-        gain,
-        drag,
-        p,
-    )
-
-
-def _root(variance: float) -> float:
-    """Standard deviation; 0 where rounding has left a variance below it."""
-    return math.sqrt(variance) if variance > 0.0 else 0.0
+    variances = p.item(THETA, THETA), p.item(OMEGA, OMEGA), p.item(PRESSURE, PRESSURE)
+    sds = [math.sqrt(variance) if variance > 0.0 else 0.0 for variance in variances]
+    return _new(LayshaftState, (time_us, theta, omega, pressure, *sds, disturbance, gain, drag, p))
 
 
 def diagonal(*sds: float) -> Vector:

@@ -206,6 +206,7 @@ class Silence:
         """Whether the channel is silent at this step; `previous_us` is the step before."""
         if self.is_heard:
             self.is_heard = False
-            self._heard_us = max(previous_us, now_us - self._cycle_time_us)
+            earliest_us = now_us - self._cycle_time_us
+            self._heard_us = previous_us if previous_us > earliest_us else earliest_us
             return False
         return self._heard_us is not None and now_us - self._heard_us >= self._limit_us

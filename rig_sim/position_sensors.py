@@ -49,9 +49,13 @@ class PositionSensors:
         gain, offset_m = self._gain[name], self._offset_m[name] + self._extra_m[name]
         newest = TABLE - 1 - (now_us // SAMPLE_US + 1021 * name) % TABLE
         noise_m = self._noise_m[newest : newest + SAMPLES]
-        read = tuple(
-            [gain * x + offset_m + noise for x, noise in zip(true_m, noise_m, strict=True)]
-        )
+        if true_m.count(true_m[0]) == SAMPLES:
+            level_m = gain * true_m[0] + offset_m
+            read = tuple([level_m + noise for noise in noise_m])
+        else:
+            read = tuple(
+                [gain * x + offset_m + noise for x, noise in zip(true_m, noise_m, strict=True)]
+            )
         if max(read) > REACH_M or min(read) < -REACH_M:
             read = tuple(min(max(x, -REACH_M), REACH_M) for x in read)
         self._last[name] = read
