@@ -17,6 +17,7 @@ from controller import edge_gate, edge_layout
 from controller.clock import SensorClock
 from controller.edge_kernels import BROKEN, CHAIN, STAMPS, Integers, chain_edges
 from controller.kernels import Vector
+from controller.sensor_count import SensorCount
 from gearbox.sheet import Wheel
 
 LONG_AGO_US: Final = -(1 << 62)
@@ -170,6 +171,11 @@ class WheelEdges:
         self._counts, self._floats = edge_gate.new_state(
             self.pitch_rad, MOST_RAD_S2, stopping_rad_s2, self._advance
         )
+        self.sensor = SensorCount(
+            float(self._floats[edge_layout.BEND]),
+            float(self._floats[edge_layout.LEAST_RATE]),
+            not missing,
+        )
         self.broken = 0
         """How often tooth numbers were lost: every phase reference of this wheel with them."""
         self.newest: Edge | None = None
@@ -196,11 +202,14 @@ class WheelEdges:
     def set_dragged(self, dragged: bool) -> None:
         """Whether a synchroniser may be dragging the shaft to another speed."""
         self._counts[edge_layout.DRAGGED] = int(dragged)
+        if dragged:
+            self.sensor.dragged()
 
     def restart(self) -> None:
         """Forgets all numbers: the sensor side has restarted."""
         self._rise, self._fall = Polarity(), Polarity()
         edge_gate.forget(self._counts)
+        self.sensor.restart()
         self.newest = None
         self.broken += 1
 
@@ -210,7 +219,8 @@ class WheelEdges:
         """Takes this step's frames of both polarities; returns the new edges in order of time."""
         risen, fallen = self._rise, self._fall
         read_us = max(
-            self._take(risen, rise, clock, now_us), self._take(fallen, fall, clock, now_us)
+            self._take(risen, rise, clock, now_us, False),
+            self._take(fallen, fall, clock, now_us, True),
         )
         counts = self._counts
         lost = int(counts[edge_layout.LOST])
@@ -220,7 +230,14 @@ class WheelEdges:
         if counts[edge_layout.LOST] > lost:
             self.broken += int(counts[edge_layout.LOST]) - lost
             self.newest = None
+            self.sensor.lost()
         if batch.time_us.size and counts[edge_layout.MODE] == edge_layout.COUNTING:
+            self.sensor.counting(
+                int(counts[edge_layout.LAST]),
+                risen.count,
+                int(counts[edge_layout.TIME]),
+                float(self._floats[edge_layout.RATE]),
+            )
             self.newest = Edge(int(batch.time_us[-1]), float(batch.theta_rad[-1]))
         return batch
 
@@ -257,13 +274,18 @@ class WheelEdges:
         self.extra_us = extra_us[: counts[edge_layout.EXTRA] - extra]
         return _new(EdgeBatch, (edge_us[:n], edge_rad[:n], tooth[:n], falling[:n]))
 
-    @staticmethod
     def _take(
-        polarity: Polarity, frames: Sequence[EdgeFrame], clock: SensorClock, now_us: int
+        self,
+        polarity: Polarity,
+        frames: Sequence[EdgeFrame],
+        clock: SensorClock,
+        now_us: int,
+        falling: bool,
     ) -> int:
         """The time of the last frame; long ago where there is none."""
         read_us = LONG_AGO_US
         for frame in frames:
             read_us = clock.stamp(frame.read_time_us, now_us)
             polarity.take(frame, read_us)
+            self.sensor.frame(falling, frame.newest_index, frame.valid_stamps, read_us)
         return read_us

@@ -125,7 +125,7 @@ class Observer:
             self._main.lose_speed()
         self.layshaft.edges(layshaft, pressures)
         if self.recall is not None:
-            self.recall.look(events)
+            self.recall.look(events, self._layshaft_wheel.sensor.renumbered)
 
     def _see_synchronisers(self, now_us: int) -> None:
         """Splitter and range change by cones, which drag layshaft and main shaft hard."""
@@ -219,7 +219,9 @@ class Observer:
             return
         gear = self.view.main_gear
         if gear is None or gear is MainGear.NEUTRAL:
-            self.references.released()
+            floated = self.references.released()
+            if floated is not None and self.recall is not None:
+                self.recall.floated(floated, events)
             return
         # At the newest edge there is nothing to extrapolate, and an impact does least harm.
         newest = [w.newest.time_us for w in (self._layshaft_wheel, self._main_wheel) if w.newest]
@@ -232,13 +234,16 @@ class Observer:
         if self.references.watch(gear, layshaft.theta_rad, main.theta_rad, pulled):
             events.append(f"phase reference of {gear.name.lower()} learned")
             if self.recall is not None:
-                self.recall.learned(gear, events)
+                self.recall.learned(gear, self._phase_sd_rad(gear, layshaft, main), events)
 
     def _sees_flanks(self, gear: MainGear, layshaft: LayshaftState, main: ShaftState) -> bool:
         """Whether the angles are good enough to tell the gap's flanks apart."""
-        ratio = self._sheet.main_mesh(gear).ratio
-        sd_rad = math.hypot(ratio * layshaft.theta_sd_rad, main.theta_sd_rad)
+        sd_rad = self._phase_sd_rad(gear, layshaft, main)
         return sd_rad < LOOK_SHARE * self._sheet.dog.backlash_rad
+
+    def _phase_sd_rad(self, gear: MainGear, layshaft: LayshaftState, main: ShaftState) -> float:
+        ratio = self._sheet.main_mesh(gear).ratio
+        return math.hypot(ratio * layshaft.theta_sd_rad, main.theta_sd_rad)
 
     def _drag_pulls(self, gear: MainGear, main: ShaftState) -> bool:
         """Whether drag alone turns the layshaft, and holds the gear's tooth at its lower flank."""

@@ -1,9 +1,9 @@
 """A step at the very arrival of a frame, now and then: how late does the bus bring a read?
 
-A frame carries no arrival time; it counts from the step that consumes it, perhaps a tick later.
-So the controller steps a few times a second as soon as the first edge frame of a read is there, and
-the least `now - stamp` is the bus's share alone. Where it switches valves itself it needs that to
-be on time; where activations are scheduled, a tick less of lead is a tick less to predict over.
+A frame carries no arrival time; it counts from the step that consumes it, perhaps a tick later. So
+the controller steps a few times a second as soon as the first edge frame of a read is there, and
+the least `now - stamp` is the bus's share alone. Where it switches valves itself it must be on
+time; where activations are scheduled, a tick less of lead is a tick less to predict over.
 """
 
 from __future__ import annotations

@@ -118,6 +118,7 @@ def outcome(shift: ShiftRecord, pitch_rad: float) -> ShiftOutcome:
         predicted_phase_sd_rad=clip(plan.phase_sd_rad, ANGLE_SD_TOP) if plan else 0.0,
         predicted_slip_rad_s=clip(plan.slip_rad_s, SPEED_TOP, -SPEED_TOP) if plan else 0.0,
         estimated_phase_rad=wrap_to_pitch(shift.estimated_phase_rad, pitch_rad),
+        reference_source=shift.reference_source,
     )
 
 

@@ -6,12 +6,10 @@ present tooth t on both wheels, the reference of a gear with mesh ratio i = z1/z
 
     offset = remembered - i (k_L pitch_L + 2 pi N) + k_M pitch_M    (modulo the dog teeth's pitch)
 
-with N the layshaft's whole turns since, which no sensor wheel can tell. N matters modulo
-n = z2 / gcd(z2, z1 x dog teeth): one candidate where that is 1, else n of them, one pitch / n
-apart. The gears are fixed to one layshaft, so N is the same for all: each gear that is learned
-leaves fewer candidates to the others, where their n have a common factor (design: two gears of
-coprime n tell nothing of each other). Turns of the main shaft do not matter: the sleeve's teeth
-turn with it.
+with N the layshaft's whole turns since, one number for all gears. Which N are possible is kept for
+all of them together (`turn_candidates`); each gear that is learned excludes those whose phase
+it contradicts. A gear whose phase is the same for all N that are left is known without having been
+in mesh. If none is left, what was remembered is wrong: it is dropped, and that is said.
 """
 
 from __future__ import annotations
@@ -23,15 +21,29 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from controller.kinematics import wrap_to_pitch
-from controller.reference import PhaseReferences
+from controller.reference import Floated, PhaseReferences
+from controller.sensor_count import Renumbered
 from controller.teeth import WheelTeeth
 from controller.tooth_match import Memory
+from controller.turn_candidates import (
+    TurnSet,
+    all_turns,
+    any_one,
+    narrowed,
+    turn_candidates,
+    without,
+)
+from dbc.messages import ReferenceSource
 from gearbox import GearboxSheet, MainGear
-from gearbox.gears import MAIN_GEARS
 
 TURN: Final = 2.0 * math.pi
-AGREES_SHARE: Final = 0.2
-"""Two references of one gear learned apart differ by less than this share of the backlash."""
+LEARNED_SD_RAD: Final = math.radians(0.1)
+"""Of the difference of two references of one gear learned apart (docs/calibration.md)."""
+AGREES_SDS: Final = 4.0
+LEAST_FREE_SHARE: Final = -0.1
+"""A tooth has not moved by more than the backlash; where it seems to, looks were wrong."""
+MOST_COUNTED: Final = 1000
+"""Turns, of a layshaft that a sensor has counted."""
 
 
 class Kept(NamedTuple):
@@ -69,12 +81,6 @@ class _Wheel:
         return Memory(turned, teeth.sd_rad, teeth.edges_seen)
 
 
-def turn_candidates(sheet: GearboxSheet, gear: MainGear) -> int:
-    """After how many turns of the layshaft a gear's dog teeth stand as before."""
-    mesh = sheet.main_mesh(gear)
-    return mesh.driven // math.gcd(mesh.driven, mesh.driving * sheet.dog.teeth)
-
-
 class Recall:
     """The references of a numbering that was lost, and what is known of it by now."""
 
@@ -92,14 +98,20 @@ class Recall:
         self._wheels = (self._layshaft, self._main)
         self._remembered: dict[MainGear, float] = {}
         self._same_turn = True
-        """No turn of the layshaft has gone uncounted."""
-        self._turns: dict[MainGear, set[int]] = {}
-        """Possible N of each gear, modulo its n; empty until both wheels were found."""
-        self._from_memory: set[MainGear] = set()
+        """No turn of the layshaft has gone uncounted since the references were remembered."""
+        self._turns: TurnSet = all_turns({})
+        """Uncounted turns, for the gears that they matter to."""
+        self._renumbered = Renumbered()
+        self._counted_from: Renumbered | None = None
+        """What the sensor had counted when the references were remembered, where it tells."""
+        self._found = False
+        """Both wheels are numbered as remembered, so that candidates can be told apart."""
 
     def restore(self, kept: Kept) -> None:
         """Patterns and references of an earlier run."""
         self._remembered, self._same_turn = dict(kept.offsets_rad), False
+        self._turns, self._found = all_turns({}), False
+        self._counted_from = None
         for wheel, memory in zip(self._wheels, (kept.layshaft, kept.main), strict=True):
             wheel.teeth.memory = memory
             wheel.shift, wheel.base = None, 0
@@ -108,7 +120,7 @@ class Recall:
         """A wheel's numbers are lost; its teeth have not been told yet."""
         broken = [wheel for wheel, lost in zip(self._wheels, (layshaft, main), strict=True) if lost]
         if not self._pending:
-            self._start(self._references.offsets_rad)
+            self._remember(turns_lost=layshaft)
         for wheel in broken:
             if wheel.teeth.learned is (wheel.shift is None):
                 # No pattern of this numbering, or of its relation to the remembered one.
@@ -118,24 +130,60 @@ class Recall:
             wheel.shift = None
         if layshaft:
             self._same_turn = False
-        self._turns.clear()
-        self._from_memory.clear()
+            self._remembered, self._turns = self._without_waiting(), all_turns({})
+        self._found = False
         self._references.lose_all()
+
+    def _without_waiting(self) -> dict[MainGear, float]:
+        """What is remembered, but for gears that wait for other turns than are lost now."""
+        waiting = self._turns.moduli
+        return {gear: at for gear, at in self._remembered.items() if gear not in waiting}
 
     @property
     def _pending(self) -> bool:
         return any(wheel.shift is None for wheel in self._wheels)
 
+    def _remember(self, turns_lost: bool) -> None:
+        """Before numbers are lost: the present numbering is the one to remember, with gears that
+        still wait for the layshaft's turns, where they can wait on."""
+        known, open_ = self._references.offsets_rad, self._open()
+        if turns_lost:
+            remembered = self._in_present_numbering()
+            self._start(remembered)
+            if remembered.keys() != known.keys():
+                # Gears that waited for earlier turns are not told by those counted from here on.
+                self._counted_from = None
+            return
+        at_zero = {gear: self._predicted(gear, 0) for gear in open_.moduli}
+        self._start(at_zero | known)
+        self._turns = open_
+
+    def _open(self) -> TurnSet:
+        """What the known gears leave to the others."""
+        return without(self._turns if self._found else all_turns({}), self._references.offsets_rad)
+
+    def _in_present_numbering(self) -> dict[MainGear, float]:
+        """What outlives the loss of the layshaft's turns: known references, and the others at any
+        turn that is possible. That is as good as the right one only where each known gear tells a
+        single one, else the others would contradict it."""
+        known, turns = self._references.offsets_rad, self._turns
+        if not self._found or not all(len(turns.candidates(gear)) == 1 for gear in known):
+            return known
+        one = any_one(turns)
+        return {gear: self._predicted(gear, turn) for gear, turn in one.items()} | known
+
     def _start(self, remembered: dict[MainGear, float]) -> None:
         """The present numbering is the one to remember."""
-        self._remembered, self._same_turn = remembered, True
-        self._turns.clear()
-        self._from_memory.clear()
+        self._counted_from = self._renumbered
+        self._remembered, self._same_turn, self._found = remembered, True, False
+        self._turns = all_turns({})
         for wheel in self._wheels:
             wheel.shift, wheel.base = 0, 0
 
-    def look(self, events: list[str]) -> None:
-        """Takes what the wheels have found since the last step."""
+    def look(self, events: list[str], renumbered: Renumbered) -> None:
+        """Takes what the wheels have found since the last step, and what the sensor has counted of
+        the layshaft."""
+        self._renumbered = renumbered
         waiting = self._pending
         for wheel in self._wheels:
             found, wheel.teeth.found = wheel.teeth.found, None
@@ -151,51 +199,96 @@ class Recall:
 
     def _begin(self, events: list[str]) -> None:
         """Both wheels are numbered as before, up to turns of the layshaft."""
-        for gear in self._remembered:
-            turns = range(1 if self._same_turn else turn_candidates(self._sheet, gear))
-            self._turns[gear] = set(turns)
+        if not self._same_turn:
+            moduli = {gear: turn_candidates(self._sheet, gear) for gear in self._remembered}
+            self._turns = all_turns(moduli, self._counted_turns())
+        self._found = True
         for gear in list(self._references.offsets_rad):
-            self.learned(gear, events)
-        self._use(events)
+            self.learned(gear, 0.0, events)
+        self._use(ReferenceSource.RESTORED, events)
 
-    def learned(self, gear: MainGear, events: list[str]) -> None:
-        """A gear's reference has just been learned: how many turns agree with it?"""
-        if gear not in self._turns:
+    def _counted_turns(self) -> range | None:
+        """Turns of the layshaft that agree with what the sensor has counted; None where it does not
+        tell, or where that does not agree with the teeth."""
+        start, now = self._counted_from, self._renumbered
+        if start is None or start.uncounted != now.uncounted:
+            return None
+        teeth, shift = self._layshaft.teeth.count, self._layshaft.shift or 0
+        least = -((shift - (now.least - start.least)) // teeth)
+        most = (now.most - start.most - shift) // teeth
+        return range(least, most + 1) if 0 <= most - least < MOST_COUNTED else None
+
+    def learned(self, gear: MainGear, sd_rad: float, events: list[str]) -> None:
+        """A gear's reference has just been learned: how many turns agree with it?
+
+        sd_rad: of the phase as it was seen then."""
+        if not self._found or gear not in self._remembered:
             return
-        self._from_memory.discard(gear)
-        dog, offset = self._sheet.dog, self._references.offsets_rad[gear]
-        agreeing = {
-            turn
-            for turn in self._turns[gear]
-            if abs(wrap_to_pitch(self._predicted(gear, turn) - offset, dog.pitch_rad))
-            < AGREES_SHARE * dog.backlash_rad
-        }
-        if not agreeing:
-            events.append("remembered phase references do not agree with the gearbox: forgotten")
-            for other in self._from_memory:
+        offset = self._references.offsets_rad[gear]
+        self._exclude(gear, offset, AGREES_SDS * math.hypot(LEARNED_SD_RAD, sd_rad), events)
+
+    def floated(self, floated: Floated, events: list[str]) -> None:
+        """A gear has been in mesh and was not learned: its tooth was in its gap all the same."""
+        if not self._found or floated.gear not in self._remembered:
+            return
+        low, high = floated.low_rad, floated.high_rad
+        free = self._sheet.dog.backlash_rad - (high - low)
+        tolerance = 0.5 * free + AGREES_SDS * math.hypot(LEARNED_SD_RAD, LEARNED_SD_RAD)
+        if free > LEAST_FREE_SHARE * self._sheet.dog.backlash_rad:
+            self._exclude(floated.gear, 0.5 * (low + high), tolerance, events)
+
+    def _exclude(self, gear: MainGear, offset: float, tolerance: float, events: list[str]) -> None:
+        """The turns by which a gear's reference would be farther from `offset`."""
+        pitch_rad = self._sheet.dog.pitch_rad
+
+        def agrees(turn: int) -> bool:
+            return abs(wrap_to_pitch(self._predicted(gear, turn) - offset, pitch_rad)) < tolerance
+
+        if gear in self._turns.moduli:
+            self._turns = narrowed(self._turns, gear, agrees)
+        if self._turns.empty or not (gear in self._turns.moduli or agrees(0)):
+            self._drop(gear, events)
+        else:
+            self._use(ReferenceSource.NARROWED, events)
+
+    def _drop(self, gear: MainGear, events: list[str]) -> None:
+        """A gear in mesh contradicts all that was possible: what was seen counts."""
+        forgotten = [other.name.lower() for other in self._remembered if other is not gear]
+        for other in self._references.offsets_rad:
+            if self._references.source(other) is not ReferenceSource.MEASURED:
                 self._references.lose(other)
-            self._start({})
-            return
-        self._turns[gear] = agreeing
-        self._narrow()
-        self._use(events)
+        self._start({})
+        events.append(
+            f"remembered phase references do not agree with {gear.name.lower()} in mesh: forgotten"
+            f" ({', '.join(forgotten) or 'no other'})"
+        )
 
-    def _narrow(self) -> None:
-        """What is left of one gear's turns leaves fewer to the others."""
-        n = {gear: turn_candidates(self._sheet, gear) for gear in self._turns}
-        for _ in MAIN_GEARS:
-            for gear, turns in self._turns.items():
-                for other, others in self._turns.items():
-                    common = math.gcd(n[gear], n[other])
-                    if not self._same_turn and common > 1:
-                        turns &= {t for t in turns if any((t - s) % common == 0 for s in others)}
+    def _use(self, source: ReferenceSource, events: list[str]) -> None:
+        """Gears whose phase all turns agree on are known."""
+        for gear in self._remembered:
+            if self._references.known(gear):
+                continue
+            offset = self._agreed(gear)
+            if offset is not None:
+                self._references.adopt(gear, offset, source)
+                events.append(
+                    f"phase reference of {gear.name.lower()} found again ({_WHY[source]})"
+                )
 
-    def _use(self, events: list[str]) -> None:
-        for gear, turns in self._turns.items():
-            if len(turns) == 1 and not self._references.known(gear):
-                self._references.adopt(gear, self._predicted(gear, next(iter(turns))))
-                self._from_memory.add(gear)
-                events.append(f"phase reference of {gear.name.lower()} found again")
+    def _agreed(self, gear: MainGear) -> float | None:
+        """A gear's reference where all its candidates are alike; the middle of them."""
+        first, *others = (self._predicted(gear, turn) for turn in self._turns_of(gear))
+        pitch_rad = self._sheet.dog.pitch_rad
+        away = [0.0, *(wrap_to_pitch(other - first, pitch_rad) for other in others)]
+        if max(away) - min(away) > LEARNED_SD_RAD:
+            return None
+        return first + (max(away) + min(away)) / 2.0
+
+    def _turns_of(self, gear: MainGear) -> frozenset[int]:
+        """Possible N of a gear, modulo its n; 0 alone where turns were counted."""
+        if not self._found or gear not in self._remembered:
+            return frozenset()
+        return self._turns.candidates(gear) or frozenset({0})
 
     def _predicted(self, gear: MainGear, turn: int) -> float:
         layshaft, main = self._wheels
@@ -205,7 +298,7 @@ class Recall:
 
     def candidates(self, gear: MainGear) -> int:
         """How many phases of this gear are possible; 0 where nothing is remembered of it."""
-        return 1 if self._references.known(gear) else len(self._turns.get(gear, ()))
+        return 1 if self._references.known(gear) else len(self._turns_of(gear))
 
     def kept(self) -> Kept:
         """What is worth keeping: the remembered numbering while it may still be found again, else
@@ -213,10 +306,16 @@ class Recall:
         if not self._pending:
             both = all(wheel.teeth.learned for wheel in self._wheels)
             layshaft, main = (_now(wheel.teeth) for wheel in self._wheels)
-            return Kept(layshaft, main, self._references.offsets_rad if both else {})
+            return Kept(layshaft, main, self._in_present_numbering() if both else {})
         layshaft, main = (wheel.kept() for wheel in self._wheels)
         whole = layshaft is not None and main is not None
-        return Kept(layshaft, main, self._remembered if whole else {})
+        return Kept(layshaft, main, self._without_waiting() if whole else {})
+
+
+_WHY: Final = {
+    ReferenceSource.RESTORED: "with the tooth numbers",
+    ReferenceSource.NARROWED: "by the gears in mesh",
+}
 
 
 def _now(teeth: WheelTeeth) -> Memory | None:

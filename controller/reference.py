@@ -5,16 +5,19 @@ its gap or the other, so the phase is + or - b/2 and the constant between counte
 is known once the flank is. Which one: impact and torque carry the tooth through the gap, and one
 that has come from above, within the gap's width, lies on the lower flank. A tooth that has not
 moved lies where the slip at contact carried it, if the sleeve went straight in; or, in a gearbox
-where teeth have been seen to move, where the layshaft's drag pulls it. Tooth counts keep the
-reference exact; it is lost when either count is lost.
+where teeth have been seen to move, where the layshaft's drag pulls it. Where next to no torque lets
+the tooth float, its looks from lock to release bound the gap: it is as wide as they are apart, or
+a little wider. Tooth counts keep the reference exact; it is lost when either count is lost.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from controller.kinematics import raw_phase_rad, wrap_to_pitch
+from dbc.messages import ReferenceSource
 from gearbox import GearboxSheet, MainGear
 
 STILL_LOOKS = 5
@@ -35,8 +38,23 @@ UNMOVED_LOOKS = 20
 """After so many looks without a move the tooth lies where the slip at contact carried it."""
 PULLED_LOOKS = 6
 """So many still looks under drag alone are longer than a tooth needs to turn round in its gap."""
+FLOATED_LOOKS = 3
+"""Looks in a row that make one of a floating tooth,"""
+FLOATED_SHARE = 0.2
+"""no further apart than this, in backlashes: an impact leads single ones astray."""
+LEAST_SPAN, MOST_SPAN = 0.8, 1.1
+"""How far apart, in backlashes, a floating tooth has been seen for its gap to be told from it: the
+middle is then off by a tenth at most."""
 FLANK_SLIP_RAD_S = 0.2
 """Below this slip (2 rpm) at contact the flank cannot be told from it."""
+
+
+class Floated(NamedTuple):
+    """Lowest and highest raw phase at which the tooth of a gear has been in its gap."""
+
+    gear: MainGear
+    low_rad: float
+    high_rad: float
 
 
 @dataclass
@@ -97,6 +115,15 @@ class _Learning:
             return below
         return None
 
+    def floated(self, backlash_rad: float) -> tuple[float, float] | None:
+        """The lowest and the highest place at which the tooth has been; None without a look."""
+        runs = [self.seen[k : k + FLOATED_LOOKS] for k in range(len(self.seen) - FLOATED_LOOKS + 1)]
+        quiet = [sorted(run) for run in runs if max(run) - min(run) < FLOATED_SHARE * backlash_rad]
+        if not quiet:
+            return None
+        middle = [run[FLOATED_LOOKS // 2] for run in quiet]
+        return min(middle), max(middle)
+
     def _still(self, looks: int, backlash_rad: float) -> bool:
         if len(self.seen) < looks:
             return False
@@ -116,11 +143,15 @@ class PhaseReferences:
     def __init__(self, sheet: GearboxSheet) -> None:
         self._sheet = sheet
         self._offset_rad: dict[MainGear, float] = {}
+        self._adopted: dict[MainGear, ReferenceSource] = {}
+        """Where constants came from that were not seen in mesh."""
         self._learning: _Learning | None = None
         self._moves = False
         """Whether teeth have been seen to move in their gaps."""
         self._stays = False
         """Whether one has been seen that did not."""
+        self._floated_rad: dict[MainGear, tuple[float, float]] = {}
+        """Between where teeth have been seen that came to lie nowhere, by gear."""
         self._likely_rad: dict[MainGear, float] = {}
         """Constants that hold if teeth lie where the slip carried them in this gearbox."""
 
@@ -169,37 +200,67 @@ class PhaseReferences:
             self._offset_rad = self._likely_rad | self._offset_rad
         self._likely_rad.clear()
         self._offset_rad[gear] = mean - flank * dog.backlash_rad / 2.0
+        self._adopted.pop(gear, None)
         self._learning = None
         return True
 
-    def released(self) -> None:
-        """The gear left the mesh, perhaps before it was learned."""
+    def released(self) -> Floated | None:
+        """The gear left the mesh; where its tooth has been, if that was before it was learned."""
         learning, backlash_rad = self._learning, self._sheet.dog.backlash_rad
         self._learning = None
-        if learning is None or not learning.stayed(backlash_rad):
-            return
-        self._stays = True
-        if learning.flank != 0:
-            mean = _mean(learning.seen)
-            self._likely_rad[learning.gear] = mean - learning.flank * backlash_rad / 2.0
+        if learning is None:
+            return None
+        floated = learning.floated(backlash_rad)
+        if floated is not None and not self.known(learning.gear):
+            self._bound(learning.gear, *floated)
+        if learning.stayed(backlash_rad):
+            self._stays = True
+            if learning.flank != 0:
+                mean = _mean(learning.seen)
+                self._likely_rad[learning.gear] = mean - learning.flank * backlash_rad / 2.0
+        return None if floated is None else Floated(learning.gear, *floated)
+
+    def _bound(self, gear: MainGear, low: float, high: float) -> None:
+        """A gear that has left the mesh with its flank untold: what its looks say of the gap, with
+        those of earlier times."""
+        dog = self._sheet.dog
+        if gear in self._floated_rad:
+            before_low, before_high = self._floated_rad[gear]
+            turned = low - before_low - wrap_to_pitch(low - before_low, dog.pitch_rad)
+            low, high = min(low - turned, before_low), max(high - turned, before_high)
+        self._floated_rad[gear] = low, high
+        span = (high - low) / dog.backlash_rad
+        if span > MOST_SPAN:
+            del self._floated_rad[gear]
+        elif span > LEAST_SPAN:
+            self._offset_rad[gear] = 0.5 * (low + high)
 
     @property
     def offsets_rad(self) -> dict[MainGear, float]:
         """The known constants by gear."""
         return dict(self._offset_rad)
 
-    def adopt(self, gear: MainGear, offset_rad: float) -> None:
+    def adopt(self, gear: MainGear, offset_rad: float, source: ReferenceSource) -> None:
         """A constant that is known without a look at the gear in mesh."""
         self._offset_rad[gear] = offset_rad
+        self._adopted[gear] = source
+
+    def source(self, gear: MainGear) -> ReferenceSource:
+        """Where a gear's constant came from; NONE while it is unknown."""
+        known = ReferenceSource.MEASURED if gear in self._offset_rad else ReferenceSource.NONE
+        return self._adopted.get(gear, known)
 
     def lose(self, gear: MainGear) -> None:
         """One gear's constant was wrong."""
         self._offset_rad.pop(gear, None)
+        self._adopted.pop(gear, None)
 
     def lose_all(self) -> None:
         """A wheel's count was lost: nothing is known any more."""
         self._offset_rad.clear()
+        self._adopted.clear()
         self._likely_rad.clear()
+        self._floated_rad.clear()
         self._learning = None
 
     @property

@@ -8,7 +8,7 @@ from typing import Final
 
 from controller.strategy import Plan
 from dbc.messages import ControllerState as State
-from dbc.messages import FaultCode, ShiftResult, Strategy
+from dbc.messages import FaultCode, ReferenceSource, ShiftResult, Strategy
 from gearbox import DriveGear, Range, Split
 
 
@@ -53,6 +53,7 @@ TRANSITIONS: Final[dict[tuple[State, Trigger], State]] = {
     (_S.STEPS_CHANGING, _T.STEPS_IN): _S.SYNCHRONISING,
     (_S.SPLITTER_CHANGING, _T.ENGAGED): _S.CLUTCH_CLOSING,
     (_S.SYNCHRONISING, _T.BRAKE_RELEASED): _S.COASTING,
+    (_S.SYNCHRONISING, _T.FIRED): _S.ENGAGING,
     (_S.SYNCHRONISING, _T.TOO_SLOW): _S.SPEED_RAISING,
     (_S.SPEED_RAISING, _T.RAISED): _S.CLUTCH_PARTING,
     (_S.CLUTCH_PARTING, _T.CLUTCH_OPEN): _S.SYNCHRONISING,
@@ -100,6 +101,7 @@ class ShiftRecord:
     strategy: Strategy
     """The strategy that acts: the fallback while the reference is unknown."""
     reference_known: bool = False
+    reference_source: ReferenceSource = ReferenceSource.NONE
     attempts: int = 0
     raises: int = 0
     """How often the engine was asked to bring the layshaft up."""

@@ -55,7 +55,7 @@ NEAR_US = 50_000
 EARLIER_US, LATER_US, RELEASE_STEP_US, RELEASE_FINE_US = 6_000, 8_000, 1_000, 200
 """Releases looked at around the unaimed one: 14 ms move the phase at contact by more than a pitch.
 """
-MARGIN_US = 5_000
+MARGIN_US = -15_000
 """From release to the earliest firing: it is chosen from the first tick on that can no longer move
 the release, and that is half a tick late on average."""
 SETTLED_SHARE = 0.1

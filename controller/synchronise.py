@@ -26,11 +26,14 @@ RELEASE_HORIZON_US: Final = 90 * MS
 def synchronise(desk: ShiftDesk, moment: Moment) -> Trigger | None:
     """Brakes a gear that is fast; one that is slow goes to the engine, one near needs neither."""
     shift, now = desk.running, moment.now_us
+    gear = shift.target.main
     if desk.late(moment, desk.settings.limits.synchronise_ms):
         return desk.give_up(moment, FaultCode.SYNCHRONISE_FAILED)
-    outlook = desk.outlook(shift.target.main, moment)
+    outlook = desk.outlook(gear, moment)
     if outlook is None:
         return None
+    if _must_fire(desk, moment):
+        return _commit(desk, outlook)
     if shift.release_us is not None and moment.earliest_us >= shift.release_us:
         # It can no longer be moved: from here on the firing is chosen, the brake still dying away.
         return Trigger.BRAKE_RELEASED
@@ -44,6 +47,9 @@ def synchronise(desk: ShiftDesk, moment: Moment) -> Trigger | None:
         shift.pulses += 1
     _keep_braking(desk, moment)
     _plan_release(desk, outlook, moment)
+    if shift.release_us is not None and _strategy(desk, gear) is Strategy.TARGET_PHASE:
+        # Planned with the release, a firing may come before it: the sleeve is on its way longer.
+        _plan_firing(desk, outlook, moment)
     return None
 
 
@@ -55,12 +61,8 @@ def coast(desk: ShiftDesk, moment: Moment) -> Trigger | None:
     outlook = desk.outlook(shift.target.main, moment)
     if outlook is None:
         return None
-    if shift.plan is not None and shift.plan.fire_us < moment.earliest_us + KEEP_US:
-        shift.attempts += 1
-        shift.measured_contact_us = None
-        desk.free_outlook, desk.fired_outlook = None, outlook
-        desk.decision = shift.plan._replace(decision=ShiftDecision.COMMITTED)
-        return Trigger.FIRED
+    if _must_fire(desk, moment):
+        return _commit(desk, outlook)
     if outlook.slip_rad_s(moment.now_us) < desk.settings.window.least_rad_s:
         return too_slow(desk, moment)
     if not _braked_lately(desk, moment) and _brake_helps(desk, outlook, moment):
@@ -69,6 +71,24 @@ def coast(desk: ShiftDesk, moment: Moment) -> Trigger | None:
         return Trigger.TOO_FAST
     _plan_firing(desk, outlook, moment)
     return None
+
+
+def _must_fire(desk: ShiftDesk, moment: Moment) -> bool:
+    """Whether the firing that was sent can no longer be moved."""
+    plan = desk.running.plan
+    return plan is not None and plan.fire_us < moment.earliest_us + KEEP_US
+
+
+def _commit(desk: ShiftDesk, outlook: Outlook) -> Trigger:
+    """The sleeve goes."""
+    shift = desk.running
+    if shift.plan is None:
+        raise RuntimeError("nothing is fired without a plan")
+    shift.attempts += 1
+    shift.measured_contact_us = None
+    desk.free_outlook, desk.fired_outlook = None, outlook
+    desk.decision = shift.plan._replace(decision=ShiftDecision.COMMITTED)
+    return Trigger.FIRED
 
 
 def _brake_helps(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> bool:
@@ -145,6 +165,7 @@ def _plan_firing(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> None:
     valve = SLEEVE_VALVE[shift.target.main]
     if shift.attempts == 0:
         shift.reference_known = desk.reference_known(shift.target.main)
+        shift.reference_source = desk.references.source(shift.target.main)
     shift.strategy = _strategy(desk, shift.target.main)
     aimed = shift.strategy is Strategy.TARGET_PHASE
     plan = _plan(desk, outlook, moment, shift.strategy)

@@ -140,6 +140,11 @@ class WheelTeeth:
         self.learned = False
         self.learner = TeethLearner(tuning, edges)
 
+    @property
+    def count(self) -> int:
+        """Teeth of the wheel, missing ones included."""
+        return self._edges // 2
+
     def place(self, batch: EdgeBatch) -> Integers:
         """Which of the wheel's edges each one is."""
         places: Integers = (2 * batch.tooth + batch.falling) % self._edges

@@ -45,6 +45,12 @@ class PhaseReference(IntEnum):
     UNKNOWN = 0
     KNOWN = 1
 
+class ReferenceSource(IntEnum):
+    NONE = 0
+    MEASURED = 1
+    RESTORED = 2
+    NARROWED = 3
+
 class ShiftResult(IntEnum):
     NONE = 0
     ENGAGED = 1
@@ -1008,6 +1014,10 @@ class ShiftOutcome(NamedTuple):
 
     estimated_phase_rad: float = ...
     """At the measured contact time, estimated afterwards (-374.806603..374.806603)."""
+
+    reference_source: ReferenceSource = ...
+    """Where the reference came from when the sleeve was fired: measured in mesh, restored with the
+    tooth numbers, or narrowed by other gears in mesh."""
 
 class TC1(NamedTuple):
     """J1939-71 Transmission Control 1, PGN 256, to the transmission: the bench asks for a gear.

@@ -27,6 +27,7 @@ DEG: Final = math.pi / 180.0
 RPM: Final = math.pi / 30.0
 CONTACTS: Final = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOTH_CONTACT: "tooth"}
 ENDS: Final = (EngagementEvent.LOCKED, EngagementEvent.GIVEN_UP)
+SOURCES: Final = ("measured", "restored", "narrowed")
 OFF_FACE: Final = (EngagementEvent.TOOTH_PASSED, EngagementEvent.GIVEN_UP)
 
 
@@ -64,6 +65,8 @@ class ShiftRow:
     speed_lost_kmh: float | None = None
     """Road speed at the request less that at the end, by the rig's truth (thesis 1.2); None in the
     preset thesis, which has no vehicle."""
+    reference_source: str = "none"
+    """Where a known reference came from: measured, restored or narrowed."""
 
     @property
     def phase_error_pct_of_pitch(self) -> float | None:
@@ -144,6 +147,7 @@ class RowCollector:
             face_ms=cost.face_us / 1000,
             ratchets=cost.ratchets,
             blocked=cost.blocked,
+            reference_source=outcome.reference_source.name.lower(),
             speed_lost_kmh=None if lost_m_s is None else 3.6 * lost_m_s,
         )
 
@@ -182,6 +186,9 @@ class Summary:
     shifts: int
     known: int
     """Shifts with the phase reference known when the sleeve was fired."""
+    reference_sources: dict[str, int]
+    """Of them by where it came from: measured in mesh, restored with the tooth numbers, narrowed by
+    other gears in mesh."""
     gap: int
     gap_known: int
     engaged: int
@@ -215,6 +222,9 @@ def summarise(strategy: str, rows: list[ShiftRow]) -> Summary:
         strategy=strategy,
         shifts=len(rows),
         known=len(known),
+        reference_sources={
+            source: sum(row.reference_source == source for row in known) for source in SOURCES
+        },
         gap=sum(row.contact == "gap" for row in rows),
         gap_known=sum(row.contact == "gap" for row in known),
         engaged=sum(row.result == "engaged" for row in rows),

@@ -31,6 +31,7 @@ class Record:
     layshaft_rpm: float
     """In the old gear."""
     reference_known: bool
+    reference_source: str
     result: str
     fault: str
     contact: str | None
@@ -90,6 +91,7 @@ class Conditions:
             ratio=1.0 / self._sheet.main_mesh(gear).ratio,
             layshaft_rpm=planned.main_rad_s / old / RPM,
             reference_known=row is not None and row.reference == "known",
+            reference_source="none" if row is None else row.reference_source,
             result=NO_OUTCOME if row is None else row.result,
             fault="none" if row is None else row.fault,
             contact=None if row is None else row.contact,

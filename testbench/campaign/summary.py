@@ -18,6 +18,7 @@ from testbench.campaign.intervals import (
 )
 from testbench.campaign.record import Record
 from testbench.campaign.spec import ORACLE
+from testbench.rows import SOURCES
 
 P99: Final = 0.99
 Figure = Callable[["Shots"], tuple[Floats, Integers]]
@@ -88,6 +89,10 @@ def strategy_figures(shots: Shots, bootstrap: Bootstrap) -> dict[str, Any]:
         "phase_error_sd_deg": finite(errors.std(ddof=1)) if errors.size > 1 else None,
         "slip_rpm_mean": _mean(np.array([r.slip_rpm for r in records if r.slip_rpm is not None])),
         "reference_known": _mean(np.array([r.reference_known for r in records])),
+        "reference_sources": {
+            source: _mean(np.array([r.reference_source == source for r in records]))
+            for source in SOURCES
+        },
         "by_gear": _by_gear(shots),
     }
 

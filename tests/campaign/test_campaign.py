@@ -63,7 +63,7 @@ def test_the_json_says_what_was_asked(by_one: Outcome) -> None:
     assert values["runs"] == 4
     assert values["failed"] == []
     assert list(values["strategies"]) == ["oracle", "speed_window", "target_phase"]
-    for figures in values["strategies"].values():
+    for strategy, figures in values["strategies"].items():
         low, high = figures["first_contact_gap"]["ci95"]
         assert low <= figures["first_contact_gap"]["rate"] <= high
         assert {"mean", "p50", "p99"} <= set(figures["duration_ms"])
@@ -72,6 +72,8 @@ def test_the_json_says_what_was_asked(by_one: Outcome) -> None:
             "retries", "blocked", "given_up", "phase_error_sd_deg", "reference_known",
         ):  # fmt: skip
             assert isinstance(figures[key], (int, float))
+        known_from = sum(figures["reference_sources"].values())
+        assert strategy == "oracle" or known_from == pytest.approx(figures["reference_known"])
     assert "target_phase/speed_window" in values["ratios"]
 
 

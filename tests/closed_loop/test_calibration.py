@@ -13,17 +13,21 @@ from controller.core import ControllerCore
 from controller.header import new_header
 from dbc.frame import Frame
 from dbc.layout import CODECS
-from dbc.messages import PhaseReference
-from gearbox import GearboxSheet
+from dbc.messages import ControllerState, PhaseReference, ReferenceSource, RigFault
+from gearbox import GearboxSheet, load_sheet
 from gearbox.sheet import Mesh
 from rig_sim.settings import Preset
 from testbench.rows import RowCollector
 
+TRUCK12 = load_sheet("truck12")
 WHOLE = replace(SHEET, main=replace(SHEET.main, second=Mesh(37, 48), third=Mesh(62, 48)))
 """Gears of as many teeth as their dog teeth: turns of the layshaft meanwhile do not matter."""
+TIED = replace(TRUCK12, main=replace(TRUCK12.main, second=Mesh(29, 42), third=Mesh(44, 42)))
+"""Both stand as before after seven turns of the layshaft."""
 LATER, MOST, LIMIT_US = 2, 14, 60_000_000
 BOTH = 0b1100
 """Second and third, as the status frame has them."""
+FIRST_AND_SECOND = 0b0110
 
 
 def run_shifts(loop: Loop, shifts: int) -> None:
@@ -83,13 +87,32 @@ def test_a_restarted_controller_aims_from_its_first_shift_on() -> None:
     assert core.calibration("later").provenance.shifts == learned + LATER
 
 
-def test_where_turns_of_the_layshaft_matter_a_restart_does_not_pretend_to_know() -> None:
-    """The thesis's gears: 5 and 31 phases are possible. The teeth are found, no phase is, and the
-    first shift into each gear says so."""
-    loop, _, learned = restarted(SHEET)
+def test_one_gear_in_mesh_tells_another_where_their_turns_have_a_common_factor() -> None:
+    """After the restart the teeth are found, but seven phases of each gear are possible, and it
+    does not pretend to know: the first shift is by luck. It tells the turns, and the second, into a
+    gear that was not in mesh since, is aimed."""
+    loop, _, learned = restarted(TIED)
     assert sum("teeth found again" in line for line in loop.events) == 2
-    assert not any("reference of" in line and "again" in line for line in loop.events)
-    assert references(loop)[learned] is PhaseReference.UNKNOWN
+    assert references(loop)[learned:] == [PhaseReference.UNKNOWN, PhaseReference.KNOWN]
+    assert any("third found again (by the gears in mesh)" in line for line in loop.events)
+    assert_aimed_well(loop, ReferenceSource.NARROWED)
+
+
+def assert_aimed_well(loop: Loop, source: ReferenceSource) -> None:
+    """The last shift was aimed by a reference from there that is right: the rig's truth at contact
+    is what the controller expected."""
+    assert loop.outcomes[-1].reference is PhaseReference.KNOWN
+    assert loop.outcomes[-1].reference_source is source
+    shifts = RowCollector(loop.sheet)
+    for _, message in loop.messages:
+        shifts.take(message)
+    row = shifts.rows[-1]
+    assert row.contact == "gap"
+    assert row.phase_error_deg is not None
+    assert row.predicted_phase_deg is not None
+    assert row.predicted_phase_sd_deg is not None
+    error_deg = row.phase_error_deg - row.predicted_phase_deg
+    assert abs(error_deg) < 3.0 * row.predicted_phase_sd_deg
 
 
 def losing(*names: str) -> tuple[Callable[[Frame], list[Frame]], list[bool]]:
@@ -102,14 +125,10 @@ def losing(*names: str) -> tuple[Callable[[Frame], list[Frame]], list[bool]]:
     return alter, cut
 
 
-@pytest.mark.parametrize(
-    ("wheel", "later"), [("Main", PhaseReference.KNOWN), ("Layshaft", PhaseReference.UNKNOWN)]
-)
-def test_a_wheel_that_was_not_counted_for_a_while_is_found_again(
-    wheel: str, later: PhaseReference
-) -> None:
-    """Half a second without a sensor. Of the main shaft only the place in the turn matters, and
-    that its teeth tell; the layshaft's turns are gone."""
+@pytest.mark.parametrize("wheel", ["Main", "Layshaft"])
+def test_a_wheel_that_was_not_seen_for_a_while_is_found_again(wheel: str) -> None:
+    """Half a second without frames. Of the main shaft only the place in the turn matters, and that
+    its teeth tell; the layshaft's turns its sensor has counted on, and it had no time to stop."""
     alter, cut = losing(f"Edges{wheel}Rise", f"Edges{wheel}Fall")
     loop = Loop(shifts=MOST, preset=Preset.TRUCK, seed=2, receiving=alter)
     learn(loop)
@@ -119,4 +138,25 @@ def test_a_wheel_that_was_not_counted_for_a_while_is_found_again(
     run_shifts(loop, 1)
     assert any("tooth numbers lost" in line for line in loop.events)
     assert sum("teeth found again" in line for line in loop.events) == 1
-    assert references(loop)[-1] is later
+    assert_aimed_well(loop, ReferenceSource.RESTORED)
+
+
+def test_after_a_standstill_of_the_layshaft_one_gear_in_mesh_tells_the_others() -> None:
+    """The clutch sticks open in mid-shift, so that the layshaft runs down in neutral and stands.
+    Hunting teeth: all 53 and 41 phases would be possible, but few turns agree with the edges that
+    the sensor has counted."""
+    asked = [(300_000, 10), (2_000_000, 8), (4_000_000, 10), (5_500_000, 8)]
+    again = [(12_000_000, 8), (13_500_000, 10)]
+    loop = Loop(asked + again, sheet=TRUCK12, preset=Preset.TRUCK, seed=3, toward=10)
+    loop.run(asked[-1][0])
+    assert loop.status.reference_known == FIRST_AND_SECOND
+    loop.run_to_state(ControllerState.DISENGAGING, asked[-1][0] + 500_000)
+    loop.fault(RigFault.CLUTCH_STUCK, for_us=5_000_000)
+    loop.run(again[0][0])
+    assert any("tooth numbers lost" in line for line in loop.events)
+    assert loop.status.reference_known == 0
+    loop.run(again[1][0])
+    assert references(loop)[-1] is PhaseReference.UNKNOWN
+    assert loop.status.reference_known == FIRST_AND_SECOND
+    loop.run(again[1][0] + 1_000_000)
+    assert_aimed_well(loop, ReferenceSource.NARROWED)

@@ -15,6 +15,7 @@ from dbc.messages import (
     MainGear,
     PhaseReference,
     ReferenceEngagement,
+    ReferenceSource,
     ShiftOutcome,
     ShiftResult,
     Strategy,
@@ -54,6 +55,7 @@ def outcome(**changed: object) -> ShiftOutcome:
         end_time_us=100_000,
         predicted_phase_rad=0.01 * DEG,
         predicted_phase_sd_rad=0.3 * DEG,
+        reference_source=ReferenceSource.MEASURED,
     )._replace(**changed)
 
 
@@ -151,12 +153,13 @@ def test_the_summary_counts_hits_where_it_could_aim() -> None:
         contact(0.3),
         outcome(),
         contact(-0.4),
-        outcome(end_time_us=300_000),
+        outcome(end_time_us=300_000, reference_source=ReferenceSource.NARROWED),
         contact(1.0, tooth),
         outcome(result=ShiftResult.ENDED_IN_NEUTRAL, end_time_us=900_000),
     )
     summary = summarise("target_phase", rows)
     assert (summary.shifts, summary.known, summary.engaged) == (4, 3, 3)
+    assert summary.reference_sources == {"measured": 2, "restored": 0, "narrowed": 1}
     assert (summary.gap, summary.gap_known) == (2, 2)
     assert summary.gap_rate == pytest.approx(2 / 3)
     assert summary.mean_duration_ms == pytest.approx((600 + 600 + 800) / 3)
