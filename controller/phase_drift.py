@@ -72,7 +72,8 @@ class PhaseDrifts:
             return
         learned = self._learned[gear]
         off = drift_rad_s - learned.mean_rad_s
-        if learned.samples > PRIOR_SAMPLES:
+        # An outlook made of the truth has no variance that a scatter could be compared with.
+        if learned.samples > PRIOR_SAMPLES and variance > 0.0:
             learned.share_squares += off * off / variance
             learned.share_samples += 1.0
         learned.samples = min(learned.samples + 1.0, MOST_SAMPLES)

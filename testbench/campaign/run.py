@@ -64,14 +64,18 @@ def _shifts(spec: CampaignSpec, job: Job) -> tuple[list[Record], int]:
         bench.shift()
     conditions = Conditions(spec.sheet, bench.as_built)
     records: dict[str, list[Record]] = {name: [] for name in spec.names}
+    made = spec.learn
     for k, planned in enumerate(drawn.plan[spec.learn :]):
+        if k > 0 and spec.own not in spec.names:
+            bench.shift()
+            made += 1
         bench.prepare()
         for name, row in _judged(spec, bench).items():
             key = {"sweep": job.point.name, "sweep_value": job.point.value, "seed": job.seed}
             record = conditions.record(planned, row, **key, shift=k, strategy=name)
             records[name].append(record)
-    made = spec.learn + sum(map(len, records.values()))
-    return list(itertools.chain.from_iterable(records.values())), made
+    rows = list(itertools.chain.from_iterable(records.values()))
+    return rows, made + len(rows)
 
 
 def _judged(spec: CampaignSpec, bench: ClosedLoop) -> dict[str, ShiftRow | None]:
@@ -82,7 +86,6 @@ def _judged(spec: CampaignSpec, bench: ClosedLoop) -> dict[str, ShiftRow | None]
             copy = bench.fork()
             copy.use(spec.engagement(name), knows_all=name == ORACLE)
             rows[name] = copy.shift()
-    own = bench.shift()
     if spec.own in spec.names:
-        rows[spec.own] = own
+        rows[spec.own] = bench.shift()
     return rows
