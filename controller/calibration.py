@@ -153,6 +153,9 @@ class DriftRecord:
     """How one gear's slip drifts from its prediction (`controller/phase_drift.py`)."""
 
     slip_rad_s: float = quantity("slip_rpm", -10.0, 10.0, RPM)
+    slip_sd_rad_s: float = quantity("slip_sd_rpm", 0.0, 10.0, RPM)
+    spread_share: float = quantity("spread_share", 0.01, 100.0)
+    """What phases scatter by over what the filters claim."""
     samples: float = quantity("samples", 0.01, 1e4)
 
 

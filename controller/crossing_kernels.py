@@ -17,15 +17,55 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from controller.jit import compiled, inlined
+from controller.crossing_layout import (
+    AGREEMENT,
+    DONE,
+    FURTHER,
+    GATE,
+    GATED,
+    HELD,
+    HISTORY,
+    IN_A_ROW,
+    KALMAN,
+    KEPT,
+    LATE,
+    LAW,
+    MESH,
+    MOMENT,
+    MOTION,
+    NEXT,
+    NOISE,
+    NORMAL,
+    OFFSET_VAR,
+    RIGHT,
+    ROW,
+    SCALE,
+    SENSOR,
+    SIGMA_ANGLE,
+    SIGMA_PRESSURE,
+    SIGMA_TIME,
+    STEP,
+    TAKEN,
+    TIME,
+    Integers,
+    P,
+    X,
+)
+from controller.fusion_kernels import (
+    MOST_IN_A_ROW,
+    carry_offset,
+    follow_offset,
+    take_further,
+)
+from controller.jit import bare, compiled, inlined
 from controller.motion_kernels import (
     DRAG,
     GAIN,
     LONGEST_S,
     OMEGA,
     PRESSURE,
+    SEGMENTS,
     STATES,
     THETA,
     US,
@@ -38,21 +78,6 @@ from controller.motion_kernels import (
     transition,
 )
 
-Integers = NDArray[np.int64]
-
-SIGMA_TIME: Final = 0
-SIGMA_ANGLE: Final = 1
-SIGMA_PRESSURE: Final = 2
-GATE: Final = 3
-"""Indices into the sensor vector: sd of an edge's time (s), of its angle (rad), of the measured
-pressure (Pa); how many sd an innovation may have."""
-
-TAKEN: Final = 0
-GATED: Final = 1
-IN_A_ROW: Final = 2
-"""Indices into the counts: edges used, edges refused, edges refused in a row."""
-MOST_IN_A_ROW: Final = 8
-"""So many refused edges in a row mean that the filter is wrong, not the edges."""
 LEAST_GAIN: Final = 0.2
 SHORT_S: Final = 2e-3
 """In a step this short the pressure law's change of segment matters less than its fit."""
@@ -62,59 +87,89 @@ LED_RAD_S2: Final = 100.0
 """
 
 
-@compiled
+@bare
 def crossing_filter(
-    x: Vector, p: Vector, t_us: float, edge_us: Vector, edge_rad: Vector,
+    floats: Vector, integers: Integers, edge_us: Vector, edge_rad: Vector,
     pressure_us: Vector, pressure_pa: Vector, switch_us: Vector, switch_u: Vector,
-    motion: Vector, law: Vector, noise: Vector, sensor: Vector, counts: Integers, agreement: Vector,
-    place: Integers, by_tooth: Vector, normal: Vector, right: Vector,
-) -> float:  # fmt: skip
+    teeth: Vector, place: Integers,
+) -> int:  # fmt: skip
     """The filter over a batch of edges and pressure samples, both rising in time, in place.
 
-    x (6,), p (6, 6) at `t_us`; edge_rad the angle each edge stands for; brake switches as in
-    `travel`. counts (3,) and agreement (2,) (sum and number of normalised squared innovations) are
-    added to. To learn teeth: place (n,) which of the N tooth edges each edge is, by_tooth (6, N)
-    the state's derivatives by the tooth errors, normal (N, N) upper half and right (N,) their
-    normal equations, added to; N = 0 otherwise. What is not later than the state is skipped.
-    Returns the time of the new state."""
-    f, gain = np.zeros((3, STATES)), np.empty(STATES)
-    row = np.empty(by_tooth.shape[1])
-    i = input_at(t_us, switch_us)
-    n, m, j, k = edge_us.shape[0], pressure_us.shape[0], 0, 0
-    while k < n or j < m:
-        pressure_is_next = j < m and (k == n or pressure_us[j] < edge_us[k])
-        when_us = pressure_us[j] if pressure_is_next else edge_us[k]
+    floats and integers as `crossing_layout` has them; edge_rad the angle each edge stands for, the
+    last integers[FURTHER] of them those of a further wheel (`fusion_kernels`), rising by
+    themselves; brake switches as in `travel`. To learn teeth: teeth as `TeethArrays` has it, place
+    (n,) which of the wheel's N edges each edge is; N = 0 otherwise. Says LATE and takes
+    nothing where the batch begins before the state and a moment is held; what is not later than
+    the state is skipped where none is. Else keeps the moment before the batch."""
+    count, n, m = edge_us.shape[0], edge_us.shape[0] - integers[FURTHER], pressure_us.shape[0]
+    if integers[HELD] > 0 and begins_before(floats[TIME], edge_us, n):
+        return LATE
+    keep(floats, integers)
+    x, p = floats[X : X + STATES], floats[P : P + STATES * STATES].reshape(STATES, STATES)
+    gain, size, t_us = floats[KALMAN : KALMAN + STATES], teeth.shape[1], floats[TIME]
+    by_tooth, right, row, normal = teeth[:RIGHT], teeth[RIGHT], teeth[ROW], teeth[NORMAL:]
+    f, motion = floats[STEP:KALMAN].reshape(3, STATES), floats[MOTION:NOISE]
+    noise, law = floats[NOISE:LAW], floats[LAW:MESH].reshape(2, SEGMENTS, 3)
+    i, j, k, further = input_at(t_us, switch_us), 0, 0, n
+    while k < n or further < count or j < m:
+        own = k < n and not (further < count and edge_us[further] < edge_us[k])
+        edge = k if own else further
+        pressure_is_next = j < m and (edge == count or pressure_us[j] < edge_us[edge])
+        when_us = pressure_us[j] if pressure_is_next else edge_us[edge]
         late = when_us <= t_us
         if not late:
-            i = move(x, p, t_us, when_us, i, switch_us, switch_u, motion, law, noise, f, by_tooth)
+            i = move(
+                floats, x, p, t_us, when_us, i, switch_us, switch_u, motion, law, noise, f, by_tooth
+            )
             t_us = when_us
         if pressure_is_next:
             if not late:
-                r = sensor[SIGMA_PRESSURE] * sensor[SIGMA_PRESSURE]
-                measure(x, p, PRESSURE, pressure_pa[j] - x[PRESSURE], r, gain)
-                for c in range(row.shape[0]):
-                    row[c] = -by_tooth[PRESSURE, c]
-                follow(by_tooth, gain, row)
+                take_pressure(floats, x, p, pressure_pa[j], gain, by_tooth, row)
             j += 1
-        else:
+        elif own:
             if not late:
                 innovation = edge_rad[k] - x[THETA]
-                s = take_edge(x, p, innovation, sensor, counts, agreement, gain)
-                if row.shape[0] > 0 and s > 0.0:
-                    learn(by_tooth, place[k], innovation, s, normal, right, row)
+                s = take_edge(floats, integers, x, p, innovation, gain)
+                if size > 0 and s > 0.0:
+                    learn(by_tooth, place[k], floats[SCALE], innovation, s, normal, right, row)
                     follow(by_tooth, gain, row)
             k += 1
+        else:
+            if not late:
+                take_further(floats, integers, x, p, edge_rad[further], gain)
+            further += 1
         x[GAIN] = max(x[GAIN], LEAST_GAIN)
     mirror(p)
-    return t_us
+    floats[TIME] = t_us
+    return DONE
+
+
+@inlined
+def begins_before(t_us: float, edge_us: Vector, n: int) -> bool:
+    """Whether edges, n of one wheel and the rest of another, begin before a time."""
+    own_does = n > 0 and edge_us[0] < t_us
+    further_does = edge_us.shape[0] > n and edge_us[n] < t_us
+    return bool(own_does or further_does)
+
+
+@inlined
+def keep(floats: Vector, integers: Integers) -> None:
+    """The present moment into the ring."""
+    at = HISTORY + integers[NEXT] * MOMENT
+    for k in range(MOMENT):
+        floats[at + k] = floats[k]
+    integers[NEXT] = (integers[NEXT] + 1) % KEPT
+    integers[HELD] = min(integers[HELD] + 1, KEPT)
 
 
 @inlined
 def move(
-    x: Vector, p: Vector, t_us: float, to_us: float, i: int, switch_us: Vector, switch_u: Vector,
-    motion: Vector, law: Vector, noise: Vector, f: Vector, by_tooth: Vector,
+    floats: Vector, x: Vector, p: Vector, t_us: float, to_us: float, i: int, switch_us: Vector,
+    switch_u: Vector, motion: Vector, law: Vector, noise: Vector, f: Vector, by_tooth: Vector,
 ) -> int:  # fmt: skip
-    """State, covariance and tooth derivatives to a time; returns the number of switches passed."""
+    """State, covariance and tooth derivatives to a time; returns the number of switches passed.
+
+    Views of two dimensions are handed down: to make one anew for every edge costs a quarter."""
     while t_us < to_us:
         u = int(switch_u[i - 1]) if i > 0 else 0
         until_us = to_us
@@ -128,6 +183,8 @@ def move(
         spread_over(p, part, f, motion, noise, x)
         if by_tooth.shape[1] > 0:
             carry(by_tooth, f)
+        if floats[OFFSET_VAR] > 0.0:
+            carry_offset(floats, f, part, i > 0 and t_us - switch_us[i - 1] < floats[MESH + 2])
         if part < dt:
             t_us += part / US
         else:
@@ -138,41 +195,59 @@ def move(
 
 
 @inlined
+def take_pressure(
+    floats: Vector, x: Vector, p: Vector, pressure_pa: float, gain: Vector, by_tooth: Vector,
+    row: Vector,
+) -> None:  # fmt: skip
+    """One sample of the measured pressure into the filter."""
+    r = floats[SENSOR + SIGMA_PRESSURE] * floats[SENSOR + SIGMA_PRESSURE]
+    innovation = pressure_pa - x[PRESSURE]
+    s = measure(x, p, PRESSURE, innovation, r, gain)
+    for c in range(row.shape[0]):
+        row[c] = -by_tooth[PRESSURE, c]
+    follow(by_tooth, gain, row)
+    if floats[OFFSET_VAR] > 0.0:
+        follow_offset(floats, PRESSURE, innovation, s, gain)
+
+
+@inlined
 def take_edge(
-    x: Vector, p: Vector, innovation: float, sensor: Vector, counts: Integers, agreement: Vector,
-    gain: Vector,
-) -> float:  # fmt: skip
+    floats: Vector, integers: Integers, x: Vector, p: Vector, innovation: float, gain: Vector
+) -> float:
     """One edge into the filter; returns the innovation's variance, 0 where the gate refused it."""
-    sigma = x[OMEGA] * sensor[SIGMA_TIME]
-    r = sigma * sigma + sensor[SIGMA_ANGLE] * sensor[SIGMA_ANGLE]
+    sigma = x[OMEGA] * floats[SENSOR + SIGMA_TIME]
+    r = sigma * sigma + floats[SENSOR + SIGMA_ANGLE] * floats[SENSOR + SIGMA_ANGLE]
     square = innovation * innovation / (p[THETA, THETA] + r)
-    if square > sensor[GATE] * sensor[GATE]:
-        counts[GATED] += 1
-        counts[IN_A_ROW] += 1
-        if counts[IN_A_ROW] < MOST_IN_A_ROW:
+    if square > floats[SENSOR + GATE] * floats[SENSOR + GATE]:
+        integers[GATED] += 1
+        integers[IN_A_ROW] += 1
+        if integers[IN_A_ROW] < MOST_IN_A_ROW:
             return 0.0
         # Eight in a row: what the filter believes is wrong; let it be led.
         p[THETA, THETA] += innovation * innovation
         p[OMEGA, OMEGA] += (LED_SHARE * x[OMEGA]) ** 2
         p[DRAG, DRAG] += LED_RAD_S2 * LED_RAD_S2
     else:
-        agreement[0] += square
-        agreement[1] += 1.0
-    counts[IN_A_ROW] = 0
-    counts[TAKEN] += 1
-    return measure(x, p, THETA, innovation, r, gain)
+        floats[AGREEMENT] += square
+        floats[AGREEMENT + 1] += 1.0
+    integers[IN_A_ROW] = 0
+    integers[TAKEN] += 1
+    s = measure(x, p, THETA, innovation, r, gain)
+    if floats[OFFSET_VAR] > 0.0:
+        follow_offset(floats, THETA, innovation, s, gain)
+    return s
 
 
 @inlined
 def learn(
-    by_tooth: Vector, place: int, innovation: float, s: float, normal: Vector, right: Vector,
-    row: Vector,
+    by_tooth: Vector, place: int, scale: float, innovation: float, s: float, normal: Vector,
+    right: Vector, row: Vector,
 ) -> None:  # fmt: skip
     """Adds one innovation to the teeth's normal equations; row (N,) becomes its m."""
     size = row.shape[0]
     for c in range(size):
         row[c] = -by_tooth[THETA, c]
-    row[place] += 1.0
+    row[place] += scale
     for c in range(size):
         weighted = row[c] / s
         right[c] -= weighted * innovation

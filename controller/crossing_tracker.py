@@ -16,10 +16,11 @@ from controller.brake_model import BrakeModel, Carried
 from controller.crossing import NO_PRESSURES, CrossingFilter, Pressures
 from controller.edges import EdgeBatch
 from controller.free_run import FreeRun
+from controller.further_wheel import FurtherWheel
 from controller.kernels import Vector
 from controller.layshaft import LayshaftModels
 from controller.motion import LayshaftState, MotionModel, diagonal, following_motion
-from controller.motion_kernels import DISTURBANCE, DRAG, GAIN, OMEGA, PRESSURE, THETA
+from controller.motion_kernels import DISTURBANCE, DRAG, GAIN, OMEGA, PRESSURE, STATES, THETA
 from controller.settings import CrossingFilterTuning
 from controller.shafts import STALE_US, ShaftState, WindowSpeed
 from controller.teeth import WheelTeeth
@@ -41,6 +42,7 @@ class _Shaft:
         teeth: int,
         missing: tuple[int, ...],
         start_rad_s2: float,
+        further: FurtherWheel | None,
     ) -> None:
         self._tuning = tuning
         self._start_rad_s2 = start_rad_s2
@@ -49,12 +51,30 @@ class _Shaft:
         self._half_pitch_rad = math.pi / teeth
         self._seed = WindowSpeed()
         self._running = False
+        self._further = further
+        self._own_us = 0.0
+        self._start_p = np.zeros((STATES, STATES))
+        """What is not known of the shaft where a window of its teeth begins."""
+        side = tuning.mesh_side_rad**2 / tuning.mesh_side_s
+        at_flank = tuning.mesh_walk_rad**2
+        self._filter.set_mesh(at_flank, max(at_flank, side), tuning.mesh_side_s * 1e6)
+        self._fuses = False
+
+    def _fuse(self, free: bool) -> None:
+        """The shaft becomes free, or ceases to be: a further wheel's mesh lies at another flank
+        than before. With a gear in mesh it turns over at any time, and what it would tell is worse
+        than nothing (docs/estimation.md)."""
+        self._fuses = free and self._further is not None
+        if self._further is not None:
+            self._filter.lose_offset()
 
     def lose_speed(self) -> None:
         """Starts anew with the edges to come; teeth keep their numbers."""
-        self._running = False
+        self._running = self._fuses = False
         self._seed.restart()
         self.teeth.learner.running = False
+        if self._further is not None:
+            self._further.teeth.learner.running = False
 
     def restart(self) -> None:
         """Tooth numbers were lost: starts anew; which tooth is which is not known any more."""
@@ -76,12 +96,18 @@ class _Shaft:
         if not self._running:
             self._start(batch)
             return
-        if not batch.time_us.size and not pressures.time_us.size:
+        wheel, further = self._further, None
+        if wheel is not None:
+            further = wheel.edges_for(self._filter) if self._fuses else None
+            self._own_us = batch.time_us[-1] if batch.time_us.size else self._own_us
+        if not batch.time_us.size and not pressures.time_us.size and further is None:
             return
         teeth, place = self.teeth, self.teeth.place(batch)
         angles = teeth.angles(batch, place)
-        self._filter.take(batch.time_us, angles, teeth.sd_rad, pressures, switches, model)
+        self._filter.take(batch.time_us, angles, teeth.sd_rad, pressures, switches, model, further)
         if teeth.learner.running:
+            if wheel is not None:
+                wheel.learn(self._filter, self._start_p, pressures, switches, model)
             teeth.learner.take(batch, place, pressures, switches, model)
             if teeth.look():
                 self._teeth_found()
@@ -102,7 +128,7 @@ class _Shaft:
         x = np.array([newest[1], omega, 0.0, 0.0, 1.0, 0.0])
         p = self._covariance(0.05 * abs(omega) + 1.0, self._start_rad_s2)
         self._filter.begin(newest[0], x, p)
-        self._running = True
+        self._running, self._own_us = True, newest[0]
 
     def _covariance(self, omega_sd_rad_s: float, rad_s2: float) -> Vector:
         tuning = self._tuning
@@ -110,7 +136,9 @@ class _Shaft:
         return diagonal(theta_sd, omega_sd_rad_s, 1.0, rad_s2, 1e-9, rad_s2)
 
     def _fresh(self, time_us: float) -> bool:
-        return self._running and time_us - self._filter.time_us <= STALE_US
+        # A further wheel's edges do not stand for a sensor that has died.
+        newest_us = self._filter.time_us if self._further is None else self._own_us
+        return self._running and time_us - newest_us <= STALE_US
 
 
 class CrossingTracker(_Shaft):
@@ -123,8 +151,9 @@ class CrossingTracker(_Shaft):
         known: BrakeModel,
         teeth: int,
         missing: tuple[int, ...] = (),
+        further: FurtherWheel | None = None,
     ) -> None:
-        super().__init__(tuning, teeth, missing, tuning.follow_rad_s2)
+        super().__init__(tuning, teeth, missing, tuning.follow_rad_s2, further)
         self._brake = brake
         self._known = known
         self._following = following_motion(tuning.follow_rad_s2, tuning.follow_s, 50.0)
@@ -208,6 +237,8 @@ class CrossingTracker(_Shaft):
             state.p[THETA, THETA] += tuning.tooth_error_rad**2
         p = diagonal(2.0 * tuning.tooth_error_rad, 1.0, pressure_sd, torque_sd, gain_sd, drag_sd)
         self.teeth.learner.begin(state.time_us, x, p)
+        self._start_p = p
+        self._fuse(True)
         self._run.begin(state.time_us, state.x, state.p)
         self._free, self._free_edges, self._one_pattern = True, 0, True
 
@@ -218,6 +249,9 @@ class CrossingTracker(_Shaft):
         line = self.teeth.end_window()
         if line is not None:
             events.append(f"layshaft {line}")
+        if self._further is not None:
+            self._further.end_window(events)
+        self._fuse(False)
         x, sd = state.x, np.sqrt(np.maximum(np.diag(state.p), 0.0))
         if self._free_edges >= LEAST_FREE_EDGES and np.isfinite(x).all():
             known.gain = Carried(float(x[GAIN]), float(sd[GAIN]))
@@ -241,9 +275,13 @@ class MainTracker(_Shaft):
     """Angle, speed and acceleration of the main shaft."""
 
     def __init__(
-        self, tuning: CrossingFilterTuning, teeth: int, missing: tuple[int, ...] = ()
+        self,
+        tuning: CrossingFilterTuning,
+        teeth: int,
+        missing: tuple[int, ...] = (),
+        further: FurtherWheel | None = None,
     ) -> None:
-        super().__init__(tuning, teeth, missing, tuning.main_rad_s2)
+        super().__init__(tuning, teeth, missing, tuning.main_rad_s2, further)
         self._model = following_motion(tuning.main_rad_s2, tuning.main_s, tuning.main_walk_rad_s2)
 
     def edges(self, batch: EdgeBatch) -> None:
@@ -254,12 +292,16 @@ class MainTracker(_Shaft):
         """Whether it turns with the vehicle alone; its teeth are learned then."""
         learner = self.teeth.learner
         if free and not learner.running and self._running:
-            p = self._covariance(1.0, self._start_rad_s2)
+            self._start_p = p = self._covariance(1.0, self._start_rad_s2)
             learner.begin(self._filter.time_us, self._filter.x, p)
+            self._fuse(True)
         elif not free and learner.running:
             line = self.teeth.end_window()
             if line is not None:
                 events.append(f"main shaft {line}")
+            if self._further is not None:
+                self._further.end_window(events)
+            self._fuse(False)
 
     def at(self, time_us: float) -> ShaftState | None:
         """The state at a time; None before enough edges, or without any for 60 ms."""

@@ -9,17 +9,17 @@ from controller.moment import Moment
 from controller.release import pull_out
 from controller.shift import Trigger
 from controller.shift_desk import FALL_US, MS, OPPOSITE, SLEEVE_VALVE, ShiftDesk
-from dbc.messages import FaultCode, ShiftDecision, ShiftResult
+from dbc.messages import FaultCode, ShiftDecision, ShiftResult, Strategy
 from gearbox import MainGear
 from gearbox.gears import SLEEVE_OF_MAIN
 
 LET_GO_US: Final = 120 * MS
 """A sleeve that has not come back by itself so long after its valve went off is pulled."""
 
-STRAIGHT_US: Final = 22 * MS
+STRAIGHT_US: Final = 32 * MS
 """A sleeve that goes straight into a gap is seen in mesh so long after contact."""
 
-SEEN_US: Final = 20 * MS
+SEEN_US: Final = 28 * MS
 """A gear is in so long before it is seen to be, at most."""
 
 
@@ -55,7 +55,8 @@ def _look_for_contact(desk: ShiftDesk, moment: Moment) -> None:
     if shift.plan is not None:
         desk.delays.learn(shift.target.main, crossing - shift.plan.fire_us)
     fired, free = desk.fired_outlook, desk.free_outlook
-    if fired is not None and free is not None:
+    aimed = shift.strategy is Strategy.TARGET_PHASE
+    if aimed and fired is not None and free is not None:
         desk.drifts.learn(fired, free, crossing)
     if desk.free_outlook is not None and desk.reference_known(shift.target.main):
         shift.estimated_phase_rad = desk.strategist.plan_at(

@@ -7,11 +7,13 @@ from typing import Any, Final
 from controller.edges import EdgeFrame
 from dbc.messages import (
     TC1,
+    EdgesInputFall,
     EdgesInputRise,
     EdgesLayshaftFall,
     EdgesLayshaftRise,
     EdgesMainFall,
     EdgesMainRise,
+    EdgesPropellerFall,
     EdgesPropellerRise,
     GearboxSensors,
     Message,
@@ -26,7 +28,9 @@ EDGES: Final = (
     EdgesMainRise,
     EdgesMainFall,
     EdgesInputRise,
+    EdgesInputFall,
     EdgesPropellerRise,
+    EdgesPropellerFall,
 )
 
 

@@ -21,7 +21,7 @@ FOLDER: Final = Path(__file__).parent
 
 def _digest() -> str:
     hashed = hashlib.sha256(Path(__file__).read_bytes())
-    others = [FOLDER / "edge_gate.py", FOLDER / "edge_layout.py"]
+    others = [FOLDER / name for name in ("edge_gate.py", "edge_layout.py", "crossing_layout.py")]
     for path in [*sorted(FOLDER.glob("*kernels.py")), *others]:
         hashed.update(path.read_bytes())
     return hashed.hexdigest()[:12]

@@ -14,6 +14,7 @@ from controller.clock import SensorClock
 from controller.crossing import Pressures
 from controller.crossing_tracker import CrossingTracker, MainTracker
 from controller.edges import BRAKED_RAD_S2, EdgeBatch, EdgeFrame, WheelEdges
+from controller.further_wheel import FurtherWheel
 from controller.gearbox_view import GearboxView
 from controller.inputs import StepInputs
 from controller.kinematics import are_finite
@@ -25,10 +26,14 @@ from controller.reference import PhaseReferences
 from controller.settings import ControllerSettings
 from controller.shafts import CruiseTracker, ShaftState
 from dbc.messages import (
+    EdgesInputFall,
+    EdgesInputRise,
     EdgesLayshaftFall,
     EdgesLayshaftRise,
     EdgesMainFall,
     EdgesMainRise,
+    EdgesPropellerFall,
+    EdgesPropellerRise,
     Estimator,
     GearboxSensors,
     ValveStatus,
@@ -65,6 +70,8 @@ class Observer:
         self._split = Split.HIGH
         self._layshaft_wheel = WheelEdges.of(wheels.layshaft)
         self._main_wheel = WheelEdges.of(wheels.main, BRAKED_RAD_S2)
+        self._input_wheel: FurtherWheel | None = None
+        self._propeller_wheel: FurtherWheel | None = None
         self.brake = BrakeModel(sheet, tuning.gain_sd, tuning.drag_sd_nm)
         self._learns = estimator is Estimator.CROSSING
         """The baselines know the data sheet and nothing more."""
@@ -73,10 +80,19 @@ class Observer:
         self.recall: Recall | None = None
         """What outlives lost tooth numbers; the baselines know no teeth by which to find them."""
         if self._learns:
+            if tuning.fuse_input:
+                self._input_wheel = FurtherWheel("input shaft", wheels.input_, tuning)
+            if tuning.fuse_propeller:
+                self._propeller_wheel = FurtherWheel(
+                    "propeller shaft", wheels.propeller, tuning, BRAKED_RAD_S2
+                )
             layshaft = self.layshaft = CrossingTracker(
-                tuning, brake, self.brake, wheels.layshaft.teeth, wheels.layshaft.missing
+                tuning, brake, self.brake, wheels.layshaft.teeth, wheels.layshaft.missing,
+                self._input_wheel,
+            )  # fmt: skip
+            main = self._main = MainTracker(
+                tuning, wheels.main.teeth, wheels.main.missing, self._propeller_wheel
             )
-            main = self._main = MainTracker(tuning, wheels.main.teeth, wheels.main.missing)
             self.recall = Recall(sheet, self.references, layshaft.teeth, main.teeth)
         else:
             self.layshaft = BaselineTracker(estimator, settings, brake, wheels.layshaft.pitch_rad)
@@ -87,6 +103,8 @@ class Observer:
         self._split_us = self._range_us = -DRAGGED_US
         """When splitter and range were last between their steps."""
         self._dragged = self._main_dragged = False
+        self._looked_us = 0.0
+        """The newest edge when a gear in mesh was last looked at."""
 
     def take_brake(self, record: BrakeRecord) -> None:
         """The brake as earlier runs have learned it."""
@@ -119,6 +137,7 @@ class Observer:
         self.valves = inputs.valve_status or self.valves
         self._lose_what_broke(events)
         self._see_whether_free(events)
+        self._read_further(inputs, now_us)
         self._main.edges(main)
         if self._main_dragged:
             # No filter for a vehicle's motion follows cones that take 400 rpm in 20 ms.
@@ -126,6 +145,22 @@ class Observer:
         self.layshaft.edges(layshaft, pressures)
         if self.recall is not None:
             self.recall.look(events, self._layshaft_wheel.sensor.renumbered)
+
+    def _read_further(self, inputs: StepInputs, now_us: int) -> None:
+        """Input and propeller shaft, where they are fused."""
+        view, sheet, edges = self.view, self._sheet, inputs.edges
+        wheel = self._input_wheel
+        if wheel is not None:
+            dragged = now_us - self._split_us < DRAGGED_US
+            split = None if dragged else view.split
+            wheel.set_ratio(None if split is None else sheet.split_mesh(split).ratio, dragged)
+            wheel.read(edges[EdgesInputRise], edges[EdgesInputFall], self.clock, now_us)
+        wheel = self._propeller_wheel
+        if wheel is not None:
+            range_ = None if self._main_dragged else view.range_
+            scale = None if range_ is None else 1.0 / sheet.range_mesh(range_).ratio
+            wheel.set_ratio(scale, self._main_dragged)
+            wheel.read(edges[EdgesPropellerRise], edges[EdgesPropellerFall], self.clock, now_us)
 
     def _see_synchronisers(self, now_us: int) -> None:
         """Splitter and range change by cones, which drag layshaft and main shaft hard."""
@@ -169,6 +204,9 @@ class Observer:
         if jumps != self._lost[0]:
             self._layshaft_wheel.restart()
             self._main_wheel.restart()
+            for further in (self._input_wheel, self._propeller_wheel):
+                if further is not None:
+                    further.restart()
             events.append("sensor clock jumped: teeth and phases start anew")
         _, layshaft, main = self._lost
         self._lost = (self.clock.jumps, self._layshaft_wheel.broken, self._main_wheel.broken)
@@ -225,8 +263,9 @@ class Observer:
             return
         # At the newest edge there is nothing to extrapolate, and an impact does least harm.
         newest = [w.newest.time_us for w in (self._layshaft_wheel, self._main_wheel) if w.newest]
-        if len(newest) < 2:
-            return
+        if len(newest) < 2 or max(newest) == self._looked_us:
+            return  # a step between two reads has nothing new to look at
+        self._looked_us = max(newest)
         layshaft, main = self.layshaft_at(max(newest)), self.main_at(max(newest))
         if layshaft is None or main is None or not self._sees_flanks(gear, layshaft, main):
             return

@@ -3,10 +3,10 @@
 Between the firing and the contact nothing can be corrected any more: what the model of drag and
 brake leaves out moves the gear meanwhile. Most of that is steady in one gearbox (oil, loose gears,
 a brake whose torque fades), and it grows about linearly with the time predicted over, so one figure
-a gear stands for it: a drift of the slip. Each contact shows it, as the phase estimated then less
-the one that was predicted when the sleeve was fired; its mean is that of a normal law with a normal
-prior about zero. What is left scatters by the share of the filter's own standard deviation that
-has been seen.
+a gear stands for it: a drift of the slip. Each aimed contact shows it, as the phase estimated then
+less the one that was predicted when the sleeve was fired: a scalar Kalman filter whose steps are
+shifts. Its noise is what the layshaft's and main shaft's filters claim for that prediction, times
+the share of it that has been seen so far; with that share the next shift's spread is foretold.
 """
 
 from __future__ import annotations
@@ -21,13 +21,15 @@ from controller.outlook import Outlook
 from gearbox import MainGear
 from gearbox.gears import MAIN_GEARS
 
+PRIOR_SD_RAD_S: Final = 0.07
+"""How much gearboxes differ: 4 deg/s (simulated, 30 gearboxes)."""
+WALK_SD_RAD_S: Final = 0.01
+"""How much a drift changes from shift to shift: oil warms up."""
 PRIOR_SHARE_SAMPLES: Final = 4.0
-"""How many contacts the filter's own spread is worth."""
+"""How many contacts the filters' own spread is worth."""
+MOST_SHARE_SAMPLES: Final = 30.0
+"""Older contacts fade."""
 LEAST_SHARE: Final = 0.3
-PRIOR_SAMPLES: Final = 0.3
-"""What "no drift" is worth: single contacts scatter by half as much as gearboxes do (simulated)."""
-MOST_SAMPLES: Final = 15.0
-"""Older samples fade: oil warms up within some shifts."""
 FAR_RAD_S: Final = 0.6
 """6 rpm: no drift is so large, the sleeve or a sensor was wrong."""
 LEAST_S: Final = 0.02
@@ -37,9 +39,14 @@ LEAST_S: Final = 0.02
 @dataclass
 class _Learned:
     mean_rad_s: float = 0.0
-    samples: float = PRIOR_SAMPLES
+    variance: float = PRIOR_SD_RAD_S**2
     share_squares: float = PRIOR_SHARE_SAMPLES
     share_samples: float = PRIOR_SHARE_SAMPLES
+    contacts: int = 0
+
+    @property
+    def share(self) -> float:
+        return max(math.sqrt(self.share_squares / self.share_samples), LEAST_SHARE)
 
 
 class PhaseDrifts:
@@ -53,39 +60,46 @@ class PhaseDrifts:
         return self._learned[gear].mean_rad_s
 
     def spread_share(self, gear: MainGear) -> float:
-        """What phases scatter by, drift left out, over the filter's standard deviation."""
-        learned = self._learned[gear]
-        return max(math.sqrt(learned.share_squares / learned.share_samples), LEAST_SHARE)
+        """What phases scatter by, drift left out, over the filters' standard deviation."""
+        return self._learned[gear].share
 
     def learn(self, fired: Outlook, seen: Outlook, contact_us: float) -> None:
-        """Contact was at `contact_us`: `fired` is the outlook when the sleeve was fired, `seen`
-        the last one before it entered its gear."""
+        """An aimed contact was at `contact_us`: `fired` is the outlook when the sleeve was fired,
+        `seen` the last one before it entered its gear."""
         passed_s = (contact_us - fired.main.time_us) * 1e-6
         if passed_s < LEAST_S:
             return
         apart = _undrifted_rad(seen, contact_us) - _undrifted_rad(fired, contact_us)
         variance = fired.estimate_variance(contact_us) / fired.spread_share**2
-        self._add(fired.gear, apart / passed_s, variance / passed_s**2)
+        self._add(self._learned[fired.gear], apart / passed_s, variance / passed_s**2)
 
-    def _add(self, gear: MainGear, drift_rad_s: float, variance: float) -> None:
-        if not math.isfinite(drift_rad_s) or abs(drift_rad_s) > FAR_RAD_S:
+    @staticmethod
+    def _add(learned: _Learned, drift_rad_s: float, variance: float) -> None:
+        """One contact's drift, and the variance that the filters claim for it."""
+        if not (math.isfinite(drift_rad_s + variance) and abs(drift_rad_s) < FAR_RAD_S):
             return
-        learned = self._learned[gear]
+        prior = learned.variance + WALK_SD_RAD_S**2
         off = drift_rad_s - learned.mean_rad_s
-        # An outlook made of the truth has no variance that a scatter could be compared with.
-        if learned.samples > PRIOR_SAMPLES and variance > 0.0:
-            learned.share_squares += off * off / variance
-            learned.share_samples += 1.0
-        learned.samples = min(learned.samples + 1.0, MOST_SAMPLES)
-        learned.mean_rad_s += off / learned.samples
+        gain = prior / (prior + learned.share**2 * variance)
+        learned.mean_rad_s += gain * off
+        learned.variance = (1.0 - gain) * prior
+        fade = min(1.0, MOST_SHARE_SAMPLES / (learned.share_samples + 1.0))
+        learned.share_squares = fade * (learned.share_squares + off * off / (prior + variance))
+        learned.share_samples = fade * (learned.share_samples + 1.0)
+        learned.contacts += 1
 
     def records(self) -> Drifts:
-        """What a calibration file keeps: the gears that have been engaged."""
+        """What a calibration file keeps: the gears that have been aimed at."""
         return Drifts(
             **{
-                gear.name.lower(): DriftRecord(learned.mean_rad_s, learned.samples)
+                gear.name.lower(): DriftRecord(
+                    learned.mean_rad_s,
+                    math.sqrt(learned.variance),
+                    math.sqrt(learned.share_squares / learned.share_samples),
+                    learned.share_samples,
+                )
                 for gear, learned in self._learned.items()
-                if learned.samples > PRIOR_SAMPLES
+                if learned.contacts > 0
             }
         )
 
@@ -94,7 +108,13 @@ class PhaseDrifts:
         for gear in MAIN_GEARS:
             record = records.of(gear)
             if record is not None:
-                self._learned[gear] = _Learned(record.slip_rad_s, record.samples)
+                self._learned[gear] = _Learned(
+                    record.slip_rad_s,
+                    record.slip_sd_rad_s**2,
+                    record.spread_share**2 * record.samples,
+                    record.samples,
+                    1,
+                )
 
 
 def _undrifted_rad(outlook: Outlook, time_us: float) -> float:

@@ -12,6 +12,7 @@ from controller.motion import LayshaftState
 from controller.observer import Observer
 from controller.publish import estimates, etc1, etc2, outcome, prediction
 from controller.sequence import ShiftSequence
+from controller.shafts import ShaftState
 from dbc.frame import Frame
 from dbc.link import Receiver, Transmitter
 from dbc.messages import ETC1, ControllerEstimates, ControllerState, ControllerStatus, Message
@@ -43,11 +44,13 @@ class Reporter:
     def frames(self, transmitter: Transmitter, moment: Moment) -> list[Frame]:
         """Estimates, J1939 messages, and this step's prediction and outcome where there are any."""
         sequence, sheet = self._sequence, self._header.sheet
-        layshaft = self._observer.layshaft_at(moment.now_us)
+        # As of the newest read: later, in gear, two estimates carried forward would drift apart.
+        seen_us = self._observer.clock.latest_us
+        layshaft, main = self._observer.layshaft_at(seen_us), self._observer.main_at(seen_us)
         self._gear = current = self._gear_number()
         messages: list[Message] = [
-            self._estimates(moment, layshaft),
-            self._etc1(moment, layshaft),
+            self._estimates(seen_us, layshaft, main),
+            self._etc1(main, layshaft),
         ]
         if self._steps % ETC2_EVERY == 0:
             target = sequence.target
@@ -71,8 +74,10 @@ class Reporter:
         current = DRIVE_GEARS.get(self._gear)
         return current.main if current else None
 
-    def _estimates(self, moment: Moment, layshaft: LayshaftState | None) -> ControllerEstimates:
-        main, gear = moment.main, self._gear_in_focus()
+    def _estimates(
+        self, time_us: int, layshaft: LayshaftState | None, main: ShaftState | None
+    ) -> ControllerEstimates:
+        gear = self._gear_in_focus()
         slip, phase, phase_sd = 0.0, None, 0.0
         if layshaft is not None and main is not None and gear is not None:
             ratio = self._header.sheet.main_mesh(gear).ratio
@@ -83,7 +88,7 @@ class Reporter:
                 phase = wrap_to_pitch(raw, self._header.sheet.dog.pitch_rad)
                 phase_sd = math.hypot(ratio * layshaft.theta_sd_rad, main.theta_sd_rad)
         return estimates(
-            moment.now_us,
+            time_us,
             self._observer.layshaft,
             layshaft,
             main,
@@ -93,7 +98,7 @@ class Reporter:
             phase_sd,
         )
 
-    def _etc1(self, moment: Moment, layshaft: LayshaftState | None) -> ETC1:
+    def _etc1(self, main: ShaftState | None, layshaft: LayshaftState | None) -> ETC1:
         state = self._sequence.state
         shifting = state not in (
             ControllerState.STARTING,
@@ -103,8 +108,8 @@ class Reporter:
         view, sheet = self._observer.view, self._header.sheet
         gear = DRIVE_GEARS.get(self._gear)
         output = input_ = None
-        if moment.main is not None and gear is not None:
-            output = moment.main.omega_rad_s * sheet.range_mesh(gear.range_).ratio
+        if main is not None and gear is not None:
+            output = main.omega_rad_s * sheet.range_mesh(gear.range_).ratio
         if layshaft is not None and view.complete and view.split is not None:
             input_ = layshaft.omega_rad_s / sheet.split_mesh(view.split).ratio
         return etc1(state is ControllerState.IN_GEAR, shifting, output, input_)

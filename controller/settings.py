@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dbc.messages import Estimator, Strategy
-from gearbox.tables import TableError, count, group, load_toml, quantity, read_group, text
+from gearbox.tables import TableError, count, flag, group, load_toml, quantity, read_group, text
 
 RPM: Final = 2.0 * math.pi / 60.0
 DEG: Final = math.pi / 180.0
@@ -231,6 +231,16 @@ class CrossingFilterTuning:
     main_s: float = quantity("main_ms", 0.5, 5000.0, 1e-3, default=0.1)
     main_walk_rad_s2: float = quantity("main_walk_rad_s2", 0.0, 1e4, default=5.0)
     """The same of the main shaft, and by how much its acceleration wanders in a second."""
+    fuse_input: bool = flag("fuse_input", default=False)
+    """The input shaft's edges count for the layshaft while it is free."""
+    fuse_propeller: bool = flag("fuse_propeller", default=False)
+    """The propeller shaft's edges count for the main shaft while the layshaft is free."""
+    mesh_walk_rad: float = quantity("mesh_walk_deg", 0.0, 5.0, DEG, default=0.01 * DEG)
+    """By how much the angle between two such wheels wanders in a second at one flank."""
+    mesh_side_rad: float = quantity("mesh_side_deg", 0.0, 5.0, DEG, default=0.05 * DEG)
+    mesh_side_s: float = quantity("mesh_side_ms", 1.0, 5000.0, 1e-3, default=0.03)
+    """By how much it changes, within this time of a switch of the brake, where the mesh goes to its
+    other flank."""
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from controller.crossing import Pressures
-from controller.crossing_kernels import Integers, crossing_filter, inverse_of_positive
+from controller.crossing_kernels import crossing_filter, inverse_of_positive
+from controller.crossing_layout import SCALE, FilterArrays, Integers, TeethArrays
 from controller.edges import EdgeBatch
 from controller.motion import MotionModel
-from controller.motion_kernels import STATES, Vector
+from controller.motion_kernels import Vector
 from controller.settings import CrossingFilterTuning
 from controller.tooth_match import Memory, Seen, Verdict, compare, turned
 
@@ -39,21 +40,17 @@ class TeethLearner:
     """The normal equations of one wheel over one window of free motion."""
 
     def __init__(self, tuning: CrossingFilterTuning, edges: int) -> None:
-        self._sensor = np.array([tuning.edge_time_s, 1e-9, tuning.pressure_sd_pa, NEVER_GATED])
-        self._x, self._p = np.zeros(STATES), np.zeros((STATES, STATES))
-        self._time_us = 0.0
-        self._by_tooth = np.zeros((STATES, edges))
-        self._normal, self._right = np.zeros((edges, edges)), np.zeros(edges)
-        self._counts: Integers = np.zeros(3, np.int64)
-        self._agreement = np.zeros(2)
+        self._arrays, self._teeth = FilterArrays(), TeethArrays(edges)
+        self._arrays.sensor[:] = tuning.edge_time_s, 1e-9, tuning.pressure_sd_pa, NEVER_GATED, 0.0
+        self._model: MotionModel | None = None
         self.running = False
 
     def begin(self, time_us: float, x: Vector, p: Vector) -> None:
         """A window begins with the shaft in this state."""
-        self._time_us = time_us
-        self._x[:], self._p[:] = x, p
-        for array in (self._by_tooth, self._normal, self._right, self._agreement):
-            array[:] = 0.0
+        arrays = self._arrays
+        arrays.time_us = time_us
+        arrays.x[:], arrays.p[:], arrays.agreement[:] = x, p, 0.0
+        self._teeth.floats[:] = 0.0
         self.running = True
 
     def take(
@@ -63,30 +60,25 @@ class TeethLearner:
         pressures: Pressures,
         switches: tuple[Vector, Vector],
         model: MotionModel,
+        scale: float = 1.0,
     ) -> None:
-        """New edges of the window, nominal angles."""
-        self._time_us = crossing_filter(
-            self._x,
-            self._p,
-            self._time_us,
-            batch.time_us,
-            batch.theta_rad,
-            *pressures,
-            *switches,
-            *model,
-            self._sensor,
-            self._counts,
-            self._agreement,
-            place,
-            self._by_tooth,
-            self._normal,
-            self._right,
-        )
+        """New edges of the window, nominal angles; scale: angle of the model's shaft over that of
+        the wheel."""
+        arrays = self._arrays
+        arrays.floats[SCALE] = scale
+        if model is not self._model:
+            self._model = model
+            arrays.set_model(*model)
+        arrays.forget_past()
+        crossing_filter(
+            arrays.floats, arrays.integers, batch.time_us, scale * batch.theta_rad, *pressures,
+            *switches, self._teeth.floats, place,
+        )  # fmt: skip
 
     @property
     def edges(self) -> float:
         """How many edges the window has so far."""
-        return float(self._agreement[1]) if self.running else 0.0
+        return float(self._arrays.agreement[1]) if self.running else 0.0
 
     def end(self) -> Seen | None:
         """The window ends; its equations, None where it was too short."""
@@ -96,9 +88,9 @@ class TeethLearner:
 
     def so_far(self) -> Seen:
         """The window's equations up to now."""
-        squares, count = self._agreement.tolist()
-        upper = np.triu(self._normal)
-        return Seen(upper + np.triu(upper, 1).T, self._right.copy(), squares, count)
+        squares, count = self._arrays.agreement.tolist()
+        upper = np.triu(self._teeth.normal)
+        return Seen(upper + np.triu(upper, 1).T, self._teeth.right.copy(), squares, count)
 
 
 class Found(NamedTuple):

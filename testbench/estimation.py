@@ -8,7 +8,7 @@ for the next 10 ms read. Scored while the model holds, from neutral to first con
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from controller.brake_input import BrakeInput
@@ -109,11 +109,12 @@ class EstimationScore:
         sheet: GearboxSheet,
         settings: ControllerSettings,
         on_sample: Callable[[Sample], None] | None = None,
+        estimators: Mapping[str, Estimator] = ESTIMATOR_NAMES,
     ) -> None:
-        """`on_sample` sees every scored instant of every estimator."""
+        """`on_sample` sees every scored instant of every estimator; `crossing` must be one."""
         self._on_sample = on_sample
         self._scores = {
-            name: _Score(sheet, settings, estimator) for name, estimator in ESTIMATOR_NAMES.items()
+            name: _Score(sheet, settings, estimator) for name, estimator in estimators.items()
         }
         self._learning = self._scores["crossing"]
         """It learns teeth, so it must not lose count between shifts."""
@@ -153,6 +154,11 @@ class EstimationScore:
             score.brake.schedule(time_us, command.brake_action in SWITCHED_ON, now_us)
 
     @property
+    def observer(self) -> Observer:
+        """That of estimator `crossing`."""
+        return self._learning.observer
+
+    @property
     def _clock_us(self) -> int:
         return self._learning.observer.clock.latest_us
 
@@ -171,7 +177,7 @@ class EstimationScore:
         newest_us = unwrap(message.sample_time_us, self._clock_us)
         for k, theta in enumerate(message.angle_rad):
             time_us = newest_us - k * ENCODER_STEP_US
-            if self._after_contact(time_us):
+            if self.is_after_contact(time_us):
                 continue
             for name, score in self._scores.items():
                 tracker = score.observer.layshaft
@@ -184,7 +190,8 @@ class EstimationScore:
                     omega_error = state.omega_rad_s - omega
                     self._on_sample(Sample(name, time_us, error, omega_error, theta, omega))
 
-    def _after_contact(self, time_us: int) -> bool:
+    def is_after_contact(self, time_us: int) -> bool:
+        """Whether a sensor time lies after the present shift's first contact."""
         if self._contact_us is None:
             return False
         return time_us >= unwrap(self._contact_us, time_us)

@@ -11,6 +11,8 @@ from dbc.layout import CODECS
 from dbc.link import Receiver
 from dbc.messages import (
     ControllerStatus,
+    EdgesInputFall,
+    EdgesInputRise,
     EdgesLayshaftFall,
     EdgesLayshaftRise,
     GearboxSensors,
@@ -35,6 +37,8 @@ READ_AT_REST: Final = (
 """What rows and estimation need: less than half of the bus; the rest stays undecoded. Edges are
 needed between shifts too, so that the tooth count goes on."""
 READ: Final = (*READ_AT_REST, ReferenceEncoder)
+READ_FUSED: Final = (EdgesInputRise, EdgesInputFall)
+"""And where the controller fuses the input shaft."""
 
 
 def identifiers(kinds: tuple[type[Message], ...]) -> frozenset[int]:
@@ -58,6 +62,7 @@ class Monitor:
         self.rows = RowCollector(sheet, settings.aim.target_rad_share * half_gap)
         self.estimation = EstimationScore(sheet, settings, on_sample)
         self.status: ControllerStatus | None = None
+        also += READ_FUSED if settings.crossing_filter.fuse_input else ()
         self._read = identifiers(READ + also)
         self._read_at_rest = identifiers(READ_AT_REST + also)
         self._receiver = Receiver(*Node)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.random import PCG64, Generator
@@ -53,7 +53,7 @@ START_SD: Final = (0.1, 10.0, 0.2e5)
 """What is known of angle (rad), speed (rad/s) and pressure (Pa) when a shift begins."""
 
 
-KNOWN: Final = {
+KNOWN: Final[dict[str, Any]] = {
     "gain_walk": 0.0,
     "gain_pause": 0.0,
     "drag_walk_nm": 0.0,

@@ -10,6 +10,7 @@ from gearbox.tables import count
 from rig_sim.as_built import linear
 from testbench.studies.excitation import Figures, figures
 from testbench.studies.fusion_run import (
+    AHEAD,
     LAYSHAFT,
     MAIN,
     WITH_INPUT,
@@ -50,11 +51,16 @@ class Settings:
     """How many trucks and shifts."""
 
     trucks: int = count("trucks", 1, 100)
+    learning_shifts: int = count("learning_shifts", 0, 100)
+    """Before these the wheels' teeth are not known."""
     shifts: int = count("shifts", 1, 1000)
 
 
 def _run(given: Given[Settings], as_built: AsBuilt, truck: int) -> FusionRun:
-    return FusionRun(given.sheet, given.common.seed + truck, given.own.shifts, as_built)
+    own = given.own
+    return FusionRun(
+        given.sheet, given.common.seed + truck, own.learning_shifts, own.shifts, as_built
+    )
 
 
 def _jobs(given: Given[Settings]) -> tuple[FusionRun, ...]:
@@ -71,7 +77,8 @@ def _conclude(given: Given[Settings]) -> Finding:
         runs: list[Fused] = [
             given.results[_run(given, as_built, truck)] for truck in range(given.own.trucks)
         ]
-        found[case] = {name: figures([[run] for run in runs], name) for name in VARIANTS}
+        names = (*VARIANTS, *(name + AHEAD for name in VARIANTS))
+        found[case] = {name: figures([[run] for run in runs], name) for name in names}
     statements = (
         *_statements(found, LAYSHAFT, WITH_INPUT, "input shaft", "layshaft"),
         *_statements(found, MAIN, WITH_PROPELLER, "propeller shaft", "main shaft"),
@@ -80,9 +87,11 @@ def _conclude(given: Given[Settings]) -> Finding:
         case: {name: f._asdict() for name, f in by_name.items()} for case, by_name in found.items()
     }
     rows = tuple(
-        (case, name, *by_name[name]) for case, by_name in found.items() for name in VARIANTS
+        (case, name, *by_name[name], by_name[name + AHEAD].angle_deg)
+        for case, by_name in found.items()
+        for name in VARIANTS
     )
-    columns = ("gearbox", "sensors", "angle RMS, deg", "speed RMS, rpm")
+    columns = ("gearbox", "sensors", "angle RMS, deg", "speed RMS, rpm", "45 ms ahead, deg")
     table = Table("sensors", "With and without each further sensor", columns, rows)
     return Finding(statements, values, (_chart(found),), (table,))
 
@@ -98,8 +107,9 @@ def _statements(
         statements.append(
             Statement(
                 CLAIM.format(further, own),
-                f"{case}: angle {without.angle_deg:.3f} to {with_.angle_deg:.3f} deg RMS, speed "
-                f"{without.speed_rpm:.3f} to {with_.speed_rpm:.3f} rpm",
+                f"{case}: angle {without.angle_deg:.3f} to {with_.angle_deg:.3f} deg RMS, "
+                f"{by_name[alone + AHEAD].angle_deg:.3f} to {by_name[fused + AHEAD].angle_deg:.3f} "
+                f"45 ms ahead, speed {without.speed_rpm:.3f} to {with_.speed_rpm:.3f} rpm",
                 verdict,
                 _reason(better, further, first=not statements),
             )
@@ -117,9 +127,9 @@ def _reason(better: tuple[bool, bool], further: str, first: bool) -> str:
     if not first:
         return gained
     return (
-        f"{gained}. The {further}'s edges are taken as further edges of the shaft by the exact "
-        "ratio, with the same Q and R: more of them, each off by its own wheel's tooth errors and "
-        "by the backlash between. Errors of wheels that an estimator has learned would not count"
+        f"{gained}. The {further}'s edges are further edges of the shaft by the exact ratio, in "
+        "the controller's own filter: the offset between the wheels is a state, and both wheels' "
+        "teeth are learned"
     )
 
 
@@ -127,9 +137,9 @@ def _chart(found: dict[str, dict[str, Figures]]) -> Chart:
     cases = list(found)
     numbers = list(range(1, len(cases) + 1))
 
-    def lines(index: int) -> tuple[Line, ...]:
+    def lines(index: int, after: str = "") -> tuple[Line, ...]:
         return tuple(
-            Line(name, numbers, [found[case][name][index] for case in cases], Style.JOINED)
+            Line(name, numbers, [found[case][name + after][index] for case in cases], Style.JOINED)
             for name in VARIANTS
         )
 
@@ -139,6 +149,7 @@ def _chart(found: dict[str, dict[str, Figures]]) -> Chart:
         "gearbox",
         (
             Panel("angle, deg RMS", lines(0), log_y=True),
+            Panel("angle 45 ms ahead, deg RMS", lines(0, AHEAD), log_y=True),
             Panel("speed, rpm RMS", lines(1), log_y=True),
         ),
         x_names=tuple(cases),

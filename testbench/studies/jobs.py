@@ -51,10 +51,14 @@ class Squares:
 
     def add(self, sample: Sample) -> None:
         """One encoder instant."""
+        self.put(sample.theta_error_rad, sample.omega_error_rad_s)
+
+    def put(self, theta_error_rad: float, omega_error_rad_s: float) -> None:
+        """One error of angle and speed."""
         self.samples += 1
-        self.angle_rad += sample.theta_error_rad
-        self.angle_rad2 += sample.theta_error_rad**2
-        self.speed_rad2_s2 += sample.omega_error_rad_s**2
+        self.angle_rad += theta_error_rad
+        self.angle_rad2 += theta_error_rad**2
+        self.speed_rad2_s2 += omega_error_rad_s**2
 
 
 Scores = dict[str, Squares]

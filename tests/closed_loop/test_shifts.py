@@ -138,29 +138,19 @@ def test_the_sleeve_is_fired_once_and_the_brake_is_off_by_then(one_shift: Loop) 
 def test_engagements_are_blind_until_the_phase_is_learned_and_aim_from_then_on(
     six_shifts: Loop,
 ) -> None:
-    """Second gear is learned the first time. Third meets its flank the first time at so little slip
-    that its sign, and with it the flank, cannot be told: it is learned the next time."""
+    """A gear is blind until it has met a flank that can be told, and aimed at ever after."""
     outcomes = six_shifts.outcomes
     assert [(o.from_gear, o.to_gear) for o in outcomes] == [(8, 10), (10, 12)] * 3
     assert {outcome.result for outcome in outcomes} == {ShiftResult.ENGAGED}
-    unknown, known = PhaseReference.UNKNOWN, PhaseReference.KNOWN
-    assert [outcome.reference for outcome in outcomes] == [
-        unknown,
-        unknown,
-        known,
-        unknown,
-        known,
-        known,
-    ]
-    blind, aiming = Strategy.SPEED_WINDOW, Strategy.TARGET_PHASE
-    assert [outcome.strategy for outcome in outcomes] == [
-        blind,
-        blind,
-        aiming,
-        blind,
-        aiming,
-        aiming,
-    ]
+    for gear in (10, 12):
+        told = [outcome for outcome in outcomes if outcome.to_gear == gear]
+        known = [outcome.reference is PhaseReference.KNOWN for outcome in told]
+        assert known == sorted(known)
+        assert not known[0]
+        assert known[-1]
+    for outcome in outcomes:
+        aims = outcome.strategy is Strategy.TARGET_PHASE
+        assert aims == (outcome.reference is PhaseReference.KNOWN)
 
 
 def aimed(loop: Loop) -> list[ShiftOutcome]:
@@ -198,7 +188,7 @@ def test_the_learned_phase_is_the_true_one(six_shifts: Loop) -> None:
                 error = message.phase_rad - true[status.current_gear]
                 compared[status.current_gear].append(abs(error) / DEG)
     for errors in compared.values():
-        assert len(errors) > 20
+        assert len(errors) > 10
         assert sorted(errors)[19 * len(errors) // 20] < 0.05
 
 
@@ -271,8 +261,8 @@ def test_aimed_shifts_meet_the_gap_from_any_angles_at_start() -> None:
     """Three power-ups: other phases, other flanks, other sleeve delays."""
     known = []
     for seed in (11, 12, 13):
-        rows = simulate(Setup(SHEET, ControllerSettings(), seed=seed, shifts=8)).rows
-        assert [row.result for row in rows] == ["engaged"] * 8
+        rows = simulate(Setup(SHEET, ControllerSettings(), seed=seed, shifts=12)).rows
+        assert [row.result for row in rows] == ["engaged"] * 12
         known += [row for row in rows if row.reference == "known"]
     assert len(known) >= 12
     assert sum(row.contact == "gap" for row in known) >= 0.9 * len(known)

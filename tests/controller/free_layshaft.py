@@ -105,7 +105,7 @@ def drive(
         state[k + 1] = _runge_kutta(world, state[k] + 0.5 * noise, u) + 0.5 * noise
     return Runs(
         state,
-        [_edges(world, state[:, i], rng, wheel_rad) for i in range(count)],
+        [edges_of(world, state[:, i], rng, wheel_rad) for i in range(count)],
         [_pressures(world, state[:, i], rng) for i in range(count)],
     )
 
@@ -124,9 +124,10 @@ def _runge_kutta(world: World, x: np.ndarray, u: int) -> np.ndarray:
     return x + STEP_S / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
 
 
-def _edges(
-    world: World, state: np.ndarray, rng: np.random.Generator, wheel_rad: np.ndarray | None
+def edges_of(
+    world: World, state: np.ndarray, rng: np.random.Generator, wheel_rad: np.ndarray | None = None
 ) -> tuple:
+    """Times in us, nominal angles and numbers of a wheel's edges; state (n, 2 or more)."""
     theta = state[:, 0]
     number = np.arange(
         int(theta[0] / world.half_pitch_rad) + 2, int(theta[-1] / world.half_pitch_rad) - 1

@@ -5,6 +5,7 @@ Li and Kirubarajan 2001, 5.4.2); the runs are seeded."""
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import NamedTuple
 
@@ -188,6 +189,21 @@ def test_edges_that_come_late_end_in_the_same_state(
     sd = np.sqrt(np.diag(in_order.p))
     assert np.allclose(delayed.x / sd, in_order.x / sd, rtol=0.0, atol=1e-6)
     assert np.allclose(delayed.p / np.outer(sd, sd), in_order.p / np.outer(sd, sd), atol=1e-6)
+
+
+def test_a_copy_of_a_filter_goes_on_as_the_filter_does(bench: Bench) -> None:
+    """Campaigns copy whole controllers in mid-run."""
+    edges, pressures = bench.runs.edges[0][:2], Pressures(*bench.runs.pressures[0])
+    original = begun(bench)
+    take(original, bench, within(edges, 0, 100_000), Pressures(*within(pressures, 0, 100_000)))
+    copied = copy.deepcopy(original)
+    rest = within(edges, 100_000, END_US), Pressures(*within(pressures, 100_000, END_US))
+    for crossing in (original, copied):
+        take(crossing, bench, *rest)
+    assert original.time_us > 240_000
+    assert copied.time_us == original.time_us
+    assert np.array_equal(copied.x, original.x)
+    assert np.array_equal(copied.p, original.p)
 
 
 def test_a_wheels_teeth_are_learned_as_well_as_is_said(sheet: GearboxSheet) -> None:

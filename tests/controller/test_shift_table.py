@@ -45,7 +45,8 @@ def test_the_controller_never_goes_back_to_starting() -> None:
     assert State.STARTING not in TRANSITIONS.values()
 
 
-def test_a_sleeve_is_fired_only_after_the_box_was_in_neutral_and_the_brake_let_go() -> None:
-    """The order of thesis 2.2: without these triggers the gear is out of reach."""
-    for missing in (Trigger.CLUTCH_OPEN, Trigger.MAIN_BOX_NEUTRAL, Trigger.BRAKE_RELEASED):
+def test_a_sleeve_is_fired_only_after_the_clutch_was_open_and_the_box_in_neutral() -> None:
+    """The order of thesis 2.2: without these triggers the gear is out of reach. The brake's release
+    may follow the firing, planned with it; that it comes before contact is the guard's row 5."""
+    for missing in (Trigger.CLUTCH_OPEN, Trigger.MAIN_BOX_NEUTRAL):
         assert State.ENGAGING not in reachable(State.IN_GEAR, frozenset({missing}))
