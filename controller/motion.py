@@ -124,10 +124,20 @@ def predict_spread(
     """As `predict`, with the covariance grown to then. The state must have one."""
     if state.covariance is None:
         raise ValueError("the estimator of this state has no covariance")
-    x, p = state.vector, state.covariance.copy()
-    forecast(
-        x, p, state.time_us, to_us, switches[0], switches[1], model.motion, model.law, model.noise
-    )
+    return ahead(state.vector, state.covariance, state.time_us, to_us, switches, model)
+
+
+def ahead(
+    x: Vector,
+    p: Vector,
+    time_us: float,
+    to_us: float,
+    switches: tuple[Vector, Vector],
+    model: MotionModel,
+) -> LayshaftState:
+    """The record of a filter's state and covariance at a time, gone on with to another."""
+    x, p = x.copy(), p.copy()
+    forecast(x, p, time_us, to_us, switches[0], switches[1], model.motion, model.law, model.noise)
     return state_of(x, p, to_us)
 
 
