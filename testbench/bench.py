@@ -111,8 +111,8 @@ class _Seen:
     """What the bus said since the phase began."""
 
     ready_in: int | None = None
-    ready_us: int = 0
-    """The last tick before the rig said so."""
+    ready_us: int | None = None
+    """The tick at which the rig had said so."""
     outcome: bool = False
     status: ControllerStatus | None = None
 
@@ -168,7 +168,7 @@ class BenchCore:
         if self._since_us is None:
             self._since_us = now_us
         self._receiver.tick(now_us)
-        if self._seen.ready_in is None:
+        if self._seen.ready_us is None and self._seen.ready_in is not None:
             self._seen.ready_us = now_us
         events = self._go_on(now_us)
         frames = self._frames(now_us)
@@ -206,7 +206,7 @@ class BenchCore:
             case Phase.RETURNING:
                 return seen.ready_in == shift.from_ and in_old_gear
             case Phase.SETTLING:
-                locked_us = now_us - seen.ready_us
+                locked_us = now_us - (seen.ready_us or 0)
                 return waited_us >= self._pauses.settle_us and locked_us >= self._pauses.locked_us
             case Phase.REQUESTING:
                 return seen.outcome or (status is not None and status.state in MOVING)
