@@ -80,11 +80,14 @@ class PhaseDrifts:
             return
         prior = learned.variance + WALK_SD_RAD_S**2
         off = drift_rad_s - learned.mean_rad_s
-        gain = prior / (prior + learned.share**2 * variance)
+        noise = learned.share**2 * variance
+        gain = prior / (prior + noise)
+        # One where the share is right, whatever part of the innovation the drift's own doubt has.
+        surprise = off * off / (prior + noise)
         learned.mean_rad_s += gain * off
         learned.variance = (1.0 - gain) * prior
         fade = min(1.0, MOST_SHARE_SAMPLES / (learned.share_samples + 1.0))
-        learned.share_squares = fade * (learned.share_squares + off * off / (prior + variance))
+        learned.share_squares = fade * (learned.share_squares + learned.share**2 * surprise)
         learned.share_samples = fade * (learned.share_samples + 1.0)
         learned.contacts += 1
 

@@ -107,6 +107,45 @@ def test_one_gear_learned_says_nothing_of_the_others(sheet: GearboxSheet, gear: 
                 references.phase_rad(other, 0.0, 0.0)
 
 
+def float_about(
+    references: PhaseReferences, box: Gearbox, gear: MainGear, low: float, high: float
+) -> None:
+    """The gear in mesh with next to no torque: its tooth swings between two places of its gap,
+    shares of half a gap, for 0.3 s, and is never seen to lie still. Then it is taken out."""
+    references.locked(gear, 0.0, straight=False)
+    for look in range(32):
+        swing = 0.5 * (low + high) + 0.5 * (high - low) * math.sin(0.4 * look)
+        at_ms = 7.0 + 0.6 * look
+        theta_ls = box.layshaft_at_phase(swing * HALF_GAP, at_ms, 3)
+        assert not references.watch(gear, theta_ls, at_ms)
+    references.released()
+
+
+def test_a_floating_tooth_tells_its_gap_by_both_flanks() -> None:
+    box, references = Gearbox(*TEETH[MainGear.SECOND], 0.1, 0.2, 0.3), PhaseReferences(SHEET)
+    float_about(references, box, MainGear.SECOND, -1.0, 1.0)
+    seen = wrap_to_pitch(references.phase_rad(MainGear.SECOND, 11.0, 5.0), PITCH)
+    assert abs(math.remainder(seen - box.phase(11.0, 5.0), PITCH)) < 0.2 * HALF_GAP
+
+
+def test_both_flanks_may_be_seen_in_different_engagements() -> None:
+    gear = MainGear.SECOND
+    box, references = Gearbox(*TEETH[gear], 0.1, 0.2, 0.3), PhaseReferences(SHEET)
+    float_about(references, box, gear, -1.0, 0.2)
+    assert not references.known(gear)
+    float_about(references, box, gear, 0.0, 1.0)
+    seen = wrap_to_pitch(references.phase_rad(gear, 11.0, 5.0), PITCH)
+    assert abs(math.remainder(seen - box.phase(11.0, 5.0), PITCH)) < 0.2 * HALF_GAP
+
+
+def test_a_tooth_seen_farther_apart_than_its_gap_is_wide_tells_nothing() -> None:
+    gear = MainGear.SECOND
+    box, references = Gearbox(*TEETH[gear], 0.1, 0.2, 0.3), PhaseReferences(SHEET)
+    float_about(references, box, gear, -1.0, 0.2)
+    float_about(references, box, gear, 0.5, 1.6)
+    assert not references.known(gear)
+
+
 def test_lost_counts_lose_every_reference(sheet: GearboxSheet) -> None:
     references = PhaseReferences(sheet)
     for gear in MAIN_GEARS:
