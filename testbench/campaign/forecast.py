@@ -23,8 +23,8 @@ Switches = tuple[tuple[float, float], ...]
 SAMPLE_US: Final = 4_000
 BRANCH_SAMPLES: Final = 100
 """0.4 s: further than a plan looks."""
-SOON_SAMPLES: Final = 50
-"""0.2 s: as far as a release is looked for; a branch that a plan follows is run on from there."""
+SOON_SAMPLES: Final = 25
+"""0.1 s: as far as a release is looked for; a branch that a plan follows is run on from there."""
 TRUNK_SAMPLES: Final = 500
 FILLING_US: Final = 250_000
 """So long after it was switched on the brake's pressure stands, and a release changes what it
