@@ -93,6 +93,7 @@ class EdgeHealth(NamedTuple):
 NO_EDGES: Final = EdgeBatch(np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64))
 _PACK_STAMPS: Final = struct.Struct(f"={STAMPS}q").pack_into
 _ROOM: Final = 4 * STAMPS
+_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 
 
 class Polarity:
@@ -271,7 +272,7 @@ class WheelEdges:
         risen.use(int(counts[edge_layout.NEXT]))
         fallen.use(int(counts[edge_layout.NEXT + 1]))
         self.extra_us = extra_us[: counts[edge_layout.EXTRA] - extra]
-        return EdgeBatch(edge_us[:n], edge_rad[:n], tooth[:n], falling[:n])
+        return _new(EdgeBatch, (edge_us[:n], edge_rad[:n], tooth[:n], falling[:n]))
 
     def _take(
         self,

@@ -249,7 +249,7 @@ class Observer:
     def layshaft_at(self, time_us: float) -> LayshaftState | None:
         """The layshaft at a sensor time."""
         state = self.layshaft.at(time_us)
-        return state if state is not None and are_finite(state) else None
+        return state if state is not None and state.is_finite else None
 
     def learn(self, events: list[str]) -> None:
         """Watches a gear that has just locked until its phase reference is known."""
