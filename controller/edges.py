@@ -222,6 +222,12 @@ class WheelEdges:
             self._take(risen, rise, clock, now_us, False),
             self._take(fallen, fall, clock, now_us, True),
         )
+        if self.sensor.anew:
+            # However well its edges go on from the last ones, their wheel is at another angle.
+            self.restart()
+            clock.restart()
+            self.extra_us = NO_EDGES.tooth
+            return NO_EDGES
         counts = self._counts
         lost = int(counts[edge_layout.LOST])
         batch = self._gate(risen, fallen)
