@@ -261,6 +261,8 @@ class Observer:
             if floated is not None and self.recall is not None:
                 self.recall.floated(floated, events)
             return
+        if not self.references.watches(gear):
+            return
         # At the newest edge there is nothing to extrapolate, and an impact does least harm.
         newest = [w.newest.time_us for w in (self._layshaft_wheel, self._main_wheel) if w.newest]
         if len(newest) < 2 or max(newest) == self._looked_us:
