@@ -2,9 +2,23 @@
 
 import sys
 
-from benchmarks import bench_codec, bench_filter, bench_rig, bench_rig_live, bench_virtual_time
+from benchmarks import (
+    bench_campaign,
+    bench_codec,
+    bench_filter,
+    bench_rig,
+    bench_rig_live,
+    bench_virtual_time,
+)
 
 if __name__ == "__main__":
-    benches = (bench_codec, bench_filter, bench_rig, bench_rig_live, bench_virtual_time)
+    benches = (
+        bench_codec,
+        bench_filter,
+        bench_rig,
+        bench_rig_live,
+        bench_virtual_time,
+        bench_campaign,
+    )
     codes = [bench.main([]) for bench in benches]
     sys.exit(max(codes))

@@ -18,8 +18,9 @@ from typing import Final
 
 import numpy as np
 
+from controller.brake_kernels import pressure_course
 from controller.calibration import BrakeRecord
-from controller.motion_kernels import PRESSURE, SEGMENTS, STATES, US, Vector, travel
+from controller.motion_kernels import PRESSURE, SEGMENTS, STATES, US, Vector
 from gearbox import GearboxSheet
 
 EMPTYING: Final = (0.0, 0.08, 0.28, 0.6, 1.0)
@@ -208,8 +209,5 @@ class BrakeModel:
         x = np.zeros(STATES)
         x[PRESSURE] = start_pa
         pressure = np.empty(sample_us.size)
-        pressure[0] = start_pa
-        for k in range(1, sample_us.size):
-            travel(x, sample_us[k - 1], sample_us[k], switch_us, command_u, still, law)
-            pressure[k] = x[PRESSURE]
+        pressure_course(x, sample_us, switch_us, command_u, still, law, pressure)
         return pressure

@@ -57,6 +57,11 @@ class SensorClock:
         self._note(now_us - time_us)
         return time_us
 
+    def restart(self) -> None:
+        """The sensor side has restarted, however near to the old one its clock reads."""
+        self.jumps += 1
+        self._offsets.clear()
+
     def _note(self, offset: int) -> None:
         leaving = self._offsets[0] if len(self._offsets) == WINDOW else None
         self._offsets.append(offset)

@@ -24,7 +24,6 @@ from controller.guard_limits import guard_limits
 from controller.guard_view import GuardView
 from controller.header import RunHeader
 from controller.inputs import StepInputs
-from controller.kinematics import are_finite
 from controller.moment import Moment
 from controller.observer import Observer
 from controller.probe import ClockProbe
@@ -132,7 +131,8 @@ class ControllerCore:
 
     def receive(self, frame: Frame) -> None:
         """Keeps a frame for the next step."""
-        self._probe.receive(frame)
+        if self._probe.is_armed:
+            self._probe.receive(frame)
         if len(self._inbox) < INBOX_LIMIT:
             self._inbox.append(frame)
         else:
@@ -222,20 +222,19 @@ class ControllerCore:
 
     def _lost(self, sensor_us: int) -> FaultCode:
         """What a shift needs and has not got; the worst of it."""
-        valid, view = self._receiver.valid, self._observer.view
-        oldest_us = min((track.newest_us for track in view.tracks.values()), default=0)
+        receiver, view = self._receiver, self._observer.view
         if (
-            not (view.complete and all(valid(kind) for kind in POSITIONS))
-            or sensor_us - oldest_us > FRESH_US
+            not (view.complete and receiver.all_valid(POSITIONS))
+            or sensor_us - view.oldest_us > FRESH_US
         ):
             return FaultCode.POSITION_STALE
         speeds = (self._speeds.layshaft, self._speeds.main)
         tracker = self._observer.layshaft
-        if tracker.free and not are_finite(tracker.latest()):
+        if tracker.free and not tracker.latest().is_finite:
             return FaultCode.SPEED_STALE
-        if None in speeds or not all(valid(kind) for kind in SPEEDS):
+        if None in speeds or not receiver.all_valid(SPEEDS):
             return FaultCode.SPEED_STALE
-        return FaultCode.NONE if valid(ValveStatus) else FaultCode.VALVE_LINK_LOST
+        return FaultCode.NONE if receiver.valid(ValveStatus) else FaultCode.VALVE_LINK_LOST
 
     def _decide(self, requested: int | None, moment: Moment, events: list[str]) -> None:
         sequence = self._sequence

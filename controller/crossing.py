@@ -27,7 +27,7 @@ from controller.crossing_layout import (
     FilterArrays,
     TeethArrays,
 )
-from controller.motion import LayshaftState, MotionModel, diagonal, predict_spread, state_of
+from controller.motion import LayshaftState, MotionModel, ahead, diagonal, state_of
 from controller.motion_kernels import PRESSURE, Vector
 from controller.settings import CrossingFilterTuning
 
@@ -176,7 +176,7 @@ class CrossingFilter:
         self, time_us: float, switches: tuple[Vector, Vector], model: MotionModel
     ) -> LayshaftState:
         """The state at a time, with its spread grown to then."""
-        return predict_spread(self.latest(), time_us, switches, model)
+        return ahead(self.x, self.p, self._arrays.time_us, time_us, switches, model)
 
 
 def start_covariance(

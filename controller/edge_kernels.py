@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from controller.jit import compiled
+from controller.jit import bare, compiled
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
@@ -27,6 +27,29 @@ BROKEN: Final = -1
 STAMPS: Final = 27
 FIRST_WRONG: Final = 9
 """Edges after power-up that a Hall sensor may misplace while it finds its thresholds (ATS645)."""
+SPAN_US: Final = 15_000
+"""At least so long are the teeth of one speed, where the frame holds them."""
+UNEVEN: Final = 1.7
+"""Neighbouring intervals that differ by more than this factor hold a tooth too many or too few."""
+
+
+@bare
+def newest_teeth(low: Integers, valid: int) -> tuple[int, int]:
+    """How long the newest teeth of one frame took, us, and how many they are.
+
+    low: low 16 bits of the newest `valid` edge times, newest first. No teeth where fewer than two
+    edges tell, or where neighbours are uneven."""
+    span_us = teeth = last_us = 0
+    for k in range(1, valid):
+        interval_us = (low[k - 1] - low[k]) & 0xFFFF
+        if teeth > 0 and not last_us < UNEVEN * interval_us < UNEVEN * UNEVEN * last_us:
+            return 0, 0
+        last_us = interval_us
+        span_us += interval_us
+        teeth += 1
+        if span_us >= SPAN_US:
+            break
+    return (span_us, teeth) if span_us > 0 else (0, 0)
 
 
 @compiled
@@ -91,3 +114,4 @@ def warm_up() -> None:
     """Compiles it, or loads what was compiled before."""
     low, chain, room = np.zeros(1, np.int64), np.zeros(CHAIN, np.int64), np.zeros(1, np.int64)
     chain_edges(low, 1, 1, False, False, 1, chain, room, room, 0)
+    newest_teeth(low, 1)

@@ -7,12 +7,14 @@ guard judges by it, and the sequence sees by it whether two shafts turn together
 from __future__ import annotations
 
 import math
+import struct
 from typing import Final, NamedTuple
 
+import numpy as np
+
+from controller.edge_kernels import STAMPS, Integers, newest_teeth
 from controller.edges import EdgeFrame
 
-SPAN_US: Final = 15_000
-"""At least so long are the teeth of one speed, where the frame holds them."""
 DEAD_US: Final = 20_000
 """A frame whose newest edge is older than this, and than three teeth took before, comes from a
 sensor that gives none: with its read, the bus and the tick that is known within 50 ms."""
@@ -21,11 +23,11 @@ STALE_US: Final = 25_000
 TEETH_LATE: Final = 3
 HELD_US: Final = 45_000
 """While a frame holds a tooth too many or too few, the speed before it stands for so long."""
-UNEVEN: Final = 1.7
-"""Neighbouring intervals that differ by more than this factor hold a tooth too many or too few."""
 WRAP: Final = 1 << 32
 HALF: Final = 1 << 31
 LOW: Final = 0xFFFF
+_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
+_PACK_STAMPS: Final = struct.Struct(f"={STAMPS}q").pack_into
 
 
 class Speed(NamedTuple):
@@ -52,8 +54,9 @@ class EdgeSpeed:
         self._is_dead = False
         self._interval_us = 0
         self._index = 0
-        self.turned: Turned | None = None
-        """Running count; None before the first edge."""
+        self._low: Integers = np.zeros(STAMPS, np.int64)
+        self._newest_us: int | None = None
+        self._teeth = 0
 
     def take(self, frame: EdgeFrame, now_us: int) -> None:
         """One frame, read shortly before `now_us` of the sensor clock."""
@@ -61,40 +64,32 @@ class EdgeSpeed:
             self._speed = None
             return
         read_us = now_us + ((frame.read_time_us - now_us + HALF) % WRAP) - HALF
-        low = frame.timestamp_low_us
-        newest_us = read_us - ((read_us - low[0]) & LOW)
-        before = self.turned.teeth if self.turned is not None else 0
-        new = (frame.newest_index - self._index) & LOW
+        stamps = frame.timestamp_low_us
+        newest_us = read_us - ((read_us - stamps[0]) & LOW)
+        self._teeth += (frame.newest_index - self._index) & LOW
         self._index = frame.newest_index
-        self.turned = Turned(newest_us, before + new)
+        self._newest_us = newest_us
         self._is_dead = read_us - newest_us > max(DEAD_US, TEETH_LATE * self._interval_us)
-        measured = self._measure(newest_us, low[: frame.valid_stamps])
-        if measured is not None:
-            self._speed, self._measured_us = measured, newest_us
+        # A tuple gets into an array fastest through the bytes that the array stands on.
+        _PACK_STAMPS(self._low.data, 0, *stamps)
+        span_us, teeth = newest_teeth(self._low, frame.valid_stamps)
+        if teeth:
+            self._interval_us = span_us // teeth
+            omega = teeth * self._pitch_rad / (span_us * 1e-6)
+            self._speed = _new(Speed, (newest_us - span_us // 2, omega))
+            self._measured_us = newest_us
 
-    def _measure(self, newest_us: int, low: tuple[int, ...]) -> Speed | None:
-        span_us = teeth = last_us = 0
-        after = low[0]
-        for before in low[1:]:
-            interval_us = (after - before) & LOW
-            if teeth and not last_us < UNEVEN * interval_us < UNEVEN * UNEVEN * last_us:
-                return None
-            after, last_us = before, interval_us
-            span_us += interval_us
-            teeth += 1
-            if span_us >= SPAN_US:
-                break
-        if span_us == 0:
-            return None
-        self._interval_us = span_us // teeth
-        omega = teeth * self._pitch_rad / (span_us * 1e-6)
-        return Speed(newest_us - span_us // 2, omega)
+    @property
+    def turned(self) -> Turned | None:
+        """Running count; None before the first edge."""
+        return None if self._newest_us is None else Turned(self._newest_us, self._teeth)
 
     def at(self, now_us: int) -> Speed | None:
         """The newest speed; None without one, or when edges have failed to come."""
-        if self._speed is None or self.turned is None or self._is_dead:
+        newest_us = self._newest_us
+        if self._speed is None or newest_us is None or self._is_dead:
             return None
         limit_us = max(STALE_US, TEETH_LATE * self._interval_us)
-        is_turning = now_us - self.turned.time_us <= limit_us
+        is_turning = now_us - newest_us <= limit_us
         is_measured = now_us - self._measured_us <= max(HELD_US, limit_us)
         return self._speed if is_turning and is_measured else None

@@ -93,6 +93,7 @@ class EdgeHealth(NamedTuple):
 NO_EDGES: Final = EdgeBatch(np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64))
 _PACK_STAMPS: Final = struct.Struct(f"={STAMPS}q").pack_into
 _ROOM: Final = 4 * STAMPS
+_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 
 
 class Polarity:
@@ -221,6 +222,12 @@ class WheelEdges:
             self._take(risen, rise, clock, now_us, False),
             self._take(fallen, fall, clock, now_us, True),
         )
+        if self.sensor.anew:
+            # However well its edges go on from the last ones, their wheel is at another angle.
+            self.restart()
+            clock.restart()
+            self.extra_us = NO_EDGES.tooth
+            return NO_EDGES
         counts = self._counts
         lost = int(counts[edge_layout.LOST])
         batch = self._gate(risen, fallen)
@@ -271,7 +278,7 @@ class WheelEdges:
         risen.use(int(counts[edge_layout.NEXT]))
         fallen.use(int(counts[edge_layout.NEXT + 1]))
         self.extra_us = extra_us[: counts[edge_layout.EXTRA] - extra]
-        return EdgeBatch(edge_us[:n], edge_rad[:n], tooth[:n], falling[:n])
+        return _new(EdgeBatch, (edge_us[:n], edge_rad[:n], tooth[:n], falling[:n]))
 
     def _take(
         self,

@@ -18,6 +18,7 @@ ENTERED_M: Final = 0.3e-3
 SAMPLE_US: Final = 1000
 SLEEVES: Final = len(Sleeve)
 
+_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 _GEAR_AT: Final = {(side.sleeve, side.direction): g for g, side in SLEEVE_OF_MAIN.items()}
 _SPLIT_AT: Final = {-1: Split.LOW, 0: None, 1: Split.HIGH}
 _RANGE_AT: Final = {-1: Range.LOW, 0: None, 1: Range.HIGH}
@@ -88,10 +89,11 @@ class GearboxView:
     def _take(self, sleeve: Sleeve, time_us: int, samples_m: tuple[float, ...]) -> None:
         before = self.tracks.get(sleeve)
         if before is not None and time_us - before.newest_us == len(samples_m) * SAMPLE_US:
-            samples_m = (*samples_m, before.position_m)
-        self.tracks[sleeve] = track = SleeveTrack(time_us, samples_m)
-        if abs(track.position_m) < RESTING_M:
-            self._rest_m[sleeve] += REST_SHARE * (track.position_m - self._rest_m[sleeve])
+            samples_m = (*samples_m, before.samples_m[0])
+        self.tracks[sleeve] = _new(SleeveTrack, (time_us, samples_m))
+        position_m = samples_m[0]
+        if abs(position_m) < RESTING_M:
+            self._rest_m[sleeve] += REST_SHARE * (position_m - self._rest_m[sleeve])
 
     def contact_us(self, sleeve: Sleeve, direction: int) -> float | None:
         """When a sleeve on its way to a gear came to where it meets the gear's teeth; None where it
@@ -104,6 +106,11 @@ class GearboxView:
     def complete(self) -> bool:
         """Whether every position and the clutch have been seen."""
         return len(self.tracks) == SLEEVES and self.clutch_closed is not None
+
+    @property
+    def oldest_us(self) -> int:
+        """Time of the newest sample of the sleeve that was seen longest ago; 0 before any."""
+        return min([track.newest_us for track in self.tracks.values()], default=0)
 
     def position_m(self, sleeve: Sleeve) -> float:
         """Where a sleeve is; KeyError before its first frame."""
@@ -151,7 +158,8 @@ class GearboxView:
     def main_box_free(self) -> bool:
         """Whether no main sleeve is at a gear's teeth, where it rubs on them or is in mesh."""
         limit = self._contact_m - SHORT_M
-        return all(
-            abs(self.position_m(sleeve) - self._rest_m[sleeve]) < limit
-            for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
+        first, third = Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD
+        return (
+            abs(self.position_m(first) - self._rest_m[first]) < limit
+            and abs(self.position_m(third) - self._rest_m[third]) < limit
         )

@@ -11,6 +11,7 @@ guard's own speeds and by bounds on what brake and drag can do until then.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -28,6 +29,8 @@ ACTION_BYTES: Final = slice(3, 6)
 TIME_BYTES: Final = 6
 FRAME_LENGTH: Final = 48
 VALVES: Final = 9
+_times_us: Final = struct.Struct(f"<{VALVES}I").unpack_from
+_SHIFTS: Final = range(0, 2 * VALVES, 2)
 BRAKE: Final = 0
 SPLIT_LOW, SPLIT_HIGH = 1, 2
 RANGE_LOW, RANGE_HIGH = 7, 8
@@ -63,13 +66,7 @@ def decode(payload: bytes) -> Wish:
     if len(payload) != FRAME_LENGTH:
         raise ValueError(f"valve command of {len(payload)} bytes, allowed is {FRAME_LENGTH}")
     actions = int.from_bytes(payload[ACTION_BYTES], "little")
-    return Wish(
-        tuple(actions >> 2 * valve & 3 for valve in range(VALVES)),
-        tuple(
-            int.from_bytes(payload[TIME_BYTES + 4 * valve : TIME_BYTES + 4 * valve + 4], "little")
-            for valve in range(VALVES)
-        ),
-    )
+    return Wish(tuple([actions >> shift & 3 for shift in _SHIFTS]), _times_us(payload, TIME_BYTES))
 
 
 class Span(NamedTuple):
@@ -81,10 +78,13 @@ class Span(NamedTuple):
 
 Spans = tuple[Span | None, ...]
 NO_SPANS: Final[Spans] = (None,) * VALVES
+NO_PULLS: Final[frozenset[int]] = frozenset()
 
 
 def spans(wish: Wish, before: Spans, now_us: int) -> Spans:
     """When each valve is driven, by this command and what was passed before it."""
+    if not any(wish.actions):
+        return NO_SPANS
     return tuple(
         _span(action, time_us, was, now_us)
         for action, time_us, was in zip(wish.actions, wish.times_us, before, strict=True)
@@ -111,7 +111,7 @@ class GuardState:
     spans: Spans = NO_SPANS
     """What was passed last."""
     latched_by: int = 0
-    pulls: frozenset[int] = frozenset()
+    pulls: frozenset[int] = NO_PULLS
     """Main valves driven to pull a gear out, until they are off."""
     proofs: int = 0
     """Steps in a row in which everything was valid; the self-test is passed at PROOF_STEPS."""
@@ -143,6 +143,8 @@ class Case(NamedTuple):
 
     def pulling(self) -> frozenset[int]:
         """Main valves that are driven to pull a gear out, and have been since it was in mesh."""
+        if self.spans is NO_SPANS:
+            return NO_PULLS
         return frozenset(
             valve
             for valve in MAIN_VALVES

@@ -79,10 +79,10 @@ class GuardView:
         for messages in (inputs.sleeves_main, inputs.sleeves_aux, inputs.sensors):
             if messages:
                 self._newest[type(messages[-1])] = messages[-1]
-        a, b, c, d = (shaft.at(now_us) for shaft in self._shafts.values())
+        a, b, c, d = [shaft.at(now_us) for shaft in self._shafts.values()]
         if len(self._newest) < len(SLOW):
             return Seen(now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, valid=False)
-        main, aux, sensors = (self._newest[kind] for kind in SLOW)
+        main, aux, sensors = [self._newest[kind] for kind in SLOW]
         positions = (
             main.sleeve_first_second_m[0],
             main.sleeve_crawl_third_m[0],
@@ -101,10 +101,9 @@ class GuardView:
         )
 
     def _valid(self, receiver: Receiver, now_us: int) -> bool:
-        return all(
-            receiver.valid(kind) and _age_us(self._newest[kind], now_us) <= FRESH_US
-            for kind in SLOW
-        )
+        if not receiver.all_valid(SLOW):
+            return False
+        return max([_age_us(newest, now_us) for newest in self._newest.values()]) <= FRESH_US
 
     def _agreeing(
         self,
@@ -114,13 +113,16 @@ class GuardView:
         now_us: int,
     ) -> int:
         """Row 13's evidence, gathered since both sleeves said neutral."""
-        turned = (self._shafts[EdgesLayshaftRise].turned, self._shafts[EdgesMainRise].turned)
+        turns = self._turns
         out = max(abs(positions[0]), abs(positions[1])) > NEUTRAL_M
         slow = layshaft is None or main is None or layshaft.omega_rad_s < TURNING_RAD_S
-        if out or slow or turned[0] is None or turned[1] is None:
-            self._turns.clear()
+        if out or slow:
+            turns.clear()
             return 0
-        turns = self._turns
+        turned = (self._shafts[EdgesLayshaftRise].turned, self._shafts[EdgesMainRise].turned)
+        if turned[0] is None or turned[1] is None:
+            turns.clear()
+            return 0
         turns.append((turned[0], turned[1]))
         while len(turns) > 1 and now_us - turns[1][0].time_us >= 2 * AGREE_US:
             turns.popleft()

@@ -9,11 +9,13 @@ phase   = angle of a gear tooth from the middle of the sleeve's gap, d phase/dt 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 
-def are_finite(state: tuple[object, ...]) -> bool:
-    """Whether every number of a state is one: an estimate that has run away is none."""
-    return all(math.isfinite(value) for value in state if isinstance(value, (int, float)))
+def are_finite(numbers: Sequence[float]) -> bool:
+    """Whether every number is one: an estimate that has run away is none. NaN and infinity, and
+    what comes near to it, show in the sum."""
+    return math.isfinite(sum(numbers))
 
 
 def wrap_to_pitch(angle_rad: float, pitch_rad: float) -> float:

@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from controller.motion_kernels import SEGMENTS, STATES, Vector, forecast, travel
+from controller.kinematics import are_finite
+from controller.motion_kernels import (
+    OMEGA,
+    PRESSURE,
+    SEGMENTS,
+    STATES,
+    THETA,
+    Vector,
+    forecast,
+    travel,
+)
 from controller.settings import CrossingFilterTuning
 from gearbox import GearboxSheet, Split
 
+_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 LEAST_RATE: float = 1e-3
 """A pressure law's b closer to zero than this is taken as this: a singularity that can be avoided
 and makes no difference (1e-4 of the pressure in 0.1 s)."""
@@ -34,6 +45,11 @@ class LayshaftState(NamedTuple):
     """Steady acceleration beside the viscous friction; negative: it brakes."""
     covariance: Vector | None = None
     """Of the six states of `motion_kernels` (6, 6), where the estimator has one."""
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether every number of it is one."""
+        return are_finite(self[:10])
 
     @property
     def vector(self) -> Vector:
@@ -96,8 +112,9 @@ def predict(
     x = state.vector
     travel(x, state.time_us, to_us, switches[0], switches[1], model.motion, model.law)
     theta, omega, pressure, disturbance, gain, drag = x.tolist()
-    return LayshaftState(
-        to_us, theta, omega, pressure, *state[4:7], disturbance, gain, drag, state.covariance
+    return _new(
+        LayshaftState,
+        (to_us, theta, omega, pressure, *state[4:7], disturbance, gain, drag, state.covariance),
     )
 
 
@@ -107,20 +124,29 @@ def predict_spread(
     """As `predict`, with the covariance grown to then. The state must have one."""
     if state.covariance is None:
         raise ValueError("the estimator of this state has no covariance")
-    x, p = state.vector, state.covariance.copy()
-    forecast(
-        x, p, state.time_us, to_us, switches[0], switches[1], model.motion, model.law, model.noise
-    )
+    return ahead(state.vector, state.covariance, state.time_us, to_us, switches, model)
+
+
+def ahead(
+    x: Vector,
+    p: Vector,
+    time_us: float,
+    to_us: float,
+    switches: tuple[Vector, Vector],
+    model: MotionModel,
+) -> LayshaftState:
+    """The record of a filter's state and covariance at a time, gone on with to another."""
+    x, p = x.copy(), p.copy()
+    forecast(x, p, time_us, to_us, switches[0], switches[1], model.motion, model.law, model.noise)
     return state_of(x, p, to_us)
 
 
 def state_of(x: Vector, p: Vector, time_us: float) -> LayshaftState:
     """The record of a filter's state and covariance."""
     theta, omega, pressure, disturbance, gain, drag = x.tolist()
-    theta_sd, omega_sd, pressure_sd = (math.sqrt(max(0.0, float(p[i, i]))) for i in range(3))
-    return LayshaftState(
-        time_us, theta, omega, pressure, theta_sd, omega_sd, pressure_sd, disturbance, gain, drag, p
-    )
+    variances = p.item(THETA, THETA), p.item(OMEGA, OMEGA), p.item(PRESSURE, PRESSURE)
+    sds = [math.sqrt(variance) if variance > 0.0 else 0.0 for variance in variances]
+    return _new(LayshaftState, (time_us, theta, omega, pressure, *sds, disturbance, gain, drag, p))
 
 
 def diagonal(*sds: float) -> Vector:

@@ -249,7 +249,7 @@ class Observer:
     def layshaft_at(self, time_us: float) -> LayshaftState | None:
         """The layshaft at a sensor time."""
         state = self.layshaft.at(time_us)
-        return state if state is not None and are_finite(state) else None
+        return state if state is not None and state.is_finite else None
 
     def learn(self, events: list[str]) -> None:
         """Watches a gear that has just locked until its phase reference is known."""
@@ -260,6 +260,8 @@ class Observer:
             floated = self.references.released()
             if floated is not None and self.recall is not None:
                 self.recall.floated(floated, events)
+            return
+        if not self.references.watches(gear):
             return
         # At the newest edge there is nothing to extrapolate, and an impact does least harm.
         newest = [w.newest.time_us for w in (self._layshaft_wheel, self._main_wheel) if w.newest]

@@ -25,14 +25,15 @@ class ClockProbe:
     """When to step at once, and the stamp that such a step is for."""
 
     def __init__(self) -> None:
-        self._armed = True
+        self.is_armed = True
+        """A frame that arrives may be the awaited one."""
         self._probed_us = 0
         self.is_due = False
         """The awaited frame has come: step now."""
 
     def receive(self, frame: Frame) -> None:
         """A frame as it arrives."""
-        if self._armed and frame.can_id == FIRST_OF_A_READ:
+        if self.is_armed and frame.can_id == FIRST_OF_A_READ:
             self.is_due = True
 
     def stamp(self, inputs: StepInputs, now_us: int) -> int | None:
@@ -40,7 +41,7 @@ class ClockProbe:
         frames = inputs.edges[EdgesInputRise]
         found = frames[0].read_time_us if self.is_due and len(frames) == 1 else None
         if self.is_due:
-            self.is_due = self._armed = False
+            self.is_due = self.is_armed = False
             self._probed_us = now_us
         return found
 
@@ -48,4 +49,4 @@ class ClockProbe:
         """After a step: whether to await the next read. Not before a switch, which the frames of
         one step more would delay."""
         due = now_us - self._probed_us >= EVERY_US
-        self._armed = switch_us is None and (due or self._probed_us == 0)
+        self.is_armed = switch_us is None and (due or self._probed_us == 0)

@@ -174,6 +174,10 @@ class PhaseReferences:
         flank = int(math.copysign(certain, slip_rad_s))
         self._learning = _Learning(gear, flank, straight)
 
+    def watches(self, gear: MainGear) -> bool:
+        """Whether a look at this gear in mesh is wanted."""
+        return self._learning is not None and self._learning.gear is gear
+
     def watch(
         self, gear: MainGear, theta_layshaft: float, theta_main: float, pulled: bool = False
     ) -> bool:

@@ -58,6 +58,8 @@ class SensorCount:
         """As it was when teeth were lost that are not numbered again yet."""
         self._gap_us = 0
         self._dragged = False
+        self.anew = False
+        """The sensor has begun to count anew: it was without power. `restart` is due."""
         self.renumbered = Renumbered()
 
     def dragged(self) -> None:
@@ -74,7 +76,7 @@ class SensorCount:
             if gap_us > LONGEST_GAP_US:
                 self._doubt()
         if stamps < self._stamps[falling]:
-            self._doubt()  # an array gets emptier only where the sensor counts anew
+            self.anew = True  # an array gets emptier in no other way
         self._indices[falling], self._read_us[falling] = index, read_us
         self._stamps[falling] = stamps
 
@@ -98,6 +100,7 @@ class SensorCount:
     def restart(self) -> None:
         """The sensor counts anew."""
         self._indices, self._last, self._before = [None, None], None, None
+        self.anew = False
         self._doubt()
 
     def _join(self, before: _Count, now: _Count) -> None:

@@ -69,22 +69,22 @@ class Window:
     """`target_phase` plans no contact above this slip."""
     contact_low_rad_s: float = quantity("contact_low_rpm", -50.0, 100.0, RPM, default=-20.0 * RPM)
     """Nor below this one: there the gear is slower than the sleeve, and gets slower yet."""
-    release_slip_rad_s: float = quantity("release_slip_rpm", 1.0, 200.0, RPM, default=35.0 * RPM)
+    release_slip_rad_s: float = quantity("release_slip_rpm", 1.0, 200.0, RPM, default=25.0 * RPM)
     """`speed_window` releases the brake so that this slip is left when it has died away."""
     anticipate_slip_rad_s: float = quantity(
         "anticipate_slip_rpm", 1.0, 200.0, RPM, default=25.0 * RPM
     )
     """`speed_window_anticipating` fires ahead so that contact is at this slip."""
     anticipate_release_rad_s: float = quantity(
-        "anticipate_release_rpm", 1.0, 200.0, RPM, default=5.0 * RPM
+        "anticipate_release_rpm", 1.0, 200.0, RPM, default=10.0 * RPM
     )
     """It releases the brake so that this slip would be left when it has died away. Both baselines'
     releases are those of their least mean duration (`benchmarks/tune_baselines.py`)."""
     settle_time_constants: float = quantity("settle_time_constants", 0.0, 10.0, default=3.0)
     """When the brake counts as died away, in time constants of its pressure after release."""
-    aim_slip_rad_s: float = quantity("aim_slip_rpm", 1.0, 200.0, RPM, default=13.0 * RPM)
+    aim_slip_rad_s: float = quantity("aim_slip_rpm", 1.0, 200.0, RPM, default=18.0 * RPM)
     """`target_phase` releases the brake so that at this slip the phase is the target."""
-    aim_time_constants: float = quantity("aim_time_constants", 0.0, 10.0, default=1.3)
+    aim_time_constants: float = quantity("aim_time_constants", 0.0, 10.0, default=0.9)
     """How long after release that moment lies about, in the same time constants."""
     least_rad_s: float = quantity("least_rpm", -200.0, 50.0, RPM, default=-25.0 * RPM)
     """Below this slip waiting has no end: the layshaft only gets slower."""
@@ -113,7 +113,7 @@ class Prices:
     block_s: float = quantity("block_ms", 0.0, 10_000.0, 1e-3, default=0.2)
     """More where the slip is too small to carry the tooth off: the sleeve stands on it."""
     block_slip_rad_s: float = quantity("block_slip_rpm", 0.1, 100.0, RPM, default=6.0 * RPM)
-    energy_s_per_j: float = quantity("energy_ms_per_j", 0.0, 10_000.0, 1e-3, default=0.01)
+    energy_s_per_j: float = quantity("energy_ms_per_j", 0.0, 10_000.0, 1e-3, default=0.005)
     """A joule that a flank takes."""
     aim_s: float = quantity("aim_ms", 0.0, 10_000.0, 1e-3, default=0.01)
     """Half a backlash away from the target angle."""

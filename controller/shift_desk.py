@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Final
 
 from controller.brake_input import BrakeInput
-from controller.kinematics import are_finite
 from controller.moment import Moment
 from controller.outlook import Outlook
 from controller.phase_drift import PhaseDrifts
@@ -140,7 +139,7 @@ class ShiftDesk:
         if math.isfinite(moment.supply_pa):
             self.delays.supply_pa = moment.supply_pa - self.sheet.air.atmosphere_pa
         layshaft = moment.layshaft.latest()
-        if not are_finite(layshaft):
+        if not layshaft.is_finite:
             return None
         outlook = Outlook(
             gear,

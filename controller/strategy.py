@@ -55,9 +55,9 @@ NEAR_US = 50_000
 EARLIER_US, LATER_US, RELEASE_STEP_US, RELEASE_FINE_US = 6_000, 8_000, 1_000, 200
 """Releases looked at around the unaimed one: 14 ms move the phase at contact by more than a pitch.
 """
-MARGIN_US = -15_000
-"""From release to the earliest firing: it is chosen from the first tick on that can no longer move
-the release, and that is half a tick late on average."""
+EARLIEST_US = -35_000
+"""The earliest firing, after the release: the sleeve is on its way for longer than that, and meets
+the gear when the brake has been let go."""
 SETTLED_SHARE = 0.1
 """What is left at firing of the variance that the phase has at the release."""
 REFERENCE_SD_RAD = math.radians(0.1)
@@ -172,18 +172,21 @@ class Strategist:
             return release_us, release_us + round(settle_us)
         first_us = max(earliest_us, release_us - EARLIER_US)
         steps = range(first_us, release_us + LATER_US + 1, RELEASE_STEP_US)
-        best, _ = self._best_release(outlook, now_us, steps)
+        best, _ = self._best_release(outlook, now_us, earliest_us, steps)
         around = range(
             max(earliest_us, best - RELEASE_STEP_US), best + RELEASE_STEP_US + 1, RELEASE_FINE_US
         )
-        return self._best_release(outlook, now_us, around)
+        return self._best_release(outlook, now_us, earliest_us, around)
 
-    def _best_release(self, outlook: Outlook, now_us: int, releases_us: range) -> tuple[int, int]:
+    def _best_release(
+        self, outlook: Outlook, now_us: int, earliest_us: int, releases_us: range
+    ) -> tuple[int, int]:
         """The release of least expected cost, and the contact that goes with it."""
         terms = self._terms(outlook)
         least, best = math.inf, (releases_us[0], releases_us[0])
         for release_us in releases_us:
-            first_us = float(release_us + MARGIN_US + outlook.delay_us)
+            fire_us = max(release_us + EARLIEST_US, earliest_us)
+            first_us = float(fire_us + outlook.delay_us)
             course = outlook.course(first_us, COARSE_US, COURSE_STEPS, release_us)
             if release_us == releases_us[0]:
                 variance, growth = self._variance(outlook, course)

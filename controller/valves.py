@@ -7,6 +7,7 @@ plain on and off, and the controller wakes at the moment (`valve_timing = "immed
 from __future__ import annotations
 
 from enum import IntEnum
+from operator import itemgetter
 from typing import Final, NamedTuple
 
 from controller.clock import wrap
@@ -28,7 +29,8 @@ class Valve(IntEnum):
     RANGE_HIGH = 8
 
 
-NAMES: Final = tuple(valve.name.lower() for valve in Valve)
+_ACTION: Final = itemgetter(0)
+_TIME_US: Final = itemgetter(1)
 HELD_US: Final = 1_000_000
 """An `off` this long past needs no time any more; far from where 32-bit times turn ambiguous."""
 
@@ -94,18 +96,15 @@ class ValveBoard:
         return self._message
 
     def _make_message(self, now_us: int) -> ValveCommand:
-        fields: dict[str, ValveAction | int] = {}
-        for valve, command in self._commands.items():
-            action, time_us = self._action(command, now_us)
-            fields[f"{NAMES[valve]}_action"] = action
-            fields[f"{NAMES[valve]}_time_us"] = time_us
-        return ValveCommand(**fields)  # type: ignore[arg-type]
+        said = [self._action(command, now_us) for command in self._commands.values()]
+        # The frame has all actions, then all times, each in the order of `Valve`.
+        return ValveCommand._make([*map(_ACTION, said), *map(_TIME_US, said)])
 
     def _unchanged_until_us(self, now_us: int) -> int:
         """When the message says something else although nothing is commanded anew."""
         held_us = 0 if self._timing is ValveTiming.IMMEDIATE else HELD_US + 1
         times = [c.time_us + held_us for c in self._commands.values()]
-        return min((time_us for time_us in times if time_us > now_us), default=FOREVER_US)
+        return min([time_us for time_us in times if time_us > now_us], default=FOREVER_US)
 
     def _action(self, command: Command, now_us: int) -> tuple[ValveAction, int]:
         if self._timing is ValveTiming.IMMEDIATE:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from controller import edge_gate, edge_kernels, plan_kernels
+from controller.brake_kernels import pressure_course
 from controller.crossing import CrossingFilter, Pressures
 from controller.kernels import cruise_filter, propagate, thesis_filter
 from controller.motion import first_order_law, following_motion, predict
@@ -33,3 +34,6 @@ def _warm_up_crossing() -> None:
     shaft.take(np.array([1e3]), np.array([0.1]), 0.1, Pressures(none, none), (none, none), model)
     state = shaft.at(2e3, (none, none), model)
     predict(state, 3e3, (none, none), model)
+    pressure_course(
+        np.ones(STATES), np.array([1e3]), none, none, model.motion, model.law, np.empty(1)
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from enum import IntEnum
 from typing import Final, NamedTuple
 
@@ -71,11 +72,16 @@ _KNOWN_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
 class _Sender:
     """One message this node sends, with its counter and the buffer its frames are made in."""
 
-    __slots__ = ("buffer", "codec", "counter")
+    __slots__ = ("buffer", "can_id", "codec", "counter", "data_id", "encode", "is_fd")
 
     def __init__(self, codec: Codec) -> None:
+        spec = codec.spec
         self.codec = codec
-        self.buffer = bytearray(codec.spec.length)
+        self.can_id = spec.can_id
+        self.is_fd = spec.is_fd
+        self.data_id = spec.data_id
+        self.encode = codec.encode
+        self.buffer = bytearray(spec.length)
         self.counter = COUNTER_MODULUS - 1  # that of the frame before: the first one carries 0
 
 
@@ -106,17 +112,16 @@ class Transmitter:
         sender = self._senders.get(type(message))
         if sender is None:
             raise EncodeError(f"{', '.join(self._nodes)}: does not send {type(message).__name__}")
-        codec = sender.codec
-        spec = codec.spec
-        buffer = sender.buffer
+        buffer, data_id = sender.buffer, sender.data_id
         try:
-            codec.encode(buffer, sender.counter, message)
+            sender.encode(buffer, sender.counter, message)
         except REFUSALS as error:
-            raise EncodeError(f"{spec.name}.{why_refused(codec.fields, message)}") from error
-        if spec.data_id is not None:
-            write_crc(buffer, spec.data_id)  # counts on by one, then protects
+            codec = sender.codec
+            raise EncodeError(f"{codec.spec.name}.{why_refused(codec.fields, message)}") from error
+        if data_id is not None:
+            write_crc(buffer, data_id)  # counts on by one, then protects
             sender.counter = buffer[2]
-        return _new(Frame, (spec.can_id, bytes(buffer), spec.is_fd, True))
+        return _new(Frame, (sender.can_id, bytes(buffer), sender.is_fd, True))
 
 
 class _Channel:
@@ -235,17 +240,24 @@ class Receiver:
         """Once a step: cyclic channels without a good frame for 5 cycle times are not valid."""
         previous_us = now_us if self._ticked_us is None else self._ticked_us
         self._ticked_us = now_us
-        silent: dict[Node, bool] = {}
-        for channel in self._cyclic.values():
-            is_silent = channel.silence.tick(now_us, previous_us)
-            if is_silent:
-                channel.machine.update(Status.NO_NEW_DATA)
-            if channel.silence.was_heard:
-                sender = channel.codec.spec.sender
-                silent[sender] = is_silent and silent.get(sender, True)
-        for sender, is_silent in silent.items():
-            if is_silent:
+        silent = [
+            channel
+            for channel in self._cyclic.values()
+            if channel.silence.tick(now_us, previous_us)
+        ]
+        for channel in silent:
+            channel.machine.update(Status.NO_NEW_DATA)
+        for sender in {channel.codec.spec.sender for channel in silent}:
+            if self._is_silent(sender, silent):
                 self._forget_event_counters(sender)
+
+    def _is_silent(self, sender: Node, silent: list[_Channel]) -> bool:
+        """Whether every cyclic message ever heard of a sender is silent now."""
+        return all(
+            channel in silent
+            for channel in self._cyclic.values()
+            if channel.silence.was_heard and channel.codec.spec.sender is sender
+        )
 
     def _forget_event_counters(self, sender: Node) -> None:
         """A sender of which nothing cyclic is heard may have restarted: its counters begin anew.
@@ -260,7 +272,15 @@ class Receiver:
 
         `KeyError` for a message that is not cyclic or not received here: a mistake of the caller.
         """
-        return self.state(message_type) is ChannelState.VALID
+        return self._cyclic[message_type].machine.state is ChannelState.VALID
+
+    def all_valid(self, message_types: Iterable[type[Message]]) -> bool:
+        """Whether all of these may be relied on; `KeyError` as for `valid`."""
+        cyclic = self._cyclic
+        for message_type in message_types:
+            if cyclic[message_type].machine.state is not ChannelState.VALID:
+                return False
+        return True
 
     def state(self, message_type: type[Message]) -> ChannelState:
         """The state of a cyclic message's channel; `KeyError` as for `valid`."""
@@ -270,7 +290,9 @@ class Receiver:
     def invalid_channels(self) -> int:
         """One bit a received cyclic message, in order of identifier: its channel is not VALID."""
         return sum(
-            1 << bit
-            for bit, channel in enumerate(self._cyclic.values())
-            if channel.machine.state is not ChannelState.VALID
+            [
+                1 << bit
+                for bit, channel in enumerate(self._cyclic.values())
+                if channel.machine.state is not ChannelState.VALID
+            ]
         )

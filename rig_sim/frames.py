@@ -107,12 +107,14 @@ def valve_status(world: RigWorld, now_us: int) -> ValveStatus:
 
 
 def _sensors(sensors: SensorRead, clock_us: int) -> GearboxSensors:
-    return GearboxSensors(
-        sample_time_us=clock_us,
-        brake_pressure_pa=min(sensors.brake_pa, SENSOR_MAX_PA),
-        supply_pressure_pa=min(sensors.supply_pa, SENSOR_MAX_PA),
-        oil_temperature_k=sensors.oil_k,
-        clutch_position_fraction=sensors.clutch,
+    return GearboxSensors._make(
+        (
+            clock_us,
+            min(sensors.brake_pa, SENSOR_MAX_PA),
+            min(sensors.supply_pa, SENSOR_MAX_PA),
+            sensors.oil_k,
+            sensors.clutch,
+        )
     )
 
 

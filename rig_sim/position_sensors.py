@@ -8,6 +8,7 @@ however often it is read.
 
 from __future__ import annotations
 
+from array import array
 from typing import Final
 
 import numpy as np
@@ -29,8 +30,9 @@ class PositionSensors:
     def __init__(self, built: AsBuilt) -> None:
         rng = np.random.Generator(np.random.PCG64([built.teeth_seed, STREAM]))
         noise_m = (built["position.noise_mm"] * MM * rng.standard_normal(TABLE)).tolist()
-        # backwards and a little beyond its start: a read is then a slice, the newest first
-        self._noise_m = noise_m[::-1] + noise_m[: -SAMPLES - 1 : -1]
+        # backwards and a little beyond its start: a read is then a slice, the newest first. An
+        # array, because a copy of the rig copies four thousand numbers of a list one by one
+        self._noise_m = array("d", noise_m[::-1] + noise_m[: -SAMPLES - 1 : -1])
         # one drawn value would be the same for all: spread it over the four with their own signs
         signs = {name: float(rng.uniform(-1.0, 1.0)) for name in Sleeve}
         self._offset_m = {name: built["position.offset_mm"] * MM * signs[name] for name in Sleeve}
@@ -47,9 +49,13 @@ class PositionSensors:
         gain, offset_m = self._gain[name], self._offset_m[name] + self._extra_m[name]
         newest = TABLE - 1 - (now_us // SAMPLE_US + 1021 * name) % TABLE
         noise_m = self._noise_m[newest : newest + SAMPLES]
-        read = tuple(
-            [gain * x + offset_m + noise for x, noise in zip(true_m, noise_m, strict=True)]
-        )
+        if true_m.count(true_m[0]) == SAMPLES:
+            level_m = gain * true_m[0] + offset_m
+            read = tuple([level_m + noise for noise in noise_m])
+        else:
+            read = tuple(
+                [gain * x + offset_m + noise for x, noise in zip(true_m, noise_m, strict=True)]
+            )
         if max(read) > REACH_M or min(read) < -REACH_M:
             read = tuple(min(max(x, -REACH_M), REACH_M) for x in read)
         self._last[name] = read

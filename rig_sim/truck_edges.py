@@ -130,13 +130,12 @@ class TruckEdges:
         angles, speeds = [], []
         for back_s in ENCODER_SAMPLES_S:
             time_us = now_us - round(back_s * 1e6)
-            row = self.history[time_us // at.HISTORY_US % at.HISTORY]
-            turns, rest, speed = int(row[0]), float(row[1]), float(row[2])
+            turns, rest, speed = self.history[time_us // at.HISTORY_US % at.HISTORY].tolist()
             if time_us <= 0:
-                start = self.history[0]
-                speed = omega_rad_s if now_us == 0 else float(start[2])
-                turns, rest = int(start[0]), float(start[1]) + speed * time_us * 1e-6
-            steps = turns * ENCODER_STEPS_PER_TURN + round(rest / TAU * ENCODER_STEPS_PER_TURN)
+                turns, rest, speed = self.history[0].tolist()
+                speed = omega_rad_s if now_us == 0 else speed
+                rest += speed * time_us * 1e-6
+            steps = int(turns) * ENCODER_STEPS_PER_TURN + round(rest / TAU * ENCODER_STEPS_PER_TURN)
             angles.append(steps % ENCODER_MODULUS * (TAU / ENCODER_STEPS_PER_TURN))
             speeds.append(speed)
         return tuple(angles), tuple(speeds)

@@ -23,7 +23,9 @@ from rig_sim.truck_layout import (
     GEAR,
     HISTORY,
     HISTORY_US,
+    LASH,
     LAYSHAFT,
+    MAIN,
     OFFSET,
     PHASE,
     REACHED,
@@ -31,6 +33,7 @@ from rig_sim.truck_layout import (
     STATES,
     STEP_US,
     STIFF_NM_RAD,
+    STOPPED,
 )
 from rig_sim.truck_step import step
 
@@ -152,3 +155,54 @@ def _make_advance(sources: int) -> Callable[..., tuple[float, int]]:
 
 
 advance = _make_advance(SOURCES)
+
+
+def _make_sample(sources: int) -> Callable[..., tuple[float, bool]]:
+    def sample(
+        t_us: float,
+        every_us: float,
+        start_us: float,
+        number: int,
+        gear: int,
+        found: Floats,
+        pitch: float,
+        y: Floats,
+        laps: Integers,
+        p: Floats,
+        g: Floats,
+        slots: Floats,
+        watches: Floats,
+        scratch: Floats,
+        history: Floats,
+        teeth: Integers,
+        table: Floats,
+        first: Floats,
+        jitter_s: Floats,
+        pointers: Integers,
+        faults: Integers,
+        ring: Floats,
+    ) -> tuple[float, bool]:
+        """Goes on alone for as many samples as `found` (n, 3) has rows, each `every_us` since
+        `start_us`, from this number on: layshaft speed, main shaft speed, and phase of the gear of
+        this index, within half a pitch.
+
+        As `advance`, again and again, where nothing is done at events. Returns the time reached and
+        whether the shafts have come to rest; the rows from there on stay as they were."""
+        _ = sources
+        for row in range(found.shape[0]):
+            stop_us = start_us + every_us * (number + row)
+            while t_us < stop_us:
+                t_us, event = advance(
+                    t_us, math.inf, stop_us, pitch, y, laps, p, g, slots, watches, scratch,
+                    history, teeth, table, first, jitter_s, pointers, faults, ring,
+                )  # fmt: skip
+                if event == STOPPED:
+                    return t_us, True
+            found[row, 0], found[row, 1] = y[SPEED + LAYSHAFT], y[SPEED + MAIN]
+            found[row, 2] = wrapped(y[PHASE + gear] + y[LASH + 1 + gear], pitch)
+        return t_us, False
+
+    return entry(sample)
+
+
+sample = _make_sample(SOURCES)

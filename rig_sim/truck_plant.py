@@ -23,7 +23,7 @@ from rig_sim.shafts import Angle, Shafts
 from rig_sim.truck_constants import constants
 from rig_sim.truck_edges import TruckEdges
 from rig_sim.truck_events import WATCHES
-from rig_sim.truck_kernels import advance
+from rig_sim.truck_kernels import advance, sample
 
 INDEX: Final = {gear: index for index, gear in enumerate(MAIN_GEARS)}
 
@@ -226,6 +226,25 @@ class TruckPlant:
             self.time_us, float(until_us), float(stop_us), *self._arguments
         )
         return event
+
+    def sample(
+        self, gear: MainGear, every_us: float, start_us: float, numbers: range
+    ) -> tuple[Floats, bool]:
+        """Go on alone through samples `every_us` since `start_us`, nothing being done at events.
+
+        (n, 3): layshaft speed, main shaft speed, phase of the gear; NaN from where the shafts have
+        come to rest on. And whether they have."""
+        found = np.full((len(numbers), 3), np.nan)
+        self.time_us, rests = sample(
+            self.time_us,
+            every_us,
+            start_us,
+            numbers.start,
+            INDEX[gear],
+            found,
+            *self._arguments,
+        )
+        return found, rests
 
     def snapshot(self) -> Snapshot:
         """Copies of all that `advance` reads and changes, but the edges found."""

@@ -53,6 +53,9 @@ class Pauses:
     """How long the bench rests in the old gear before a request, and in the new one after it."""
 
     settle_us: int = SETTLE_US
+    """From when the controller says that it is in the old gear with its clutch closed."""
+    locked_us: int = 0
+    """From when the rig says that the old gear is locked, at least."""
     learn_us: int = LEARN_US
     learned_us: int = LEARN_US
     """In the new gear at least, where its phase reference is known before `learn_us`."""
@@ -108,6 +111,8 @@ class _Seen:
     """What the bus said since the phase began."""
 
     ready_in: int | None = None
+    ready_us: int | None = None
+    """The tick at which the rig had said so."""
     outcome: bool = False
     status: ControllerStatus | None = None
 
@@ -163,6 +168,8 @@ class BenchCore:
         if self._since_us is None:
             self._since_us = now_us
         self._receiver.tick(now_us)
+        if self._seen.ready_us is None and self._seen.ready_in is not None:
+            self._seen.ready_us = now_us
         events = self._go_on(now_us)
         frames = self._frames(now_us)
         self._ticks += 1
@@ -178,7 +185,7 @@ class BenchCore:
         if self._phase is Phase.DONE:
             return []
         waited_us = now_us - (self._since_us or 0)
-        if self._is_over(waited_us):
+        if self._is_over(now_us, waited_us):
             return self._advance(now_us)
         if waited_us > PATIENCE_US:
             self.gave_up.append(self.index)
@@ -187,7 +194,7 @@ class BenchCore:
             return events + self._advance(now_us)
         return []
 
-    def _is_over(self, waited_us: int) -> bool:
+    def _is_over(self, now_us: int, waited_us: int) -> bool:
         seen, shift = self._seen, self._plan[self.index]
         status = seen.status
         in_old_gear = (
@@ -199,7 +206,8 @@ class BenchCore:
             case Phase.RETURNING:
                 return seen.ready_in == shift.from_ and in_old_gear
             case Phase.SETTLING:
-                return waited_us >= self._pauses.settle_us
+                locked_us = now_us - (seen.ready_us or 0)
+                return waited_us >= self._pauses.settle_us and locked_us >= self._pauses.locked_us
             case Phase.REQUESTING:
                 return seen.outcome or (status is not None and status.state in MOVING)
             case Phase.SHIFTING:

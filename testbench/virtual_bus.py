@@ -63,7 +63,9 @@ class VirtualBus:
         """A node hands over frames at `now_us`; they leave it in this order."""
         if not frames:
             return
-        queue = self._queues.setdefault(sender, deque())
+        queue = self._queues.get(sender)
+        if queue is None:
+            queue = self._queues[sender] = deque()
         for frame in frames:
             can_id, data, is_fd, is_extended = frame
             # Standard identifiers win over extended ones that begin alike.

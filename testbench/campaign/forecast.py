@@ -23,6 +23,8 @@ Switches = tuple[tuple[float, float], ...]
 SAMPLE_US: Final = 4_000
 BRANCH_SAMPLES: Final = 100
 """0.4 s: further than a plan looks."""
+SOON_SAMPLES: Final = 25
+"""0.1 s: as far as a release is looked for; a branch that a plan follows is run on from there."""
 TRUNK_SAMPLES: Final = 500
 FILLING_US: Final = 250_000
 """So long after it was switched on the brake's pressure stands, and a release changes what it
@@ -37,7 +39,8 @@ class Path:
     """Phase (unwrapped) and slip of one gear each 4 ms, run on only as far as they are asked for.
 
     `plant` is a copy that all paths run in turn; each keeps where it stands, and one from which
-    branches may begin (`keeps`) where it stood at every sample."""
+    branches may begin (`keeps`) where it stood at every sample. One that is a branch itself
+    switches nothing after its start."""
 
     def __init__(
         self,
@@ -66,18 +69,35 @@ class Path:
             return
         plant = self._plant
         plant.restore(self._snapshots[-1])
-        while len(self.slip) < count:
+        while self._keeps and len(self.slip) < count:
             self._run_to(self.start_us + SAMPLE_US * len(self.slip))
-            slip = -plant.main_rad_s if self._is_at_rest else plant.slip_rad_s(self._gear)
-            expected = self.phase[-1] + (slip + self.slip[-1]) / 2.0 * SAMPLE_S
-            found = expected if self._is_at_rest else plant.shafts.phase_rad(self._gear)
-            turns = math.floor((expected - found) / self._pitch + 0.5)
-            self.phase.append(found + self._pitch * turns)
-            self.slip.append(slip)
-            if self._keeps:
-                self._snapshots.append(plant.snapshot())
+            self._add(plant.slip_rad_s(self._gear), plant.shafts.phase_rad(self._gear))
+            self._snapshots.append(plant.snapshot())
         if not self._keeps:
+            self._run_alone(range(len(self.slip), count))
             self._snapshots = [plant.snapshot()]
+
+    def _add(self, slip: float, found: float) -> None:
+        """A sample's slip, and its phase within half a pitch; a layshaft at rest has neither."""
+        if self._is_at_rest:
+            slip = -self._plant.main_rad_s
+        expected = self.phase[-1] + (slip + self.slip[-1]) / 2.0 * SAMPLE_S
+        found = expected if self._is_at_rest else found
+        turns = math.floor((expected - found) / self._pitch + 0.5)
+        self.phase.append(found + self._pitch * turns)
+        self.slip.append(slip)
+
+    def _run_alone(self, numbers: range) -> None:
+        """Samples of a path that switches nothing but at its start, all in one go."""
+        plant, gear = self._plant, self._gear
+        while self._switches:
+            plant.set_brake(self._switches.pop(0)[1])
+        samples, rests = plant.sample(gear, SAMPLE_US, self.start_us, numbers)
+        ratio = plant.ratio(gear)
+        for layshaft, main, phase in samples.tolist():
+            self._is_at_rest = math.isnan(layshaft)
+            self._add(ratio * layshaft - main, phase)
+        self._is_at_rest = rests
 
     def snapshot(self, sample: int) -> Snapshot:
         """The plant at a sample."""
@@ -125,10 +145,19 @@ class Branch:
     """What letting go at a sample adds to going on at its slip: phase and slip by sample."""
 
     def __init__(self, path: Path) -> None:
-        path.extend(BRANCH_SAMPLES)
-        slip, phase = np.array(path.slip), np.array(path.phase)
+        self._path = path
+        self._run(SOON_SAMPLES)
+
+    def reach(self, count: int) -> None:
+        """At least `count` samples."""
+        if count > len(self.slip_list):
+            self._run(BRANCH_SAMPLES)
+
+    def _run(self, count: int) -> None:
+        self._path.extend(count)
+        slip, phase = np.array(self._path.slip), np.array(self._path.phase)
         self.slip: Floats = slip - slip[0]
-        self.phase: Floats = phase - phase[0] - slip[0] * SAMPLE_S * np.arange(BRANCH_SAMPLES)
+        self.phase: Floats = phase - phase[0] - slip[0] * SAMPLE_S * np.arange(count)
         self.slip_list: list[float] = self.slip.tolist()
         self.phase_list: list[float] = self.phase.tolist()
 
@@ -187,7 +216,7 @@ class Forecast:
         phase0, slip0 = path.at(release_us)
         after_us = own_us - release_us
         index = int(min(after_us // SAMPLE_US, BRANCH_SAMPLES - 2))
-        first, second, share = self._neighbours(switches[:-1], path, release_us)
+        first, second, share = self._neighbours(switches[:-1], path, release_us, index + 2)
         slip, after = (
             first.slip_list[i] + share * (second.slip_list[i] - first.slip_list[i])
             for i in (index, index + 1)
@@ -213,9 +242,10 @@ class Forecast:
         phase, slip = np.empty(own_us.size), np.empty(own_us.size)
         if before.any():
             phase[before], slip[before] = path.many(own_us[before])
-        less_slip, less_phase = self._curve(switches[:-1], path, release_us)
         after_us = own_us[~before] - release_us
         index = np.minimum(after_us // SAMPLE_US, BRANCH_SAMPLES - 2).astype(np.int64)
+        count = int(index[-1]) + 2 if index.size else 0
+        less_slip, less_phase = self._curve(switches[:-1], path, release_us, count)
         turned, less = _between(less_phase, less_slip, index, after_us)
         phase0, slip0 = path.at(release_us)
         phase[~before] = phase0 + slip0 * after_us * 1e-6 + turned
@@ -243,23 +273,30 @@ class Forecast:
             self._paths[switches] = path
         return path
 
-    def _curve(self, trunk: Switches, path: Path, release_us: float) -> tuple[Floats, Floats]:
-        first, second, share = self._neighbours(trunk, path, release_us)
+    def _curve(
+        self, trunk: Switches, path: Path, release_us: float, count: int
+    ) -> tuple[Floats, Floats]:
+        first, second, share = self._neighbours(trunk, path, release_us, count)
+        slip, phase = first.slip[:count], first.phase[:count]
         return (
-            first.slip + share * (second.slip - first.slip),
-            first.phase + share * (second.phase - first.phase),
+            slip + share * (second.slip[:count] - slip),
+            phase + share * (second.phase[:count] - phase),
         )
 
     def _neighbours(
-        self, trunk: Switches, path: Path, release_us: float
+        self, trunk: Switches, path: Path, release_us: float, count: int
     ) -> tuple[Branch, Branch, float]:
-        """The branches before and after a release, and how far on it is from one to the other."""
+        """The branches before and after a release, and how far on it is from one to the other.
+
+        count: how many samples of them are asked for."""
         filled_us = (trunk[-1][0] if trunk else path.start_us) + FILLING_US
         apart = COARSE if release_us > filled_us else 1
         place = (release_us - path.start_us) / (SAMPLE_US * apart)
         node = int(place)
         first = self._branch(trunk, path, apart * node)
         second = self._branch(trunk, path, apart * (node + 1))
+        first.reach(count)
+        second.reach(count)
         return first, second, place - node
 
     def _branch(self, trunk: Switches, path: Path, sample: int) -> Branch:

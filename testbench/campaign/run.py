@@ -1,7 +1,8 @@
-"""One run: the learning shifts once, then every strategy on a copy of the same bench."""
+"""One run: the learning shifts, then each judged one by every strategy from the same state."""
 
 from __future__ import annotations
 
+import itertools
 import time
 import traceback
 from dataclasses import dataclass, field
@@ -12,6 +13,7 @@ from testbench.campaign.draw import draw
 from testbench.campaign.loop import ClosedLoop
 from testbench.campaign.record import Conditions, Record
 from testbench.campaign.spec import ORACLE, CampaignSpec, Job
+from testbench.rows import ShiftRow
 
 
 @dataclass(frozen=True)
@@ -57,18 +59,33 @@ def _shifts(spec: CampaignSpec, job: Job) -> tuple[list[Record], int]:
     drawn = draw(
         job.seed, spec.sheet, spec.preset, spec.pairs, spec.learn + spec.judged, spec.as_built
     )
-    learned = ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn)
+    bench = ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn)
     for _ in range(spec.learn):
-        learned.shift()
-    learned.prepare()
-    conditions = Conditions(spec.sheet, learned.as_built)
-    records = []
+        bench.shift()
+    conditions = Conditions(spec.sheet, bench.as_built)
+    records: dict[str, list[Record]] = {name: [] for name in spec.names}
+    made = spec.learn
+    for k, planned in enumerate(drawn.plan[spec.learn :]):
+        if k > 0 and spec.own not in spec.names:
+            bench.shift()
+            made += 1
+        bench.prepare()
+        for name, row in _judged(spec, bench).items():
+            key = {"sweep": job.point.name, "sweep_value": job.point.value, "seed": job.seed}
+            record = conditions.record(planned, row, **key, shift=k, strategy=name)
+            records[name].append(record)
+    rows = list(itertools.chain.from_iterable(records.values()))
+    return rows, made + len(rows)
+
+
+def _judged(spec: CampaignSpec, bench: ClosedLoop) -> dict[str, ShiftRow | None]:
+    """One shift by every strategy: each on a copy of the bench, which itself goes on by its own."""
+    rows: dict[str, ShiftRow | None] = {}
     for name in spec.names:
-        loop = learned.fork()
-        loop.use(spec.engagement(name), knows_all=name == ORACLE)
-        key = {"sweep": job.point.name, "sweep_value": job.point.value, "seed": job.seed}
-        records += [
-            conditions.record(planned, loop.shift(), **key, shift=k, strategy=name)
-            for k, planned in enumerate(drawn.plan[spec.learn :])
-        ]
-    return records, spec.learn + len(records)
+        if name != spec.own:
+            copy = bench.fork()
+            copy.use(spec.engagement(name), knows_all=name == ORACLE)
+            rows[name] = copy.shift()
+    if spec.own in spec.names:
+        rows[spec.own] = bench.shift()
+    return rows

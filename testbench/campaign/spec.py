@@ -52,6 +52,11 @@ class CampaignSpec:
         """The strategies compared, the oracle last."""
         return (*self.strategies, ORACLE) if self.oracle else self.strategies
 
+    @property
+    def own(self) -> str:
+        """The strategy that the bench learns by and goes on by from shift to shift."""
+        return self.settings.strategy_name
+
     def jobs(self, runs: int) -> list[Job]:
         """The runs: all of the base first, then of each point of the sweep the same seeds."""
         seeds = range(SEEDS_APART * self.seed, SEEDS_APART * self.seed + runs)

@@ -32,8 +32,8 @@ from testbench.schedules import pairs
 MOST_RUNS: Final = 1_000_000
 DESCRIPTION: Final = """\
 Seeded Monte Carlo. A run is one draw: a gearbox as built, oil, load, slope, supply pressure and one
-gear change. The controller first makes the learning shifts; then each strategy makes the judged
-shifts on a copy of the same bench, so strategies are compared on the same draws. Every shift goes
+gear change. The controller first makes the learning shifts; then each judged shift is made by every
+strategy on a copy of the same bench, so strategies are compared on the same draws. Every shift goes
 through encoded frames of both nodes in virtual time. Results do not depend on --jobs or --dask."""
 
 

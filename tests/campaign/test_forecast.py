@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gearbox import MainGear, load_sheet
 from rig_sim.core import RigCore
 from rig_sim.settings import Preset, RigSettings
-from testbench.campaign.forecast import Forecast
+from testbench.campaign.forecast import BRANCH_SAMPLES, SOON_SAMPLES, Forecast, Path
 
 CLOCK_START_US = 1_234
 
@@ -50,3 +50,22 @@ def test_one_time_alone_is_forecast_as_among_many(
     at_us = max(start_us, release_us + 1_000.0 * after_ms)
     many = ahead.course(times, states, np.array([at_us, at_us + 5_000.0]), True)
     assert ahead.after_release(times, states, at_us) == (many[0][0], many[1][0])
+
+
+@pytest.mark.parametrize("on_ms", [0.0, 120.0, 600.0])
+def test_a_branch_in_one_go_is_the_plant_stepped_from_sample_to_sample(on_ms: float) -> None:
+    sheet = load_sheet("truck12")
+    plant = RigCore(sheet, RigSettings(preset=Preset.TRUCK, seed=6)).truth.plant
+    assert plant is not None
+    plant.coast()
+    pitch = sheet.dog.pitch_rad
+    trunk = Path(plant, plant.snapshot(), MainGear.SECOND, ((0.0, 1.0),), pitch)
+    start = trunk.snapshot(round(on_ms / 4.0))
+    let_go = ((start.time_us, 0.0),)
+    stepped = Path(plant, start, MainGear.SECOND, let_go, pitch)
+    at_once = Path(plant, start, MainGear.SECOND, let_go, pitch, keeps=False)
+    stepped.extend(BRANCH_SAMPLES)
+    at_once.extend(SOON_SAMPLES)
+    at_once.extend(BRANCH_SAMPLES)
+    assert at_once.phase == stepped.phase
+    assert at_once.slip == stepped.slip

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from campaigns import small_spec
 
+from controller.settings import ControllerSettings, Window
 from rig_sim.settings import Preset
 from testbench.campaign.run import run_one
 from testbench.campaign.spec import ORACLE, Job
@@ -33,7 +34,9 @@ def test_the_oracle_misses_by_the_scatter_of_the_delay_alone(
 
 
 def test_in_the_thesis_its_error_is_slip_times_what_the_delay_was_off() -> None:
-    spec = small_spec(strategies=(), learn=0, judged=4)
+    """With the brake let go early, so that the slip at contact is that of the way there."""
+    window = Window(aim_slip_rad_s=1.5, aim_time_constants=3.0)
+    spec = small_spec(strategies=(), learn=0, judged=4, settings=ControllerSettings(window=window))
     mean_ms = spec.sheet.sleeve.delay_s * 1e3
     for record in run_one(spec, Job(11)).records:
         assert record.phase_error_deg is not None

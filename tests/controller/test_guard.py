@@ -29,7 +29,7 @@ from controller.guard import (
 from controller.guard_limits import GuardLimits, guard_limits
 from controller.guard_view import Seen
 from controller.settings import ControllerSettings
-from controller.valves import NAMES, Valve
+from controller.valves import Valve
 from dbc.link import Transmitter
 from dbc.messages import ValveAction, ValveCommand
 from dbc.node import Node
@@ -87,8 +87,8 @@ def payload(
     *driven: Valve, how: ValveAction = ValveAction.ON_AT, at_us: int = NOW + 20_000
 ) -> bytes:
     """A finished command frame that drives these valves; a time is low 32 bits."""
-    fields: dict[str, object] = {f"{NAMES[valve]}_action": how for valve in driven}
-    fields |= {f"{NAMES[valve]}_time_us": at_us & 0xFFFF_FFFF for valve in driven}
+    fields: dict[str, object] = {f"{valve.name.lower()}_action": how for valve in driven}
+    fields |= {f"{valve.name.lower()}_time_us": at_us & 0xFFFF_FFFF for valve in driven}
     command = ValveCommand(**fields)  # type: ignore[arg-type]
     return Transmitter(Node.TRANSMISSION_CONTROL).encode(command).data
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from controller.settings import ValveTiming
-from controller.valves import NAMES, Valve, ValveBoard
+from controller.valves import Valve, ValveBoard
 from dbc.messages import ValveAction, ValveCommand
 
 T0 = (1 << 32) + 5_000_000
@@ -118,5 +118,5 @@ def test_both_timings_drive_the_same_valves_at_the_same_times(
         for each, switches in history.items():
             driven = next((on for t, on in reversed(switches) if t <= now_us), False)
             assert boards[0].driven(each, now_us) is driven
-            action = getattr(message, f"{NAMES[each]}_action")
+            action = getattr(message, f"{each.name.lower()}_action")
             assert action is (ValveAction.ON_NOW if driven else ValveAction.OFF_NOW)

@@ -1,0 +1,56 @@
+"""One run: how long the bench rests, and that strategies do not see each other."""
+
+from __future__ import annotations
+
+import pytest
+from campaigns import small_spec
+
+from dbc.layout import CODECS
+from dbc.link import Receiver
+from dbc.messages import TC1, EngagementEvent, ReferenceEngagement
+from dbc.node import Node
+from rig_sim.settings import Preset
+from testbench.campaign.draw import draw
+from testbench.campaign.loop import PAUSES, ClosedLoop
+from testbench.campaign.record import Record
+from testbench.campaign.run import run_one
+from testbench.campaign.spec import Job
+
+TICK_US = 10_000
+
+
+def records_of(strategy: str, *among: str) -> list[Record]:
+    spec = small_spec(strategies=among, oracle=False, learn=1, judged=2)
+    result = run_one(spec, Job(7))
+    assert result.error is None
+    return [record for record in result.records if record.strategy == strategy]
+
+
+@pytest.mark.parametrize("strategy", ["speed_window", "target_phase"])
+def test_what_a_strategy_does_depends_on_no_other(strategy: str) -> None:
+    alone = records_of(strategy, strategy)
+    assert len(alone) == 2
+    assert alone == records_of(strategy, "speed_window", "target_phase")
+
+
+@pytest.mark.parametrize("preset", list(Preset))
+def test_a_gear_is_asked_for_when_the_old_one_has_been_locked_for_the_pause(preset: Preset) -> None:
+    spec = small_spec(preset)
+    drawn = draw(5, spec.sheet, spec.preset, spec.pairs, 2, {})
+    loop = ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn, log=[])
+    loop.shift()
+    loop.shift()
+    assert loop.log is not None
+    receiver, ready_us, rested_us = Receiver(*Node), 0, []
+    for time_us, frame in loop.log:
+        message = receiver.receive(frame).message
+        if isinstance(message, ReferenceEngagement) and message.event is EngagementEvent.READY:
+            ready_us = time_us
+        elif frame.can_id == CODECS[TC1.__name__].spec.can_id and ready_us:
+            rested_us.append(time_us - ready_us)
+            ready_us = 0
+    assert len(rested_us) == 2
+    assert min(rested_us) >= PAUSES.locked_us
+    # The thesis's clutch is closed at once: there is nothing more to wait for.
+    if preset is Preset.THESIS:
+        assert max(rested_us) <= PAUSES.locked_us + 4 * TICK_US
