@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -98,7 +99,7 @@ class Conditions:
             duration_ms=None if row is None else row.duration_ms,
             slip_rpm=None if row is None else row.slip_rpm,
             phase_error_deg=None if row is None else row.phase_error_deg,
-            pitch_deg=self._sheet.dog.pitch_rad / RPM / 6.0,
+            pitch_deg=math.degrees(self._sheet.dog.pitch_rad),
             predicted_phase_deg=None if row is None else row.predicted_phase_deg,
             predicted_phase_sd_deg=None if row is None else row.predicted_phase_sd_deg,
             delay_ms=None if row is None else row.delay_ms,

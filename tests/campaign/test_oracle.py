@@ -25,6 +25,7 @@ def test_the_oracle_misses_by_the_scatter_of_the_delay_alone(
         for record in result.records:
             assert record.strategy == ORACLE
             assert record.contact == "gap"
+            assert record.pitch_deg == pytest.approx(360.0 / spec.sheet.dog.teeth)
             assert record.phase_error_deg is not None
             assert record.slip_rpm is not None
             assert record.predicted_phase_deg is not None
