@@ -201,7 +201,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
             self._truck.unwatch(ROWS[name])
             self._block(name, time_us)
 
-    def _face(self, name: Sleeve) -> None:
+    def _face(self, name: Sleeve, thrown_back: bool = False) -> None:
         """Resting on a tooth: rub, and watch for the gap."""
         self._face_since_us[name] = self._plant.time_us
         gear = self.gear_at(name)
@@ -209,6 +209,10 @@ class TruckEngagement(Engagement[TruckSleeve]):
         ahead = 0.0 if self._plant.slip_rad_s(gear) < 0.0 else self._chamfer_rad
         low = self._half_rad + self._chamfer_rad - ahead
         high = self._pitch_rad - self._half_rad - ahead
+        if thrown_back:
+            # By either edge it has a chamfer's width to go in first. Friction on the face turns the
+            # backlash of its mesh over, and a tooth that hardly slips would go in and out for ever.
+            low, high = self._half_rad - self._chamfer_rad, high + ahead + self._chamfer_rad
         self._truck.watch(ROWS[name], gear, (low, high), with_lash=True)
         self._rub(name)
 
@@ -257,7 +261,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
         sleeve.eject(time_us)
         tally = self._tallies[name]
         self._tallies[name] = tally._replace(ratchets=tally.ratchets + 1)
-        self._face(name)
+        self._face(name, thrown_back=True)
 
     def _strike(self, name: Sleeve, side: int) -> None:
         gear, truck, sleeve = self.gear_at(name), self._truck, self.sleeves[name]

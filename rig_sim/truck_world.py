@@ -55,6 +55,10 @@ STEP_VALVES: Final[dict[Valve, tuple[Sleeve, int]]] = {
 LINK_OF: Final = {Sleeve.SPLITTER: at.SPLITTER, Sleeve.RANGE: at.RANGE}
 
 
+MOST_EVENTS: Final = 100_000
+"""In 10 ms: a gearbox that has more stands still in time, and says so rather than hang."""
+
+
 class TruckWorld:
     """Everything physical. See `rig_world.RigWorld`."""
 
@@ -94,12 +98,16 @@ class TruckWorld:
     def run_to(self, until_us: int) -> bool:
         """Go on to this instant, or to the next 10 ms read if that comes first: then True."""
         target_us = min(until_us, self._read_us)
+        events = 0
         while not (self.plant.time_us == target_us < self._due_us):
             # a fault may change the clock that the valves go by: they are never run ahead of it
             self._run_valves(min(target_us, self._due_us))
             event = self.plant.advance(target_us, self._due_us)
             if event == at.REACHED:
                 break
+            events += 1
+            if events > MOST_EVENTS:
+                raise RuntimeError(f"over {MOST_EVENTS} events of the gearbox by {target_us} us")
             self._handle(event)
             self._due_us = self._next_due()
         if self._read_us > until_us:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import pytest
 from campaigns import small_spec
 
+from controller.settings import ControllerSettings, Prices
 from dbc.layout import CODECS
 from dbc.link import Receiver
 from dbc.messages import TC1, EngagementEvent, ReferenceEngagement
 from dbc.node import Node
+from gearbox import load_sheet
 from rig_sim.settings import Preset
-from testbench.campaign.draw import draw
+from testbench.campaign.draw import draw, upshifts
 from testbench.campaign.loop import PAUSES, ClosedLoop
 from testbench.campaign.record import Record
 from testbench.campaign.run import run_one
@@ -31,6 +33,19 @@ def test_what_a_strategy_does_depends_on_no_other(strategy: str) -> None:
     alone = records_of(strategy, strategy)
     assert len(alone) == 2
     assert alone == records_of(strategy, "speed_window", "target_phase")
+
+
+def test_a_tooth_at_the_edge_of_its_gap_does_not_go_in_and_out_for_ever() -> None:
+    """With a slip of 0.08 rpm: the backlash of its mesh turned over with the friction on its face,
+    and the rig stood still in time at one instant."""
+    settings = ControllerSettings(prices=Prices(energy_s_per_j=0.4))
+    sheet, pairs = load_sheet("truck12"), upshifts()
+    drawn = draw(4_000_003, sheet, Preset.TRUCK, pairs, 14, {})
+    loop = ClosedLoop(sheet, settings, Preset.TRUCK, drawn)
+    for _ in range(4):
+        row = loop.shift()
+        assert row is not None
+        assert row.result == "engaged"
 
 
 @pytest.mark.parametrize("preset", list(Preset))
