@@ -26,8 +26,8 @@ _NUMBER: Final = {(g.main, g.split, g.range_): n for n, g in DRIVE_GEARS.items()
 
 
 class SleeveTrack(NamedTuple):
-    """Samples of one sleeve, newest first, 1 ms apart: the ten of a frame, and before them the
-    newest of the frame before where that came 10 ms earlier."""
+    """Samples of one sleeve, newest first, 1 ms apart: the ten of a frame, and before them eleven
+    earlier ones where the frame before came 10 ms earlier."""
 
     newest_us: int
     samples_m: tuple[float, ...]
@@ -89,7 +89,8 @@ class GearboxView:
     def _take(self, sleeve: Sleeve, time_us: int, samples_m: tuple[float, ...]) -> None:
         before = self.tracks.get(sleeve)
         if before is not None and time_us - before.newest_us == len(samples_m) * SAMPLE_US:
-            samples_m = (*samples_m, before.samples_m[0])
+            # A late step takes two reads at once: what the first one showed is looked at, too.
+            samples_m += before.samples_m[: len(samples_m) + 1]
         self.tracks[sleeve] = _new(SleeveTrack, (time_us, samples_m))
         position_m = samples_m[0]
         if abs(position_m) < RESTING_M:

@@ -136,11 +136,12 @@ def test_a_sleeve_that_stands_or_goes_back_crosses_nothing() -> None:
         assert track.crossing_us(5e-3, 1) is None
 
 
-@pytest.mark.parametrize("back_ms", [0.5, 5.5, 9.5])
+@pytest.mark.parametrize("back_ms", [0.5, 5.5, 9.5, 12.5, 18.5])
 def test_a_sleeve_is_seen_to_pass_a_level_wherever_between_two_frames_it_does(
     back_ms: float,
 ) -> None:
-    """A frame's ten samples reach 9 ms back, and frames come every 10 ms."""
+    """A frame's ten samples reach 9 ms back, and frames come every 10 ms; a step that is late
+    takes two of them, and the level may have been passed in the first."""
     view = GearboxView(SHEET)
     passed_ms = 20.0 - back_ms
     for newest_ms in (10, 20):
