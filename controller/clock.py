@@ -13,8 +13,9 @@ from typing import Final
 
 WRAP: Final = 1 << 32
 HALF: Final = 1 << 31
-WINDOW: Final = 1000
-"""Stamps the offset looks back over: about a second, in which 200 ppm of drift is 0.2 ms."""
+WINDOW: Final = 4000
+"""Stamps the offset looks back over: about four seconds, in which 200 ppm of drift is 0.8 ms and
+a shift is over."""
 JUMP_US: Final = 500_000
 """A stamp this far from where the clock should be means that the sensor side has restarted."""
 BACK_US: Final = 200_000

@@ -1,7 +1,7 @@
 """A step at the very arrival of a frame, now and then: how late does the bus bring a read?
 
 A frame carries no arrival time; it counts from the step that consumes it, perhaps a tick later. So
-the controller steps a few times a second as soon as the first edge frame of a read is there, and
+the controller steps once a second as soon as the first edge frame of a read is there, and
 the least `now - stamp` is the bus's share alone. Where it switches valves itself it must be on
 time; where activations are scheduled, a tick less of lead is a tick less to predict over.
 """
@@ -15,8 +15,9 @@ from dbc.frame import Frame
 from dbc.layout import CODECS
 from dbc.messages import EdgesInputRise
 
-EVERY_US: Final = 200_000
-"""In this time 200 ppm of drift are 40 us; the clock looks back over a second."""
+EVERY_US: Final = 1_000_000
+"""In this time 200 ppm of drift are 0.2 ms, and one step more in a hundred leaves cyclic frames
+their cycle; the clock looks back over some."""
 FIRST_OF_A_READ: Final = CODECS[EdgesInputRise.__name__].spec.can_id
 """The edge frame that wins the bus against all others of its read."""
 

@@ -13,6 +13,7 @@ from controller.settings import ControllerSettings
 from controller.shift import TRANSITIONS
 from dbc.frame import Frame
 from dbc.messages import (
+    ETC1,
     ControllerEstimates,
     ControllerState,
     ControllerStatus,
@@ -92,6 +93,14 @@ def test_nothing_was_refused_blocked_or_lost_on_a_clean_bus(
         assert (valves.refused_count, valves.expired_count) == (0, 0)
         assert (status.e2e_errors, status.format_errors, status.foreign_frames) == (0, 0, 0)
         assert (status.guard_blocks, status.invalid_channels) == (0, 0)
+
+
+def test_cyclic_frames_keep_their_cycle(six_shifts: Loop) -> None:
+    """One step a second is made more, at the arrival of a read; none is left out."""
+    sent_us = [time_us for time_us, message in six_shifts.messages if isinstance(message, ETC1)]
+    gaps_us = [after - before for before, after in pairwise(sent_us)]
+    assert sum(gaps_us) / len(gaps_us) == pytest.approx(10_000, rel=0.015)
+    assert max(gaps_us) < 11_000
 
 
 def test_the_gear_it_is_in_is_no_request(one_shift: Loop) -> None:
