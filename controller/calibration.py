@@ -9,12 +9,14 @@ from __future__ import annotations
 import math
 import tomllib
 from dataclasses import dataclass, fields
-from typing import Any, Final
+from typing import Any, Final, Generic, TypeVar
 
 from gearbox import GearboxSheet, MainGear
 from gearbox.gears import MAIN_GEARS
 from gearbox.table_text import to_toml
 from gearbox.tables import TableError, count, flag, group, quantities, quantity, read_group, text
+
+Record = TypeVar("Record")
 
 FORMAT: Final = 1
 DEG: Final = math.pi / 180.0
@@ -122,6 +124,15 @@ class BrakeRecord:
                 raise TableError(f"{key} holds {found} numbers, allowed are {self.KNOTS}")
 
 
+class ByGear(Generic[Record]):
+    """What is kept of each main gear, in a field of its name."""
+
+    def of(self, gear: MainGear) -> Record | None:
+        """The record of a gear."""
+        record: Record | None = getattr(self, gear.name.lower())
+        return record
+
+
 @dataclass(frozen=True)
 class SleeveRecord:
     """The sleeve's way into one gear (`controller/sleeve_delay.py`)."""
@@ -134,18 +145,13 @@ class SleeveRecord:
 
 
 @dataclass(frozen=True)
-class Sleeves:
+class Sleeves(ByGear[SleeveRecord]):
     """The gears into which a sleeve has been seen to go."""
 
     crawl: SleeveRecord | None = group(SleeveRecord, default=None)
     first: SleeveRecord | None = group(SleeveRecord, default=None)
     second: SleeveRecord | None = group(SleeveRecord, default=None)
     third: SleeveRecord | None = group(SleeveRecord, default=None)
-
-    def of(self, gear: MainGear) -> SleeveRecord | None:
-        """The record of a gear."""
-        record: SleeveRecord | None = getattr(self, gear.name.lower())
-        return record
 
 
 @dataclass(frozen=True)
@@ -160,18 +166,13 @@ class DriftRecord:
 
 
 @dataclass(frozen=True)
-class Drifts:
+class Drifts(ByGear[DriftRecord]):
     """The gears that have been engaged."""
 
     crawl: DriftRecord | None = group(DriftRecord, default=None)
     first: DriftRecord | None = group(DriftRecord, default=None)
     second: DriftRecord | None = group(DriftRecord, default=None)
     third: DriftRecord | None = group(DriftRecord, default=None)
-
-    def of(self, gear: MainGear) -> DriftRecord | None:
-        """The record of a gear."""
-        record: DriftRecord | None = getattr(self, gear.name.lower())
-        return record
 
 
 @dataclass(frozen=True)

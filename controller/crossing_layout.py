@@ -7,6 +7,7 @@ are learned by. `FilterArrays` and `TeethArrays` name their parts as views.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from typing import Final
 
 import numpy as np
@@ -100,7 +101,7 @@ LATE: Final = 1
 """Nothing was taken: the batch begins before the state, and there is a moment to go back to."""
 
 
-class _Views:
+class _Views(ABC):
     """Arrays whose parts are views: copied (a campaign copies whole controllers) as arrays alone,
     for copies of views would be arrays of their own."""
 
@@ -111,8 +112,9 @@ class _Views:
         vars(self).update(arrays)
         self._name_parts()
 
+    @abstractmethod
     def _name_parts(self) -> None:
-        raise NotImplementedError
+        """Makes the views anew."""
 
 
 class FilterArrays(_Views):

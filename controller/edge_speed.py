@@ -7,12 +7,11 @@ guard judges by it, and the sequence sees by it whether two shafts turn together
 from __future__ import annotations
 
 import math
-import struct
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from controller.edge_kernels import STAMPS, Integers, newest_teeth
+from controller.edge_kernels import STAMPS, Integers, newest_teeth, pack_stamps
 from controller.edges import EdgeFrame
 
 DEAD_US: Final = 20_000
@@ -27,7 +26,6 @@ WRAP: Final = 1 << 32
 HALF: Final = 1 << 31
 LOW: Final = 0xFFFF
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
-_PACK_STAMPS: Final = struct.Struct(f"={STAMPS}q").pack_into
 
 
 class Speed(NamedTuple):
@@ -70,8 +68,7 @@ class EdgeSpeed:
         self._index = frame.newest_index
         self._newest_us = newest_us
         self._is_dead = read_us - newest_us > max(DEAD_US, TEETH_LATE * self._interval_us)
-        # A tuple gets into an array fastest through the bytes that the array stands on.
-        _PACK_STAMPS(self._low.data, 0, *stamps)
+        pack_stamps(self._low.data, 0, *stamps)
         span_us, teeth = newest_teeth(self._low, frame.valid_stamps)
         if teeth:
             self._interval_us = span_us // teeth

@@ -7,7 +7,6 @@ fewer than 27 came since, and the tooth number is never lost.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from controller import edge_gate, edge_layout
 from controller.clock import SensorClock
-from controller.edge_kernels import BROKEN, CHAIN, STAMPS, Integers, chain_edges
+from controller.edge_kernels import BROKEN, CHAIN, STAMPS, Integers, chain_edges, pack_stamps
 from controller.kernels import Vector
 from controller.sensor_count import SensorCount
 from gearbox.sheet import Wheel
@@ -91,7 +90,6 @@ class EdgeHealth(NamedTuple):
 
 
 NO_EDGES: Final = EdgeBatch(np.empty(0), np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64))
-_PACK_STAMPS: Final = struct.Struct(f"={STAMPS}q").pack_into
 _ROOM: Final = 4 * STAMPS
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 
@@ -123,8 +121,7 @@ class Polarity:
         if self.count + STAMPS > self.numbers.size:
             self.numbers = np.resize(self.numbers, 2 * self.numbers.size)
             self.times_us = np.resize(self.times_us, 2 * self.times_us.size)
-        # A tuple gets into an array fastest through the bytes that the array stands on.
-        _PACK_STAMPS(self._low.data, 0, *frame.timestamp_low_us)
+        pack_stamps(self._low.data, 0, *frame.timestamp_low_us)
         count = chain_edges(
             self._low,
             frame.newest_index,

@@ -58,9 +58,9 @@ def _look_for_contact(desk: ShiftDesk, moment: Moment) -> None:
     aimed = shift.strategy is Strategy.TARGET_PHASE
     if aimed and fired is not None and free is not None:
         desk.drifts.learn(fired, free, crossing)
-    if desk.free_outlook is not None and desk.reference_known(shift.target.main):
+    if free is not None and desk.reference_known(shift.target.main):
         shift.estimated_phase_rad = desk.strategist.plan_at(
-            desk.free_outlook, round(crossing), ShiftDecision.NONE
+            free, round(crossing), ShiftDecision.NONE
         ).phase_rad
 
 

@@ -42,7 +42,6 @@ class _Learned:
     variance: float = PRIOR_SD_RAD_S**2
     share_squares: float = PRIOR_SHARE_SAMPLES
     share_samples: float = PRIOR_SHARE_SAMPLES
-    contacts: int = 0
 
     @property
     def share(self) -> float:
@@ -89,7 +88,6 @@ class PhaseDrifts:
         fade = min(1.0, MOST_SHARE_SAMPLES / (learned.share_samples + 1.0))
         learned.share_squares = fade * (learned.share_squares + learned.share**2 * surprise)
         learned.share_samples = fade * (learned.share_samples + 1.0)
-        learned.contacts += 1
 
     def records(self) -> Drifts:
         """What a calibration file keeps: the gears that have been aimed at."""
@@ -102,7 +100,7 @@ class PhaseDrifts:
                     learned.share_samples,
                 )
                 for gear, learned in self._learned.items()
-                if learned.contacts > 0
+                if learned != _Learned()
             }
         )
 
@@ -116,7 +114,6 @@ class PhaseDrifts:
                     record.slip_sd_rad_s**2,
                     record.spread_share**2 * record.samples,
                     record.samples,
-                    1,
                 )
 
 

@@ -32,8 +32,9 @@ def synchronise(desk: ShiftDesk, moment: Moment) -> Trigger | None:
     outlook = desk.outlook(gear, moment)
     if outlook is None:
         return None
-    if _must_fire(desk, moment):
-        return _commit(desk, outlook)
+    fired = _fire_if_due(desk, outlook, moment)
+    if fired is not None:
+        return fired
     if shift.release_us is not None and moment.earliest_us >= shift.release_us:
         # It can no longer be moved: from here on the firing is chosen, the brake still dying away.
         return Trigger.BRAKE_RELEASED
@@ -61,8 +62,9 @@ def coast(desk: ShiftDesk, moment: Moment) -> Trigger | None:
     outlook = desk.outlook(shift.target.main, moment)
     if outlook is None:
         return None
-    if _must_fire(desk, moment):
-        return _commit(desk, outlook)
+    fired = _fire_if_due(desk, outlook, moment)
+    if fired is not None:
+        return fired
     if outlook.slip_rad_s(moment.now_us) < desk.settings.window.least_rad_s:
         return too_slow(desk, moment)
     if not _braked_lately(desk, moment) and _brake_helps(desk, outlook, moment):
@@ -73,21 +75,15 @@ def coast(desk: ShiftDesk, moment: Moment) -> Trigger | None:
     return None
 
 
-def _must_fire(desk: ShiftDesk, moment: Moment) -> bool:
-    """Whether the firing that was sent can no longer be moved."""
-    plan = desk.running.plan
-    return plan is not None and plan.fire_us < moment.earliest_us + KEEP_US
-
-
-def _commit(desk: ShiftDesk, outlook: Outlook) -> Trigger:
-    """The sleeve goes."""
-    shift = desk.running
-    if shift.plan is None:
-        raise RuntimeError("nothing is fired without a plan")
+def _fire_if_due(desk: ShiftDesk, outlook: Outlook, moment: Moment) -> Trigger | None:
+    """The sleeve goes, where the firing that was sent can no longer be moved."""
+    shift, plan = desk.running, desk.running.plan
+    if plan is None or plan.fire_us >= moment.earliest_us + KEEP_US:
+        return None
     shift.attempts += 1
     shift.measured_contact_us = None
     desk.free_outlook, desk.fired_outlook = None, outlook
-    desk.decision = shift.plan._replace(decision=ShiftDecision.COMMITTED)
+    desk.decision = plan._replace(decision=ShiftDecision.COMMITTED)
     return Trigger.FIRED
 
 
