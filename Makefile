@@ -40,7 +40,7 @@ lint: $(VENV)/test.stamp
 
 types: $(VENV)/test.stamp
 	$(BIN)/mypy
-	$(BIN)/python -m dbc.stubs --check
+	$(BIN)/python -m meshpoint.dbc.stubs --check
 
 contracts: $(VENV)/test.stamp
 	$(BIN)/lint-imports

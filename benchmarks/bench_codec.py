@@ -21,9 +21,9 @@ from cantools.database.can import Database
 from cantools.database.can import Message as ParsedMessage
 from e2e.p05 import e2e_p05_check, e2e_p05_protect
 
-from dbc import DBC_PATH, DBC_SHA256, Frame, Node
-from dbc.layout import CODECS
-from dbc.link import Receiver, Transmitter, Verdict
+from meshpoint.dbc import DBC_PATH, DBC_SHA256, Frame, Node
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.link import Receiver, Transmitter, Verdict
 
 MESSAGES = ("EdgesLayshaftRise", "SleevesMain", "ValveCommand", "GearboxSensors", "EEC1")
 FRAMES_A_ROUND = 256

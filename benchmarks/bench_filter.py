@@ -24,12 +24,12 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from scipy.signal import cont2discrete
 
-from controller.crossing import CrossingFilter, Pressures
-from controller.kernels import thesis_filter
-from controller.motion import diagonal, first_order_law, free_motion
-from controller.predictor import layshaft_model
-from controller.settings import CrossingFilterTuning
-from gearbox import Split, load_sheet
+from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.motion.linear import layshaft_model
+from meshpoint.controller.motion.linear_kernels import thesis_filter
+from meshpoint.controller.motion.models import diagonal, first_order_law, free_motion
+from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.gearbox import Split, load_sheet
 
 EDGES, BATCH = 160, 16
 PASSES = 200

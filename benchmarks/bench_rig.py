@@ -32,13 +32,13 @@ from typing import Any
 import numba
 import numpy as np
 
-from gearbox import GearboxSheet, load_sheet
-from rig_sim import truck_layout as at
-from rig_sim.jit import OPTIONS
-from rig_sim.settings import Preset, RigSettings
-from rig_sim.truck_motion import rates
-from rig_sim.truck_step import step
-from rig_sim.truck_world import TruckWorld
+from meshpoint.gearbox import GearboxSheet, load_sheet
+from meshpoint.rig_sim.jit import OPTIONS
+from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.motion import rates
+from meshpoint.rig_sim.truck.step import step
+from meshpoint.rig_sim.truck.world import TruckWorld
 
 RPM = np.pi / 30.0
 TEETH = 40

@@ -26,9 +26,9 @@ from typing import NamedTuple
 
 import can
 
-from bus.register import register_interface
-from dbc.layout import CODECS
-from dbc.messages import GearboxSensors
+from meshpoint.bus.local.register import register_interface
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.messages import GearboxSensors
 
 SENSORS = CODECS[GearboxSensors.__name__].spec.can_id
 CLOCK_MODULUS = 1 << 32
@@ -60,7 +60,7 @@ def quantile(values: Sequence[float], share: float) -> float:
 @contextmanager
 def rig_process(channel: str) -> Iterator[subprocess.Popen[bytes]]:
     """A rig, truck preset, on this channel; ended at the end."""
-    command = [sys.executable, "-m", "testbench", "rig", "--preset", "truck", "-q", "-c", channel]
+    command = [sys.executable, "-m", "meshpoint", "rig", "--preset", "truck", "-q", "-c", channel]
     with subprocess.Popen(command, stdin=subprocess.DEVNULL) as process:  # noqa: S603 (our own)
         try:
             yield process

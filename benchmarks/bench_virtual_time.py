@@ -15,10 +15,10 @@ import sys
 import time
 from collections.abc import Sequence
 
-from controller.settings import ControllerSettings
-from dbc.frame import Frame
-from gearbox import load_sheet
-from testbench.simulate import Setup, simulate
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.frame import Frame
+from meshpoint.gearbox import load_sheet
+from meshpoint.testbench.loop.simulate import Setup, simulate
 
 WARM_SHIFTS, SHIFTS = 1, 6
 SLICE_US = 30_000

@@ -19,12 +19,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from controller.settings import RPM, ControllerSettings, Window
-from gearbox import load_sheet
-from rig_sim.settings import Preset
-from testbench.campaign.draw import draw, upshifts
-from testbench.campaign.loop import ClosedLoop
-from testbench.campaign.spec import SEEDS_APART
+from meshpoint.controller.settings import RPM, ControllerSettings, Window
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.testbench.campaign.draw import draw, upshifts
+from meshpoint.testbench.campaign.loop import ClosedLoop
+from meshpoint.testbench.campaign.spec import SEEDS_APART
 
 TUNING_SEED: Final = 100
 LEARN, JUDGED = 4, 2

@@ -11,12 +11,12 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
-from bus.core import Step
-from controller.calibration import Calibration, CalibrationError, read_calibration
-from controller.calibration_file import save
-from controller.core import ControllerCore
-from dbc.frame import Frame
-from gearbox import GearboxSheet
+from meshpoint.bus.core import Step
+from meshpoint.controller.calibration.file import save
+from meshpoint.controller.calibration.records import Calibration, CalibrationError, read_calibration
+from meshpoint.controller.core import ControllerCore
+from meshpoint.dbc.frame import Frame
+from meshpoint.gearbox import GearboxSheet
 
 Keep = Callable[[Calibration], str | None]
 """Writes a calibration, or begins to; returns a line where something went wrong."""

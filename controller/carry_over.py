@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from controller.calibration import (
+from meshpoint.controller.calibration.records import (
     FORMAT,
     Calibration,
     End,
@@ -13,13 +13,13 @@ from controller.calibration import (
     WheelRecord,
     Wheels,
 )
-from controller.header import RunHeader
-from controller.kinematics import wrap_to_pitch
-from controller.observer import Observer
-from controller.recall import Kept
-from controller.shift_desk import ShiftDesk
-from controller.tooth_match import Memory
-from gearbox.gears import MAIN_GEARS
+from meshpoint.controller.estimation.tooth_match import Memory
+from meshpoint.controller.header import RunHeader
+from meshpoint.controller.motion.kinematics import wrap_to_pitch
+from meshpoint.controller.observer import Observer
+from meshpoint.controller.phase.recall import Kept
+from meshpoint.controller.shift.desk import ShiftDesk
+from meshpoint.gearbox.gears import MAIN_GEARS
 
 
 def restore(calibration: Calibration, observer: Observer, desk: ShiftDesk) -> None:

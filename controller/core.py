@@ -15,28 +15,28 @@ from dataclasses import replace
 from operator import itemgetter
 from typing import Final, NamedTuple
 
-from bus.core import Step
-from controller.brake_input import BrakeInput
-from controller.calibration import Calibration
-from controller.carry_over import collect, restore
-from controller.guard import Guard
-from controller.guard_limits import guard_limits
-from controller.guard_view import GuardView
-from controller.header import RunHeader
-from controller.inputs import StepInputs
-from controller.moment import Moment
-from controller.observer import Observer
-from controller.probe import ClockProbe
-from controller.report import Reporter
-from controller.say import decision_line
-from controller.sequence import ShiftSequence
-from controller.settings import ControllerSettings, ValveTiming
-from controller.shaft_speeds import ShaftSpeeds
-from controller.shift_desk import OutlookSource
-from controller.valves import ValveBoard
-from dbc.frame import Frame
-from dbc.link import Receiver, Transmitter, Verdict
-from dbc.messages import (
+from meshpoint.bus.core import Step
+from meshpoint.controller.calibration.records import Calibration
+from meshpoint.controller.carry_over import collect, restore
+from meshpoint.controller.guard.limits import guard_limits
+from meshpoint.controller.guard.rules import Guard
+from meshpoint.controller.guard.view import GuardView
+from meshpoint.controller.header import RunHeader
+from meshpoint.controller.motion.brake_input import BrakeInput
+from meshpoint.controller.observer import Observer
+from meshpoint.controller.report.log_lines import decision_line
+from meshpoint.controller.report.reporter import Reporter
+from meshpoint.controller.sensing.clock_probe import ClockProbe
+from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
+from meshpoint.controller.sensing.step_inputs import StepInputs
+from meshpoint.controller.settings import ControllerSettings, ValveTiming
+from meshpoint.controller.shift.desk import OutlookSource
+from meshpoint.controller.shift.moment import Moment
+from meshpoint.controller.shift.sequence import ShiftSequence
+from meshpoint.controller.shift.valve_board import ValveBoard
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.link import Receiver, Transmitter, Verdict
+from meshpoint.dbc.messages import (
     TSC1,
     ClutchCommand,
     EdgesLayshaftRise,
@@ -50,7 +50,7 @@ from dbc.messages import (
     ValveCommand,
     ValveStatus,
 )
-from dbc.node import Node
+from meshpoint.dbc.node import Node
 
 OWN_ADDRESS: Final = 0x03
 INBOX_LIMIT: Final = 20_000

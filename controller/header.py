@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from controller.calibration import Calibration, read_calibration
-from controller.settings import ControllerSettings
-from dbc import DBC_SHA256
-from gearbox import GearboxSheet
-from gearbox.sheet import sheet_from_canonical
-from gearbox.tables import TableError
+from meshpoint.controller.calibration.records import Calibration, read_calibration
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc import DBC_SHA256
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.sheet import sheet_from_canonical
+from meshpoint.gearbox.tables import TableError
 
 SIZE_LIMIT_BYTES: Final = 4 * 1024 * 1024
 

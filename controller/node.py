@@ -7,14 +7,14 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Final
 
-from bus.clock import NodeClock
-from bus.driver import OpenBus, run_node
-from bus.settle import settle
-from bus.statistics import NodeStatistics
-from controller.calibration_keeper import CalibrationKeeper, Keep
-from controller.core import OWN_ADDRESS, ControllerCore
-from controller.header import RunHeader
-from controller.warm_up import warm_up
+from meshpoint.bus.clock import NodeClock
+from meshpoint.bus.driver import OpenBus, run_node
+from meshpoint.bus.settle import settle
+from meshpoint.bus.statistics import NodeStatistics
+from meshpoint.controller.calibration_keeper import CalibrationKeeper, Keep
+from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
+from meshpoint.controller.header import RunHeader
+from meshpoint.controller.warm_up import warm_up
 
 ADDRESSES: Final = frozenset({OWN_ADDRESS})
 

@@ -6,26 +6,26 @@ import math
 
 import numpy as np
 
-from controller.baseline_tracker import BaselineTracker
-from controller.brake_input import BrakeInput
-from controller.brake_model import BrakeModel
-from controller.calibration import BrakeRecord
-from controller.clock import SensorClock
-from controller.crossing import Pressures
-from controller.crossing_tracker import CrossingTracker, MainTracker
-from controller.edges import BRAKED_RAD_S2, EdgeBatch, EdgeFrame, WheelEdges
-from controller.further_wheel import FurtherWheel
-from controller.gearbox_view import GearboxView
-from controller.inputs import StepInputs
-from controller.kinematics import are_finite
-from controller.layshaft import LayshaftModels, LayshaftTracker
-from controller.motion import LayshaftState, first_order_law, free_motion
-from controller.predictor import layshaft_model
-from controller.recall import Recall
-from controller.reference import PhaseReferences
-from controller.settings import ControllerSettings
-from controller.shafts import CruiseTracker, ShaftState
-from dbc.messages import (
+from meshpoint.controller.calibration.records import BrakeRecord
+from meshpoint.controller.estimation.baseline_tracker import BaselineTracker
+from meshpoint.controller.estimation.brake_model import BrakeModel
+from meshpoint.controller.estimation.crossing_filter import Pressures
+from meshpoint.controller.estimation.crossing_tracker import CrossingTracker, MainTracker
+from meshpoint.controller.estimation.cruise import CruiseTracker, ShaftState
+from meshpoint.controller.estimation.further_wheel import FurtherWheel
+from meshpoint.controller.estimation.layshaft import LayshaftModels, LayshaftTracker
+from meshpoint.controller.motion.brake_input import BrakeInput
+from meshpoint.controller.motion.kinematics import are_finite
+from meshpoint.controller.motion.linear import layshaft_model
+from meshpoint.controller.motion.models import LayshaftState, first_order_law, free_motion
+from meshpoint.controller.phase.recall import Recall
+from meshpoint.controller.phase.reference import PhaseReferences
+from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.sensing.sensor_clock import SensorClock
+from meshpoint.controller.sensing.step_inputs import StepInputs
+from meshpoint.controller.sensing.wheel_edges import BRAKED_RAD_S2, EdgeBatch, EdgeFrame, WheelEdges
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.messages import (
     EdgesInputFall,
     EdgesInputRise,
     EdgesLayshaftFall,
@@ -38,7 +38,7 @@ from dbc.messages import (
     GearboxSensors,
     ValveStatus,
 )
-from gearbox import GearboxSheet, MainGear, Split
+from meshpoint.gearbox import GearboxSheet, MainGear, Split
 
 CLUTCH_OPEN_SHARE = 0.05
 DRAGGED_US = 30_000

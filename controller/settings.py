@@ -9,8 +9,17 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
 
-from dbc.messages import Estimator, Strategy
-from gearbox.tables import TableError, count, flag, group, load_toml, quantity, read_group, text
+from meshpoint.dbc.messages import Estimator, Strategy
+from meshpoint.gearbox.tables import (
+    TableError,
+    count,
+    flag,
+    group,
+    load_toml,
+    quantity,
+    read_group,
+    text,
+)
 
 RPM: Final = 2.0 * math.pi / 60.0
 DEG: Final = math.pi / 180.0

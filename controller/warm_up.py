@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from controller import edge_gate, edge_kernels, plan_kernels
-from controller.brake_kernels import pressure_course
-from controller.crossing import CrossingFilter, Pressures
-from controller.kernels import cruise_filter, propagate, thesis_filter
-from controller.motion import first_order_law, following_motion, predict
-from controller.motion_kernels import STATES
-from controller.settings import CrossingFilterTuning
+from meshpoint.controller.estimation.brake_kernels import pressure_course
+from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.motion.kernels import STATES
+from meshpoint.controller.motion.linear_kernels import cruise_filter, propagate, thesis_filter
+from meshpoint.controller.motion.models import first_order_law, following_motion, predict
+from meshpoint.controller.planning import plan_kernels
+from meshpoint.controller.sensing import chain_kernels as edge_kernels
+from meshpoint.controller.sensing import gate_kernels as edge_gate
+from meshpoint.controller.settings import CrossingFilterTuning
 
 
 def warm_up() -> None:

@@ -5,16 +5,16 @@ typed messages in SI units (`messages`), the functions that encode and decode th
 the two ends of a node's link (`link`), which add and check AUTOSAR end-to-end protection (`e2e`).
 This package knows no physics.
 
-    from dbc.link import Receiver, Transmitter
-    from dbc.messages import ValveAction, ValveCommand
+    from meshpoint.dbc.link import Receiver, Transmitter
+    from meshpoint.dbc.messages import ValveAction, ValveCommand
 
     transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
     frame = transmitter.encode(ValveCommand(brake_action=ValveAction.ON_NOW))
     verdict, message = Receiver(Node.GEARBOX_IO).receive(frame)
 """
 
-from dbc.frame import Frame
-from dbc.node import Node
-from dbc.source import DBC_PATH, DBC_SHA256
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.node import Node
+from meshpoint.dbc.source import DBC_PATH, DBC_SHA256
 
 __all__ = ["DBC_PATH", "DBC_SHA256", "Frame", "Node"]

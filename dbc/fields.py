@@ -14,12 +14,12 @@ from dataclasses import dataclass, replace
 from enum import Enum, IntEnum, auto
 from typing import Any, Final, SupportsIndex, cast
 
-from dbc.specs import MessageSpec, Schema, SignalSpec
-from dbc.units import UNITS
+from meshpoint.dbc.specs import MessageSpec, Schema, SignalSpec
+from meshpoint.dbc.units import UNITS
 
 BOOLEAN_TABLE: Final = "OffOn"
 """Signals with this value table are plain `bool`."""
-MODULE: Final = "dbc.messages"
+MODULE: Final = "meshpoint.dbc.messages"
 """Where the classes made here live, for their names, reprs and pickles."""
 
 _ROW: Final = re.compile(r"(?P<name>.*\D)(?P<number>\d\d)")

@@ -4,7 +4,7 @@ For each message `decode` and `encode` are written as source text and compiled o
 `struct` call a frame, then plain arithmetic. That is four times as fast as interpreting a table of
 signals, and leaves the DBC the one source. To read them:
 
-    python -m dbc.layout GearboxSensors
+    python -m meshpoint.dbc.layout GearboxSensors
 """
 
 from __future__ import annotations
@@ -17,9 +17,9 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final
 
-from dbc.fields import FieldSpec, Kind, make_enums, make_fields, make_message_type
-from dbc.schema import SCHEMA
-from dbc.specs import MessageSpec, SignalSpec
+from meshpoint.dbc.fields import FieldSpec, Kind, make_enums, make_fields, make_message_type
+from meshpoint.dbc.schema import SCHEMA
+from meshpoint.dbc.specs import MessageSpec, SignalSpec
 
 Decode = Callable[[bytes], Any]
 """Payload of the right length -> message, or None where a value is outside the DBC's range."""

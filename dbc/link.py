@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from enum import IntEnum
 from typing import Final, NamedTuple
 
-from dbc.e2e import (
+from meshpoint.dbc.e2e import (
     COUNTER_MODULUS,
     DEFAULT_LIMITS,
     ChannelState,
@@ -18,11 +18,11 @@ from dbc.e2e import (
     check_crc,
     write_crc,
 )
-from dbc.fields import why_refused
-from dbc.frame import Frame
-from dbc.layout import CODECS, REFUSALS, Codec
-from dbc.messages import Message
-from dbc.node import Node
+from meshpoint.dbc.fields import why_refused
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS, REFUSALS, Codec
+from meshpoint.dbc.messages import Message
+from meshpoint.dbc.node import Node
 
 _new = tuple.__new__  # a NamedTuple without its constructor's argument handling: 0.2 us a frame
 

@@ -1,4 +1,4 @@
-# Written by `python -m dbc.stubs` from meshpoint.dbc. Do not edit.
+# Written by `python -m meshpoint.dbc.stubs` from meshpoint.dbc. Do not edit.
 """The messages and enumerations of the DBC as Python classes in SI units."""
 
 from enum import IntEnum

@@ -18,11 +18,11 @@ from cantools.database.can import Database
 from cantools.database.can import Message as ParsedMessage
 from cantools.database.can import Signal as ParsedSignal
 
-from dbc.intake import SchemaError, check_text
-from dbc.node import Node
-from dbc.source import DBC_CONTENT, DBC_PATH
-from dbc.specs import MessageSpec, Schema, SignalSpec
-from dbc.units import UNITS
+from meshpoint.dbc.intake import SchemaError, check_text
+from meshpoint.dbc.node import Node
+from meshpoint.dbc.source import DBC_CONTENT, DBC_PATH
+from meshpoint.dbc.specs import MessageSpec, Schema, SignalSpec
+from meshpoint.dbc.units import UNITS
 
 __all__ = ["SCHEMA", "SchemaError", "parse_schema"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dbc.node import Node
+from meshpoint.dbc.node import Node
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """Writes `messages.pyi`, which tells type checkers and people what `messages` makes from the DBC.
 
-`python -m dbc.stubs` writes the file; `python -m dbc.stubs --check` compares it with the DBC and
+`python -m meshpoint.dbc.stubs` writes the file; `python -m meshpoint.dbc.stubs --check` compares it with the DBC and
 ends with 1 if they differ.
 """
 
@@ -13,13 +13,13 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Final
 
-from dbc.fields import FieldSpec, Kind
-from dbc.layout import CODECS, ENUMS, Codec
+from meshpoint.dbc.fields import FieldSpec, Kind
+from meshpoint.dbc.layout import CODECS, ENUMS, Codec
 
 STUB_PATH: Final = Path(__file__).with_name("messages.pyi")
 
 _HEADER: Final = '''\
-# Written by `python -m dbc.stubs` from meshpoint.dbc. Do not edit.
+# Written by `python -m meshpoint.dbc.stubs` from meshpoint.dbc. Do not edit.
 """The messages and enumerations of the DBC as Python classes in SI units."""
 
 from enum import IntEnum
@@ -81,7 +81,7 @@ def _wrapped(text: str) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Write the stub, or compare it."""
-    parser = argparse.ArgumentParser(prog="python -m dbc.stubs", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m meshpoint.dbc.stubs", description=__doc__)
     parser.add_argument("--check", action="store_true", help="compare only; exit 1 on a difference")
     options = parser.parse_args(arguments)
     stub = make_stub()
@@ -90,7 +90,10 @@ def main(arguments: list[str] | None = None) -> int:
         return 0
     if STUB_PATH.exists() and STUB_PATH.read_text(encoding="utf-8") == stub:
         return 0
-    print(f"{STUB_PATH.name} is not that of the DBC: run python -m dbc.stubs", file=sys.stderr)
+    print(
+        f"{STUB_PATH.name} is not that of the DBC: run python -m meshpoint.dbc.stubs",
+        file=sys.stderr,
+    )
     return 1
 
 

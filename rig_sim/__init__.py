@@ -5,7 +5,7 @@ independently of the controller's model. `core.RigCore` is the node; `settings.R
 which preset and which seed.
 """
 
-from rig_sim.core import RigCore
-from rig_sim.settings import Preset, RigSettings, SettingsError
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.settings import Preset, RigSettings, SettingsError
 
 __all__ = ["Preset", "RigCore", "RigSettings", "SettingsError"]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from bus.core import Step
-from dbc.frame import Frame
-from dbc.layout import CODECS
-from dbc.link import Receiver, Transmitter
-from dbc.messages import (
+from meshpoint.bus.core import Step
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.link import Receiver, Transmitter
+from meshpoint.dbc.messages import (
     TSC1,
     BenchAction,
     BenchCommand,
@@ -19,13 +19,13 @@ from dbc.messages import (
     TscOverrideMode,
     ValveCommand,
 )
-from dbc.node import Node
-from gearbox.sheet import GearboxSheet
-from rig_sim.frames import engagement_message, read_messages, valve_status
-from rig_sim.presets import build_world
-from rig_sim.rig_world import EngineRequest, FaultOrder
-from rig_sim.settings import RigSettings
-from rig_sim.valves import Order
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.rig_sim.frames import engagement_message, read_messages, valve_status
+from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
+from meshpoint.rig_sim.presets import build_world
+from meshpoint.rig_sim.settings import RigSettings
+from meshpoint.rig_sim.shared.valve_drivers import Order
 
 NODES: Final = (Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE)
 FROM_IO: Final = frozenset(

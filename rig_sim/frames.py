@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from dbc.messages import (
+from meshpoint.dbc.messages import (
     EEC1,
     EdgesInputFall,
     EdgesInputRise,
@@ -23,18 +23,16 @@ from dbc.messages import (
     SleevesMain,
     ValveStatus,
 )
-from dbc.messages import (
-    MainGear as WireGear,
-)
-from gearbox.gears import Sleeve
-from gearbox.sheet import RPM
-from rig_sim.engagement import Engaged
-from rig_sim.kernels import TAU
-from rig_sim.rig_world import RigWorld, SensorRead
-from rig_sim.sensor_clock import SensorClock
-from rig_sim.sensors import ENCODER_MODULUS, ENCODER_STEPS_PER_TURN
-from rig_sim.settings import CLOCK_MODULUS
-from rig_sim.shafts import Angle
+from meshpoint.dbc.messages import MainGear as WireGear
+from meshpoint.gearbox.gears import Sleeve
+from meshpoint.gearbox.sheet import RPM
+from meshpoint.rig_sim.settings import CLOCK_MODULUS
+from meshpoint.rig_sim.shared.angle_kernels import TAU
+from meshpoint.rig_sim.shared.angles import Angle
+from meshpoint.rig_sim.shared.edge_ring import ENCODER_MODULUS, ENCODER_STEPS_PER_TURN
+from meshpoint.rig_sim.shared.engagement import Engaged
+from meshpoint.rig_sim.shared.sensor_clock import SensorClock
+from meshpoint.rig_sim.shared.world import RigWorld, SensorRead
 
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 EDGES: Final[tuple[type[Message], ...]] = (

@@ -6,13 +6,13 @@ import asyncio
 from collections.abc import Callable
 from typing import Final
 
-from bus.clock import NodeClock
-from bus.driver import OpenBus, run_node
-from bus.settle import settle
-from bus.statistics import NodeStatistics
-from gearbox import GearboxSheet
-from rig_sim.core import RigCore
-from rig_sim.settings import RigSettings
+from meshpoint.bus.clock import NodeClock
+from meshpoint.bus.driver import OpenBus, run_node
+from meshpoint.bus.settle import settle
+from meshpoint.bus.statistics import NodeStatistics
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.settings import RigSettings
 
 ADDRESSES: Final = frozenset({0x80, 0x81, 0x00})
 """Gearbox, reference instrumentation and engine: the rig plays all three."""

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from gearbox.sheet import GearboxSheet
-from rig_sim.kernels import warm_up
-from rig_sim.rig_world import RigWorld
-from rig_sim.settings import Preset, RigSettings
-from rig_sim.truck_world import TruckWorld
-from rig_sim.world import World
+from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.shared.world import RigWorld
+from meshpoint.rig_sim.thesis.closed_form import warm_up
+from meshpoint.rig_sim.thesis.world import World
+from meshpoint.rig_sim.truck.world import TruckWorld
 
 
 def build_world(sheet: GearboxSheet, settings: RigSettings) -> RigWorld:

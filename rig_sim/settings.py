@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING, Final
 
-from gearbox.gears import DRIVE_GEARS
+from meshpoint.gearbox.gears import DRIVE_GEARS
 
 if TYPE_CHECKING:
-    from rig_sim.faults import ScheduledFault
+    from meshpoint.rig_sim.orders import ScheduledFault
 
 CLOCK_MODULUS: Final = 1 << 32
 MAX_MAIN_SPEED_RPM: Final = 5000.0

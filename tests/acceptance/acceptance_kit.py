@@ -32,7 +32,7 @@ from e2e import p05
 ROOT = Path(__file__).resolve().parents[2]
 DBC_FILE = ROOT / "dbc" / "meshpoint.dbc"
 THESIS_SHEET = ROOT / "gearbox" / "sheets" / "thesis.toml"
-COMMAND = (sys.executable, "-m", "testbench")
+COMMAND = (sys.executable, "-m", "meshpoint")
 
 # The thesis's sheet: 48 dog teeth, backlash a fifth of the pitch.
 PITCH_DEG = 7.5
@@ -395,7 +395,7 @@ def open_bus(channel: str) -> can.BusABC:
     if "meshpoint" in can.VALID_INTERFACES:
         return can.Bus(interface="meshpoint", channel=channel)
     sys.path.insert(0, str(ROOT))
-    plugin = importlib.import_module("bus.plugin")
+    plugin = importlib.import_module("meshpoint.bus.local.plugin")
     bus: can.BusABC = plugin.MeshpointBus(channel=channel)
     return bus
 

@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
-from bus.channel import parse_channel
-from bus.launch import connect
-from bus.plugin import MeshpointBus
-from bus.register import register_interface
+from meshpoint.bus.local.channel import parse_channel
+from meshpoint.bus.local.launch import connect
+from meshpoint.bus.local.plugin import MeshpointBus
+from meshpoint.bus.local.register import register_interface
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -52,7 +52,7 @@ def end_process(process: Process) -> None:
 @contextmanager
 def running_hub(directory: Path) -> Iterator[tuple[str, Process]]:
     channel = f"unix:{directory}/bus.sock"
-    process = start_process("-m", "bus.hub", channel, "--linger", "1000")
+    process = start_process("-m", "meshpoint.bus.local.hub", channel, "--linger", "1000")
     try:
         deadline = time.monotonic() + 60.0
         while True:

@@ -8,9 +8,9 @@ import sys
 import time
 from pathlib import Path
 
-from bus.log_set import RotatingLog
-from bus.recorder import LogWriter
-from dbc.frame import Frame
+from meshpoint.bus.logs.files import RotatingLog
+from meshpoint.bus.logs.recorder import LogWriter
+from meshpoint.dbc.frame import Frame
 
 
 def main() -> None:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from bus.channel import (
+from meshpoint.bus.local.channel import (
     ChannelError,
     TcpChannel,
     UnixChannel,

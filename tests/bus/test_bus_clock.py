@@ -6,8 +6,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bus.clock import Clock
-from bus.statistics import Histogram
+from meshpoint.bus.clock import Clock
+from meshpoint.bus.statistics import Histogram
 
 # On a busy machine any example may take long.
 patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -16,11 +16,11 @@ import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from bus.logs import FORMATS, LogError, LogReader, read_log
-from bus.plugin import MeshpointBus
-from bus.recorder import LogWriter, record_bus
-from bus.wire import CLASSIC_LENGTHS, FD_LENGTHS
-from dbc.frame import Frame
+from meshpoint.bus.local.plugin import MeshpointBus
+from meshpoint.bus.local.wire import CLASSIC_LENGTHS, FD_LENGTHS
+from meshpoint.bus.logs.limits import FORMATS, LogError, LogReader, read_log
+from meshpoint.bus.logs.recorder import LogWriter, record_bus
+from meshpoint.dbc.frame import Frame
 
 NODE = str(Path(__file__).with_name("logging_node.py"))
 EPOCH_S = 1_700_000_000.0

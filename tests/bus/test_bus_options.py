@@ -6,7 +6,7 @@ from pathlib import Path
 import can
 import pytest
 
-from bus.options import BusOpenError, add_bus_arguments, bus_config, open_bus_from
+from meshpoint.bus.options import BusOpenError, add_bus_arguments, bus_config, open_bus_from
 
 
 @pytest.fixture(autouse=True)
@@ -126,6 +126,6 @@ def test_a_classic_device_is_refused_with_the_remedy(
 ) -> None:
     (tmp_path / "can0").mkdir()
     (tmp_path / "can0" / "mtu").write_text("16\n")
-    monkeypatch.setattr("bus.options._NET_DEVICES", tmp_path)
+    monkeypatch.setattr("meshpoint.bus.options._NET_DEVICES", tmp_path)
     with pytest.raises(BusOpenError, match=r"can0 is set up for classic CAN.*fd on"):
         open_bus_from(parsed("-i", "socketcan", "-c", "can0"))

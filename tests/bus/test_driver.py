@@ -11,12 +11,12 @@ from typing import Any
 import can
 import pytest
 
-from bus.clock import Clock
-from bus.core import Step
-from bus.driver import run_node
-from bus.plugin import MeshpointBus
-from bus.statistics import NodeStatistics
-from dbc.frame import Frame
+from meshpoint.bus.clock import Clock
+from meshpoint.bus.core import Step
+from meshpoint.bus.driver import run_node
+from meshpoint.bus.local.plugin import MeshpointBus
+from meshpoint.bus.statistics import NodeStatistics
+from meshpoint.dbc.frame import Frame
 
 PERIOD_US = 10_000
 LAST = Frame(0x18FF0001, b"off")
@@ -203,10 +203,10 @@ async def test_a_node_whose_bus_is_away_ends_at_once(
     channel, process = hub
     node = Run(Metronome(), lambda: MeshpointBus(channel, start_hub=False))
     await node.until(lambda: node.statistics.frames_sent)
-    monkeypatch.setattr("bus.driver.RETRY_S", 0.01)
+    monkeypatch.setattr("meshpoint.bus.driver.RETRY_S", 0.01)
     process.kill()
     await node.until(lambda: any("bus still away" in event for event in node.events))
-    monkeypatch.setattr("bus.driver.RETRY_S", 1000.0)
+    monkeypatch.setattr("meshpoint.bus.driver.RETRY_S", 1000.0)
     await asyncio.sleep(0.1)
     await node.end()
     assert sum("bus still away" in event for event in node.events) == 1
@@ -217,7 +217,7 @@ async def test_a_node_whose_bus_is_away_ends_at_once(
 async def test_a_reopened_bus_that_carries_nothing_is_not_called_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("bus.driver.RETRY_S", 0.05)
+    monkeypatch.setattr("meshpoint.bus.driver.RETRY_S", 0.05)
     down = can.CanOperationError("Failed to transmit: Network is down", errno.ENETDOWN)
     buses = [ScriptedBus(), ScriptedBus(send_error=down), ScriptedBus(send_error=down)]
     opened: list[ScriptedBus] = []

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from bus.fine_timers import run
+from meshpoint.bus.fine_timers import run
 
 SHORT_S = 0.0003
 

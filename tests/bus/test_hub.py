@@ -13,12 +13,12 @@ from pathlib import Path
 import can
 import pytest
 
-from bus import wire
-from bus.channel import ChannelError, parse_channel
-from bus.dial import dial
-from bus.hub import serve
-from bus.listening import listen
-from bus.plugin import MeshpointBus
+from meshpoint.bus.local import wire
+from meshpoint.bus.local.channel import ChannelError, parse_channel
+from meshpoint.bus.local.dial import dial
+from meshpoint.bus.local.hub import serve
+from meshpoint.bus.local.listening import listen
+from meshpoint.bus.local.plugin import MeshpointBus
 
 TRAFFIC = str(Path(__file__).with_name("traffic.py"))
 
@@ -107,7 +107,7 @@ def test_nodes_that_start_at_the_same_time_meet_at_one_hub(place: Path) -> None:
 
 def test_a_hub_is_invisible_to_others_and_leaves_nothing_behind(place: Path, start: Start) -> None:
     socket_file = place / "private" / "bus.sock"
-    hub = start("-m", "bus.hub", f"unix:{socket_file}", "--linger", "0.1")
+    hub = start("-m", "meshpoint.bus.local.hub", f"unix:{socket_file}", "--linger", "0.1")
     while not socket_file.exists():
         assert hub.poll() is None
         time.sleep(0.01)
@@ -182,7 +182,7 @@ def test_a_second_hub_on_a_channel_leaves_it_to_the_first(
     common_channel: str, start: Start, join: Join
 ) -> None:
     node = join()
-    second = start("-m", "bus.hub", common_channel)
+    second = start("-m", "meshpoint.bus.local.hub", common_channel)
     assert second.wait(30.0) == 0
     other = join()
     other.send(fd_message(3))
@@ -225,7 +225,7 @@ def test_a_hub_that_cannot_start_says_why(place: Path) -> None:
 async def test_a_node_that_does_not_read_is_disconnected_after_an_unbroken_sequence(
     place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("bus.hub.MAX_BACKLOG_BYTES", 100_000)
+    monkeypatch.setattr("meshpoint.bus.local.hub.MAX_BACKLOG_BYTES", 100_000)
     channel = parse_channel(f"unix:{place}/bus.sock")
     server = asyncio.ensure_future(serve(listen(channel), linger_s=0.05))
     await asyncio.sleep(0.05)

@@ -14,7 +14,7 @@ from pathlib import Path
 import can
 import pytest
 
-from bus.log_set import (
+from meshpoint.bus.logs.files import (
     MIN_PART_BYTES,
     RotatingLog,
     dated_log,
@@ -24,9 +24,9 @@ from bus.log_set import (
     parts_of,
     read_logs,
 )
-from bus.logs import FORMATS, LogError, read_log
-from bus.recorder import LogWriter
-from dbc.frame import Frame
+from meshpoint.bus.logs.limits import FORMATS, LogError, read_log
+from meshpoint.bus.logs.recorder import LogWriter
+from meshpoint.dbc.frame import Frame
 
 NODE = str(Path(__file__).with_name("logging_node.py"))
 EPOCH_S = 1_700_000_000.0

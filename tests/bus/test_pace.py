@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bus.core import Step
-from bus.driver import run_node
-from bus.pace import (
+from meshpoint.bus.core import Step
+from meshpoint.bus.driver import run_node
+from meshpoint.bus.pace import (
     HEARTBEAT_US,
     PACED_NODES,
     SILENCE_US,
@@ -115,7 +115,7 @@ def test_a_process_that_was_stopped_is_not_late_on_paced_time(tmp_path):
         await node
 
     with subprocess.Popen(
-        [sys.executable, "-m", "bus.pace", str(path)], stdin=subprocess.PIPE
+        [sys.executable, "-m", "meshpoint.bus.pace", str(path)], stdin=subprocess.PIPE
     ) as pacemaker:
         asyncio.run(asyncio.wait_for(run(), 60))
         pacemaker.stdin.close()

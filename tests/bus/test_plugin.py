@@ -13,8 +13,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bus.plugin import MeshpointBus
-from bus.wire import FD_LENGTHS
+from meshpoint.bus.local.plugin import MeshpointBus
+from meshpoint.bus.local.wire import FD_LENGTHS
 
 Join = Callable[..., MeshpointBus]
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import can
 import pytest
 
-from bus.logs import read_log
-from bus.plugin import MeshpointBus
+from meshpoint.bus.local.plugin import MeshpointBus
+from meshpoint.bus.logs.limits import read_log
 
 installed = pytest.mark.skipif(
     "meshpoint" not in entry_points(group="can.interface").names,

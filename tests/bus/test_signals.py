@@ -6,7 +6,7 @@ import signal
 
 import pytest
 
-from bus.signals import stop_on_signals
+from meshpoint.bus.signals import stop_on_signals
 
 
 @pytest.mark.asyncio

@@ -12,13 +12,13 @@ from pathlib import Path
 import can
 import pytest
 
-from bus.clock import Clock
-from bus.core import Step
-from bus.driver import run_node
-from bus.logs import read_log
-from bus.options import add_bus_arguments, open_bus_from
-from bus.statistics import NodeStatistics
-from dbc.frame import Frame
+from meshpoint.bus.clock import Clock
+from meshpoint.bus.core import Step
+from meshpoint.bus.driver import run_node
+from meshpoint.bus.logs.limits import read_log
+from meshpoint.bus.options import add_bus_arguments, open_bus_from
+from meshpoint.bus.statistics import NodeStatistics
+from meshpoint.dbc.frame import Frame
 
 DEVICE = "vcan-mp"
 

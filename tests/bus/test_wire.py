@@ -4,8 +4,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from bus import wire
-from bus.wire import Flag
+from meshpoint.bus.local import wire
+from meshpoint.bus.local.wire import Flag
 
 # On a busy machine any example may take long.
 patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -11,7 +11,7 @@ import time
 
 import can
 
-from bus.register import register_interface
+from meshpoint.bus.local.register import register_interface
 
 LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import pyarrow.parquet as pq
 
-from controller.settings import ControllerSettings
-from gearbox import load_sheet
-from rig_sim.settings import Preset
-from testbench.campaign.draw import upshifts
-from testbench.campaign.spec import CampaignSpec
-from testbench.cli import main
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.testbench.campaign.draw import upshifts
+from meshpoint.testbench.campaign.spec import CampaignSpec
+from meshpoint.testbench.cli import main
 
 BOTH = "speed_window,target_phase"
 SMALL = ("--learn", "1", "--judged", "1", "--strategy", BOTH)

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from campaigns import SMALL, Outcome, campaign
 
-from testbench.campaign import runner
-from testbench.campaign.loop import ClosedLoop
-from testbench.campaign.run import RunResult, run_many
-from testbench.campaign.spec import CampaignSpec, Job
-from testbench.cli import main
-from testbench.exits import Exit
-from testbench.rows import ShiftRow
+from meshpoint.testbench.campaign import runner
+from meshpoint.testbench.campaign.loop import ClosedLoop
+from meshpoint.testbench.campaign.run import RunResult, run_many
+from meshpoint.testbench.campaign.spec import CampaignSpec, Job
+from meshpoint.testbench.cli import main
+from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.results.rows import ShiftRow
 
 RUNS = ("--runs", "4", "--oracle")
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gearbox import MainGear, load_sheet
-from rig_sim.core import RigCore
-from rig_sim.settings import Preset, RigSettings
-from testbench.campaign.forecast import BRANCH_SAMPLES, SOON_SAMPLES, Forecast, Path
+from meshpoint.gearbox import MainGear, load_sheet
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.testbench.campaign.forecast import BRANCH_SAMPLES, SOON_SAMPLES, Forecast, Path
 
 CLOCK_START_US = 1_234
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 from campaigns import small_spec
 
-from controller.settings import ControllerSettings
-from rig_sim.settings import Preset
-from testbench.campaign.draw import draw
-from testbench.campaign.loop import ClosedLoop
-from testbench.campaign.spec import CampaignSpec
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.testbench.campaign.draw import draw
+from meshpoint.testbench.campaign.loop import ClosedLoop
+from meshpoint.testbench.campaign.spec import CampaignSpec
 
 
 def loop_of(spec: CampaignSpec, seed: int) -> ClosedLoop:

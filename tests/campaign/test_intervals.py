@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from testbench.campaign.intervals import Bootstrap, interval, quantile, rate_interval
+from meshpoint.testbench.campaign.intervals import Bootstrap, interval, quantile, rate_interval
 
 
 @given(st.lists(st.booleans(), min_size=3, max_size=60), st.integers(1, 5))

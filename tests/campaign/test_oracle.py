@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from campaigns import small_spec
 
-from controller.settings import ControllerSettings, Window
-from rig_sim.settings import Preset
-from testbench.campaign.run import run_one
-from testbench.campaign.spec import ORACLE, Job
+from meshpoint.controller.settings import ControllerSettings, Window
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.testbench.campaign.run import run_one
+from meshpoint.testbench.campaign.spec import ORACLE, Job
 
 RPM_TO_DEG_PER_MS = 6e-3
 

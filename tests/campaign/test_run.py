@@ -5,18 +5,18 @@ from __future__ import annotations
 import pytest
 from campaigns import small_spec
 
-from controller.settings import ControllerSettings, Prices
-from dbc.layout import CODECS
-from dbc.link import Receiver
-from dbc.messages import TC1, EngagementEvent, ReferenceEngagement
-from dbc.node import Node
-from gearbox import load_sheet
-from rig_sim.settings import Preset
-from testbench.campaign.draw import draw, upshifts
-from testbench.campaign.loop import PAUSES, ClosedLoop
-from testbench.campaign.record import Record
-from testbench.campaign.run import run_one
-from testbench.campaign.spec import Job
+from meshpoint.controller.settings import ControllerSettings, Prices
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.link import Receiver
+from meshpoint.dbc.messages import TC1, EngagementEvent, ReferenceEngagement
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.testbench.campaign.draw import draw, upshifts
+from meshpoint.testbench.campaign.loop import PAUSES, ClosedLoop
+from meshpoint.testbench.campaign.record import Record
+from meshpoint.testbench.campaign.run import run_one
+from meshpoint.testbench.campaign.spec import Job
 
 TICK_US = 10_000
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from testbench.capture_files import read_capture
-from testbench.captures import CaptureRow, capture_row
+from meshpoint.testbench.logs.capture_files import read_capture
+from meshpoint.testbench.logs.captures import CaptureRow, capture_row
 
 FOLDER = Path(
     os.environ.get("MESHPOINT_CAPTURES", Path(__file__).parents[3] / "shared/data/captured_edges")

@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from bus.core import Core, Step
-from controller.core import ControllerCore
-from controller.header import RunHeader, new_header
-from controller.settings import ControllerSettings
-from dbc.frame import Frame
-from dbc.layout import CODECS
-from dbc.link import Receiver, Transmitter
-from dbc.messages import (
+from meshpoint.bus.core import Core, Step
+from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.header import RunHeader, new_header
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.link import Receiver, Transmitter
+from meshpoint.dbc.messages import (
     TC1,
     ControllerState,
     ControllerStatus,
@@ -24,15 +24,14 @@ from dbc.messages import (
     ValveCommand,
     ValveStatus,
 )
-from dbc.node import Node
-from gearbox import GearboxSheet, load_sheet
-from rig_sim.core import RigCore
-from rig_sim.faults import ScheduledFault
-from rig_sim.rig_world import FaultOrder
-from rig_sim.settings import Preset, RigSettings
-from testbench.bench import BenchCore, plan_shifts
-from testbench.provenance import product_version
-from testbench.virtual_time import VirtualTime
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox import GearboxSheet, load_sheet
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.orders import FaultOrder, ScheduledFault
+from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.testbench.loop.bench import BenchCore, plan_shifts
+from meshpoint.testbench.loop.virtual_time import VirtualTime
+from meshpoint.testbench.provenance import product_version
 
 SHEET = load_sheet("thesis")
 LAYSHAFT_RAD_S = 1400.0 * math.pi / 30.0

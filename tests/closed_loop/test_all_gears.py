@@ -7,8 +7,8 @@ import math
 import pytest
 from loop_bench import Loop
 
-from controller.settings import ControllerSettings
-from dbc.messages import (
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.messages import (
     TSC1,
     ControllerEstimates,
     ControllerState,
@@ -20,11 +20,11 @@ from dbc.messages import (
     SleevesAux,
     TscOverrideMode,
 )
-from gearbox import load_sheet
-from rig_sim.core import RigCore
-from rig_sim.settings import Preset
-from testbench.schedules import MAIN_BOX, MIXED
-from testbench.simulate import Setup, simulate
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.testbench.loop.schedules import MAIN_BOX, MIXED
+from meshpoint.testbench.loop.simulate import Setup, simulate
 
 TRUCK12, THESIS = load_sheet("truck12"), load_sheet("thesis")
 State = ControllerState

@@ -8,16 +8,16 @@ from dataclasses import replace
 import pytest
 from loop_bench import SHEET, Loop
 
-from controller.calibration import Calibration, read_calibration
-from controller.core import ControllerCore
-from controller.header import new_header
-from dbc.frame import Frame
-from dbc.layout import CODECS
-from dbc.messages import ControllerState, PhaseReference, ReferenceSource, RigFault
-from gearbox import GearboxSheet, load_sheet
-from gearbox.sheet import Mesh
-from rig_sim.settings import Preset
-from testbench.rows import RowCollector
+from meshpoint.controller.calibration.records import Calibration, read_calibration
+from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.header import new_header
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.messages import ControllerState, PhaseReference, ReferenceSource, RigFault
+from meshpoint.gearbox import GearboxSheet, load_sheet
+from meshpoint.gearbox.sheet import Mesh
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.testbench.results.rows import RowCollector
 
 TRUCK12 = load_sheet("truck12")
 WHOLE = replace(SHEET, main=replace(SHEET.main, second=Mesh(37, 48), third=Mesh(62, 48)))

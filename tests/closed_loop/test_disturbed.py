@@ -8,9 +8,9 @@ from collections.abc import Callable
 import pytest
 from loop_bench import Alter, Loop
 
-from dbc.frame import Frame
-from dbc.layout import CODECS
-from dbc.messages import (
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.messages import (
     ControllerState,
     ControllerStatus,
     FaultCode,

@@ -7,18 +7,17 @@ from dataclasses import replace
 
 import pytest
 
-from controller.clock import SensorClock
-from controller.edges import WheelEdges
-from dbc.link import Receiver
-from dbc.messages import EdgesMainFall, EdgesMainRise, RigFault
-from dbc.node import Node
-from gearbox.sheet import GearboxSheet, load_sheet
-from rig_sim import RigCore, RigSettings
-from rig_sim import truck_layout as at
-from rig_sim.faults import ScheduledFault
-from rig_sim.rig_world import FaultOrder
-from rig_sim.settings import Preset
-from rig_sim.truck_world import TruckWorld
+from meshpoint.controller.sensing.sensor_clock import SensorClock
+from meshpoint.controller.sensing.wheel_edges import WheelEdges
+from meshpoint.dbc.link import Receiver
+from meshpoint.dbc.messages import EdgesMainFall, EdgesMainRise, RigFault
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox.sheet import GearboxSheet, load_sheet
+from meshpoint.rig_sim import RigCore, RigSettings
+from meshpoint.rig_sim.orders import FaultOrder, ScheduledFault
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.world import TruckWorld
 
 SHEET = load_sheet("thesis")
 MAIN_RISE, MAIN_FALL = 4, 5

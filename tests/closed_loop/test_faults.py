@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import pytest
 from loop_bench import Loop
 
-from dbc.messages import (
+from meshpoint.dbc.messages import (
     ClutchAction,
     ClutchCommand,
     ControllerState,
@@ -22,8 +22,8 @@ from dbc.messages import (
     ShiftResult,
     ValveCommand,
 )
-from gearbox import load_sheet
-from rig_sim.settings import Preset
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Preset
 
 TRUCK12 = load_sheet("truck12")
 State, Fault, Code, Result = ControllerState, RigFault, FaultCode, ShiftResult

@@ -5,12 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from controller.settings import ControllerSettings
-from gearbox import load_sheet
-from rig_sim.settings import Preset
-from testbench.simulate import Setup, simulate
-from testbench.studies.fusion_run import LAYSHAFT, MAIN, WITH_INPUT, WITH_PROPELLER, FusionRun
-from testbench.studies.jobs import Squares
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.testbench.loop.simulate import Setup, simulate
+from meshpoint.testbench.studies.fusion_run import (
+    LAYSHAFT,
+    MAIN,
+    WITH_INPUT,
+    WITH_PROPELLER,
+    FusionRun,
+)
+from meshpoint.testbench.studies.jobs import Squares
 
 
 def spread_rad(squares: Squares) -> float:

@@ -16,12 +16,12 @@ from typing import Any
 import pytest
 from loop_bench import Loop
 
-from controller.core import ControllerCore
-from controller.header import RunHeader
-from controller.moment import Moment
-from controller.settings import ControllerSettings, Limits
-from controller.valves import Valve
-from dbc.messages import (
+from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.header import RunHeader
+from meshpoint.controller.settings import ControllerSettings, Limits
+from meshpoint.controller.shift.moment import Moment
+from meshpoint.controller.shift.valve_board import Valve
+from meshpoint.dbc.messages import (
     ClutchAction,
     ControllerState,
     EngagementEvent,
@@ -31,11 +31,11 @@ from dbc.messages import (
     ValveCommand,
     ValveStatus,
 )
-from gearbox import Sleeve, load_sheet
-from rig_sim.core import RigCore
-from rig_sim.engagement import Violation
-from rig_sim.settings import Preset
-from rig_sim.sleeves import SleeveState
+from meshpoint.gearbox import Sleeve, load_sheet
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.shared.engagement import Violation
+from meshpoint.rig_sim.shared.sleeves import SleeveState
 
 TRUCK12 = load_sheet("truck12")
 RPM = math.pi / 30.0

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from loop_bench import Loop
 
-from controller.header import RunHeader
-from dbc.frame import Frame
-from dbc.layout import CODECS
-from testbench.replay import LogReplay, Session, Verification
+from meshpoint.controller.header import RunHeader
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
 
 
 def verify(loop: Loop, frames: list[Frame], folder: Path) -> Session:

@@ -8,11 +8,11 @@ from itertools import pairwise
 import pytest
 from loop_bench import PHASES_US, SHEET, Loop
 
-from controller.header import new_header
-from controller.settings import ControllerSettings
-from controller.shift import TRANSITIONS
-from dbc.frame import Frame
-from dbc.messages import (
+from meshpoint.controller.header import new_header
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.shift.table import TRANSITIONS
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.messages import (
     ETC1,
     ControllerEstimates,
     ControllerState,
@@ -30,10 +30,10 @@ from dbc.messages import (
     ValveCommand,
     ValveStatus,
 )
-from gearbox import MainGear
-from rig_sim.core import RigCore
-from testbench.provenance import product_version
-from testbench.simulate import Setup, simulate
+from meshpoint.gearbox import MainGear
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.testbench.loop.simulate import Setup, simulate
+from meshpoint.testbench.provenance import product_version
 
 DEG = math.pi / 180.0
 State = ControllerState

@@ -7,10 +7,10 @@ import random
 
 from loop_bench import Loop
 
-from dbc.frame import Frame
-from dbc.layout import CODECS
-from dbc.link import Receiver, Transmitter, Verdict
-from dbc.messages import (
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.link import Receiver, Transmitter, Verdict
+from meshpoint.dbc.messages import (
     ControllerStatus,
     EngagementEvent,
     MainGear,
@@ -18,7 +18,7 @@ from dbc.messages import (
     ReferenceEngagement,
     ReferencePhase,
 )
-from dbc.node import Node
+from meshpoint.dbc.node import Node
 
 TRUTH = {
     CODECS[kind.__name__].spec.can_id: kind

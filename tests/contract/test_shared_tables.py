@@ -10,16 +10,16 @@ from cantools.database.can import Database, Message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import controller.core
-import controller.guard
-import controller.node
-import controller.valves
-import rig_sim.valves
-from dbc.link import Transmitter
-from dbc.messages import ValveAction, ValveCommand
-from dbc.node import Node
-from gearbox import MainGear
-from testbench.replay import RIG_ADDRESSES
+import meshpoint.controller.core
+import meshpoint.controller.guard.rules
+import meshpoint.controller.node
+import meshpoint.controller.shift.valve_board
+import meshpoint.rig_sim.shared.valve_drivers
+from meshpoint.dbc.link import Transmitter
+from meshpoint.dbc.messages import ValveAction, ValveCommand
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox import MainGear
+from meshpoint.testbench.logs.replay import RIG_ADDRESSES
 
 DBC = Path(__file__).parents[2] / "dbc" / "meshpoint.dbc"
 
@@ -49,8 +49,8 @@ def test_the_main_gears_of_the_sheet_are_those_of_the_wire(database: Database) -
 
 def test_the_controller_answers_to_its_address_in_the_dbc(database: Database) -> None:
     own = address(database, "TransmissionControl")
-    assert own == controller.core.OWN_ADDRESS
-    assert frozenset({own}) == controller.node.ADDRESSES
+    assert own == meshpoint.controller.core.OWN_ADDRESS
+    assert frozenset({own}) == meshpoint.controller.node.ADDRESSES
     for sent in database.messages:
         is_ours = sent.senders == ["TransmissionControl"]
         assert (sent.frame_id & 0xFF == own) is is_ours, sent.name
@@ -75,21 +75,21 @@ def test_the_valves_stand_in_the_same_order_everywhere(database: Database) -> No
     def camel(name: str) -> str:
         return "".join(part.capitalize() for part in name.split("_"))
 
-    assert [camel(valve.name) for valve in controller.valves.Valve] == on_wire
-    assert [camel(valve.name) for valve in rig_sim.valves.Valve] == on_wire
-    assert [int(valve) for valve in controller.valves.Valve] == list(range(9))
+    assert [camel(valve.name) for valve in meshpoint.controller.shift.valve_board.Valve] == on_wire
+    assert [camel(valve.name) for valve in meshpoint.rig_sim.shared.valve_drivers.Valve] == on_wire
+    assert [int(valve) for valve in meshpoint.controller.shift.valve_board.Valve] == list(range(9))
 
 
 def test_the_guard_reads_the_frame_where_the_dbc_has_it(database: Database) -> None:
     """Its own numbers, written down a second time on purpose."""
     command = message(database, "ValveCommand")
-    assert command.length == controller.guard.FRAME_LENGTH
+    assert command.length == meshpoint.controller.guard.rules.FRAME_LENGTH
     first = command.get_signal_by_name("BrakeAction")
-    assert first.start == 8 * controller.guard.ACTION_BYTES.start
+    assert first.start == 8 * meshpoint.controller.guard.rules.ACTION_BYTES.start
     choices = first.choices
     assert choices is not None
-    assert str(choices[controller.guard.ON_NOW]) == "OnNow"
-    assert str(choices[controller.guard.ON_AT]) == "OnAt"
+    assert str(choices[meshpoint.controller.guard.rules.ON_NOW]) == "OnNow"
+    assert str(choices[meshpoint.controller.guard.rules.ON_AT]) == "OnAt"
 
 
 ACTIONS = st.tuples(*[st.sampled_from(list(ValveAction))] * 9)
@@ -108,4 +108,4 @@ def test_the_guard_decodes_what_the_codec_encodes(
         transmitter.encode(ValveCommand())
     payload = transmitter.encode(ValveCommand(*actions, *times)).data
     driven = tuple(action in (ValveAction.ON_NOW, ValveAction.ON_AT) for action in actions)
-    assert controller.guard.decode(payload).driven == driven
+    assert meshpoint.controller.guard.rules.decode(payload).driven == driven

@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from controller.header import RunHeader, new_header
-from controller.settings import ControllerSettings
-from gearbox import GearboxSheet, load_sheet
+from meshpoint.controller.header import RunHeader, new_header
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox import GearboxSheet, load_sheet
 
 sys.path.insert(0, str(Path(__file__).parent))
 

@@ -1,4 +1,4 @@
-"""A free layshaft as the equations at the head of `controller/motion_kernels.py` have it, written
+"""A free layshaft as the equations at the head of `controller/motion/kernels.py` have it, written
 apart from the controller's kernels: many runs at once, Runge-Kutta steps of 0.1 ms, the white
 noises as kicks between the steps, and the edges that a wheel's sensor would give."""
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gearbox import GearboxSheet, Split
+from meshpoint.gearbox import GearboxSheet, Split
 
 STEP_S = 1e-4
 US = 1e-6

@@ -6,8 +6,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.brake_input import BrakeInput
-from controller.kernels import Vector
+from meshpoint.controller.motion.brake_input import BrakeInput
+from meshpoint.controller.motion.linear_kernels import Vector
 
 DELAY_US = 12_000
 

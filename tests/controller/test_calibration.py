@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.calibration import (
+from meshpoint.controller.calibration.file import MOST_KEPT, SIZE_LIMIT_BYTES, load, read_file, save
+from meshpoint.controller.calibration.records import (
     BrakeRecord,
     Calibration,
     CalibrationError,
@@ -23,10 +24,9 @@ from controller.calibration import (
     Wheels,
     read_calibration,
 )
-from controller.calibration_file import MOST_KEPT, SIZE_LIMIT_BYTES, load, read_file, save
-from controller.calibration_keeper import CalibrationWriter
-from controller.tooth_parts import take_apart
-from gearbox import load_sheet
+from meshpoint.controller.calibration_keeper import CalibrationWriter
+from meshpoint.gearbox import load_sheet
+from meshpoint.testbench.tooth_parts import take_apart
 
 SHEET = load_sheet("thesis")
 DEG = math.pi / 180.0

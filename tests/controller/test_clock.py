@@ -5,7 +5,14 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.clock import HALF, JUMP_US, WINDOW, SensorClock, unwrap, wrap
+from meshpoint.controller.sensing.sensor_clock import (
+    HALF,
+    JUMP_US,
+    WINDOW,
+    SensorClock,
+    unwrap,
+    wrap,
+)
 
 TIMES = st.integers(-(1 << 40), 1 << 40)
 

@@ -16,12 +16,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom, chi2
 
-from controller.crossing import CrossingFilter, Pressures
-from controller.edges import EdgeBatch
-from controller.motion import LayshaftState, MotionModel, diagonal, free_motion
-from controller.settings import CrossingFilterTuning
-from controller.teeth import WheelTeeth
-from gearbox import GearboxSheet, Split
+from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.estimation.teeth import WheelTeeth
+from meshpoint.controller.motion.models import LayshaftState, MotionModel, diagonal, free_motion
+from meshpoint.controller.sensing.wheel_edges import EdgeBatch
+from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.gearbox import GearboxSheet, Split
 
 RUNS = 200
 BATCH_US = 10_000

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.edge_kernels import SPAN_US, STAMPS, UNEVEN
-from controller.edge_speed import EdgeSpeed, Turned
-from dbc.messages import EdgesLayshaftRise
+from meshpoint.controller.sensing.chain_kernels import SPAN_US, STAMPS, UNEVEN
+from meshpoint.controller.sensing.edge_speed import EdgeSpeed, Turned
+from meshpoint.dbc.messages import EdgesLayshaftRise
 
 TEETH = 40
 NOW_US = 5_000_000

@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wheel import READ_US, STAMPS, Wheel
 
-from controller.clock import SensorClock, wrap
-from controller.edge_kernels import FIRST_WRONG
-from controller.edges import Polarity, WheelEdges
+from meshpoint.controller.sensing.chain_kernels import FIRST_WRONG
+from meshpoint.controller.sensing.sensor_clock import SensorClock, wrap
+from meshpoint.controller.sensing.wheel_edges import Polarity, WheelEdges
 
 TEETH = 45
 DUTY = 0.4

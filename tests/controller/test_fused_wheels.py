@@ -16,15 +16,15 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 from wheel import READ_US, Wheel
 
-from controller.clock import SensorClock
-from controller.crossing import CrossingFilter, FurtherEdges, Pressures
-from controller.crossing_tracker import MainTracker
-from controller.edges import EdgeBatch
-from controller.further_wheel import FurtherWheel
-from controller.motion import MotionModel, diagonal, free_motion
-from controller.settings import CrossingFilterTuning
-from gearbox import GearboxSheet, Split
-from gearbox.sheet import Wheel as SheetWheel
+from meshpoint.controller.estimation.crossing_filter import CrossingFilter, FurtherEdges, Pressures
+from meshpoint.controller.estimation.crossing_tracker import MainTracker
+from meshpoint.controller.estimation.further_wheel import FurtherWheel
+from meshpoint.controller.motion.models import MotionModel, diagonal, free_motion
+from meshpoint.controller.sensing.sensor_clock import SensorClock
+from meshpoint.controller.sensing.wheel_edges import EdgeBatch
+from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.gearbox import GearboxSheet, Split
+from meshpoint.gearbox.sheet import Wheel as SheetWheel
 
 RUNS = 100
 BATCH_US = 10_000

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.gearbox_view import GearboxView, SleeveTrack
-from dbc.messages import SleevesAux, SleevesMain
-from gearbox import GearboxSheet, MainGear, Sleeve, Split, load_sheet
+from meshpoint.controller.sensing.gearbox_view import GearboxView, SleeveTrack
+from meshpoint.dbc.messages import SleevesAux, SleevesMain
+from meshpoint.gearbox import GearboxSheet, MainGear, Sleeve, Split, load_sheet
 
 SHEET = load_sheet("thesis")
 STROKE = 12.0

@@ -12,8 +12,8 @@ from itertools import product
 
 import pytest
 
-from controller.edge_speed import Speed
-from controller.guard import (
+from meshpoint.controller.guard.limits import GuardLimits, guard_limits
+from meshpoint.controller.guard.rules import (
     NO_SPANS,
     PROOF_STEPS,
     ROWS,
@@ -26,14 +26,14 @@ from controller.guard import (
     slip_out_of_its_window,
     spans,
 )
-from controller.guard_limits import GuardLimits, guard_limits
-from controller.guard_view import Seen
-from controller.settings import ControllerSettings
-from controller.valves import Valve
-from dbc.link import Transmitter
-from dbc.messages import ValveAction, ValveCommand
-from dbc.node import Node
-from gearbox import MainGear, Split, load_sheet
+from meshpoint.controller.guard.view import Seen
+from meshpoint.controller.sensing.edge_speed import Speed
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.shift.valve_board import Valve
+from meshpoint.dbc.link import Transmitter
+from meshpoint.dbc.messages import ValveAction, ValveCommand
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox import MainGear, Split, load_sheet
 
 SHEET = load_sheet("truck12")
 SETTINGS = ControllerSettings()

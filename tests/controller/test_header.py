@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from controller.header import HeaderError, RunHeader, header_name, load_header
-from controller.settings import Aim, ControllerSettings, Limits
-from dbc import DBC_SHA256
+from meshpoint.controller.header import HeaderError, RunHeader, header_name, load_header
+from meshpoint.controller.settings import Aim, ControllerSettings, Limits
+from meshpoint.dbc import DBC_SHA256
 
 
 def test_a_header_comes_back_as_it_was_saved(header: RunHeader, tmp_path: Path) -> None:

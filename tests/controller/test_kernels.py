@@ -17,7 +17,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
-from controller.kernels import cruise_filter, hold, propagate, thesis_filter
+from meshpoint.controller.motion.linear_kernels import cruise_filter, hold, propagate, thesis_filter
 
 # Pressure in units of the supply (K = 1), so that g is the full braking in rad/s2 and expm, whose
 # error is relative to the largest element, is a fair judge of every element.
@@ -265,7 +265,7 @@ def test_the_cruise_filter_is_a_kalman_filter_with_random_acceleration() -> None
 
 RUN = """
 import json, numpy as np
-from controller.kernels import cruise_filter, propagate, thesis_filter
+from meshpoint.controller.motion.linear_kernels import cruise_filter, propagate, thesis_filter
 rng = np.random.default_rng(11)
 times = np.cumsum(rng.uniform(300.0, 900.0, 200)).round()
 angles = np.arange(1, 201) * np.pi / 45

@@ -11,7 +11,13 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from controller.motion import LayshaftState, MotionModel, predict, predict_spread, state_of
+from meshpoint.controller.motion.models import (
+    LayshaftState,
+    MotionModel,
+    predict,
+    predict_spread,
+    state_of,
+)
 
 RATES = st.tuples(
     st.one_of(st.just(0.0), st.floats(1e-6, 20.0)), st.floats(1e-5, 1e-3), st.floats(1.0, 500.0)

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from controller.calibration import Drifts
-from controller.outlook import Outlook
-from controller.phase_drift import FAR_RAD_S, LEAST_SHARE, PhaseDrifts
-from gearbox import MainGear
+from meshpoint.controller.calibration.records import Drifts
+from meshpoint.controller.planning.outlook import Outlook
+from meshpoint.controller.planning.phase_drift import FAR_RAD_S, LEAST_SHARE, PhaseDrifts
+from meshpoint.gearbox import MainGear
 from tests.controller.test_strategy import GEAR, MAIN, outlook_at
 
 DEG = math.pi / 180.0

@@ -7,14 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from controller.predictor import (
+from meshpoint.controller.motion.linear import (
     LayshaftState,
     layshaft_model,
     predict_euler,
     predict_hold,
     predict_linear,
 )
-from gearbox import GearboxSheet, Split
+from meshpoint.gearbox import GearboxSheet, Split
 
 BRAKED = LayshaftState(1000.0, 2.0, 140.0, 3e5)
 NEVER = (np.empty(0), np.empty(0))

@@ -16,18 +16,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.kinematics import raw_phase_rad, wrap_to_pitch
-from controller.recall import Kept, Recall
-from controller.reference import Floated, PhaseReferences
-from controller.sensor_count import Renumbered
-from controller.settings import CrossingFilterTuning
-from controller.teeth import Found, WheelTeeth
-from controller.tooth_match import Memory, Seen, compare, turned
-from controller.turn_candidates import turn_candidates
-from dbc.messages import ReferenceSource
-from gearbox import GearboxSheet, MainGear, load_sheet
-from gearbox.gears import MAIN_GEARS
-from gearbox.sheet import Mesh
+from meshpoint.controller.estimation.teeth import Found, WheelTeeth
+from meshpoint.controller.estimation.tooth_match import Memory, Seen, compare, turned
+from meshpoint.controller.motion.kinematics import raw_phase_rad, wrap_to_pitch
+from meshpoint.controller.phase.recall import Kept, Recall
+from meshpoint.controller.phase.reference import Floated, PhaseReferences
+from meshpoint.controller.phase.turn_candidates import turn_candidates
+from meshpoint.controller.sensing.sensor_count import Renumbered
+from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.dbc.messages import ReferenceSource
+from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
+from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.gearbox.sheet import Mesh
 
 DOCUMENT = (Path(__file__).parents[2] / "docs/calibration.md").read_text(encoding="utf-8")
 DEG = math.pi / 180.0

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from controller.say import decision_line
-from controller.strategy import Plan
-from dbc.messages import ShiftDecision
+from meshpoint.controller.planning.strategist import Plan
+from meshpoint.controller.report.log_lines import decision_line
+from meshpoint.dbc.messages import ShiftDecision
 
 DEG, RPM = math.pi / 180.0, math.pi / 30.0
 

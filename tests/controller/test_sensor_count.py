@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wheel import READ_US, capture
 
-from controller.clock import SensorClock
-from controller.edges import WheelEdges
-from controller.sensor_count import SLACK
-from dbc.messages import EdgesMainFall, EdgesMainRise
+from meshpoint.controller.sensing.sensor_clock import SensorClock
+from meshpoint.controller.sensing.sensor_count import SLACK
+from meshpoint.controller.sensing.wheel_edges import WheelEdges
+from meshpoint.dbc.messages import EdgesMainFall, EdgesMainRise
 
 TEETH, DUTY, START_US = 45, 0.5, 1 << 20
 PITCHES_A_RPM = TEETH / 60.0

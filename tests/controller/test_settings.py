@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from controller.settings import ControllerSettings, load_settings
-from dbc.messages import Estimator, Strategy
-from gearbox.tables import TableError
+from meshpoint.controller.settings import ControllerSettings, load_settings
+from meshpoint.dbc.messages import Estimator, Strategy
+from meshpoint.gearbox.tables import TableError
 
 
 def written(folder: Path, text: str) -> Path:

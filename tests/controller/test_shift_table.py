@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from controller.shift import TRANSITIONS, Trigger
-from dbc.messages import ControllerState as State
+from meshpoint.controller.shift.table import TRANSITIONS, Trigger
+from meshpoint.dbc.messages import ControllerState as State
 
 RESTING = {State.IN_GEAR, State.NEUTRAL}
 

@@ -11,16 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from controller.brake_input import BrakeInput
-from controller.motion import LayshaftState, first_order_law, free_motion
-from controller.outlook import Outlook
-from controller.predictor import layshaft_model
-from controller.reference import PhaseReferences
-from controller.settings import Aim, ControllerSettings, Window
-from controller.shafts import ShaftState
-from controller.strategy import Strategist
-from dbc.messages import ShiftDecision, Strategy
-from gearbox import MainGear, Split, load_sheet
+from meshpoint.controller.estimation.cruise import ShaftState
+from meshpoint.controller.motion.brake_input import BrakeInput
+from meshpoint.controller.motion.linear import layshaft_model
+from meshpoint.controller.motion.models import LayshaftState, first_order_law, free_motion
+from meshpoint.controller.phase.reference import PhaseReferences
+from meshpoint.controller.planning.outlook import Outlook
+from meshpoint.controller.planning.strategist import Strategist
+from meshpoint.controller.settings import Aim, ControllerSettings, Window
+from meshpoint.dbc.messages import ShiftDecision, Strategy
+from meshpoint.gearbox import MainGear, Split, load_sheet
 
 SHEET = load_sheet("thesis")
 MODEL = layshaft_model(SHEET, Split.HIGH)

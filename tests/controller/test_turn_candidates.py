@@ -11,7 +11,7 @@ from dataclasses import replace
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.turn_candidates import (
+from meshpoint.controller.phase.turn_candidates import (
     TurnSet,
     all_turns,
     any_one,
@@ -19,9 +19,9 @@ from controller.turn_candidates import (
     turn_candidates,
     without,
 )
-from gearbox import GearboxSheet, MainGear, load_sheet
-from gearbox.gears import MAIN_GEARS
-from gearbox.sheet import Mesh
+from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
+from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.gearbox.sheet import Mesh
 
 THESIS, TRUCK12 = load_sheet("thesis"), load_sheet("truck12")
 MODULI = st.dictionaries(st.sampled_from(MAIN_GEARS), st.integers(1, 40), min_size=1).filter(

@@ -5,9 +5,9 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from controller.settings import ValveTiming
-from controller.valves import Valve, ValveBoard
-from dbc.messages import ValveAction, ValveCommand
+from meshpoint.controller.settings import ValveTiming
+from meshpoint.controller.shift.valve_board import Valve, ValveBoard
+from meshpoint.dbc.messages import ValveAction, ValveCommand
 
 T0 = (1 << 32) + 5_000_000
 """A sensor time after one wrap."""

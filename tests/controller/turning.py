@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 from wheel import READ_US, capture
 
-from controller.clock import SensorClock
-from controller.edges import WheelEdges
-from dbc.messages import EdgesMainFall, EdgesMainRise
+from meshpoint.controller.sensing.sensor_clock import SensorClock
+from meshpoint.controller.sensing.wheel_edges import WheelEdges
+from meshpoint.dbc.messages import EdgesMainFall, EdgesMainRise
 
 LEAD_US = 1 << 20
 """Sensor time at the start: frames want a past."""

@@ -13,9 +13,9 @@ from e2e.p05 import e2e_p05_protect
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbc import DBC_PATH, Frame, Node
-from dbc.link import EncodeError, Receiver, Transmitter, Verdict
-from dbc.messages import (
+from meshpoint.dbc import DBC_PATH, Frame, Node
+from meshpoint.dbc.link import EncodeError, Receiver, Transmitter, Verdict
+from meshpoint.dbc.messages import (
     MESSAGE_TYPES,
     TC1,
     ClutchAction,

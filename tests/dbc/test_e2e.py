@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbc.e2e import (
+from meshpoint.dbc.e2e import (
     DEFAULT_LIMITS,
     ChannelState,
     Limits,

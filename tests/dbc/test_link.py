@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbc import Frame, Node
-from dbc.e2e import ChannelState, write_crc
-from dbc.layout import CODECS
-from dbc.link import EncodeError, Receiver, Transmitter, Verdict
-from dbc.messages import (
+from meshpoint.dbc import Frame, Node
+from meshpoint.dbc.e2e import ChannelState, write_crc
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.link import EncodeError, Receiver, Transmitter, Verdict
+from meshpoint.dbc.messages import (
     EEC1,
     MESSAGE_TYPES,
     TC1,

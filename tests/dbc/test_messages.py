@@ -4,11 +4,11 @@ import ast
 import pickle
 from enum import IntEnum
 
-import dbc.messages
-from dbc.layout import main as print_source
-from dbc.messages import MESSAGE_TYPES, TSC1, MainGear, TscOverrideMode, ValveCommand
-from dbc.stubs import STUB_PATH, make_stub
-from dbc.stubs import main as write_stub
+import meshpoint.dbc.messages
+from meshpoint.dbc.layout import main as print_source
+from meshpoint.dbc.messages import MESSAGE_TYPES, TSC1, MainGear, TscOverrideMode, ValveCommand
+from meshpoint.dbc.stubs import STUB_PATH, make_stub
+from meshpoint.dbc.stubs import main as write_stub
 
 
 def stub_fields() -> dict[str, list[str]]:
@@ -31,7 +31,7 @@ def test_the_stub_is_in_step_with_the_dbc() -> None:
 
 def test_the_stub_tells_what_there_is_at_run_time() -> None:
     for name, fields in stub_fields().items():
-        made = getattr(dbc.messages, name)
+        made = getattr(meshpoint.dbc.messages, name)
         members = list(made.__members__) if issubclass(made, IntEnum) else list(made._fields)
         assert members == fields
     assert set(MESSAGE_TYPES) <= set(stub_fields())

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbc import DBC_PATH, DBC_SHA256, Node
-from dbc.schema import SCHEMA, SchemaError, parse_schema
-from dbc.specs import Schema
+from meshpoint.dbc import DBC_PATH, DBC_SHA256, Node
+from meshpoint.dbc.schema import SCHEMA, SchemaError, parse_schema
+from meshpoint.dbc.specs import Schema
 
 SMALL = """VERSION "1.0"
 NS_ :

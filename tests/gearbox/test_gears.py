@@ -7,8 +7,8 @@ from itertools import pairwise
 
 import pytest
 
-from gearbox import MainGear, Range, Split, drive_gear, load_sheet
-from gearbox.gears import DRIVE_GEARS, MAIN_GEARS, SLEEVE_OF_MAIN, main_box_only
+from meshpoint.gearbox import MainGear, Range, Split, drive_gear, load_sheet
+from meshpoint.gearbox.gears import DRIVE_GEARS, MAIN_GEARS, SLEEVE_OF_MAIN, main_box_only
 
 
 def test_gears_are_numbered_split_first_then_main_then_range() -> None:

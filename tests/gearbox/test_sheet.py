@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gearbox import GearboxSheet, MainGear, Range, SheetError, Split, load_sheet
-from gearbox.gears import MAIN_GEARS
-from gearbox.sheet import Mesh, sheet_from_canonical
+from meshpoint.gearbox import GearboxSheet, MainGear, Range, SheetError, Split, load_sheet
+from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.gearbox.sheet import Mesh, sheet_from_canonical
 
 TEXT = (Path(__file__).parents[2] / "gearbox" / "sheets" / "thesis.toml").read_text()
 

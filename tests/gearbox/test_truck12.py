@@ -7,10 +7,10 @@ from fractions import Fraction
 
 import pytest
 
-from gearbox import MainGear, Range, Split, load_sheet
-from gearbox.derived import sheet_figures
-from gearbox.gears import DRIVE_GEARS, MAIN_GEARS
-from gearbox.sheet import SHEET_NAMES
+from meshpoint.gearbox import MainGear, Range, Split, load_sheet
+from meshpoint.gearbox.derived import sheet_figures
+from meshpoint.gearbox.gears import DRIVE_GEARS, MAIN_GEARS
+from meshpoint.gearbox.sheet import SHEET_NAMES
 
 SHEET = load_sheet("truck12")
 TOLERANCE = 0.003

@@ -7,8 +7,8 @@ import math
 
 import numpy as np
 
-from rig_sim.kernels import Floats
-from rig_sim.truck_edges import WheelAsMade
+from meshpoint.rig_sim.shared.angle_kernels import Floats
+from meshpoint.rig_sim.truck.edges import WheelAsMade
 
 TAU = 2.0 * math.pi
 SAMPLE_S = 1e-6

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
-from dbc.frame import Frame
-from dbc.link import Receiver, Transmitter, Verdict
-from dbc.messages import (
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.link import Receiver, Transmitter, Verdict
+from meshpoint.dbc.messages import (
     BenchAction,
     BenchCommand,
     ClutchAction,
@@ -19,9 +19,9 @@ from dbc.messages import (
     ValveAction,
     ValveCommand,
 )
-from dbc.node import Node
-from gearbox.sheet import RPM, GearboxSheet, load_sheet
-from rig_sim import Preset, RigCore, RigSettings
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox.sheet import RPM, GearboxSheet, load_sheet
+from meshpoint.rig_sim import Preset, RigCore, RigSettings
 
 CYCLE_US = 10_000
 thesis_rig = partial(RigSettings, preset=Preset.THESIS)

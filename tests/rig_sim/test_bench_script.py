@@ -11,7 +11,7 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from rig_bench import SHEET, RigBench, edges_of, thesis_rig, upshift
 
-from dbc.messages import (
+from meshpoint.dbc.messages import (
     EdgesInputRise,
     EdgesLayshaftRise,
     EdgesMainRise,
@@ -22,9 +22,9 @@ from dbc.messages import (
     ValveAction,
     ValveCommand,
 )
-from gearbox.gears import DRIVE_GEARS, MainGear
-from gearbox.sheet import RPM
-from rig_sim.bench_script import ScriptPhase
+from meshpoint.gearbox.gears import DRIVE_GEARS, MainGear
+from meshpoint.gearbox.sheet import RPM
+from meshpoint.rig_sim.shared.script import ScriptPhase
 
 BACKLASH = SHEET.dog.backlash_rad
 

@@ -14,9 +14,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rig_bench import SHEET, RigBench, edges_of, thesis_rig, upshift
 
-from dbc.frame import Frame
-from dbc.link import Transmitter
-from dbc.messages import (
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.link import Transmitter
+from meshpoint.dbc.messages import (
     ClutchAction,
     ClutchCommand,
     EdgesInputFall,
@@ -26,10 +26,11 @@ from dbc.messages import (
     ValveCommand,
     ValveStatus,
 )
-from dbc.node import Node
-from gearbox.gears import MainGear
-from rig_sim import RigCore, SettingsError, kernels
-from rig_sim.world import World
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox.gears import MainGear
+from meshpoint.rig_sim import RigCore, SettingsError
+from meshpoint.rig_sim.thesis import closed_form as kernels
+from meshpoint.rig_sim.thesis.world import World
 
 VALVE_COMMAND_ID = Transmitter(Node.TRANSMISSION_CONTROL).encode(ValveCommand()).can_id
 
@@ -180,7 +181,7 @@ SHIFT_WITHOUT_COMPILER = """
 import sys
 sys.path[:0] = sys.argv[1:]
 from rig_bench import RigBench, edges_of, thesis_rig, upshift
-from dbc.messages import EdgesLayshaftRise, EdgesInputFall
+from meshpoint.dbc.messages import EdgesLayshaftRise, EdgesInputFall
 bench = RigBench(thesis_rig(seed=2))
 bench.run(500_000, upshift)
 print([sorted(edges_of(bench.of(kind)).items()) for kind in (EdgesLayshaftRise, EdgesInputFall)])

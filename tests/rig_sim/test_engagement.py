@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from rig_bench import SHEET, RigBench, release_first, thesis_rig, upshift
 
-from dbc.messages import EngagementEvent, ValveAction, ValveCommand
-from gearbox.gears import MainGear, Sleeve
-from gearbox.sheet import RPM
-from rig_sim.engagement import Engaged, Violation
-from rig_sim.sleeves import SleeveState
-from rig_sim.valves import Order, Valve
-from rig_sim.world import World
+from meshpoint.dbc.messages import EngagementEvent, ValveAction, ValveCommand
+from meshpoint.gearbox.gears import MainGear, Sleeve
+from meshpoint.gearbox.sheet import RPM
+from meshpoint.rig_sim.shared.engagement import Engaged, Violation
+from meshpoint.rig_sim.shared.sleeves import SleeveState
+from meshpoint.rig_sim.shared.valve_drivers import Order, Valve
+from meshpoint.rig_sim.thesis.world import World
 
 PITCH = SHEET.dog.pitch_rad
 BACKLASH = SHEET.dog.backlash_rad

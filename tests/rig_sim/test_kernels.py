@@ -10,8 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from gearbox.sheet import RPM
-from rig_sim.kernels import (
+from meshpoint.gearbox.sheet import RPM
+from meshpoint.rig_sim.shared.angle_kernels import Floats, geared, settled, wrapped
+from meshpoint.rig_sim.thesis.closed_form import (
     ACCEL,
     ACCELERATED,
     DRAG,
@@ -23,15 +24,11 @@ from rig_sim.kernels import (
     P_DIFF,
     P_END,
     RATE,
-    Floats,
-    geared,
     motion_at,
     phase_at,
-    settled,
     time_of_exit,
     time_of_stop,
     time_to_turn,
-    wrapped,
 )
 
 HORIZON_S = 0.010

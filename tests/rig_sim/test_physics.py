@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from rig_bench import SHEET, RigBench, edges_of, release_first, thesis_rig
 from scipy.integrate import solve_ivp
 
-from dbc.messages import (
+from meshpoint.dbc.messages import (
     EdgesInputFall,
     EdgesInputRise,
     EdgesLayshaftFall,
@@ -26,8 +26,8 @@ from dbc.messages import (
     ValveAction,
     ValveCommand,
 )
-from gearbox.sheet import RPM
-from rig_sim.kernels import free_motion
+from meshpoint.gearbox.sheet import RPM
+from meshpoint.rig_sim.thesis.closed_form import free_motion
 
 RELEASE_US = 400_000
 END_US = 900_000

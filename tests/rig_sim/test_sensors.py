@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from rig_bench import SHEET, RigBench, edges_of, release_first, thesis_rig, upshift
 
-from dbc.messages import (
+from meshpoint.dbc.messages import (
     EEC1,
     EdgesInputRise,
     EdgesLayshaftFall,
@@ -28,8 +28,8 @@ from dbc.messages import (
     ValveCommand,
     ValveStatus,
 )
-from gearbox.sheet import RPM
-from rig_sim import RigCore
+from meshpoint.gearbox.sheet import RPM
+from meshpoint.rig_sim import RigCore
 
 ORDER = [
     "EdgesInputRise",

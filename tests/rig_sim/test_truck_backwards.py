@@ -9,9 +9,9 @@ import pytest
 from analog import edges_of_angles
 from truck_bench import run, world
 
-from rig_sim import truck_layout as at
-from rig_sim.as_built import nominal
-from rig_sim.truck_world import TruckWorld
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.as_built import nominal
+from meshpoint.rig_sim.truck.world import TruckWorld
 
 QUIET = {"hall.jitter_us": 0.0, "hall.first_wrong_edges": 0.0, "hall.duty_percent": 0.0}
 CLEAR = {"clutch.kiss": 1.0}

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rig_bench import RigBench, edges_of, upshift
 
-from dbc.layout import CODECS
-from dbc.link import Receiver
-from dbc.messages import (
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.link import Receiver
+from meshpoint.dbc.messages import (
     EEC1,
     EdgesMainRise,
     GearboxSensors,
@@ -19,12 +19,11 @@ from dbc.messages import (
     ValveCommand,
     ValveStatus,
 )
-from dbc.node import Node
-from rig_sim import RigSettings
-from rig_sim.faults import ScheduledFault
-from rig_sim.rig_world import FaultOrder
-from rig_sim.sensor_clock import SensorClock
-from rig_sim.settings import Preset
+from meshpoint.dbc.node import Node
+from meshpoint.rig_sim import RigSettings
+from meshpoint.rig_sim.orders import FaultOrder, ScheduledFault
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.shared.sensor_clock import SensorClock
 
 LATEST_START_US = (1 << 32) - 1
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rig_sim.as_built import parameters
+from meshpoint.rig_sim.truck.as_built import parameters
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "gearbox.md"
 

@@ -9,12 +9,12 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 from truck_bench import run, world
 
-from gearbox.gears import MainGear
-from rig_sim import truck_layout as at
-from rig_sim.rig_world import EngineRequest
-from rig_sim.truck_plant import Energy
-from rig_sim.truck_world import TruckWorld
-from rig_sim.valves import Valve
+from meshpoint.gearbox.gears import MainGear
+from meshpoint.rig_sim.orders import EngineRequest
+from meshpoint.rig_sim.shared.valve_drivers import Valve
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.plant import Energy
+from meshpoint.rig_sim.truck.world import TruckWorld
 
 MAIN_VALVES = (Valve.MAIN_FIRST, Valve.MAIN_SECOND, Valve.MAIN_CRAWL, Valve.MAIN_THIRD)
 

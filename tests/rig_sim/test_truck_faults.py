@@ -9,8 +9,8 @@ import pytest
 from rig_bench import RigBench, upshift
 from truck_bench import run, world
 
-from dbc.link import Received, Verdict
-from dbc.messages import (
+from meshpoint.dbc.link import Received, Verdict
+from meshpoint.dbc.messages import (
     BenchFault,
     EdgesMainRise,
     EngagementEvent,
@@ -20,16 +20,16 @@ from dbc.messages import (
     ValveAction,
     ValveCommand,
 )
-from gearbox.gears import Sleeve
-from rig_sim import RigSettings
-from rig_sim import truck_layout as at
-from rig_sim.faults import KINDS, ScheduledFault
-from rig_sim.rig_world import EngineRequest, FaultOrder
-from rig_sim.scenario import ScenarioError, load_scenario
-from rig_sim.settings import Preset
-from rig_sim.sleeves import SleeveState
-from rig_sim.truck_world import TruckWorld
-from rig_sim.valves import Valve
+from meshpoint.gearbox.gears import Sleeve
+from meshpoint.rig_sim import RigSettings
+from meshpoint.rig_sim.orders import EngineRequest, FaultOrder, ScheduledFault
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.shared.sleeves import SleeveState
+from meshpoint.rig_sim.shared.valve_drivers import Valve
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.faults import KINDS
+from meshpoint.rig_sim.truck.scenario import ScenarioError, load_scenario
+from meshpoint.rig_sim.truck.world import TruckWorld
 
 MAIN_RISE = 4
 

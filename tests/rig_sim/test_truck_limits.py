@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from truck_bench import DEG, GEAR, RPM, TRIALS, limit_sheet, limit_values, run, share, world
 
-from dbc.messages import EngagementEvent
-from gearbox.sheet import load_sheet
-from rig_sim import truck_layout as at
-from rig_sim.truck_strokes import Push
-from rig_sim.truck_trials import Trials
+from meshpoint.dbc.messages import EngagementEvent
+from meshpoint.gearbox.sheet import load_sheet
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.strokes import Push
+from meshpoint.rig_sim.truck.trials import Trials
 
 PITCH = 15.0 * DEG
 BACKLASH = 3.0 * DEG

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from rig_bench import RigBench, edges_of, release_first, thesis_rig, upshift
 
-from dbc.messages import (
+from meshpoint.dbc.messages import (
     EdgesInputFall,
     EdgesInputRise,
     EdgesLayshaftFall,
@@ -21,9 +21,9 @@ from dbc.messages import (
     ValveAction,
     ValveCommand,
 )
-from rig_sim import RigSettings
-from rig_sim.as_built import linear
-from rig_sim.settings import Preset
+from meshpoint.rig_sim import RigSettings
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.truck.as_built import linear
 
 EDGES = (
     EdgesInputRise, EdgesInputFall, EdgesLayshaftRise, EdgesLayshaftFall,

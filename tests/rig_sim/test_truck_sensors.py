@@ -9,12 +9,12 @@ import pytest
 from analog import edges_of_sine
 from truck_bench import SHEET, run, world
 
-from gearbox.gears import Sleeve
-from rig_sim import truck_layout as at
-from rig_sim.as_built import linear, nominal
-from rig_sim.kernels import TAU
-from rig_sim.pneumatics import chamber_pa_s, choked_rate
-from rig_sim.position_sensors import PositionSensors
+from meshpoint.gearbox.gears import Sleeve
+from meshpoint.rig_sim.parts.pneumatics import chamber_pa_s, choked_rate
+from meshpoint.rig_sim.shared.angle_kernels import TAU
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.as_built import linear, nominal
+from meshpoint.rig_sim.truck.position_sensors import PositionSensors
 
 QUIET = {"hall.jitter_us": 0.0, "hall.first_wrong_edges": 0.0}
 

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from truck_bench import DEG, RPM, SHEET, TRIALS, limit_sheet, limit_values
 
-from gearbox.gears import MAIN_GEARS
-from rig_sim.as_built import as_built_sheet, draw_as_built, linear, nominal
-from rig_sim.cylinder import Cylinder, travel
-from rig_sim.delays import TruckDelays
-from rig_sim.truck_trials import Trials
+from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.rig_sim.parts.cylinder import Cylinder, travel
+from meshpoint.rig_sim.truck.as_built import as_built_sheet, draw_as_built, linear, nominal
+from meshpoint.rig_sim.truck.delays import TruckDelays
+from meshpoint.rig_sim.truck.trials import Trials
 
 BACKLASH = 3.0 * DEG
 

@@ -13,11 +13,14 @@ import pytest
 from rig_bench import CYCLE_US, RigBench, upshift
 from truck_bench import RPM, SHEET, run, world
 
-from dbc.messages import EngagementEvent, ReferenceEngagement
-from gearbox.gears import MainGear
-from rig_sim import RigSettings
-from rig_sim import truck_layout as at
-from rig_sim.as_built import (
+from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement
+from meshpoint.gearbox.gears import MainGear
+from meshpoint.rig_sim import RigSettings
+from meshpoint.rig_sim.orders import EngineRequest
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.shared.valve_drivers import Valve
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.as_built import (
     AsBuiltError,
     draw_as_built,
     linear,
@@ -25,17 +28,14 @@ from rig_sim.as_built import (
     nominal,
     parameters,
 )
-from rig_sim.rig_world import EngineRequest
-from rig_sim.settings import Preset
-from rig_sim.truck_world import TruckWorld
-from rig_sim.valves import Valve
+from meshpoint.rig_sim.truck.world import TruckWorld
 
 TRUCK = RigSettings(seed=5, preset=Preset.TRUCK)
 SCRIPT = """
 import json, sys
 from truck_bench import world, run
-from rig_sim.valves import Valve
-from gearbox.gears import MainGear
+from meshpoint.rig_sim.shared.valve_drivers import Valve
+from meshpoint.gearbox.gears import MainGear
 BRAKE, SECOND = Valve.BRAKE, Valve.MAIN_SECOND
 truck = world({"vehicle.slope_percent": 0.0}, seed=11)
 truth, now_us = truck.truth, 0

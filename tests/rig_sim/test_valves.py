@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from dbc.messages import ValveAction
-from rig_sim.valves import Change, Order, Valve, ValveBank
+from meshpoint.dbc.messages import ValveAction
+from meshpoint.rig_sim.shared.valve_drivers import Change, Order, Valve, ValveBank
 
 NINE = len(Valve)
 WRAP = 1 << 32

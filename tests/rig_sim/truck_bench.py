@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any, Final
 
-from gearbox.gears import MainGear
-from gearbox.sheet import GearboxSheet, load_sheet
-from rig_sim.as_built import linear
-from rig_sim.settings import Preset, RigSettings
-from rig_sim.truck_world import TruckWorld
+from meshpoint.gearbox.gears import MainGear
+from meshpoint.gearbox.sheet import GearboxSheet, load_sheet
+from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.truck.as_built import linear
+from meshpoint.rig_sim.truck.world import TruckWorld
 
 SHEET: Final = load_sheet("thesis")
 RPM: Final = math.pi / 30.0

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given as drawn
 from hypothesis import strategies as st
 
-from controller.predictor import LayshaftState, predict_linear
-from gearbox import load_sheet
-from testbench.studies import prediction
-from testbench.studies.excitation import Figures, Point, figures, matched
-from testbench.studies.hardware import Bought, certainty
-from testbench.studies.jobs import Squares
-from testbench.studies.record import Finding, Given, Statement, Verdict
-from testbench.studies.registry import load
-from testbench.studies.settings import load_study_settings
-from testbench.studies.validation import Compared, time_constant_s
+from meshpoint.controller.motion.linear import LayshaftState, predict_linear
+from meshpoint.gearbox import load_sheet
+from meshpoint.testbench.studies import prediction
+from meshpoint.testbench.studies.excitation import Figures, Point, figures, matched
+from meshpoint.testbench.studies.hardware import Bought, certainty
+from meshpoint.testbench.studies.jobs import Squares
+from meshpoint.testbench.studies.record import Finding, Given, Statement, Verdict
+from meshpoint.testbench.studies.registry import load
+from meshpoint.testbench.studies.settings import load_study_settings
+from meshpoint.testbench.studies.validation import Compared, time_constant_s
 
 SHEET = load_sheet("thesis")
 

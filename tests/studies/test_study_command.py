@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from testbench.cli import main
+from meshpoint.testbench.cli import main
 
 KEYS = {"thesis", "ours", "agrees", "reason", "files"}
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from testbench.studies.registry import NAMES, load
+from meshpoint.testbench.studies.registry import NAMES, load
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "thesis.md").read_text(encoding="utf-8")

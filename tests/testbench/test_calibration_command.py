@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from testbench.cli import main
+from meshpoint.testbench.cli import main
 
 SIMULATE = ["simulate", "--preset", "truck", "--seed", "3", "--shifts", "2"]
 

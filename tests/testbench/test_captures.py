@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from testbench.cli import main
+from meshpoint.testbench.cli import main
 
 
 def write_changes(path: Path, missing: tuple[int, ...], extra: bool = False) -> None:

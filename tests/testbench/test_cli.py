@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from testbench.cli import main
+from meshpoint.testbench.cli import main
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

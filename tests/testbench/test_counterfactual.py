@@ -6,8 +6,8 @@ import math
 
 from rich.console import Console
 
-from dbc.messages import PhaseReference, ShiftOutcome, ShiftResult, Strategy
-from testbench.counterfactual import Counterfactuals, counterfactual_table
+from meshpoint.dbc.messages import PhaseReference, ShiftOutcome, ShiftResult, Strategy
+from meshpoint.testbench.logs.counterfactual import Counterfactuals, counterfactual_table
 
 DEG = math.pi / 180.0
 REQUEST_US = (1 << 32) - 200_000

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import pytest
 
-from bus.log_set import log_files, read_logs
-from bus.logs import LogError, read_log
-from testbench.cli import main
+from meshpoint.bus.logs.files import log_files, read_logs
+from meshpoint.bus.logs.limits import LogError, read_log
+from meshpoint.testbench.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
 START_S = 60.0
@@ -26,7 +26,7 @@ STANDSTILL_S = 1.0
 
 def meshpoint(*arguments: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen(
-        [sys.executable, "-m", "testbench", *arguments],
+        [sys.executable, "-m", "meshpoint", *arguments],
         cwd=ROOT,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

@@ -16,19 +16,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from controller.settings import ControllerSettings
-from gearbox import load_sheet
-from rig_sim.settings import Preset
-from testbench.cli import main
-from testbench.errors import CommandError
-from testbench.report import report_data, report_provenance, write_report
-from testbench.report_collect import ReportCollector
-from testbench.report_overview import wilson
-from testbench.report_page import page
-from testbench.report_phase import onto_branch, unwrapped_deg
-from testbench.report_run import Report, Run
-from testbench.rows import ShiftRow
-from testbench.simulate import Setup, simulate
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.testbench.cli import main
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.loop.simulate import Setup, simulate
+from meshpoint.testbench.report.collect import ReportCollector
+from meshpoint.testbench.report.overview import wilson
+from meshpoint.testbench.report.page import page
+from meshpoint.testbench.report.phase import onto_branch, unwrapped_deg
+from meshpoint.testbench.report.run import Report, Run
+from meshpoint.testbench.report.write import report_data, report_provenance, write_report
+from meshpoint.testbench.results.rows import ShiftRow
 
 SHEET = load_sheet("thesis")
 PITCH_DEG = 7.5

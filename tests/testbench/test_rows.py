@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
-from dbc.messages import (
+from meshpoint.dbc.messages import (
     EngagementEvent,
     FaultCode,
     MainGear,
@@ -20,10 +20,10 @@ from dbc.messages import (
     ShiftResult,
     Strategy,
 )
-from gearbox import load_sheet
-from testbench.output import rows_table
-from testbench.road_speed import span_us
-from testbench.rows import RowCollector, ShiftRow, summarise
+from meshpoint.gearbox import load_sheet
+from meshpoint.testbench.results.output import rows_table
+from meshpoint.testbench.results.road_speed import span_us
+from meshpoint.testbench.results.rows import RowCollector, ShiftRow, summarise
 
 SHEET = load_sheet("thesis")
 DEG = math.pi / 180.0

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import cantools.database
 
-from testbench.cli import build_parser, main
+from meshpoint.testbench.cli import build_parser, main
 
 build_parser()  # loads all commands, before anything is forked
 

@@ -1,0 +1,1 @@
+"""What has been learned, as records and as a file."""

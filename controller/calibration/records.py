@@ -1,0 +1,271 @@
+"""What a controller has learned of one gearbox, as a value: of what a calibration file consists.
+
+Every figure has its range; together they must suit the data sheet (`check`). Quantities are in SI
+here and in the units of their keys in the file (docs/calibration.md).
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from dataclasses import dataclass, fields
+from typing import Any, Final, Generic, TypeVar
+
+from meshpoint.gearbox import GearboxSheet, MainGear
+from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.gearbox.table_text import to_toml
+from meshpoint.gearbox.tables import (
+    TableError,
+    count,
+    flag,
+    group,
+    quantities,
+    quantity,
+    read_group,
+    text,
+)
+
+Record = TypeVar("Record")
+
+FORMAT: Final = 1
+DEG: Final = math.pi / 180.0
+MS: Final = 1e-3
+BAR: Final = 1e5
+RPM: Final = math.pi / 30.0
+MOST_SHIFTS: Final = 1_000_000_000
+PITCH_SHARE: Final = 0.25
+"""A tooth's place is wrong by less than this share of a pitch, or it is another wheel's."""
+COMMENT: Final = """\
+meshpoint: what a controller has learned of one gearbox. Written by the controller;
+a file that does not hold together is refused as a whole (docs/calibration.md)."""
+
+
+class CalibrationError(TableError):
+    """A calibration that cannot be used; the message names key, found and allowed."""
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a calibration comes from."""
+
+    meshpoint: str = text("meshpoint")
+    """The version that wrote it."""
+    sheet: str = text("sheet")
+    sheet_sha256: str = text("sheet_sha256")
+    """Of the data sheet it was learned with."""
+    written: str = text("written")
+    """When; the driver says it, in its own words."""
+    shifts: int = count("shifts", 0, MOST_SHIFTS)
+    """Shifts that ended since learning began, over all runs."""
+
+
+@dataclass(frozen=True)
+class WheelRecord:
+    """The edges of one sensor wheel (`controller/estimation/teeth.py`)."""
+
+    teeth: int = count("teeth", 2, 1000)
+    edges: int = count("learned_from_edges", 0, 1 << 62)
+    sd_rad: float = quantity("sd_deg", 1e-4, 5.0, DEG)
+    """What is not known of an edge's place."""
+    error_rad: tuple[float, ...] = quantities("error_deg", -5.0, 5.0, DEG)
+    """Edge 2 k is the rising one of tooth k, 2 k + 1 its falling one; tooth 0 is any one."""
+
+    def __post_init__(self) -> None:
+        if len(self.error_rad) != 2 * self.teeth:
+            found = f"error_deg holds {len(self.error_rad)} numbers"
+            raise TableError(f"{found}, allowed are {2 * self.teeth}: two a tooth")
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """The wheels whose teeth are known."""
+
+    layshaft: WheelRecord | None = group(WheelRecord, default=None)
+    main: WheelRecord | None = group(WheelRecord, default=None)
+
+
+@dataclass(frozen=True)
+class References:
+    """Phase references (`controller/phase/reference.py`), in the numbering of the wheels' teeth."""
+
+    crawl_rad: float | None = quantity("crawl_deg", -180.0, 180.0, DEG, default=None)
+    first_rad: float | None = quantity("first_deg", -180.0, 180.0, DEG, default=None)
+    second_rad: float | None = quantity("second_deg", -180.0, 180.0, DEG, default=None)
+    third_rad: float | None = quantity("third_deg", -180.0, 180.0, DEG, default=None)
+
+    @property
+    def offsets_rad(self) -> dict[MainGear, float]:
+        """Those that are known, by gear."""
+        given = {gear: getattr(self, f"{gear.name.lower()}_rad") for gear in MAIN_GEARS}
+        return {gear: offset for gear, offset in given.items() if offset is not None}
+
+
+@dataclass(frozen=True)
+class BrakeRecord:
+    """The layshaft brake (`controller/estimation/brake_model.py`)."""
+
+    shifts: int = count("learned_from_shifts", 0, MOST_SHIFTS)
+    gain: float = quantity("gain", 0.2, 5.0)
+    """Torque over that of the data sheet."""
+    gain_sd: float = quantity("gain_sd", 0.0, 1.0)
+    drag_nm: float = quantity("drag_nm", -200.0, 200.0)
+    drag_sd_nm: float = quantity("drag_sd_nm", 0.0, 200.0)
+    touch_pa: float = quantity("touch_bar", 0.0, 2.0, BAR)
+    """Gauge pressure at which the pads touch."""
+    touch_sd_pa: float = quantity("touch_sd_bar", 0.0, 2.0, BAR)
+    emptying: tuple[float, ...] = quantities("emptying", 0.1, 10.0)
+    """Rates of pressure change at the law's knots over those of the data sheet."""
+    emptying_sd: tuple[float, ...] = quantities("emptying_sd", 0.0, 2.0)
+    """Standard deviations of their logarithms."""
+    filling: tuple[float, ...] = quantities("filling", 0.1, 10.0)
+    filling_sd: tuple[float, ...] = quantities("filling_sd", 0.0, 2.0)
+    off_delay_s: float = quantity("off_delay_ms", 0.0, 200.0, MS)
+    off_delay_sd_s: float = quantity("off_delay_sd_ms", 0.0, 100.0, MS)
+    on_delay_s: float = quantity("on_delay_ms", 0.0, 200.0, MS)
+    on_delay_sd_s: float = quantity("on_delay_sd_ms", 0.0, 100.0, MS)
+
+    KNOTS = 4
+
+    def __post_init__(self) -> None:
+        for key in ("emptying", "emptying_sd", "filling", "filling_sd"):
+            found = len(getattr(self, key))
+            if found != self.KNOTS:
+                raise TableError(f"{key} holds {found} numbers, allowed are {self.KNOTS}")
+
+
+class ByGear(Generic[Record]):
+    """What is kept of each main gear, in a field of its name."""
+
+    def of(self, gear: MainGear) -> Record | None:
+        """The record of a gear."""
+        record: Record | None = getattr(self, gear.name.lower())
+        return record
+
+
+@dataclass(frozen=True)
+class SleeveRecord:
+    """The sleeve's way into one gear (`controller/planning/sleeve_delay.py`)."""
+
+    delay_s: float = quantity("delay_ms", 1.0, 500.0, MS)
+    """From activation to contact, at the data sheet's supply pressure."""
+    samples: float = quantity("samples", 0.01, 1e4)
+    scatter_s: float = quantity("scatter_ms", 1e-3, 100.0, MS)
+    scatter_samples: float = quantity("scatter_samples", 0.01, 1e4)
+
+
+@dataclass(frozen=True)
+class Sleeves(ByGear[SleeveRecord]):
+    """The gears into which a sleeve has been seen to go."""
+
+    crawl: SleeveRecord | None = group(SleeveRecord, default=None)
+    first: SleeveRecord | None = group(SleeveRecord, default=None)
+    second: SleeveRecord | None = group(SleeveRecord, default=None)
+    third: SleeveRecord | None = group(SleeveRecord, default=None)
+
+
+@dataclass(frozen=True)
+class DriftRecord:
+    """How one gear's slip drifts from its prediction (`controller/planning/phase_drift.py`)."""
+
+    slip_rad_s: float = quantity("slip_rpm", -10.0, 10.0, RPM)
+    slip_sd_rad_s: float = quantity("slip_sd_rpm", 0.0, 10.0, RPM)
+    spread_share: float = quantity("spread_share", 0.01, 100.0)
+    """What phases scatter by over what the filters claim."""
+    samples: float = quantity("samples", 0.01, 1e4)
+
+
+@dataclass(frozen=True)
+class Drifts(ByGear[DriftRecord]):
+    """The gears that have been engaged."""
+
+    crawl: DriftRecord | None = group(DriftRecord, default=None)
+    first: DriftRecord | None = group(DriftRecord, default=None)
+    second: DriftRecord | None = group(DriftRecord, default=None)
+    third: DriftRecord | None = group(DriftRecord, default=None)
+
+
+@dataclass(frozen=True)
+class End:
+    """The last lines of a file: one that was cut off before them is torn, wherever it was cut."""
+
+    complete: bool = flag("complete")
+
+    def __post_init__(self) -> None:
+        if not self.complete:
+            raise TableError("complete = false, allowed is true")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """All of it."""
+
+    format_: int = count("format", FORMAT, FORMAT)
+    provenance: Provenance = group(Provenance)
+    wheels: Wheels = group(Wheels, default=Wheels())
+    references: References = group(References, default=References())
+    brake: BrakeRecord | None = group(BrakeRecord, default=None)
+    sleeves: Sleeves = group(Sleeves, default=Sleeves())
+    drifts: Drifts = group(Drifts, default=Drifts())
+    end: End = group(End)
+
+    def __post_init__(self) -> None:
+        wheels = self.wheels
+        if self.references.offsets_rad and None in (wheels.layshaft, wheels.main):
+            raise TableError("[references] without the teeth of both wheels that they belong to")
+
+    def to_text(self) -> str:
+        """The file's content: the same for the same calibration."""
+        return to_toml(self, COMMENT)
+
+
+def read_calibration(content: str, where: str, sheet: GearboxSheet | None) -> Calibration:
+    """The calibration in a file's content. CalibrationError names `where`, key, found and allowed.
+    Without a sheet, whether it fits one is not asked.
+
+    What is returned is exactly what its own `to_text` gives back, digits beyond those included: a
+    run that is repeated from a header starts with the same bits."""
+    try:
+        calibration = _parsed(content, where)
+        if sheet is not None:
+            check(calibration, sheet, where)
+        return _parsed(calibration.to_text(), where)
+    except TableError as error:
+        raise CalibrationError(str(error)) from error
+
+
+def _parsed(content: str, where: str) -> Calibration:
+    try:
+        table: dict[str, Any] = tomllib.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise TableError(f"{where}: torn, or not TOML: {error}") from error
+    return read_group(Calibration, table, where)
+
+
+def check(calibration: Calibration, sheet: GearboxSheet, where: str) -> None:
+    """TableError where it was learned with another data sheet or does not fit this one."""
+    given = calibration.provenance.sheet_sha256
+    if given != sheet.sha256:
+        allowed = f"allowed is {sheet.sha256[:16]}... of data sheet {sheet.name}"
+        raise TableError(f"{where}: provenance: sheet_sha256 = {given[:16]!r}..., {allowed}")
+    drawn = {"layshaft": sheet.wheels.layshaft, "main": sheet.wheels.main}
+    for field in fields(Wheels):
+        record: WheelRecord | None = getattr(calibration.wheels, field.name)
+        wheel = drawn[field.name]
+        if record is None:
+            continue
+        place = f"{where}: wheels: {field.name}"
+        if record.teeth != wheel.teeth:
+            raise TableError(f"{place}: teeth = {record.teeth}, allowed is {wheel.teeth}")
+        most = PITCH_SHARE * wheel.pitch_rad
+        for index, error in enumerate(record.error_rad):
+            if abs(error) > most:
+                found = f"error_deg[{index}] = {error / DEG:g}"
+                raise TableError(f"{place}: {found}, allowed is {most / DEG:.3g} at most")
+    least_s = sheet.sleeve.valve_delay_s
+    for gear in MAIN_GEARS:
+        sleeve = calibration.sleeves.of(gear)
+        if sleeve is not None and sleeve.delay_s < least_s:
+            found = f"sleeves: {gear.name.lower()}: delay_ms = {sleeve.delay_s / MS:g}"
+            raise TableError(
+                f"{where}: {found}, allowed is no less than its valve's {least_s / MS:g}"
+            )

@@ -1,0 +1,174 @@
+"""The baselines of layshaft estimation: the thesis's filter and the production window speed.
+
+The model of thesis 4.13 holds when the clutch is open and the main box in neutral (4.1). Then the
+chosen estimator runs: `thesis` is the event-driven Kalman filter of 5.2 and 5.3, `window` the
+production speed of the last 10 ms. With a gear engaged the layshaft turns with the main shaft, and
+the constant-speed filter follows it; that is also where a gear's phase is learned.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from meshpoint.controller.estimation.crossing_filter import Pressures
+from meshpoint.controller.estimation.cruise import STALE_US, CruiseTracker, WindowSpeed
+from meshpoint.controller.estimation.layshaft import LayshaftModels
+from meshpoint.controller.motion.brake_input import BrakeInput
+from meshpoint.controller.motion.linear_kernels import propagate, thesis_filter
+from meshpoint.controller.motion.models import LayshaftState, MotionModel, predict
+from meshpoint.controller.sensing.wheel_edges import EdgeBatch
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.messages import Estimator
+
+START_SD_PRESSURE_PA = 2e4
+"""How far the filter trusts the pressure when it starts: the valve has been off, not for ever."""
+
+
+class BaselineTracker:
+    """Angle, speed and brake pressure of the layshaft at any time near now."""
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        settings: ControllerSettings,
+        brake: BrakeInput,
+        pitch_rad: float,
+    ) -> None:
+        self._estimator = estimator
+        tuning = settings.thesis_filter
+        self._w = np.array([tuning.w_angle_rad_s, tuning.w_speed_rad_s2, tuning.w_pressure_pa_s])
+        self._r = tuning.r_angle_rad**2
+        self._brake = brake
+        self._cruise = CruiseTracker(settings.cruise_filter, pitch_rad)
+        self._window = WindowSpeed()
+        self._thesis = np.zeros(4)
+        self._model: MotionModel | None = None
+        self._free = False
+        self._x = np.zeros(3)
+        self._p = np.zeros((3, 3))
+        self._time_us = 0.0
+
+    @property
+    def free(self) -> bool:
+        """Whether the model holds and the chosen estimator runs."""
+        return self._free
+
+    @property
+    def model(self) -> MotionModel:
+        """The model that holds while free. RuntimeError before it was set."""
+        if self._model is None:
+            raise RuntimeError("the layshaft's model has not been set")
+        return self._model
+
+    def set_models(self, models: LayshaftModels) -> None:
+        """The splitter's step is known."""
+        self._model, self._thesis = models.motion, models.thesis
+
+    def set_free(self, free: bool, time_us: float, events: list[str]) -> None:  # noqa: ARG002
+        """The model begins or ceases to hold. It begins once there is a speed to begin with."""
+        if free and not self._free:
+            self._free = self._start(time_us)
+        elif not free and self._free:
+            self._free = False
+            self._cruise.restart()
+
+    def restart(self) -> None:
+        """Tooth numbers were lost: starts anew."""
+        self._free = False
+        self._cruise.restart()
+        self._window.restart()
+
+    def lose_speed(self) -> None:
+        """A baseline keeps nothing over a hole in the edges: starts anew."""
+        self.restart()
+
+    def edges(self, batch: EdgeBatch, pressures: Pressures) -> None:  # noqa: ARG002
+        """Takes new edges in order of time; the baselines know no measured pressure."""
+        if self._estimator is Estimator.WINDOW:
+            self._window.edges(batch)
+        if not self._free:
+            self._cruise.edges(batch)
+        elif self._estimator is Estimator.THESIS and batch.time_us.size:
+            switch_us, switch_u = self._brake.arrays()
+            self._time_us = thesis_filter(
+                self._x,
+                self._p,
+                self._time_us,
+                batch.time_us,
+                batch.theta_rad,
+                switch_us,
+                switch_u,
+                self._thesis,
+                self._w,
+                self._r,
+            )
+        elif self._estimator is Estimator.WINDOW:
+            self._hold_window()
+
+    def at(self, time_us: float) -> LayshaftState | None:
+        """The state at a time; None without a speed, or without an edge for 60 ms."""
+        if not self._free:
+            return self._cruising(time_us)
+        if time_us - self._time_us > STALE_US:
+            return None
+        state = self.latest()
+        if self._estimator is Estimator.WINDOW and time_us > self._time_us:
+            return self._held(state, time_us)
+        return predict(state, time_us, self._brake.arrays(), self.model)
+
+    def latest(self) -> LayshaftState:
+        """The state at the newest edge; where a prediction starts. Valid only while `free`."""
+        theta, omega, pressure = self._x.tolist()
+        (p00, _, _), (_, p11, _), (_, _, p22) = self._p.tolist()
+        return LayshaftState(
+            self._time_us,
+            theta,
+            omega,
+            pressure,
+            math.sqrt(max(p00, 0.0)),
+            math.sqrt(max(p11, 0.0)),
+            math.sqrt(max(p22, 0.0)),
+        )
+
+    def _cruising(self, time_us: float) -> LayshaftState | None:
+        shaft = self._cruise.at(time_us)
+        if shaft is None:
+            return None
+        return LayshaftState(
+            time_us,
+            shaft.theta_rad,
+            shaft.omega_rad_s,
+            0.0,
+            shaft.theta_sd_rad,
+            shaft.omega_sd_rad_s,
+            START_SD_PRESSURE_PA,
+        )
+
+    def _start(self, time_us: float) -> bool:
+        shaft = self._cruise.at(time_us)
+        if shaft is None:
+            return False
+        self._time_us = time_us
+        self._x[:] = shaft.theta_rad, shaft.omega_rad_s, 0.0
+        variances = shaft.theta_sd_rad**2, shaft.omega_sd_rad_s**2, START_SD_PRESSURE_PA**2
+        self._p[:] = np.diag(variances)
+        return True
+
+    def _hold_window(self) -> None:
+        """Production baseline: last edge's angle, window speed, pressure from commands alone."""
+        newest = self._window.newest
+        if newest is None or self._window.omega_rad_s is None or newest[0] <= self._time_us:
+            return
+        switch_us, switch_u = self._brake.arrays()
+        x = np.array([0.0, 0.0, self._x[2]])
+        propagate(x, self._time_us, newest[0], switch_us, switch_u, self._thesis)
+        self._time_us = newest[0]
+        self._x[:] = newest[1], self._window.omega_rad_s, x[2]
+
+    def _held(self, state: LayshaftState, time_us: float) -> LayshaftState:
+        """Between edges the production speed is held, not predicted."""
+        predicted = predict(state, time_us, self._brake.arrays(), self.model)
+        theta = state.theta_rad + state.omega_rad_s * (time_us - state.time_us) * 1e-6
+        return predicted._replace(theta_rad=theta, omega_rad_s=state.omega_rad_s)

@@ -1,0 +1,213 @@
+"""Brake and drag as learned from shift to shift: gain, drag, touch, pressure law, delays.
+
+The brake's torque is gain x C_db x (p - p_touch) once its pads touch, so the filter's pressure is
+the one above the touch: never negative, and the law holds it at zero there.
+
+The pressure law is p' = f_u(p), piecewise linear between knots at shares of the supply pressure, so
+that a first-order valve (thesis 4.1) and one that chokes (ISO 6358) are both met. Each knot's rate
+is that of the data sheet times e^s; the s and both valve delays are fitted to the pressure measured
+over a shift, by Gauss-Newton with what is known already as the prior: an extended Kalman filter
+whose steps are shifts.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from meshpoint.controller.calibration.records import BrakeRecord
+from meshpoint.controller.estimation.brake_kernels import pressure_course
+from meshpoint.controller.motion.kernels import PRESSURE, SEGMENTS, STATES, US, Vector
+from meshpoint.gearbox import GearboxSheet
+
+EMPTYING: Final = (0.0, 0.08, 0.28, 0.6, 1.0)
+FILLING: Final = (0.0, 0.3, 0.6, 0.85, 1.0)
+"""Knots in shares of the supply pressure. An empty chamber does not empty, a full one not fill: the
+rates at 0 and at 1 are zero."""
+RATES: Final = len(EMPTYING) - 1
+OFF_DELAY, ON_DELAY = 2 * RATES, 2 * RATES + 1
+PARAMETERS: Final = 2 * RATES + 2
+"""Logarithms of the emptying rates at knots 1.., of the filling rates at knots 0.., two delays."""
+COMMON_SD: Final = 0.2
+OWN_SD: Final = 0.15
+DELAY_SD_SHARE: Final = 0.15
+LEAST_DELAY_SD_S: Final = 5e-4
+FIT_PA: Final = 0.03e5
+"""How well the law is expected to follow the measured pressure."""
+DRIFT: Final = 1.1
+"""Variances grow by this from shift to shift: temperatures change."""
+ITERATIONS: Final = 3
+LEAST_SAMPLES: Final = 8
+PROBE: Final = 1e-3
+LEAST_B: Final = 1e-3
+LEAST_SD: Final = 1e-4
+LEAST_SD_S: Final = 1e-6
+"""What comes from a file is never certain: a covariance has an inverse."""
+
+
+TOUCH_SD_PA: Final = 0.15e5
+MOST_TOUCH_PA: Final = 1.0e5
+
+
+@dataclass
+class Carried:
+    """A figure carried from shift to shift, with its standard deviation."""
+
+    value: float
+    sd: float
+
+
+class BrakeModel:
+    """Everything between a brake command and the layshaft's deceleration that shifts teach."""
+
+    def __init__(self, sheet: GearboxSheet, gain_sd: float, drag_sd_nm: float) -> None:
+        self._rate = 1.0 / sheet.brake.time_constant_s
+        self.supply_pa = sheet.air.supply_gauge_pa
+        self.gain = Carried(1.0, gain_sd)
+        self.drag_nm = Carried(0.0, drag_sd_nm)
+        self.touch_pa = Carried(0.0, TOUCH_SD_PA)
+        """Gauge pressure at which the pads touch."""
+        delay = sheet.brake.valve_delay_s
+        self._mean: Vector = np.zeros(PARAMETERS)
+        self._mean[[OFF_DELAY, ON_DELAY]] = delay
+        self._covariance = np.diag(
+            [OWN_SD**2] * 2 * RATES + [max(DELAY_SD_SHARE * delay, LEAST_DELAY_SD_S) ** 2] * 2
+        )
+        for half in (slice(0, RATES), slice(RATES, 2 * RATES)):
+            self._covariance[half, half] += COMMON_SD**2
+        self.shifts = 0
+        """How many shifts have taught it the law."""
+
+    def record(self) -> BrakeRecord | None:
+        """What a calibration file keeps; None before any shift taught it."""
+        if self.shifts == 0:
+            return None
+        mean, sd = self._mean, np.sqrt(np.diag(self._covariance))
+        factors = np.exp(mean[: 2 * RATES])
+        return BrakeRecord(
+            shifts=self.shifts,
+            gain=self.gain.value,
+            gain_sd=self.gain.sd,
+            drag_nm=self.drag_nm.value,
+            drag_sd_nm=self.drag_nm.sd,
+            touch_pa=self.touch_pa.value,
+            touch_sd_pa=self.touch_pa.sd,
+            emptying=tuple(factors[:RATES].tolist()),
+            emptying_sd=tuple(sd[:RATES].tolist()),
+            filling=tuple(factors[RATES:].tolist()),
+            filling_sd=tuple(sd[RATES : 2 * RATES].tolist()),
+            off_delay_s=float(mean[OFF_DELAY]),
+            off_delay_sd_s=float(sd[OFF_DELAY]),
+            on_delay_s=float(mean[ON_DELAY]),
+            on_delay_sd_s=float(sd[ON_DELAY]),
+        )
+
+    def restore(self, record: BrakeRecord) -> None:
+        """Goes on from a record; how its errors hang together is not kept."""
+        self.shifts = record.shifts
+        self.gain = Carried(record.gain, record.gain_sd)
+        self.drag_nm = Carried(record.drag_nm, record.drag_sd_nm)
+        self.touch_pa = Carried(record.touch_pa, record.touch_sd_pa)
+        rates = np.log([*record.emptying, *record.filling])
+        self._mean = np.array([*rates, record.off_delay_s, record.on_delay_s])
+        sd = [*record.emptying_sd, *record.filling_sd]
+        delays_sd = np.maximum((record.off_delay_sd_s, record.on_delay_sd_s), LEAST_SD_S)
+        self._covariance = np.diag([*np.maximum(sd, LEAST_SD), *delays_sd]) ** 2
+
+    @property
+    def off_delay_us(self) -> int:
+        """From switching off to the first fall of the torque."""
+        return round(float(self._mean[OFF_DELAY]) / US)
+
+    @property
+    def on_delay_us(self) -> int:
+        """From switching on to the first torque: the valve's delay, then the fill to the touch."""
+        at_zero = self._rate * self.supply_pa * math.exp(float(self._mean[RATES]))
+        return round((float(self._mean[ON_DELAY]) + self.touch_pa.value / at_zero) / US)
+
+    def law(self, touch_pa: float | None = None) -> Vector:
+        """The law of the pressure above the touch, for `motion_kernels`."""
+        touch = self.touch_pa.value if touch_pa is None else touch_pa
+        whole = self._law(self._mean)
+        law = np.full((2, SEGMENTS, 3), np.inf)
+        law[:, :, 1:] = LEAST_B, 0.0
+        law[:, 1 : RATES + 1] = whole[:, :RATES]
+        law[:, 1 : RATES + 1, 2] -= law[:, 1 : RATES + 1, 1] * touch
+        law[:, 1:, 0] -= touch
+        # Below the touch nothing acts: held at zero emptying, passed at once filling.
+        law[0, 0] = -np.inf, LEAST_B, 0.0
+        law[0, 1, 0] = 0.0
+        law[1, 0], law[1, 1, 0] = law[1, 1], 0.0
+        law[1, 0, 0] = -np.inf
+        return law
+
+    def _law(self, parameters: Vector) -> Vector:
+        law = np.full((2, SEGMENTS, 3), np.inf)
+        law[:, :, 1:] = 1.0, 0.0
+        k, rate = self.supply_pa, self._rate
+        emptying = [0.0] + [
+            -rate * k * EMPTYING[i] * math.exp(parameters[i - 1]) for i in range(1, RATES + 1)
+        ]
+        filling = [
+            rate * k * (1.0 - FILLING[i]) * math.exp(parameters[RATES + i]) for i in range(RATES)
+        ] + [0.0]
+        for u, (knots, rates) in enumerate(((EMPTYING, emptying), (FILLING, filling))):
+            for i in range(RATES):
+                slope = (rates[i + 1] - rates[i]) / (k * (knots[i + 1] - knots[i]))
+                b = -slope if abs(slope) > LEAST_B else LEAST_B
+                law[u, i] = k * knots[i], b, rates[i] + b * k * knots[i]
+            law[u, 0, 0] = -np.inf
+        return law
+
+    def learn(
+        self, sample_us: Vector, pressure_pa: Vector, command_us: Vector, command_u: Vector
+    ) -> bool:
+        """Fits law and delays to a shift's samples (gauge) and the brake's commands.
+
+        False, and nothing learned, where there is too little or the fit does not hold."""
+        if sample_us.size < LEAST_SAMPLES or command_u.size == 0 or command_u.max() < 1.0:
+            return False
+        prior_mean, prior = self._mean, self._covariance * DRIFT
+        weight = np.linalg.inv(prior)
+        mean = prior_mean.copy()
+        for _ in range(ITERATIONS):
+            predicted = self._run(mean, sample_us, pressure_pa[0], command_us, command_u)
+            slope = np.empty((sample_us.size, PARAMETERS))
+            for k in range(PARAMETERS):
+                step = PROBE if k < 2 * RATES else 0.1 * PROBE
+                probe = mean.copy()
+                probe[k] += step
+                moved = self._run(probe, sample_us, pressure_pa[0], command_us, command_u)
+                slope[:, k] = (moved - predicted) / step
+            residual = np.clip(pressure_pa - predicted, -20 * FIT_PA, 20 * FIT_PA)
+            normal = slope.T @ slope / FIT_PA**2 + weight
+            right = slope.T @ residual / FIT_PA**2 + weight @ (prior_mean - mean)
+            mean = mean + np.linalg.solve(normal, right)
+            mean[: 2 * RATES] = np.clip(mean[: 2 * RATES], -1.5, 1.5)
+            mean[2 * RATES :] = np.clip(mean[2 * RATES :], 0.0, 0.1)
+        if not np.isfinite(mean).all():
+            return False
+        self._mean, self._covariance = mean, np.linalg.inv(normal)
+        self.shifts += 1
+        return True
+
+    def _run(
+        self,
+        parameters: Vector,
+        sample_us: Vector,
+        start_pa: float,
+        command_us: Vector,
+        command_u: Vector,
+    ) -> Vector:
+        """The pressure at the samples, by the law with these parameters."""
+        delays = parameters[[OFF_DELAY, ON_DELAY]][command_u.astype(np.int64)]
+        switch_us = np.maximum.accumulate(command_us + delays / US)
+        law, still = self._law(parameters), np.array([0.0, 0.0, 1.0])
+        x = np.zeros(STATES)
+        x[PRESSURE] = start_pa
+        pressure = np.empty(sample_us.size)
+        pressure_course(x, sample_us, switch_us, command_u, still, law, pressure)
+        return pressure

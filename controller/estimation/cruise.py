@@ -1,0 +1,140 @@
+"""Constant-speed estimation: the main shaft (4.16), and any shaft whose model does not hold."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.motion.linear_kernels import US, cruise_filter
+from meshpoint.controller.sensing.wheel_edges import EdgeBatch
+from meshpoint.controller.settings import CruiseFilter
+
+SPEED_WINDOW_US = 10_000
+"""The production speed's window: one read of the arrays (thesis 2.5)."""
+STALE_US = 60_000
+"""Dead reckoning past this loses the tooth (facts: 2 deg at 100 ms)."""
+
+
+class ShaftState(NamedTuple):
+    """Angle and speed at a time, with standard deviations."""
+
+    time_us: float
+    theta_rad: float
+    omega_rad_s: float
+    theta_sd_rad: float
+    omega_sd_rad_s: float
+    acceleration_rad_s2: float = 0.0
+    """Zero where it is not estimated: speed held (4.16)."""
+
+    def theta_at(self, time_us: float) -> float:
+        """The angle at another time, acceleration held."""
+        dt = (time_us - self.time_us) * US
+        return self.theta_rad + dt * (self.omega_rad_s + 0.5 * dt * self.acceleration_rad_s2)
+
+    def omega_at(self, time_us: float) -> float:
+        """The speed at another time, acceleration held."""
+        return self.omega_rad_s + (time_us - self.time_us) * US * self.acceleration_rad_s2
+
+
+class WindowSpeed:
+    """The production speed: teeth in the last 10 ms over the time they took, held until the next.
+
+    The window runs from the newest edge at least 10 ms old to the newest edge of all."""
+
+    def __init__(self) -> None:
+        self._times: list[float] = []
+        self._angles: list[float] = []
+        self.omega_rad_s: float | None = None
+
+    def edges(self, batch: EdgeBatch) -> None:
+        """Takes new edges; the speed is renewed where there are any."""
+        if not batch.time_us.size:
+            return
+        self._times += batch.time_us.tolist()
+        self._angles += batch.theta_rad.tolist()
+        start = self._times[-1] - SPEED_WINDOW_US
+        keep = next((i for i, t in enumerate(self._times) if t > start), len(self._times) - 1)
+        keep = max(0, keep - 1)
+        del self._times[:keep], self._angles[:keep]
+        if len(self._times) > 1:
+            turned = self._angles[-1] - self._angles[0]
+            self.omega_rad_s = turned / ((self._times[-1] - self._times[0]) * US)
+
+    def restart(self) -> None:
+        """Forgets all edges."""
+        self._times, self._angles, self.omega_rad_s = [], [], None
+
+    @property
+    def newest(self) -> tuple[float, float] | None:
+        """Time and angle of the newest edge."""
+        return (self._times[-1], self._angles[-1]) if self._times else None
+
+
+class CruiseTracker:
+    """Angle and speed of a shaft whose speed changes little, by a Kalman filter on its edges."""
+
+    def __init__(self, tuning: CruiseFilter, pitch_rad: float) -> None:
+        self._tuning = tuning
+        self._pitch_rad = pitch_rad
+        self._x = np.zeros(2)
+        self._p = np.zeros((2, 2))
+        self._time_us = 0.0
+        self._seed = WindowSpeed()
+        self._running = False
+
+    def lose_speed(self) -> None:
+        """Starts anew with the edges to come; teeth keep their numbers."""
+        self.restart()
+
+    def restart(self) -> None:
+        """Starts anew from the edges to come; after a jump in speed or lost teeth."""
+        self._running = False
+        self._seed.restart()
+
+    def edges(self, batch: EdgeBatch) -> None:
+        """Takes new edges in order of time."""
+        if not batch.time_us.size:
+            return
+        if not self._running:
+            self._start(batch)
+            return
+        tuning = self._tuning
+        self._time_us = cruise_filter(
+            self._x,
+            self._p,
+            self._time_us,
+            batch.time_us,
+            batch.theta_rad,
+            tuning.acceleration_rad_s2,
+            tuning.edge_time_us * US,
+        )
+
+    def _start(self, batch: EdgeBatch) -> None:
+        self._seed.edges(batch)
+        newest = self._seed.newest
+        if self._seed.omega_rad_s is None or newest is None:
+            return
+        self._time_us = newest[0]
+        self._x[:] = newest[1], self._seed.omega_rad_s
+        speed_sd = 0.05 * abs(self._seed.omega_rad_s) + 1.0
+        self._p[:] = np.diag([(0.1 * self._pitch_rad) ** 2, speed_sd**2])
+        self._running = True
+
+    def at(self, time_us: float) -> ShaftState | None:
+        """The state at a time, speed held; None before enough edges, or without any for 60 ms."""
+        if not self._running or time_us - self._time_us > STALE_US:
+            return None
+        dt = (time_us - self._time_us) * US
+        theta, omega = self._x.tolist()
+        (p00, p01), (_, p11) = self._p.tolist()
+        q = self._tuning.acceleration_rad_s2 * dt
+        theta_var = p00 + dt * (2.0 * p01 + dt * p11) + 0.25 * (q * dt) ** 2
+        return ShaftState(
+            time_us,
+            theta + omega * dt,
+            omega,
+            math.sqrt(max(0.0, theta_var)),
+            math.sqrt(max(0.0, p11 + q * q)),
+        )

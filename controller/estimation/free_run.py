@@ -1,0 +1,97 @@
+"""One stretch of free layshaft, kept to be run through the filter again with another parameter.
+
+How well a parameter fits shows in the filter's innovations: the sum of their squares over their
+variances is least where it fits best. Three runs give a parabola, its least point and its width.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from meshpoint.controller.estimation.brake_model import MOST_TOUCH_PA, BrakeModel, Carried
+from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.motion.linear_kernels import Vector
+from meshpoint.controller.motion.models import MotionModel
+from meshpoint.controller.settings import CrossingFilterTuning
+
+PROBE_PA = 0.1e5
+MOST_PA = 0.25e5
+"""A parabola is not followed further than this."""
+CAUTION = 2.0
+"""The parabola's width is taken this much wider: the model has other errors than this one."""
+DRIFT_PA = 0.01e5
+"""From shift to shift."""
+
+
+class FreeRun:
+    """The edges and pressures since the layshaft became free, and the state it started from."""
+
+    def __init__(self, tuning: CrossingFilterTuning) -> None:
+        self._tuning = tuning
+        self._time_us = 0.0
+        self._x, self._p = np.zeros(0), np.zeros((0, 0))
+        self._edge_us: list[Vector] = []
+        self._edge_rad: list[Vector] = []
+        self._pressure_us: list[Vector] = []
+        self._pressure_pa: list[Vector] = []
+
+    def begin(self, time_us: float, x: Vector, p: Vector) -> None:
+        """The layshaft is free from here on."""
+        self._time_us, self._x, self._p = time_us, x.copy(), p.copy()
+        for kept in (self._edge_us, self._edge_rad, self._pressure_us, self._pressure_pa):
+            kept.clear()
+
+    def add(self, edge_us: Vector, edge_rad: Vector, pressures: Pressures) -> None:
+        """What the filter takes; pressures are those measured, gauge."""
+        self._edge_us.append(edge_us)
+        self._edge_rad.append(edge_rad)
+        self._pressure_us.append(pressures.time_us)
+        self._pressure_pa.append(pressures.pressure_pa)
+
+    @property
+    def pressures(self) -> Pressures:
+        """All measured pressures."""
+        return Pressures(np.concatenate(self._pressure_us), np.concatenate(self._pressure_pa))
+
+    def learn_touch(
+        self, brake: BrakeModel, sd_rad: float, switches: tuple[Vector, Vector], model: MotionModel
+    ) -> None:
+        """Moves what is known of the brake's touch pressure toward what fits this run best."""
+        known = brake.touch_pa
+        centre = max(known.value, PROBE_PA)
+        low, middle, high = (
+            self._misfit(brake, centre + probe, sd_rad, switches, model)
+            for probe in (-PROBE_PA, 0.0, PROBE_PA)
+        )
+        curvature = (low - 2.0 * middle + high) / PROBE_PA**2
+        if not np.isfinite(curvature) or curvature <= 0.0:
+            return
+        found = centre - (high - low) / (2.0 * PROBE_PA) / curvature
+        variance = CAUTION**2 * 2.0 / curvature
+        prior = known.sd**2 + DRIFT_PA**2
+        gain = prior / (prior + variance)
+        value = known.value + gain * float(np.clip(found - known.value, -MOST_PA, MOST_PA))
+        value = min(max(value, 0.0), MOST_TOUCH_PA)
+        brake.touch_pa = Carried(value, float(np.sqrt((1.0 - gain) * prior)))
+
+    def _misfit(
+        self,
+        brake: BrakeModel,
+        touch_pa: float,
+        sd_rad: float,
+        switches: tuple[Vector, Vector],
+        model: MotionModel,
+    ) -> float:
+        run = CrossingFilter(self._tuning)
+        run.begin(self._time_us, self._x, self._p)
+        measured = self.pressures
+        above = Pressures(measured.time_us, np.maximum(measured.pressure_pa - touch_pa, 0.0))
+        run.take(
+            np.concatenate(self._edge_us),
+            np.concatenate(self._edge_rad),
+            sd_rad,
+            above,
+            switches,
+            model._replace(law=brake.law(touch_pa)),
+        )
+        return float(run.agreement[0])

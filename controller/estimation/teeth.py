@@ -1,0 +1,276 @@
+"""What is known of a sensor wheel's teeth: pitch errors, eccentricity and duty bias, edge by edge.
+
+A wheel of z teeth has 2 z edges; edge 2 k is the rising one of tooth k, 2 k + 1 its falling one.
+Their mean error cannot be seen from the wheel itself and is taken as zero: it is part of the phase
+reference. Learned by `crossing_kernels` over every window in which the shaft moves freely.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.estimation.crossing_filter import Pressures
+from meshpoint.controller.estimation.crossing_kernels import crossing_filter, inverse_of_positive
+from meshpoint.controller.estimation.crossing_layout import (
+    SCALE,
+    FilterArrays,
+    Integers,
+    TeethArrays,
+)
+from meshpoint.controller.estimation.tooth_match import Memory, Seen, Verdict, compare, turned
+from meshpoint.controller.motion.kernels import Vector
+from meshpoint.controller.motion.models import MotionModel
+from meshpoint.controller.sensing.wheel_edges import EdgeBatch
+from meshpoint.controller.settings import CrossingFilterTuning
+
+NEVER_GATED: Final = 1e9
+FORGET: Final = 0.99
+"""What was learned before counts this much less after each window: a sensor warms up."""
+LEAST_SD_RAD: Final = math.radians(0.003)
+USABLE_SD: Final = 0.5
+"""Teeth are used when the worst is known to this share of what is expected of an unlearned one."""
+DISAGREES: Final = 3.0
+"""Squared residuals over their expectation at which a window does not fit the teeth."""
+WINDOWS_TO_FORGET: Final = 2
+WINDOWS_TO_TELL: Final = 3
+"""After so many windows with teeth of its own a wheel whose turn is not certain never shows it."""
+LEAST_EDGES: Final = 40
+"""A window with fewer edges says too little to be judged."""
+
+
+class TeethLearner:
+    """The normal equations of one wheel over one window of free motion."""
+
+    def __init__(self, tuning: CrossingFilterTuning, edges: int) -> None:
+        self._arrays, self._teeth = FilterArrays(), TeethArrays(edges)
+        self._arrays.sensor[:] = tuning.edge_time_s, 1e-9, tuning.pressure_sd_pa, NEVER_GATED, 0.0
+        self._model: MotionModel | None = None
+        self.running = False
+
+    def begin(self, time_us: float, x: Vector, p: Vector) -> None:
+        """A window begins with the shaft in this state."""
+        arrays = self._arrays
+        arrays.time_us = time_us
+        arrays.x[:], arrays.p[:], arrays.agreement[:] = x, p, 0.0
+        self._teeth.floats[:] = 0.0
+        self.running = True
+
+    def take(
+        self,
+        batch: EdgeBatch,
+        place: Integers,
+        pressures: Pressures,
+        switches: tuple[Vector, Vector],
+        model: MotionModel,
+        scale: float = 1.0,
+    ) -> None:
+        """New edges of the window, nominal angles; scale: angle of the model's shaft over that of
+        the wheel."""
+        arrays = self._arrays
+        arrays.floats[SCALE] = scale
+        if model is not self._model:
+            self._model = model
+            arrays.set_model(*model)
+        arrays.forget_past()
+        crossing_filter(
+            arrays.floats, arrays.integers, batch.time_us, scale * batch.theta_rad, *pressures,
+            *switches, self._teeth.floats, place,
+        )  # fmt: skip
+
+    @property
+    def edges(self) -> float:
+        """How many edges the window has so far."""
+        return float(self._arrays.agreement[1]) if self.running else 0.0
+
+    def end(self) -> Seen | None:
+        """The window ends; its equations, None where it was too short."""
+        window = self.so_far() if self.running else None
+        self.running = False
+        return window if window is not None and window.edges >= LEAST_EDGES else None
+
+    def so_far(self) -> Seen:
+        """The window's equations up to now."""
+        squares, count = self._arrays.agreement.tolist()
+        upper = np.triu(self._teeth.normal)
+        return Seen(upper + np.triu(upper, 1).T, self._teeth.right.copy(), squares, count)
+
+
+class Found(NamedTuple):
+    """A wheel whose remembered tooth pattern was found again."""
+
+    teeth: int
+    """Remembered tooth number less present one."""
+    margin: float
+
+
+class WheelTeeth:
+    """The learned errors of a wheel's edges, and whether they may be used.
+
+    A pattern whose numbering was lost, or that comes from a calibration file, is a memory: it is
+    compared with what the wheel shows, and used from where its turn is certain."""
+
+    def __init__(
+        self, teeth: int, tuning: CrossingFilterTuning, missing: tuple[int, ...] = ()
+    ) -> None:
+        edges = 2 * teeth
+        self._edges = edges
+        self._missing = np.array([2 * tooth + side for tooth in missing for side in (0, 1)], int)
+        """Edges that the drawing leaves out; teeth then have the drawing's numbers."""
+        self._unlearned_sd_rad = tuning.tooth_error_rad
+        self._normal, self._right = np.zeros((edges, edges)), np.zeros(edges)
+        self._seen = (0.0, 0.0)
+        """Squares and edges of the windows that have ended since the teeth were numbered."""
+        self._looked_at = 0.0
+        self._strangers = self._unlike = self._untold = 0
+        self.memory: Memory | None = None
+        self.found: Found | None = None
+        """Set where a memory was found again, until someone has taken it."""
+        self.edges_seen = 0
+        """How many edges the present errors were learned from."""
+        self.error_rad: Vector = np.zeros(edges)
+        """To be added to an edge's nominal angle."""
+        self.sd_rad = tuning.tooth_error_rad
+        """What is not known of an edge's angle."""
+        self.learned = False
+        self.learner = TeethLearner(tuning, edges)
+
+    @property
+    def count(self) -> int:
+        """Teeth of the wheel, missing ones included."""
+        return self._edges // 2
+
+    def place(self, batch: EdgeBatch) -> Integers:
+        """Which of the wheel's edges each one is."""
+        places: Integers = (2 * batch.tooth + batch.falling) % self._edges
+        return places
+
+    def angles(self, batch: EdgeBatch, place: Integers) -> Vector:
+        """The angle each edge stands for, as far as its tooth is known."""
+        return batch.theta_rad + self.error_rad[place] if self.learned else batch.theta_rad
+
+    def end_window(self) -> str | None:
+        """A window has ended: learns from it, or forgets. Returns a line for the log."""
+        window = self.learner.end()
+        if window is None:
+            return None
+        if self.learned and self._misfit(window) > DISAGREES:
+            self._strangers += 1
+            if self._strangers < WINDOWS_TO_FORGET:
+                return "teeth do not agree with what was learned"
+            self.forget()
+            return "teeth forgotten: they are not those that were learned"
+        self._strangers = 0
+        self._normal = FORGET * self._normal + window.normal
+        self._right = FORGET * self._right + window.right
+        self._seen = (self._seen[0] + window.squares, self._seen[1] + window.edges)
+        self._looked_at = 0.0
+        self.edges_seen += int(window.edges)
+        line = self._solve()
+        return line if self.memory is None else self._compare(self.memory) or line
+
+    def look(self) -> bool:
+        """Compares the running window with the memory, once a turn of the wheel.
+
+        True where the teeth have just been found again."""
+        edges = self.learner.edges
+        if self.memory is None or edges - self._looked_at < self._edges:
+            return False
+        self._looked_at = edges
+        verdict = self._verdict(self.memory, self.learner.so_far())
+        if verdict is None or not verdict.certain:
+            return False
+        self._take_over(self.memory, verdict)
+        return True
+
+    def lose_numbers(self) -> None:
+        """Any tooth may be number 0 from here on; what was learned is a memory."""
+        if self.learned:
+            self.memory = Memory(self.error_rad, self.sd_rad, self.edges_seen)
+        self._clear()
+
+    def forget(self) -> None:
+        """Nothing is known of this wheel any more."""
+        self.memory = None
+        self._clear()
+
+    def _clear(self) -> None:
+        self._normal[:], self._right[:] = 0.0, 0.0
+        self._seen, self._looked_at = (0.0, 0.0), 0.0
+        self.error_rad = np.zeros(self._edges)
+        self.sd_rad, self.learned = self._unlearned_sd_rad, False
+        self._strangers = self._unlike = self._untold = self.edges_seen = 0
+        self.found = None
+        self.learner.running = False
+
+    def _compare(self, memory: Memory) -> str | None:
+        """At the end of a window: finds the memory, or gives it up where that is certain."""
+        verdict = self._verdict(memory, None)
+        if verdict is None:
+            return None
+        if not verdict.certain:
+            return self._not_found(verdict)
+        self._take_over(memory, verdict)
+        return None
+
+    def _verdict(self, memory: Memory, running: Seen | None) -> Verdict | None:
+        """The memory against all that was seen, a window that still runs included."""
+        normal, right, (squares, edges) = self._normal, self._right, self._seen
+        if running is not None:
+            normal, right = normal + running.normal, right + running.right
+            squares, edges = squares + running.squares, edges + running.edges
+        seen = Seen(normal, right, squares, edges)
+        return compare(memory, seen, 10.0 * self._unlearned_sd_rad, self._missing.size > 0)
+
+    def _take_over(self, memory: Memory, verdict: Verdict) -> None:
+        """The memory counts like edges that were seen."""
+        self._normal += memory.weight * np.eye(self._edges)
+        self._right += memory.weight * turned(memory.error_rad, verdict.teeth)
+        self.edges_seen += memory.edges
+        self.found = Found(verdict.teeth, verdict.margin)
+        self.memory = None
+        self._solve()
+
+    def _not_found(self, verdict: Verdict) -> str | None:
+        """After a whole window: gives the memory up where it is another wheel's, or where the
+        wheel's own teeth are known and still do not tell."""
+        if verdict.stranger:
+            self._unlike += 1
+            if self._unlike >= WINDOWS_TO_FORGET:
+                self.memory, self._unlike = None, 0
+                return "teeth forgotten: they are not those that were remembered"
+            return "teeth do not agree with those that were remembered"
+        self._untold += self.learned
+        if self._untold < WINDOWS_TO_TELL:
+            return None
+        self.memory = None
+        return "teeth cannot be told apart: their old numbers stay unknown"
+
+    def _misfit(self, window: Seen) -> float:
+        e = self.error_rad
+        squares = window.squares - 2.0 * float(e @ window.right)
+        return (squares + float(e @ window.normal @ e)) / window.edges
+
+    def _solve(self) -> str | None:
+        """Least squares with a weak prior: one pitch share at most, mean zero."""
+        prior = (10.0 * self._unlearned_sd_rad) ** -2
+        covariance = inverse_of_positive(self._normal + prior * np.eye(self._edges))
+        error = covariance @ self._right
+        mean = covariance.mean(axis=0)
+        variance = np.diag(covariance) - 2.0 * mean + mean.mean()
+        variance[self._missing] = 0.0
+        worst = math.sqrt(max(0.0, float(variance.max())))
+        if not np.isfinite(error).all():
+            self.forget()
+            return "teeth forgotten: their equations have no solution"
+        if worst > USABLE_SD * self._unlearned_sd_rad:
+            return None
+        first = not self.learned
+        self.error_rad = error - error.mean()
+        self.sd_rad = max(LEAST_SD_RAD, math.sqrt(float(variance.mean())))
+        self.learned = True
+        if first:
+            return f"teeth learned to {math.degrees(self.sd_rad):.3f} deg"
+        return None

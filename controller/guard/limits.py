@@ -1,0 +1,135 @@
+"""What the guard holds a command against: the gearbox's own numbers and the limits, SI."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
+from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, Sleeve
+
+NEUTRAL_M: Final = 1.5e-3
+"""A main sleeve within this of the middle is proven neutral."""
+CLUTCH_OPEN_SHARE: Final = 0.05
+SLIP_MARGIN_RAD_S: Final = 1.0
+"""What the speeds may be wrong by, and the vehicle may gain or lose until contact: 10 rpm."""
+BRAKE_PRESSED_PA: Final = 1.0e5
+"""Gauge pressure above which the brake loads whatever is in mesh."""
+SPEED_TOLERANCE: Final = 1.01
+"""Overspeed is more than a per cent over the sheet's limit."""
+
+
+class MainValve(NamedTuple):
+    """A valve of the main box: its sleeve, the way it pushes, and the gear's ratio there."""
+
+    sleeve: int
+    direction: int
+    ratio: float
+
+
+MAIN_VALVE_OF_GEAR: Final = {
+    MainGear.FIRST: 3,
+    MainGear.SECOND: 4,
+    MainGear.CRAWL: 5,
+    MainGear.THIRD: 6,
+}
+"""Written down a second time on purpose: the guard shares no table with the sequence."""
+
+
+@dataclass(frozen=True)
+class GuardLimits:
+    """All of it; times in us."""
+
+    main: dict[int, MainValve]
+    """By valve number in the frame."""
+    split_ratio: dict[int, float]
+    """omega_layshaft / omega_input by the splitter sleeve's side, -1 low, +1 high."""
+    range_ratio: dict[int, float]
+    """omega_propeller / omega_main by the range sleeve's side."""
+    contact_m: float
+    sleeve_delay_us: float
+    sleeve_scatter_us: float
+    brake_delay_us: float
+    brake_lag_us: float
+    brake_nm_per_pa: float
+    atmosphere_pa: float
+    brake_rad_s2: tuple[float, float]
+    """Deceleration of the layshaft by the full brake, least and most."""
+    drag_rad_s2: float
+    """By drag alone, at most, beyond what grows with speed."""
+    drag_rate: float
+    """By drag that grows with speed, at most: rad/s2 a rad/s."""
+    slip_rad_s: tuple[float, float]
+    input_max_rad_s: float
+    main_max_rad_s: float
+    brake_on_us: int
+    brake_j: float
+    brake_floor_rad_s: float
+    valve_on_us: int
+    supply_low_pa: float
+
+    @property
+    def are_sane(self) -> bool:
+        """Whether every number is finite and every limit is one."""
+        numbers = [
+            *(valve.ratio for valve in self.main.values()),
+            *self.split_ratio.values(),
+            *self.range_ratio.values(),
+            self.sleeve_delay_us,
+            self.input_max_rad_s,
+            self.main_max_rad_s,
+            self.brake_rad_s2[1],
+            self.brake_j,
+            self.valve_on_us,
+            self.brake_on_us,
+        ]
+        return all(math.isfinite(x) and x > 0.0 for x in numbers) and (
+            self.slip_rad_s[0] < self.slip_rad_s[1]
+        )
+
+
+def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimits:
+    """From the data sheet and the settings."""
+    guard, brake, sleeve = settings.guard, sheet.brake, sheet.sleeve
+    inertia = [sheet.inertia_kgm2(split) for split in Split]
+    weakest = brake.max_torque_nm / guard.torque_factor / max(inertia)
+    strongest = brake.max_torque_nm * guard.torque_factor / min(inertia)
+    top = sheet.limits.input_max_rad_s * sheet.split_mesh(Split.HIGH).ratio
+    return GuardLimits(
+        main={
+            valve: MainValve(
+                (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD).index(SLEEVE_OF_MAIN[gear].sleeve),
+                SLEEVE_OF_MAIN[gear].direction,
+                sheet.main_mesh(gear).ratio,
+            )
+            for gear, valve in MAIN_VALVE_OF_GEAR.items()
+        },
+        split_ratio={
+            -1: sheet.split_mesh(Split.LOW).ratio,
+            1: sheet.split_mesh(Split.HIGH).ratio,
+        },
+        range_ratio={
+            -1: sheet.range_mesh(Range.LOW).ratio,
+            1: sheet.range_mesh(Range.HIGH).ratio,
+        },
+        contact_m=sleeve.to_contact_m,
+        sleeve_delay_us=sleeve.delay_s * 1e6,
+        sleeve_scatter_us=sleeve.delay_limit_s * 1e6,
+        brake_delay_us=brake.valve_delay_s * 1e6,
+        brake_lag_us=brake.time_constant_s * 1e6,
+        brake_nm_per_pa=sheet.brake_nm_per_pa,
+        atmosphere_pa=sheet.air.atmosphere_pa,
+        brake_rad_s2=(weakest, strongest),
+        drag_rad_s2=guard.drag_torque_nm / min(inertia),
+        drag_rate=guard.torque_factor * sheet.shafts.friction_nms / min(inertia),
+        slip_rad_s=(guard.slip_low_rad_s, guard.slip_high_rad_s),
+        input_max_rad_s=SPEED_TOLERANCE * sheet.limits.input_max_rad_s,
+        main_max_rad_s=SPEED_TOLERANCE * top * sheet.main_mesh(MainGear.THIRD).ratio,
+        brake_on_us=guard.brake_on_ms * 1000,
+        brake_j=guard.brake_energy_j,
+        brake_floor_rad_s=guard.brake_floor_rad_s,
+        valve_on_us=settings.limits.valve_on_ms * 1000,
+        supply_low_pa=guard.supply_low_pa,
+    )

@@ -1,0 +1,441 @@
+"""The guard: reads the finished valve frame with its own decode and passes it or blocks it.
+
+Separate on purpose from everything that decides: it shares no state with the sequence, no estimate
+with the observer and no code with the codec, so a mistake there does not reach a valve. Each rule
+is a row of the table at the end; the numbers are those of docs/guard.md.
+
+What is driven is a span of time: from its activation, or from now, to its release still to come.
+The rows about slip and brake are judged at the moment at which the command takes effect, by the
+guard's own speeds and by bounds on what brake and drag can do until then.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from meshpoint.controller.guard.limits import (
+    BRAKE_PRESSED_PA,
+    CLUTCH_OPEN_SHARE,
+    NEUTRAL_M,
+    SLIP_MARGIN_RAD_S,
+    GuardLimits,
+)
+from meshpoint.controller.guard.view import Seen
+
+ACTION_BYTES: Final = slice(3, 6)
+TIME_BYTES: Final = 6
+FRAME_LENGTH: Final = 48
+VALVES: Final = 9
+_times_us: Final = struct.Struct(f"<{VALVES}I").unpack_from
+_SHIFTS: Final = range(0, 2 * VALVES, 2)
+BRAKE: Final = 0
+SPLIT_LOW, SPLIT_HIGH = 1, 2
+RANGE_LOW, RANGE_HIGH = 7, 8
+PAIRS: Final = ((1, 2), (3, 4), (5, 6), (7, 8))
+"""The two valves of one sleeve: splitter, first/second, crawl/third, range."""
+MAIN_VALVES: Final = (3, 4, 5, 6)
+OFF_NOW, ON_NOW, OFF_AT, ON_AT = range(4)
+FOREVER_US: Final = 1 << 62
+HALF_WRAP: Final = 1 << 31
+PROOF_STEPS: Final = 3
+"""So many steps in a row everything must be valid before anything may be driven."""
+REACT_US: Final = 15_000
+"""From one judgement to the effect of the next: a tick and the bus."""
+SPLITTER: Final = 2
+RANGE: Final = 3
+INPUT, LAYSHAFT, MAIN, PROPELLER = range(4)
+
+
+class Wish(NamedTuple):
+    """A decoded command: action and 32-bit time of each valve."""
+
+    actions: tuple[int, ...]
+    times_us: tuple[int, ...]
+
+    @property
+    def driven(self) -> tuple[bool, ...]:
+        """The valves that are to be driven, now or at their time."""
+        return tuple(action in (ON_NOW, ON_AT) for action in self.actions)
+
+
+def decode(payload: bytes) -> Wish:
+    """The guard's own reading of the frame. ValueError where it is not a valve command's length."""
+    if len(payload) != FRAME_LENGTH:
+        raise ValueError(f"valve command of {len(payload)} bytes, allowed is {FRAME_LENGTH}")
+    actions = int.from_bytes(payload[ACTION_BYTES], "little")
+    return Wish(tuple([actions >> shift & 3 for shift in _SHIFTS]), _times_us(payload, TIME_BYTES))
+
+
+class Span(NamedTuple):
+    """A valve is driven from one sensor time to another."""
+
+    start_us: int
+    end_us: int
+
+
+Spans = tuple[Span | None, ...]
+NO_SPANS: Final[Spans] = (None,) * VALVES
+NO_PULLS: Final[frozenset[int]] = frozenset()
+
+
+def spans(wish: Wish, before: Spans, now_us: int) -> Spans:
+    """When each valve is driven, by this command and what was passed before it."""
+    if not any(wish.actions):
+        return NO_SPANS
+    return tuple(
+        _span(action, time_us, was, now_us)
+        for action, time_us, was in zip(wish.actions, wish.times_us, before, strict=True)
+    )
+
+
+def _span(action: int, time_32: int, was: Span | None, now_us: int) -> Span | None:
+    is_driven = was is not None and was.start_us <= now_us < was.end_us
+    since_us = was.start_us if was is not None and is_driven else now_us
+    time_us = now_us + (time_32 - now_us + HALF_WRAP) % (2 * HALF_WRAP) - HALF_WRAP
+    if action == ON_NOW:
+        return Span(since_us, FOREVER_US)
+    if action == ON_AT:
+        return Span(since_us if is_driven else max(time_us, now_us), FOREVER_US)
+    if action == OFF_AT and is_driven and time_us > now_us:
+        return Span(since_us, time_us)
+    return None
+
+
+@dataclass
+class GuardState:
+    """The guard's own memory."""
+
+    spans: Spans = NO_SPANS
+    """What was passed last."""
+    latched_by: int = 0
+    pulls: frozenset[int] = NO_PULLS
+    """Main valves driven to pull a gear out, until they are off."""
+    proofs: int = 0
+    """Steps in a row in which everything was valid; the self-test is passed at PROOF_STEPS."""
+    brake_off_us: int = -FOREVER_US
+    """When the brake was last driven."""
+    brake_j: float = 0.0
+    """Spent in this use of the brake."""
+    judged_us: int | None = None
+
+
+class Case(NamedTuple):
+    """What a row is asked about."""
+
+    spans: Spans
+    seen: Seen
+    state: GuardState
+    limits: GuardLimits
+
+    def engaging(self) -> list[tuple[int, Span]]:
+        """Main valves that push toward their gear and have not entered it. One that has pulled the
+        other gear out pushes no further than neutral."""
+        found = []
+        for valve in MAIN_VALVES:
+            span = self.spans[valve]
+            low_m = NEUTRAL_M if valve in self.state.pulls else -NEUTRAL_M
+            if span is not None and low_m <= self.way_m(valve) <= self.limits.contact_m:
+                found.append((valve, span))
+        return found
+
+    def pulling(self) -> frozenset[int]:
+        """Main valves that are driven to pull a gear out, and have been since it was in mesh."""
+        if self.spans is NO_SPANS:
+            return NO_PULLS
+        return frozenset(
+            valve
+            for valve in MAIN_VALVES
+            if self.spans[valve] is not None
+            and (valve in self.state.pulls or self.way_m(valve) < -NEUTRAL_M)
+        )
+
+    def way_m(self, valve: int) -> float:
+        """How far a main sleeve is toward the gear of this valve."""
+        gear = self.limits.main[valve]
+        return self.seen.positions_m[gear.sleeve] * gear.direction
+
+    def contact_us(self, span: Span) -> tuple[float, float]:
+        """The earliest and the latest contact of a sleeve driven so."""
+        middle = span.start_us + self.limits.sleeve_delay_us
+        return middle - self.limits.sleeve_scatter_us, middle + self.limits.sleeve_scatter_us
+
+    def main_is_neutral(self) -> bool:
+        """Whether both main sleeves are proven neutral."""
+        return max(abs(self.seen.positions_m[0]), abs(self.seen.positions_m[1])) <= NEUTRAL_M
+
+    def speed(self, shaft: int) -> float | None:
+        """A shaft's speed, or None."""
+        speed = self.seen.speeds[shaft]
+        return None if speed is None else speed.omega_rad_s
+
+    def clutch_is_open(self) -> bool:
+        """Whether the engine is off the input shaft."""
+        return self.seen.clutch_closed <= CLUTCH_OPEN_SHARE
+
+
+Rule = Callable[[Case], bool]
+
+
+def both_valves_of_a_sleeve(case: Case) -> bool:
+    """Row 1."""
+    return any(case.spans[a] is not None and case.spans[b] is not None for a, b in PAIRS)
+
+
+def two_sleeves_of_the_main_box(case: Case) -> bool:
+    """Row 2: both commanded, or one commanded while the other is not proven neutral."""
+    driven = [case.limits.main[valve].sleeve for valve in MAIN_VALVES if case.spans[valve]]
+    return any(
+        other in driven or abs(case.seen.positions_m[other]) > NEUTRAL_M
+        for other in (1 - sleeve for sleeve in driven)
+    )
+
+
+def slip_out_of_its_window(case: Case) -> bool:
+    """Row 3: at no possible contact is the slip one that the sleeve may meet. With the clutch
+    closed the engine may bring any."""
+    return any(
+        not case.clutch_is_open() or not _slip_can_fit(case, valve, span)
+        for valve, span in case.engaging()
+    )
+
+
+def _slip_can_fit(case: Case, valve: int, span: Span) -> bool:
+    layshaft, main = case.seen.speeds[LAYSHAFT], case.seen.speeds[MAIN]
+    if layshaft is None or main is None:
+        return True  # row 4's affair
+    limits, ratio = case.limits, case.limits.main[valve].ratio
+    early_us, late_us = case.contact_us(span)
+    slip = ratio * layshaft.omega_rad_s - main.omega_rad_s
+    least_s, most_s = _braking_s(case, layshaft.time_us, early_us, late_us)
+    drag = limits.drag_rad_s2 + limits.drag_rate * layshaft.omega_rad_s
+    drag_s = max(0.0, late_us - layshaft.time_us) * 1e-6
+    fall_most = limits.brake_rad_s2[1] * most_s + drag * drag_s
+    fall_least = limits.brake_rad_s2[0] * least_s
+    low, high = limits.slip_rad_s
+    return (
+        slip - ratio * fall_most - SLIP_MARGIN_RAD_S <= high
+        and slip - ratio * fall_least + SLIP_MARGIN_RAD_S >= low
+    )
+
+
+def _braking_s(case: Case, from_us: float, early_us: float, late_us: float) -> tuple[float, float]:
+    """How long the brake acts between the speed's time and contact, at least and at most."""
+    limits, brake = case.limits, case.spans[BRAKE]
+    tail_us = limits.brake_delay_us + 3.0 * limits.brake_lag_us
+    if brake is None:
+        end_us = case.state.brake_off_us + tail_us
+        return 0.0, max(0.0, min(late_us, end_us) - from_us) * 1e-6
+    most_us = min(late_us, brake.end_us + tail_us) - max(from_us, brake.start_us)
+    least_us = min(early_us, brake.end_us) - max(from_us, brake.start_us + tail_us)
+    return max(0.0, least_us) * 1e-6, max(0.0, most_us) * 1e-6
+
+
+def engage_on_unknown_speed(case: Case) -> bool:
+    """Row 4: layshaft or main shaft speed stale or invalid."""
+    unknown = case.speed(LAYSHAFT) is None or case.speed(MAIN) is None
+    return unknown and bool(case.engaging())
+
+
+def brake_against_the_driveline(case: Case) -> bool:
+    """Row 5: the brake with a gear in mesh, with the clutch closed, or until after a sleeve may
+    have met its gear. A release still to come counts as driven until then."""
+    brake = case.spans[BRAKE]
+    if brake is None:
+        return False
+    engaging = case.engaging()
+    approaching = {case.limits.main[valve].sleeve for valve, _ in engaging}
+    in_mesh = any(abs(case.seen.positions_m[sleeve]) > NEUTRAL_M for sleeve in {0, 1} - approaching)
+    meets = any(brake.end_us > case.contact_us(span)[0] for _, span in engaging)
+    return in_mesh or meets or not case.clutch_is_open()
+
+
+def brake_beyond_its_limits(case: Case) -> bool:
+    """Row 6: too long, too much energy, or down to the floor before it can be off again."""
+    brake, limits, now_us = case.spans[BRAKE], case.limits, case.seen.now_us
+    if brake is None:
+        return False
+    too_long = now_us - brake.start_us > limits.brake_on_us
+    too_hot = case.state.brake_j > limits.brake_j
+    layshaft = case.seen.speeds[LAYSHAFT]
+    if too_long or too_hot or layshaft is None:
+        return True
+    off_us = now_us + REACT_US + limits.brake_delay_us + limits.brake_lag_us
+    acting_us = max(0.0, off_us - max(layshaft.time_us, brake.start_us + limits.brake_delay_us))
+    lowest = layshaft.omega_rad_s - limits.brake_rad_s2[1] * acting_us * 1e-6
+    return lowest < limits.brake_floor_rad_s
+
+
+def driven_too_long_or_blind(case: Case) -> bool:
+    """Row 7: a valve beyond its longest time on, or held after the inputs were lost."""
+    now_us = case.seen.now_us
+    driven = [span for span in case.spans if span is not None]
+    too_long = any(now_us - span.start_us > case.limits.valve_on_us for span in driven)
+    return too_long or (bool(driven) and not case.seen.valid)
+
+
+def range_change_out_of_neutral(case: Case) -> bool:
+    """Row 8: the range moves only with the main box in neutral, and never down to where the main
+    shaft would turn too fast."""
+    if case.spans[RANGE_LOW] is None and case.spans[RANGE_HIGH] is None:
+        return False
+    main_driven = any(case.spans[valve] is not None for valve in MAIN_VALVES)
+    if main_driven or not case.main_is_neutral():
+        return True
+    if case.spans[RANGE_LOW] is None:
+        return False
+    propeller = case.speed(PROPELLER)
+    if propeller is None:
+        return True
+    return propeller / case.limits.range_ratio[-1] > case.limits.main_max_rad_s
+
+
+def input_overspeed(case: Case) -> bool:
+    """Row 9: the gear or the splitter step would turn the input shaft too fast."""
+    limits, main, layshaft = case.limits, case.speed(MAIN), case.speed(LAYSHAFT)
+    side = _side(case.seen.positions_m[SPLITTER])
+    for valve, _ in case.engaging():
+        ratio = limits.main[valve].ratio * limits.split_ratio[side]
+        if main is not None and main / ratio > limits.input_max_rad_s:
+            return True
+    if case.spans[SPLIT_LOW] is None:
+        return False
+    return layshaft is None or layshaft / limits.split_ratio[-1] > limits.input_max_rad_s
+
+
+def _side(position_m: float) -> int:
+    """The step a splitter sleeve is in; the faster input shaft where it is in none."""
+    return 1 if position_m > NEUTRAL_M else -1
+
+
+def disengage_under_torque(case: Case) -> bool:
+    """Row 10: a sleeve pulled out of mesh, main or splitter, with clutch or brake on it."""
+    pulls = any(
+        case.spans[valve] is not None and case.way_m(valve) < -NEUTRAL_M for valve in MAIN_VALVES
+    ) or any(
+        case.spans[valve] is not None and case.seen.positions_m[SPLITTER] * way < -NEUTRAL_M
+        for valve, way in ((SPLIT_LOW, -1), (SPLIT_HIGH, 1))
+    )
+    gauge_pa = case.seen.brake_pa - case.limits.atmosphere_pa
+    return pulls and (not case.clutch_is_open() or gauge_pa > BRAKE_PRESSED_PA)
+
+
+def actuation_at_low_supply(case: Case) -> bool:
+    """Row 11: nothing new is driven without air; what is on its way goes on."""
+    new = any(
+        now is not None and before is None
+        for now, before in zip(case.spans, case.state.spans, strict=True)
+    )
+    return new and case.seen.supply_pa < case.limits.supply_low_pa
+
+
+def output_before_the_self_test(case: Case) -> bool:
+    """Row 12: any output before every input was valid, several steps in a row, and before the
+    guard's own numbers were found in order."""
+    return any(case.spans) and case.state.proofs < PROOF_STEPS
+
+
+def sensor_denies_a_gear(case: Case) -> bool:
+    """Row 13: the sleeves say neutral, but a gear turns with its sleeve: believe that it is in.
+    Then the brake, the range and the other sleeve stay off; the gear itself may be moved."""
+    if case.seen.agreeing == 0:
+        return False
+    sleeve = case.limits.main[case.seen.agreeing].sleeve
+    others = [v for v in MAIN_VALVES if case.limits.main[v].sleeve != sleeve]
+    return any(case.spans[v] is not None for v in (BRAKE, RANGE_LOW, RANGE_HIGH, *others))
+
+
+class Row(NamedTuple):
+    """One rule: its number in docs/guard.md, whether it latches, and the test."""
+
+    number: int
+    latches: bool
+    forbids: Rule
+
+
+ROWS: Final = (
+    Row(12, False, output_before_the_self_test),
+    Row(1, True, both_valves_of_a_sleeve),
+    Row(2, True, two_sleeves_of_the_main_box),
+    Row(7, False, driven_too_long_or_blind),
+    Row(13, False, sensor_denies_a_gear),
+    Row(5, False, brake_against_the_driveline),
+    Row(6, False, brake_beyond_its_limits),
+    Row(8, False, range_change_out_of_neutral),
+    Row(9, False, input_overspeed),
+    Row(10, False, disengage_under_torque),
+    Row(4, False, engage_on_unknown_speed),
+    Row(3, False, slip_out_of_its_window),
+    Row(11, False, actuation_at_low_supply),
+)
+"""In the order in which they are asked: the first that forbids is the one reported."""
+
+
+class Guard:
+    """Judges finished frames."""
+
+    def __init__(self, limits: GuardLimits) -> None:
+        self._limits = limits
+        self._state = GuardState()
+        self._is_sound = limits.are_sane and _decodes_as_it_should()
+        self.blocks = 0
+        self.blocked_row: int | None = None
+
+    def passes(self, payload: bytes, seen: Seen) -> bool:
+        """Whether the frame may go out. A latched guard passes only frames that drive nothing, and
+        one such frame clears the latch: the sequence has taken its command back."""
+        state = self._state
+        self._note(seen)
+        wished = spans(decode(payload), state.spans, seen.now_us)
+        if not any(wished):
+            state.latched_by, self.blocked_row = 0, None
+        elif state.latched_by:
+            self.blocked_row = state.latched_by
+        else:
+            self.blocked_row = self._judge(Case(wished, seen, state, self._limits))
+        if self.blocked_row is not None:
+            self.blocks += 1
+            wished = NO_SPANS
+        self._remember(wished, seen)
+        return self.blocked_row is None
+
+    def _judge(self, case: Case) -> int | None:
+        for row in ROWS:
+            if row.forbids(case):
+                if row.latches:
+                    self._state.latched_by = row.number
+                return row.number
+        return None
+
+    def _note(self, seen: Seen) -> None:
+        """Self-test and the brake's energy, from what is seen."""
+        state = self._state
+        if state.proofs < PROOF_STEPS:
+            proven = seen.valid and self._is_sound
+            state.proofs = state.proofs + 1 if proven else 0
+        layshaft = seen.speeds[LAYSHAFT]
+        if state.judged_us is not None and layshaft is not None:
+            gauge_pa = max(0.0, seen.brake_pa - self._limits.atmosphere_pa)
+            torque = self._limits.brake_nm_per_pa * gauge_pa
+            state.brake_j += torque * layshaft.omega_rad_s * (seen.now_us - state.judged_us) * 1e-6
+        state.judged_us = seen.now_us
+
+    def _remember(self, wished: Spans, seen: Seen) -> None:
+        state, now_us = self._state, seen.now_us
+        state.pulls = Case(wished, seen, state, self._limits).pulling()
+        was = state.spans[BRAKE]
+        if was is not None and was.start_us <= now_us:
+            state.brake_off_us = min(was.end_us, now_us)
+        if wished[BRAKE] is None and was is None:
+            state.brake_j = 0.0
+        state.spans = wished
+
+
+def _decodes_as_it_should() -> bool:
+    """The self-test of the decoder: a frame that drives nothing and one that drives everything."""
+    nothing, everything = bytes(FRAME_LENGTH), b"\xff" * FRAME_LENGTH
+    return decode(nothing).driven == (False,) * VALVES and decode(everything).driven == (
+        (True,) * VALVES
+    )

@@ -1,0 +1,150 @@
+"""What the guard knows of the gearbox: straight from the sensor frames of each step.
+
+Nothing here comes from the observer: speeds are teeth over time of the newest frames, positions and
+pressures the newest samples, and a gear that the sleeves deny is looked for in the turns of the
+shafts (row 13).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Any, Final, NamedTuple
+
+from meshpoint.controller.guard.limits import NEUTRAL_M, GuardLimits
+from meshpoint.controller.sensing.edge_speed import EdgeSpeed, Speed, Turned
+from meshpoint.controller.sensing.step_inputs import StepInputs
+from meshpoint.dbc.link import Receiver
+from meshpoint.dbc.messages import (
+    EdgesInputRise,
+    EdgesLayshaftRise,
+    EdgesMainRise,
+    EdgesPropellerRise,
+    GearboxSensors,
+    SleevesAux,
+    SleevesMain,
+)
+from meshpoint.gearbox import GearboxSheet
+
+FRESH_US: Final = 45_000
+"""Samples older than this are lost, whatever their counters say."""
+AGREE_US: Final = 100_000
+"""Twice this long a gear's turns are compared with its sleeve's before they are believed."""
+AGREE_RAD_S: Final = 0.15
+"""A mean slip below this (1.4 rpm) in both halves: they turn as one."""
+TURNING_RAD_S: Final = 10.0
+"""Below this speed every ratio agrees with every other."""
+RAD: Final = 2.0 * math.pi
+HALF: Final = 1 << 31
+SLOW: Final = (SleevesMain, SleevesAux, GearboxSensors)
+
+
+class Seen(NamedTuple):
+    """One step's view. Speeds are those of input shaft, layshaft, main and propeller shaft."""
+
+    now_us: int
+    positions_m: tuple[float, float, float, float]
+    """First/second, crawl/third, splitter, range."""
+    clutch_closed: float
+    supply_pa: float
+    brake_pa: float
+    speeds: tuple[Speed | None, Speed | None, Speed | None, Speed | None]
+    agreeing: int
+    """The main valve whose gear turns with its sleeve though no sleeve is in mesh; 0 none."""
+    valid: bool
+    """Positions, clutch and pressures come from channels that are VALID, and are fresh."""
+
+
+class GuardView:
+    """Collects what `Seen` says."""
+
+    def __init__(self, sheet: GearboxSheet, limits: GuardLimits) -> None:
+        wheels = sheet.wheels
+        self._main = limits.main
+        self._teeth = (wheels.layshaft.teeth, wheels.main.teeth)
+        self._shafts: dict[type, EdgeSpeed] = {
+            EdgesInputRise: EdgeSpeed(wheels.input_.teeth),
+            EdgesLayshaftRise: EdgeSpeed(wheels.layshaft.teeth),
+            EdgesMainRise: EdgeSpeed(wheels.main.teeth),
+            EdgesPropellerRise: EdgeSpeed(wheels.propeller.teeth),
+        }
+        self._newest: dict[type, Any] = {}
+        self._turns: deque[tuple[Turned, Turned]] = deque()
+
+    def take(self, inputs: StepInputs, receiver: Receiver, now_us: int) -> Seen:
+        """One step's frames at a sensor time."""
+        for kind, shaft in self._shafts.items():
+            for frame in inputs.edges[kind]:
+                shaft.take(frame, now_us)
+        for messages in (inputs.sleeves_main, inputs.sleeves_aux, inputs.sensors):
+            if messages:
+                self._newest[type(messages[-1])] = messages[-1]
+        a, b, c, d = [shaft.at(now_us) for shaft in self._shafts.values()]
+        if len(self._newest) < len(SLOW):
+            return Seen(now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, valid=False)
+        main, aux, sensors = [self._newest[kind] for kind in SLOW]
+        positions = (
+            main.sleeve_first_second_m[0],
+            main.sleeve_crawl_third_m[0],
+            aux.sleeve_splitter_m[0],
+            aux.sleeve_range_m[0],
+        )
+        return Seen(
+            now_us,
+            positions,
+            sensors.clutch_position_fraction,
+            sensors.supply_pressure_pa,
+            sensors.brake_pressure_pa,
+            (a, b, c, d),
+            self._agreeing(positions, b, c, now_us),
+            self._valid(receiver, now_us),
+        )
+
+    def _valid(self, receiver: Receiver, now_us: int) -> bool:
+        if not receiver.all_valid(SLOW):
+            return False
+        return max([_age_us(newest, now_us) for newest in self._newest.values()]) <= FRESH_US
+
+    def _agreeing(
+        self,
+        positions: tuple[float, ...],
+        layshaft: Speed | None,
+        main: Speed | None,
+        now_us: int,
+    ) -> int:
+        """Row 13's evidence, gathered since both sleeves said neutral."""
+        turns = self._turns
+        out = max(abs(positions[0]), abs(positions[1])) > NEUTRAL_M
+        slow = layshaft is None or main is None or layshaft.omega_rad_s < TURNING_RAD_S
+        if out or slow:
+            turns.clear()
+            return 0
+        turned = (self._shafts[EdgesLayshaftRise].turned, self._shafts[EdgesMainRise].turned)
+        if turned[0] is None or turned[1] is None:
+            turns.clear()
+            return 0
+        turns.append((turned[0], turned[1]))
+        while len(turns) > 1 and now_us - turns[1][0].time_us >= 2 * AGREE_US:
+            turns.popleft()
+        if now_us - turns[0][0].time_us < 2 * AGREE_US:
+            return 0
+        middle = next(t for t in turns if now_us - t[0].time_us <= AGREE_US or t is turns[-1])
+        for valve, gear in self._main.items():
+            halves = ((turns[0], middle), (middle, turns[-1]))
+            if all(abs(self._slip(gear.ratio, *half)) < AGREE_RAD_S for half in halves):
+                return valve
+        return 0
+
+    def _slip(
+        self, ratio: float, before: tuple[Turned, Turned], after: tuple[Turned, Turned]
+    ) -> float:
+        """Mean slip between two looks, from whole teeth and the times of their edges."""
+        layshaft, main = (
+            RAD / teeth * (late.teeth - early.teeth) * 1e6 / max(1, late.time_us - early.time_us)
+            for teeth, early, late in zip(self._teeth, before, after, strict=True)
+        )
+        return ratio * layshaft - main
+
+
+def _age_us(message: Any, now_us: int) -> int:
+    return int((now_us - message.sample_time_us + HALF) % (2 * HALF)) - HALF

@@ -1,0 +1,1 @@
+"""How shafts move: models, their closed forms and kernels, predictors, the brake input."""

@@ -1,0 +1,88 @@
+"""When the brake valve was and will be driven, in the sensor clock: u_brake of thesis 4.15b.
+
+Commands carry activation times, so the filter's and the predictor's input is known to the
+microsecond, the future included.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.motion.linear_kernels import Vector
+
+KEPT: Final = 16
+"""Switches kept: a shift makes a handful, and pressure forgets within ten time constants."""
+
+
+class Switch(NamedTuple):
+    """From `time_us` on the valve is driven or not."""
+
+    time_us: int
+    on: bool
+
+
+class BrakeInput:
+    """The valve's switches: those that happened and at most one that is planned."""
+
+    def __init__(self, valve_delay_us: int) -> None:
+        self._delays_us = (valve_delay_us, valve_delay_us)
+        self._switches: list[Switch] = []
+        self._arrays: tuple[Vector, Vector] | None = None
+
+    def schedule(self, time_us: int, on: bool, now_us: int) -> None:
+        """The valve will be `on` from `time_us`; replaces what was planned after `now_us`."""
+        kept = [switch for switch in self._switches if switch.time_us <= now_us]
+        if (not kept or kept[-1].on != on) and (kept or on):
+            kept.append(Switch(time_us, on))
+        if kept != self._switches:
+            self._switches = kept[-KEPT:]
+            self._arrays = None
+
+    def seen_through(self, valve_delay_us: int) -> BrakeInput:
+        """The same switches with another delay of the valve."""
+        other = BrakeInput(valve_delay_us)
+        other._switches = list(self._switches)
+        return other
+
+    def set_delays(self, off_us: int, on_us: int) -> None:
+        """From a switch to the pressure's first reaction, as learned."""
+        if (off_us, on_us) != self._delays_us:
+            self._delays_us, self._arrays = (off_us, on_us), None
+
+    @property
+    def commands(self) -> tuple[Vector, Vector]:
+        """Times at which the valve is switched, without its delay, and u from then on."""
+        times = np.array([switch.time_us for switch in self._switches], dtype=np.float64)
+        return times, np.array([float(switch.on) for switch in self._switches])
+
+    def cancel_pending(self, now_us: int) -> None:
+        """Nothing is planned any more."""
+        kept = [switch for switch in self._switches if switch.time_us <= now_us]
+        if kept != self._switches:
+            self._switches, self._arrays = kept, None
+
+    def arrays(self) -> tuple[Vector, Vector]:
+        """Times at which pressure starts to react, and u from then on (for `kernels.propagate`)."""
+        if self._arrays is None:
+            self._arrays = self._with(None)
+        return self._arrays
+
+    def with_release(self, release_us: float) -> tuple[Vector, Vector]:
+        """The same if the brake were released at `release_us` instead, and left so."""
+        return self._with(release_us)
+
+    def _with(self, release_us: float | None) -> tuple[Vector, Vector]:
+        times: list[float] = [switch.time_us for switch in self._switches]
+        states = [float(switch.on) for switch in self._switches]
+        if release_us is not None:
+            # A release that is planned already is what is being moved, not a switch of its own.
+            while times and (states[-1] == 0.0 or times[-1] >= release_us):
+                times.pop()
+                states.pop()
+            times.append(release_us)
+            states.append(0.0)
+        off_us, on_us = self._delays_us
+        times = [t + (on_us if u else off_us) for t, u in zip(times, states, strict=True)]
+        return np.array(times, dtype=np.float64), np.array(states)

@@ -1,0 +1,156 @@
+"""How a shaft is taken to move: the models of `motion_kernels`, and predictions with them."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.motion.kernels import (
+    OMEGA,
+    PRESSURE,
+    SEGMENTS,
+    STATES,
+    THETA,
+    Vector,
+    forecast,
+    travel,
+)
+from meshpoint.controller.motion.kinematics import are_finite
+from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.gearbox import GearboxSheet, Split
+
+_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
+LEAST_RATE: float = 1e-3
+"""A pressure law's b closer to zero than this is taken as this: a singularity that can be avoided
+and makes no difference (1e-4 of the pressure in 0.1 s)."""
+
+
+class LayshaftState(NamedTuple):
+    """x of thesis 4.15a at a time, and what it is disturbed by; with standard deviations."""
+
+    time_us: float
+    theta_rad: float
+    omega_rad_s: float
+    pressure_pa: float
+    theta_sd_rad: float = 0.0
+    omega_sd_rad_s: float = 0.0
+    pressure_sd_pa: float = 0.0
+    disturbance_rad_s2: float = 0.0
+    """Acceleration by torques of short memory."""
+    gain: float = 1.0
+    """Brake torque over that of the data sheet."""
+    drag_rad_s2: float = 0.0
+    """Steady acceleration beside the viscous friction; negative: it brakes."""
+    covariance: Vector | None = None
+    """Of the six states of `motion_kernels` (6, 6), where the estimator has one."""
+
+    @property
+    def is_finite(self) -> bool:
+        """Whether every number of it is one."""
+        return are_finite(self[:10])
+
+    @property
+    def vector(self) -> Vector:
+        """The six states of `motion_kernels`."""
+        return np.array([*self[1:4], *self[7:10]])
+
+
+class MotionModel(NamedTuple):
+    """The three parameter arrays of `motion_kernels`."""
+
+    motion: Vector
+    """[a, g, b_d] (3,)."""
+    law: Vector
+    """Pressure law (2, SEGMENTS, 3)."""
+    noise: Vector
+    """Densities of the driving noises (4,)."""
+
+
+def first_order_law(rate: float, supply_pa: float) -> Vector:
+    """The pressure law of thesis 4.1: one segment a direction, b = 1/tau."""
+    law = np.full((2, SEGMENTS, 3), np.inf)
+    law[:, :, 1:] = 1.0, 0.0
+    law[0, 0] = -np.inf, rate, 0.0
+    law[1, 0] = -np.inf, rate, rate * supply_pa
+    return law
+
+
+def free_motion(
+    sheet: GearboxSheet, split: Split, law: Vector, tuning: CrossingFilterTuning
+) -> MotionModel:
+    """The layshaft with clutch open and main box in neutral (4.13, 4.15)."""
+    inertia = sheet.inertia_kgm2(split)
+    rate = 1.0 / tuning.disturbance_s
+    sigma = tuning.torque_disturbance_nm / inertia
+    motion = np.array([sheet.shafts.friction_nms / inertia, sheet.brake_nm_per_pa / inertia, rate])
+    noise = np.array(
+        [
+            2.0 * sigma * sigma * rate,
+            tuning.pressure_walk_pa**2,
+            tuning.gain_walk**2,
+            (tuning.drag_walk_nm / inertia) ** 2,
+        ]
+    )
+    return MotionModel(motion, law, noise)
+
+
+def following_motion(
+    acceleration_rad_s2: float, memory_s: float, walk_rad_s2: float
+) -> MotionModel:
+    """A shaft that something unknown drives: accelerations of short memory and a wandering one."""
+    rate = 1.0 / memory_s
+    noise = np.array([2.0 * acceleration_rad_s2**2 * rate, 1.0, 0.0, walk_rad_s2**2])
+    return MotionModel(np.array([0.0, 0.0, rate]), first_order_law(1.0, 0.0), noise)
+
+
+def predict(
+    state: LayshaftState, to_us: float, switches: tuple[Vector, Vector], model: MotionModel
+) -> LayshaftState:
+    """The state at another time through every brake switch; standard deviations are kept."""
+    x = state.vector
+    travel(x, state.time_us, to_us, switches[0], switches[1], model.motion, model.law)
+    theta, omega, pressure, disturbance, gain, drag = x.tolist()
+    return _new(
+        LayshaftState,
+        (to_us, theta, omega, pressure, *state[4:7], disturbance, gain, drag, state.covariance),
+    )
+
+
+def predict_spread(
+    state: LayshaftState, to_us: float, switches: tuple[Vector, Vector], model: MotionModel
+) -> LayshaftState:
+    """As `predict`, with the covariance grown to then. The state must have one."""
+    if state.covariance is None:
+        raise ValueError("the estimator of this state has no covariance")
+    return ahead(state.vector, state.covariance, state.time_us, to_us, switches, model)
+
+
+def ahead(
+    x: Vector,
+    p: Vector,
+    time_us: float,
+    to_us: float,
+    switches: tuple[Vector, Vector],
+    model: MotionModel,
+) -> LayshaftState:
+    """The record of a filter's state and covariance at a time, gone on with to another."""
+    x, p = x.copy(), p.copy()
+    forecast(x, p, time_us, to_us, switches[0], switches[1], model.motion, model.law, model.noise)
+    return state_of(x, p, to_us)
+
+
+def state_of(x: Vector, p: Vector, time_us: float) -> LayshaftState:
+    """The record of a filter's state and covariance."""
+    theta, omega, pressure, disturbance, gain, drag = x.tolist()
+    variances = p.item(THETA, THETA), p.item(OMEGA, OMEGA), p.item(PRESSURE, PRESSURE)
+    sds = [math.sqrt(variance) if variance > 0.0 else 0.0 for variance in variances]
+    return _new(LayshaftState, (time_us, theta, omega, pressure, *sds, disturbance, gain, drag, p))
+
+
+def diagonal(*sds: float) -> Vector:
+    """A covariance of independent states."""
+    p = np.zeros((STATES, STATES))
+    np.fill_diagonal(p, [sd * sd for sd in sds])
+    return p

@@ -1,0 +1,1 @@
+"""The angle between gear teeth and sleeve teeth: learned, kept, lost, found again."""

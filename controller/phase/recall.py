@@ -1,0 +1,325 @@
+"""Phase references that were lost with the tooth numbers, and how they come back.
+
+A reference is a constant between counted angles, so it is worth nothing once a wheel is numbered
+anew, until the wheel's tooth pattern is found again (`tooth_match`). Remembered tooth t + k being
+present tooth t on both wheels, the reference of a gear with mesh ratio i = z1/z2 is
+
+    offset = remembered - i (k_L pitch_L + 2 pi N) + k_M pitch_M    (modulo the dog teeth's pitch)
+
+with N the layshaft's whole turns since, one number for all gears. Which N are possible is kept for
+all of them together (`turn_candidates`); each gear that is learned excludes those whose phase
+it contradicts. A gear whose phase is the same for all N that are left is known without having been
+in mesh. If none is left, what was remembered is wrong: it is dropped, and that is said.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.estimation.teeth import WheelTeeth
+from meshpoint.controller.estimation.tooth_match import Memory
+from meshpoint.controller.motion.kinematics import wrap_to_pitch
+from meshpoint.controller.phase.reference import Floated, PhaseReferences
+from meshpoint.controller.phase.turn_candidates import (
+    TurnSet,
+    all_turns,
+    any_one,
+    narrowed,
+    turn_candidates,
+    without,
+)
+from meshpoint.controller.sensing.sensor_count import Renumbered
+from meshpoint.dbc.messages import ReferenceSource
+from meshpoint.gearbox import GearboxSheet, MainGear
+
+TURN: Final = 2.0 * math.pi
+LEARNED_SD_RAD: Final = math.radians(0.1)
+"""Of the difference of two references of one gear learned apart (docs/calibration.md)."""
+AGREES_SDS: Final = 4.0
+LEAST_FREE_SHARE: Final = -0.1
+"""A tooth has not moved by more than the backlash; where it seems to, looks were wrong."""
+MOST_COUNTED: Final = 1000
+"""Turns, of a layshaft that a sensor has counted."""
+
+
+class Kept(NamedTuple):
+    """Tooth patterns and the references in their numbering: what outlives a restart."""
+
+    layshaft: Memory | None
+    main: Memory | None
+    offsets_rad: dict[MainGear, float]
+
+
+@dataclass
+class _Wheel:
+    """A wheel, and its remembered tooth number less the present one; None while not known."""
+
+    name: str
+    teeth: WheelTeeth
+    pitch_rad: float
+    shift: int | None = 0
+    base: int = 0
+    """The shift of the numbering that the wheel's own memory is in."""
+
+    @property
+    def hopeless(self) -> bool:
+        """Nothing is left by which its old numbers could be found."""
+        return self.shift is None and self.teeth.memory is None and self.teeth.found is None
+
+    def kept(self) -> Memory | None:
+        """Its pattern in the remembered numbering."""
+        teeth, memory = self.teeth, self.teeth.memory
+        if self.shift is None and memory is not None:
+            return Memory(np.roll(memory.error_rad, 2 * self.base), memory.sd_rad, memory.edges)
+        if not teeth.learned:
+            return memory
+        turned = np.roll(teeth.error_rad, 2 * (self.shift or 0))
+        return Memory(turned, teeth.sd_rad, teeth.edges_seen)
+
+
+class Recall:
+    """The references of a numbering that was lost, and what is known of it by now."""
+
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        references: PhaseReferences,
+        layshaft: WheelTeeth,
+        main: WheelTeeth,
+    ) -> None:
+        self._sheet = sheet
+        self._references = references
+        self._layshaft = _Wheel("layshaft", layshaft, sheet.wheels.layshaft.pitch_rad)
+        self._main = _Wheel("main shaft", main, sheet.wheels.main.pitch_rad)
+        self._wheels = (self._layshaft, self._main)
+        self._remembered: dict[MainGear, float] = {}
+        self._same_turn = True
+        """No turn of the layshaft has gone uncounted since the references were remembered."""
+        self._turns: TurnSet = all_turns({})
+        """Uncounted turns, for the gears that they matter to."""
+        self._renumbered = Renumbered()
+        self._counted_from: Renumbered | None = None
+        """What the sensor had counted when the references were remembered, where it tells."""
+        self._found = False
+        """Both wheels are numbered as remembered, so that candidates can be told apart."""
+
+    def restore(self, kept: Kept) -> None:
+        """Patterns and references of an earlier run."""
+        self._remembered, self._same_turn = dict(kept.offsets_rad), False
+        self._turns, self._found = all_turns({}), False
+        self._counted_from = None
+        for wheel, memory in zip(self._wheels, (kept.layshaft, kept.main), strict=True):
+            wheel.teeth.memory = memory
+            wheel.shift, wheel.base = None, 0
+
+    def lost(self, layshaft: bool, main: bool) -> None:
+        """A wheel's numbers are lost; its teeth have not been told yet."""
+        broken = [wheel for wheel, lost in zip(self._wheels, (layshaft, main), strict=True) if lost]
+        if not self._pending:
+            self._remember(turns_lost=layshaft)
+        for wheel in broken:
+            if wheel.teeth.learned is (wheel.shift is None):
+                # No pattern of this numbering, or of its relation to the remembered one.
+                self._remembered = {}
+            elif wheel.shift is not None:
+                wheel.base = wheel.shift
+            wheel.shift = None
+        if layshaft:
+            self._same_turn = False
+            self._remembered, self._turns = self._without_waiting(), all_turns({})
+        self._found = False
+        self._references.lose_all()
+
+    def _without_waiting(self) -> dict[MainGear, float]:
+        """What is remembered, but for gears that wait for other turns than are lost now."""
+        waiting = self._turns.moduli
+        return {gear: at for gear, at in self._remembered.items() if gear not in waiting}
+
+    @property
+    def _pending(self) -> bool:
+        return any(wheel.shift is None for wheel in self._wheels)
+
+    def _remember(self, turns_lost: bool) -> None:
+        """Before numbers are lost: the present numbering is the one to remember, with gears that
+        still wait for the layshaft's turns, where they can wait on."""
+        known, open_ = self._references.offsets_rad, self._open()
+        if turns_lost:
+            remembered = self._in_present_numbering()
+            self._start(remembered)
+            if remembered.keys() != known.keys():
+                # Gears that waited for earlier turns are not told by those counted from here on.
+                self._counted_from = None
+            return
+        at_zero = {gear: self._predicted(gear, 0) for gear in open_.moduli}
+        self._start(at_zero | known)
+        self._turns = open_
+
+    def _open(self) -> TurnSet:
+        """What the known gears leave to the others."""
+        return without(self._turns if self._found else all_turns({}), self._references.offsets_rad)
+
+    def _in_present_numbering(self) -> dict[MainGear, float]:
+        """What outlives the loss of the layshaft's turns: known references, and the others at any
+        turn that is possible. That is as good as the right one only where each known gear tells a
+        single one, else the others would contradict it."""
+        known, turns = self._references.offsets_rad, self._turns
+        if not self._found or not all(len(turns.candidates(gear)) == 1 for gear in known):
+            return known
+        one = any_one(turns)
+        return {gear: self._predicted(gear, turn) for gear, turn in one.items()} | known
+
+    def _start(self, remembered: dict[MainGear, float]) -> None:
+        """The present numbering is the one to remember."""
+        self._counted_from = self._renumbered
+        self._remembered, self._same_turn, self._found = remembered, True, False
+        self._turns = all_turns({})
+        for wheel in self._wheels:
+            wheel.shift, wheel.base = 0, 0
+
+    def look(self, events: list[str], renumbered: Renumbered) -> None:
+        """Takes what the wheels have found since the last step, and what the sensor has counted of
+        the layshaft."""
+        self._renumbered = renumbered
+        waiting = self._pending
+        for wheel in self._wheels:
+            found, wheel.teeth.found = wheel.teeth.found, None
+            if found is None:
+                continue
+            events.append(f"{wheel.name} teeth found again: tooth 0 was {found.teeth}")
+            if wheel.shift is None:
+                wheel.shift = wheel.base + found.teeth
+        if any(wheel.hopeless for wheel in self._wheels):
+            self._start({})
+        elif waiting and not self._pending:
+            self._begin(events)
+
+    def _begin(self, events: list[str]) -> None:
+        """Both wheels are numbered as before, up to turns of the layshaft."""
+        if not self._same_turn:
+            moduli = {gear: turn_candidates(self._sheet, gear) for gear in self._remembered}
+            self._turns = all_turns(moduli, self._counted_turns())
+        self._found = True
+        for gear in list(self._references.offsets_rad):
+            self.learned(gear, 0.0, events)
+        self._use(ReferenceSource.RESTORED, events)
+
+    def _counted_turns(self) -> range | None:
+        """Turns of the layshaft that agree with what the sensor has counted; None where it does not
+        tell, or where that does not agree with the teeth."""
+        start, now = self._counted_from, self._renumbered
+        if start is None or start.uncounted != now.uncounted:
+            return None
+        teeth, shift = self._layshaft.teeth.count, self._layshaft.shift or 0
+        least = -((shift - (now.least - start.least)) // teeth)
+        most = (now.most - start.most - shift) // teeth
+        return range(least, most + 1) if 0 <= most - least < MOST_COUNTED else None
+
+    def learned(self, gear: MainGear, sd_rad: float, events: list[str]) -> None:
+        """A gear's reference has just been learned: how many turns agree with it?
+
+        sd_rad: of the phase as it was seen then."""
+        if not self._found or gear not in self._remembered:
+            return
+        offset = self._references.offsets_rad[gear]
+        self._exclude(gear, offset, AGREES_SDS * math.hypot(LEARNED_SD_RAD, sd_rad), events)
+
+    def floated(self, floated: Floated, events: list[str]) -> None:
+        """A gear has been in mesh and was not learned: its tooth was in its gap all the same."""
+        if not self._found or floated.gear not in self._remembered:
+            return
+        low, high = floated.low_rad, floated.high_rad
+        free = self._sheet.dog.backlash_rad - (high - low)
+        tolerance = 0.5 * free + AGREES_SDS * math.hypot(LEARNED_SD_RAD, LEARNED_SD_RAD)
+        if free > LEAST_FREE_SHARE * self._sheet.dog.backlash_rad:
+            self._exclude(floated.gear, 0.5 * (low + high), tolerance, events)
+
+    def _exclude(self, gear: MainGear, offset: float, tolerance: float, events: list[str]) -> None:
+        """The turns by which a gear's reference would be farther from `offset`."""
+        pitch_rad = self._sheet.dog.pitch_rad
+
+        def agrees(turn: int) -> bool:
+            return abs(wrap_to_pitch(self._predicted(gear, turn) - offset, pitch_rad)) < tolerance
+
+        if gear in self._turns.moduli:
+            self._turns = narrowed(self._turns, gear, agrees)
+        if self._turns.empty or not (gear in self._turns.moduli or agrees(0)):
+            self._drop(gear, events)
+        else:
+            self._use(ReferenceSource.NARROWED, events)
+
+    def _drop(self, gear: MainGear, events: list[str]) -> None:
+        """A gear in mesh contradicts all that was possible: what was seen counts."""
+        forgotten = [other.name.lower() for other in self._remembered if other is not gear]
+        for other in self._references.offsets_rad:
+            if self._references.source(other) is not ReferenceSource.MEASURED:
+                self._references.lose(other)
+        self._start({})
+        events.append(
+            f"remembered phase references do not agree with {gear.name.lower()} in mesh: forgotten"
+            f" ({', '.join(forgotten) or 'no other'})"
+        )
+
+    def _use(self, source: ReferenceSource, events: list[str]) -> None:
+        """Gears whose phase all turns agree on are known."""
+        for gear in self._remembered:
+            if self._references.known(gear):
+                continue
+            offset = self._agreed(gear)
+            if offset is not None:
+                self._references.adopt(gear, offset, source)
+                events.append(
+                    f"phase reference of {gear.name.lower()} found again ({_WHY[source]})"
+                )
+
+    def _agreed(self, gear: MainGear) -> float | None:
+        """A gear's reference where all its candidates are alike; the middle of them."""
+        first, *others = (self._predicted(gear, turn) for turn in self._turns_of(gear))
+        pitch_rad = self._sheet.dog.pitch_rad
+        away = [0.0, *(wrap_to_pitch(other - first, pitch_rad) for other in others)]
+        if max(away) - min(away) > LEARNED_SD_RAD:
+            return None
+        return first + (max(away) + min(away)) / 2.0
+
+    def _turns_of(self, gear: MainGear) -> frozenset[int]:
+        """Possible N of a gear, modulo its n; 0 alone where turns were counted."""
+        if not self._found or gear not in self._remembered:
+            return frozenset()
+        return self._turns.candidates(gear) or frozenset({0})
+
+    def _predicted(self, gear: MainGear, turn: int) -> float:
+        layshaft, main = self._wheels
+        ratio = self._sheet.main_mesh(gear).ratio
+        moved = (layshaft.shift or 0) * layshaft.pitch_rad + turn * TURN
+        return self._remembered[gear] - ratio * moved + (main.shift or 0) * main.pitch_rad
+
+    def candidates(self, gear: MainGear) -> int:
+        """How many phases of this gear are possible; 0 where nothing is remembered of it."""
+        return 1 if self._references.known(gear) else len(self._turns_of(gear))
+
+    def kept(self) -> Kept:
+        """What is worth keeping: the remembered numbering while it may still be found again, else
+        the present one."""
+        if not self._pending:
+            both = all(wheel.teeth.learned for wheel in self._wheels)
+            layshaft, main = (_now(wheel.teeth) for wheel in self._wheels)
+            return Kept(layshaft, main, self._in_present_numbering() if both else {})
+        layshaft, main = (wheel.kept() for wheel in self._wheels)
+        whole = layshaft is not None and main is not None
+        return Kept(layshaft, main, self._without_waiting() if whole else {})
+
+
+_WHY: Final = {
+    ReferenceSource.RESTORED: "with the tooth numbers",
+    ReferenceSource.NARROWED: "by the gears in mesh",
+}
+
+
+def _now(teeth: WheelTeeth) -> Memory | None:
+    """A wheel's pattern in the present numbering; that of its memory where it has no other."""
+    if teeth.learned:
+        return Memory(teeth.error_rad, teeth.sd_rad, teeth.edges_seen)
+    return teeth.memory

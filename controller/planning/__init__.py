@@ -1,0 +1,1 @@
+"""When to release the brake and when to fire, by strategy."""

@@ -1,0 +1,167 @@
+"""The outlook of a shift: slip and phase of the target gear at times to come.
+
+Layshaft by zero-order hold over the brake commands, main shaft with the acceleration it has.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.estimation.cruise import ShaftState
+from meshpoint.controller.motion.brake_input import BrakeInput
+from meshpoint.controller.motion.kinematics import slip_rad_s
+from meshpoint.controller.motion.linear_kernels import US, Vector
+from meshpoint.controller.motion.models import LayshaftState, MotionModel, predict, predict_spread
+from meshpoint.controller.phase.reference import PhaseReferences
+from meshpoint.controller.planning.plan_kernels import course
+from meshpoint.gearbox import MainGear
+
+MOST_STEPS = 40
+LEAST_SHARE = 1e-3
+CLOSE_RAD_S = 1e-4
+"""A root this near is found: some microseconds at the brake's full torque."""
+
+
+class Course(NamedTuple):
+    """Phase (unwrapped) and slip at equal steps of time."""
+
+    first_us: float
+    step_us: float
+    phase_rad: Vector
+    slip_rad_s: Vector
+
+
+@dataclass(frozen=True)
+class Outlook:
+    """Predictions for one target gear from the estimates of this step."""
+
+    gear: MainGear
+    i_gear: float
+    layshaft: LayshaftState
+    main: ShaftState
+    brake: BrakeInput
+    model: MotionModel
+    references: PhaseReferences
+    delay_us: int
+    """From a sleeve valve's activation to contact, expected."""
+    delay_sd_s: float
+    drift_rad_s: float
+    """Learned: what the slip is above what the model says (`phase_drift`)."""
+    spread_share: float
+    """Learned: what phases scatter by over the filter's standard deviation."""
+
+    def slip_rad_s(self, time_us: float, release_us: int | None = None) -> float:
+        """Slip at a time with the brake as commanded, or released at `release_us`."""
+        return self._slip(self.layshaft_at(time_us, release_us))
+
+    def _slip(self, state: LayshaftState) -> float:
+        omega_main = self.main.omega_at(state.time_us)
+        return slip_rad_s(self.i_gear, state.omega_rad_s, omega_main) + self.drift_rad_s
+
+    def phase_and_slip(self, time_us: float) -> tuple[float, float]:
+        """Unwrapped phase and slip at a time. KeyError while the reference is unknown."""
+        state = self.layshaft_at(time_us, None)
+        theta_main = self.main.theta_at(time_us)
+        phase = self.references.phase_rad(self.gear, state.theta_rad, theta_main)
+        drifted = self.drift_rad_s * (time_us - self.main.time_us) * US
+        return phase + drifted, self._slip(state)
+
+    def layshaft_at(self, time_us: float, release_us: float | None) -> LayshaftState:
+        """The layshaft at a time with the brake as commanded, or released at `release_us`."""
+        brake = self.brake
+        switches = brake.arrays() if release_us is None else brake.with_release(release_us)
+        return predict(self.layshaft, time_us, switches, self.model)
+
+    def phase_sd_rad(self, time_us: float) -> float:
+        """Standard deviation of the phase at contact: angles, speeds to then, and delay."""
+        layshaft_sd = self._layshaft_sd_rad(time_us)
+        slip = self.slip_rad_s(time_us)
+        angles = math.hypot(self.i_gear * layshaft_sd, self._main_sd_rad(time_us))
+        return math.hypot(self.spread_share * angles, slip * self.delay_sd_s)
+
+    def _layshaft_sd_rad(self, time_us: float) -> float:
+        state = self.layshaft
+        if state.covariance is not None:
+            return predict_spread(state, time_us, self.brake.arrays(), self.model).theta_sd_rad
+        horizon_s = (time_us - state.time_us) * US
+        return math.hypot(state.theta_sd_rad, state.omega_sd_rad_s * horizon_s)
+
+    def estimate_variance(self, time_us: float) -> float:
+        """Variance of the phase at a time without what the delay adds, rad2."""
+        sd = math.hypot(self.i_gear * self._layshaft_sd_rad(time_us), self._main_sd_rad(time_us))
+        return (self.spread_share * sd) ** 2
+
+    def _main_sd_rad(self, time_us: float) -> float:
+        horizon_s = (time_us - self.main.time_us) * US
+        return math.hypot(self.main.theta_sd_rad, self.main.omega_sd_rad_s * horizon_s)
+
+    def course(
+        self, first_us: float, step_us: float, count: int, release_us: float | None = None
+    ) -> Course:
+        """Phase and slip at `count` times from `first_us` on, the brake as commanded or released
+        at `release_us`. KeyError while the reference is unknown."""
+        main, state, brake = self.main, self.layshaft, self.brake
+        switches = brake.arrays() if release_us is None else brake.with_release(release_us)
+        offset = -self.references.phase_rad(self.gear, 0.0, 0.0)
+        # Against a main shaft slower by the drift, phase and slip drift as they were seen to.
+        omega = main.omega_rad_s - self.drift_rad_s
+        motion = (main.time_us, main.theta_rad, omega, main.acceleration_rad_s2)
+        mesh = np.array([self.i_gear, offset, *motion])
+        found = Course(first_us, step_us, np.empty(count), np.empty(count))
+        model = self.model
+        course(
+            state.vector, state.time_us, first_us, step_us, *switches, model.motion, model.law,
+            mesh, found.phase_rad, found.slip_rad_s,
+        )  # fmt: skip
+        return found
+
+    def release_time_us(
+        self, earliest_us: int, latest_us: int, slip_left_rad_s: float, settle_us: float
+    ) -> int:
+        """When to release the brake so that `slip_left` remains `settle_us` later.
+
+        Slip after release falls the later the release comes; `earliest` where it is late already,
+        `latest` where it is far off."""
+
+        def over(release_us: int) -> float:
+            return self.slip_rad_s(release_us + settle_us, release_us) - slip_left_rad_s
+
+        return _falling_root(over, earliest_us, latest_us)
+
+    def slip_falls_to_us(self, slip_rad_s: float, earliest_us: int, latest_us: int) -> int:
+        """When the slip, brake as commanded, has fallen to a value; `earliest` where it has
+        already, `latest` where it has not by then."""
+        return _falling_root(
+            lambda time_us: self.slip_rad_s(time_us) - slip_rad_s, earliest_us, latest_us
+        )
+
+
+def _falling_root(over: Callable[[int], float], first: int, last: int) -> int:
+    """Where a falling function is zero, by false position that halves the weight of an end kept
+    twice (Illinois; Dowell and Jarratt 1971); an end where it is not between them."""
+    above, below = over(first), over(last)
+    if above <= 0.0:
+        return first
+    if below >= 0.0:
+        return last
+    kept = 0
+    for _ in range(MOST_STEPS):
+        share = min(max(above / (above - below), LEAST_SHARE), 1.0 - LEAST_SHARE)
+        middle = round(first + share * (last - first))
+        found = over(middle)
+        if abs(found) < CLOSE_RAD_S or last - first <= 1:
+            return middle
+        if found > 0.0:
+            first, above = middle, found
+            below *= 0.5 if kept > 0 else 1.0
+            kept = 1
+        else:
+            last, below = middle, found
+            above *= 0.5 if kept < 0 else 1.0
+            kept = -1
+    return middle

@@ -1,0 +1,123 @@
+"""How the phase runs away from its prediction, learned for each gear from shift to shift.
+
+Between the firing and the contact nothing can be corrected any more: what the model of drag and
+brake leaves out moves the gear meanwhile. Most of that is steady in one gearbox (oil, loose gears,
+a brake whose torque fades), and it grows about linearly with the time predicted over, so one figure
+a gear stands for it: a drift of the slip. Each aimed contact shows it, as the phase estimated then
+less the one that was predicted when the sleeve was fired: a scalar Kalman filter whose steps are
+shifts. Its noise is what the layshaft's and main shaft's filters claim for that prediction, times
+the share of it that has been seen so far; with that share the next shift's spread is foretold.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from meshpoint.controller.calibration.records import DriftRecord, Drifts
+from meshpoint.controller.motion.kinematics import raw_phase_rad
+from meshpoint.controller.planning.outlook import Outlook
+from meshpoint.gearbox import MainGear
+from meshpoint.gearbox.gears import MAIN_GEARS
+
+PRIOR_SD_RAD_S: Final = 0.07
+"""How much gearboxes differ: 4 deg/s (simulated, 30 gearboxes)."""
+WALK_SD_RAD_S: Final = 0.01
+"""How much a drift changes from shift to shift: oil warms up."""
+PRIOR_SHARE_SAMPLES: Final = 4.0
+"""How many contacts the filters' own spread is worth."""
+MOST_SHARE_SAMPLES: Final = 30.0
+"""Older contacts fade."""
+LEAST_SHARE: Final = 0.3
+FAR_RAD_S: Final = 0.6
+"""6 rpm: no drift is so large, the sleeve or a sensor was wrong."""
+LEAST_S: Final = 0.02
+"""Over less, a drift cannot be told from the error of an angle."""
+
+
+@dataclass
+class _Learned:
+    mean_rad_s: float = 0.0
+    variance: float = PRIOR_SD_RAD_S**2
+    share_squares: float = PRIOR_SHARE_SAMPLES
+    share_samples: float = PRIOR_SHARE_SAMPLES
+
+    @property
+    def share(self) -> float:
+        return max(math.sqrt(self.share_squares / self.share_samples), LEAST_SHARE)
+
+
+class PhaseDrifts:
+    """The drift of each main gear's slip against its prediction."""
+
+    def __init__(self) -> None:
+        self._learned = {gear: _Learned() for gear in MAIN_GEARS}
+
+    def rad_s(self, gear: MainGear) -> float:
+        """What the slip is expected to be above its prediction, on average until contact."""
+        return self._learned[gear].mean_rad_s
+
+    def spread_share(self, gear: MainGear) -> float:
+        """What phases scatter by, drift left out, over the filters' standard deviation."""
+        return self._learned[gear].share
+
+    def learn(self, fired: Outlook, seen: Outlook, contact_us: float) -> None:
+        """An aimed contact was at `contact_us`: `fired` is the outlook when the sleeve was fired,
+        `seen` the last one before it entered its gear."""
+        passed_s = (contact_us - fired.main.time_us) * 1e-6
+        if passed_s < LEAST_S:
+            return
+        apart = _undrifted_rad(seen, contact_us) - _undrifted_rad(fired, contact_us)
+        variance = fired.estimate_variance(contact_us) / fired.spread_share**2
+        self._add(self._learned[fired.gear], apart / passed_s, variance / passed_s**2)
+
+    @staticmethod
+    def _add(learned: _Learned, drift_rad_s: float, variance: float) -> None:
+        """One contact's drift, and the variance that the filters claim for it."""
+        if not (math.isfinite(drift_rad_s + variance) and abs(drift_rad_s) < FAR_RAD_S):
+            return
+        prior = learned.variance + WALK_SD_RAD_S**2
+        off = drift_rad_s - learned.mean_rad_s
+        noise = learned.share**2 * variance
+        gain = prior / (prior + noise)
+        # One where the share is right, whatever part of the innovation the drift's own doubt has.
+        surprise = off * off / (prior + noise)
+        learned.mean_rad_s += gain * off
+        learned.variance = (1.0 - gain) * prior
+        fade = min(1.0, MOST_SHARE_SAMPLES / (learned.share_samples + 1.0))
+        learned.share_squares = fade * (learned.share_squares + learned.share**2 * surprise)
+        learned.share_samples = fade * (learned.share_samples + 1.0)
+
+    def records(self) -> Drifts:
+        """What a calibration file keeps: the gears that have been aimed at."""
+        return Drifts(
+            **{
+                gear.name.lower(): DriftRecord(
+                    learned.mean_rad_s,
+                    math.sqrt(learned.variance),
+                    math.sqrt(learned.share_squares / learned.share_samples),
+                    learned.share_samples,
+                )
+                for gear, learned in self._learned.items()
+                if learned != _Learned()
+            }
+        )
+
+    def restore(self, records: Drifts) -> None:
+        """Goes on from records; gears without one start anew."""
+        for gear in MAIN_GEARS:
+            record = records.of(gear)
+            if record is not None:
+                self._learned[gear] = _Learned(
+                    record.slip_rad_s,
+                    record.slip_sd_rad_s**2,
+                    record.spread_share**2 * record.samples,
+                    record.samples,
+                )
+
+
+def _undrifted_rad(outlook: Outlook, time_us: float) -> float:
+    """Phase by the model alone, but for the gear's constant."""
+    layshaft = outlook.layshaft_at(time_us, None)
+    return raw_phase_rad(outlook.i_gear, layshaft.theta_rad, outlook.main.theta_at(time_us))

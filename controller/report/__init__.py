@@ -1,0 +1,1 @@
+"""What the controller says on the bus and in the log."""

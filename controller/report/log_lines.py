@@ -1,0 +1,42 @@
+"""Lines of the log that say what was decided and why: brake, release, wait, fire."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from meshpoint.controller.planning.strategist import Plan
+from meshpoint.dbc.messages import ShiftDecision
+
+RPM: Final = math.pi / 30.0
+DEG: Final = math.pi / 180.0
+MS_US: Final = 1000.0
+TELLING: Final = {
+    ShiftDecision.BRAKE: "brake: contact planned in {contact:.0f} ms, at {slip:.1f} rpm",
+    ShiftDecision.RELEASE: "release: contact in {contact:.0f} ms, at {slip:.1f} rpm",
+    ShiftDecision.WAIT_FOR_SLIP: "wait: {slip:.1f} rpm at the earliest contact, too much yet",
+    ShiftDecision.WAIT_FOR_GAP: "wait for the gap of least cost, too far ahead yet",
+    ShiftDecision.FIRE: "fire in {fire:.1f} ms for contact in {contact:.1f} ms: {where}",
+    ShiftDecision.COMMITTED: "fired, contact in {contact:.1f} ms: {where}",
+}
+
+
+def decision_line(plan: Plan, now_us: int) -> str | None:
+    """What a plan decides and what it expects; None where there is nothing to say.
+
+    `where`: phase beside the gap's middle with its standard deviation, and slip."""
+    telling = TELLING.get(plan.decision)
+    if telling is None:
+        return None
+    slip = plan.slip_rad_s / RPM
+    where = (
+        f"phase {plan.phase_rad / DEG:+.2f} +- {plan.phase_sd_rad / DEG:.2f} deg, {slip:.1f} rpm"
+    )
+    if plan.phase_sd_rad == 0.0:
+        where = f"phase unknown or not asked for, {slip:.1f} rpm"
+    return telling.format(
+        slip=slip,
+        where=where,
+        fire=(plan.fire_us - now_us) / MS_US,
+        contact=(plan.contact_us - now_us) / MS_US,
+    )

@@ -1,0 +1,162 @@
+"""What a step says of itself: the frames that make every step visible on the bus."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from meshpoint.controller.estimation.cruise import ShaftState
+from meshpoint.controller.header import RunHeader
+from meshpoint.controller.motion.kinematics import slip_rad_s, wrap_to_pitch
+from meshpoint.controller.motion.models import LayshaftState
+from meshpoint.controller.observer import Observer
+from meshpoint.controller.report.messages import estimates, etc1, etc2, outcome, prediction
+from meshpoint.controller.shift.moment import Moment
+from meshpoint.controller.shift.sequence import ShiftSequence
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.link import Receiver, Transmitter
+from meshpoint.dbc.messages import (
+    ETC1,
+    ControllerEstimates,
+    ControllerState,
+    ControllerStatus,
+    Message,
+)
+from meshpoint.gearbox import MainGear
+from meshpoint.gearbox.gears import DRIVE_GEARS
+
+ETC2_EVERY: Final = 10
+LATENESS_TOP_US: Final = 65_535
+WORD: Final = 0xFFFF
+
+
+class Reporter:
+    """Keeps what the status frame needs of the step before."""
+
+    def __init__(self, header: RunHeader, observer: Observer, sequence: ShiftSequence) -> None:
+        self._header = header
+        self._run_hash = header.run_hash
+        self._observer = observer
+        self._sequence = sequence
+        self._steps = 0
+        self._gear = -1
+        self._previous = (0, 0, 0)
+
+    def change_header(self, header: RunHeader) -> None:
+        """Another run header from the next status frame on."""
+        self._header = header
+        self._run_hash = header.run_hash
+
+    def frames(self, transmitter: Transmitter, moment: Moment) -> list[Frame]:
+        """Estimates, J1939 messages, and this step's prediction and outcome where there are any."""
+        sequence, sheet = self._sequence, self._header.sheet
+        # As of the newest read: later, in gear, two estimates carried forward would drift apart.
+        seen_us = self._observer.clock.latest_us
+        layshaft, main = self._observer.layshaft_at(seen_us), self._observer.main_at(seen_us)
+        self._gear = current = self._gear_number()
+        messages: list[Message] = [
+            self._estimates(seen_us, layshaft, main),
+            self._etc1(main, layshaft),
+        ]
+        if self._steps % ETC2_EVERY == 0:
+            target = sequence.target
+            messages.append(etc2(sheet, current, target.number if target else max(current, 0)))
+        shift = sequence.shift or sequence.finished
+        if sequence.decision is not None and shift is not None:
+            messages.append(prediction(moment.now_us, sequence.decision, shift))
+        if sequence.finished is not None:
+            messages.append(outcome(sequence.finished, sheet.dog.pitch_rad))
+        return [transmitter.encode(message) for message in messages]
+
+    def _gear_number(self) -> int:
+        view = self._observer.view
+        return view.gear_number if view.complete else -1
+
+    def _gear_in_focus(self) -> MainGear | None:
+        """The gear that slip and phase are reported for: the target, else the one in mesh."""
+        target = self._sequence.target
+        if target is not None:
+            return target.main
+        current = DRIVE_GEARS.get(self._gear)
+        return current.main if current else None
+
+    def _estimates(
+        self, time_us: int, layshaft: LayshaftState | None, main: ShaftState | None
+    ) -> ControllerEstimates:
+        gear = self._gear_in_focus()
+        slip, phase, phase_sd = 0.0, None, 0.0
+        if layshaft is not None and main is not None and gear is not None:
+            ratio = self._header.sheet.main_mesh(gear).ratio
+            slip = slip_rad_s(ratio, layshaft.omega_rad_s, main.omega_rad_s)
+            references = self._observer.references
+            if references.known(gear):
+                raw = references.phase_rad(gear, layshaft.theta_rad, main.theta_rad)
+                phase = wrap_to_pitch(raw, self._header.sheet.dog.pitch_rad)
+                phase_sd = math.hypot(ratio * layshaft.theta_sd_rad, main.theta_sd_rad)
+        return estimates(
+            time_us,
+            self._observer.layshaft,
+            layshaft,
+            main,
+            self._header.sheet.air.atmosphere_pa,
+            slip,
+            phase,
+            phase_sd,
+        )
+
+    def _etc1(self, main: ShaftState | None, layshaft: LayshaftState | None) -> ETC1:
+        state = self._sequence.state
+        shifting = state not in (
+            ControllerState.STARTING,
+            ControllerState.IN_GEAR,
+            ControllerState.NEUTRAL,
+        )
+        view, sheet = self._observer.view, self._header.sheet
+        gear = DRIVE_GEARS.get(self._gear)
+        output = input_ = None
+        if main is not None and gear is not None:
+            output = main.omega_rad_s * sheet.range_mesh(gear.range_).ratio
+        if layshaft is not None and view.complete and view.split is not None:
+            input_ = layshaft.omega_rad_s / sheet.split_mesh(view.split).ratio
+        return etc1(state is ControllerState.IN_GEAR, shifting, output, input_)
+
+    def status(
+        self,
+        now_us: int,
+        lateness_us: int,
+        count: int,
+        crc: int,
+        receiver: Receiver,
+        guard_blocks: int,
+    ) -> ControllerStatus:
+        """The frame that lets a log repeat this step; after `frames` of the same step."""
+        sequence = self._sequence
+        target = sequence.target
+        previous = self._previous
+        status = ControllerStatus(
+            step_number=self._steps,
+            step_time_us=now_us,
+            previous_step_time_us=previous[0],
+            consumed_count=count,
+            previous_consumed_count=previous[1],
+            consumed_crc=crc,
+            previous_consumed_crc=previous[2],
+            run_hash=self._run_hash,
+            state=sequence.state,
+            current_gear=self._gear,
+            target_gear=target.number if target else max(self._gear, 0),
+            strategy=self._header.settings.strategy,
+            estimator=self._header.settings.estimator,
+            reference_known=self._observer.references.mask,
+            active_fault=sequence.fault,
+            e2e_errors=receiver.e2e_errors & WORD,
+            format_errors=receiver.format_errors & WORD,
+            foreign_frames=receiver.foreign_frames & WORD,
+            guard_blocks=guard_blocks & WORD,
+            invalid_channels=receiver.invalid_channels,
+            step_lateness_us=min(lateness_us, LATENESS_TOP_US),
+            cold_start=self._header.calibration is None,
+        )
+        self._previous = (now_us, count, crc)
+        self._steps += 1
+        return status

@@ -1,0 +1,1 @@
+"""From frames to edges and views: sensor clock, edge gate, speeds, positions."""

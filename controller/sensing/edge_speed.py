@@ -1,0 +1,92 @@
+"""The speed of a shaft straight from one edge frame: teeth over the time they took.
+
+No filter, no model and no memory of tooth numbers, so it shares no mistake with the estimators. The
+guard judges by it, and the sequence sees by it whether two shafts turn together.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.sensing.chain_kernels import STAMPS, Integers, newest_teeth, pack_stamps
+from meshpoint.controller.sensing.wheel_edges import EdgeFrame
+
+DEAD_US: Final = 20_000
+"""A frame whose newest edge is older than this, and than three teeth took before, comes from a
+sensor that gives none: with its read, the bus and the tick that is known within 50 ms."""
+STALE_US: Final = 25_000
+"""The same where no frame tells: the newest edge of the last one. Two lost frames lose nothing."""
+TEETH_LATE: Final = 3
+HELD_US: Final = 45_000
+"""While a frame holds a tooth too many or too few, the speed before it stands for so long."""
+WRAP: Final = 1 << 32
+HALF: Final = 1 << 31
+LOW: Final = 0xFFFF
+_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
+
+
+class Speed(NamedTuple):
+    """A mean speed and the middle of the time it is of (sensor clock, us)."""
+
+    time_us: int
+    omega_rad_s: float
+
+
+class Turned(NamedTuple):
+    """Teeth passed until the newest edge."""
+
+    time_us: int
+    teeth: int
+
+
+class EdgeSpeed:
+    """One shaft's wheel by its rising edges."""
+
+    def __init__(self, teeth: int) -> None:
+        self._pitch_rad = 2.0 * math.pi / teeth
+        self._speed: Speed | None = None
+        self._measured_us = 0
+        self._is_dead = False
+        self._interval_us = 0
+        self._index = 0
+        self._low: Integers = np.zeros(STAMPS, np.int64)
+        self._newest_us: int | None = None
+        self._teeth = 0
+
+    def take(self, frame: EdgeFrame, now_us: int) -> None:
+        """One frame, read shortly before `now_us` of the sensor clock."""
+        if frame.stopped or frame.long_interval or frame.valid_stamps < 2:
+            self._speed = None
+            return
+        read_us = now_us + ((frame.read_time_us - now_us + HALF) % WRAP) - HALF
+        stamps = frame.timestamp_low_us
+        newest_us = read_us - ((read_us - stamps[0]) & LOW)
+        self._teeth += (frame.newest_index - self._index) & LOW
+        self._index = frame.newest_index
+        self._newest_us = newest_us
+        self._is_dead = read_us - newest_us > max(DEAD_US, TEETH_LATE * self._interval_us)
+        pack_stamps(self._low.data, 0, *stamps)
+        span_us, teeth = newest_teeth(self._low, frame.valid_stamps)
+        if teeth:
+            self._interval_us = span_us // teeth
+            omega = teeth * self._pitch_rad / (span_us * 1e-6)
+            self._speed = _new(Speed, (newest_us - span_us // 2, omega))
+            self._measured_us = newest_us
+
+    @property
+    def turned(self) -> Turned | None:
+        """Running count; None before the first edge."""
+        return None if self._newest_us is None else Turned(self._newest_us, self._teeth)
+
+    def at(self, now_us: int) -> Speed | None:
+        """The newest speed; None without one, or when edges have failed to come."""
+        newest_us = self._newest_us
+        if self._speed is None or newest_us is None or self._is_dead:
+            return None
+        limit_us = max(STALE_US, TEETH_LATE * self._interval_us)
+        is_turning = now_us - newest_us <= limit_us
+        is_measured = now_us - self._measured_us <= max(HELD_US, limit_us)
+        return self._speed if is_turning and is_measured else None

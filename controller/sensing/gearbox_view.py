@@ -1,0 +1,166 @@
+"""What the sensors say of sleeves, clutch and gears: positions turned into gears in mesh."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+from meshpoint.dbc.messages import SleevesAux, SleevesMain
+from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
+from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN
+
+NEUTRAL_M: Final = 1.0e-3
+"""A sleeve within this of the middle is in neutral."""
+ENGAGED_SHORT_M: Final = 1.0e-3
+"""A sleeve within this of its stroke is in mesh."""
+ENTERED_M: Final = 0.3e-3
+"""A sleeve this far past contact has entered its gear; at contact it may rest on a tooth."""
+SAMPLE_US: Final = 1000
+SLEEVES: Final = len(Sleeve)
+
+_new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
+_GEAR_AT: Final = {(side.sleeve, side.direction): g for g, side in SLEEVE_OF_MAIN.items()}
+_SPLIT_AT: Final = {-1: Split.LOW, 0: None, 1: Split.HIGH}
+_RANGE_AT: Final = {-1: Range.LOW, 0: None, 1: Range.HIGH}
+_NUMBER: Final = {(g.main, g.split, g.range_): n for n, g in DRIVE_GEARS.items()}
+
+
+class SleeveTrack(NamedTuple):
+    """Samples of one sleeve, newest first, 1 ms apart: the ten of a frame, and before them eleven
+    earlier ones where the frame before came 10 ms earlier."""
+
+    newest_us: int
+    samples_m: tuple[float, ...]
+
+    @property
+    def position_m(self) -> float:
+        """Where the sleeve is."""
+        return self.samples_m[0]
+
+    def crossing_us(self, level_m: float, direction: int) -> float | None:
+        """When the sleeve passed `level_m` toward `direction` within these samples; interpolated.
+
+        None when it did not, or had before the oldest sample."""
+        for i in range(len(self.samples_m) - 1):
+            after, before = self.samples_m[i] * direction, self.samples_m[i + 1] * direction
+            if before < level_m <= after:
+                return self.newest_us - (i + (after - level_m) / (after - before)) * SAMPLE_US
+        return None
+
+
+RESTING_M = 1e-3
+"""A sleeve this near to the middle is taken to rest there."""
+REST_SHARE = 0.05
+SHORT_M = 4e-4
+"""Contact is looked for this much before it: a sleeve that a tooth stops goes no further."""
+
+
+class GearboxView:
+    """The mechanical state as the sensors show it."""
+
+    def __init__(self, sheet: GearboxSheet) -> None:
+        self._stroke_m = sheet.sleeve.stroke_m
+        self._contact_m = sheet.sleeve.to_contact_m
+        self._speed_m_s = sheet.sleeve.speed_m_s
+        self._rest_m = dict.fromkeys(Sleeve, 0.0)
+        """What each sensor reads at rest in neutral: its offset."""
+        self.tracks: dict[Sleeve, SleeveTrack] = {}
+        self.clutch_closed: float | None = None
+        """0 open .. 1 closed."""
+        self.supply_pa = math.inf
+        """Absolute supply pressure; infinite before it was first seen."""
+        self.main_gear: MainGear | None = None
+        """The main gear in mesh, NEUTRAL with both sleeves in the middle, None in between."""
+        self.split: Split | None = None
+        """The splitter step in mesh."""
+        self.range_: Range | None = None
+        """The range step in mesh."""
+
+    def sleeves_main(self, message: SleevesMain, time_us: int) -> None:
+        """Takes the positions of the main box."""
+        self._take(Sleeve.FIRST_SECOND, time_us, message.sleeve_first_second_m)
+        self._take(Sleeve.CRAWL_THIRD, time_us, message.sleeve_crawl_third_m)
+
+    def sleeves_aux(self, message: SleevesAux, time_us: int) -> None:
+        """Takes the positions of splitter and range."""
+        self._take(Sleeve.SPLITTER, time_us, message.sleeve_splitter_m)
+        self._take(Sleeve.RANGE, time_us, message.sleeve_range_m)
+
+    def _take(self, sleeve: Sleeve, time_us: int, samples_m: tuple[float, ...]) -> None:
+        before = self.tracks.get(sleeve)
+        if before is not None and time_us - before.newest_us == len(samples_m) * SAMPLE_US:
+            # A late step takes two reads at once: what the first one showed is looked at, too.
+            samples_m += before.samples_m[: len(samples_m) + 1]
+        self.tracks[sleeve] = _new(SleeveTrack, (time_us, samples_m))
+        position_m = samples_m[0]
+        if abs(position_m) < RESTING_M:
+            self._rest_m[sleeve] += REST_SHARE * (position_m - self._rest_m[sleeve])
+
+    def contact_us(self, sleeve: Sleeve, direction: int) -> float | None:
+        """When a sleeve on its way to a gear came to where it meets the gear's teeth; None where it
+        did not within the newest samples. The sensor's offset is taken out."""
+        level_m = self._contact_m - SHORT_M + self._rest_m[sleeve] * direction
+        passed_us = self.tracks[sleeve].crossing_us(level_m, direction)
+        return None if passed_us is None else passed_us + SHORT_M / self._speed_m_s * 1e6
+
+    @property
+    def complete(self) -> bool:
+        """Whether every position and the clutch have been seen."""
+        return len(self.tracks) == SLEEVES and self.clutch_closed is not None
+
+    @property
+    def oldest_us(self) -> int:
+        """Time of the newest sample of the sleeve that was seen longest ago; 0 before any."""
+        return min([track.newest_us for track in self.tracks.values()], default=0)
+
+    def position_m(self, sleeve: Sleeve) -> float:
+        """Where a sleeve is; KeyError before its first frame."""
+        return self.tracks[sleeve].position_m
+
+    def in_neutral(self, sleeve: Sleeve) -> bool:
+        """Whether a sleeve stands in the middle."""
+        return abs(self.position_m(sleeve)) < NEUTRAL_M
+
+    def side(self, sleeve: Sleeve) -> int:
+        """-1 or +1 where the sleeve is in mesh, 0 elsewhere."""
+        position = self.position_m(sleeve)
+        if abs(position) < self._stroke_m - ENGAGED_SHORT_M:
+            return 0
+        return 1 if position > 0.0 else -1
+
+    def work_out(self) -> None:
+        """Which gears are in mesh, from the positions taken."""
+        if len(self.tracks) < SLEEVES:
+            return
+        self.main_gear = self._main_gear()
+        self.split = _SPLIT_AT[self.side(Sleeve.SPLITTER)]
+        self.range_ = _RANGE_AT[self.side(Sleeve.RANGE)]
+
+    def _main_gear(self) -> MainGear | None:
+        if self.in_neutral(Sleeve.FIRST_SECOND) and self.in_neutral(Sleeve.CRAWL_THIRD):
+            return MainGear.NEUTRAL
+        for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD):
+            gear = _GEAR_AT.get((sleeve, self.side(sleeve)))
+            if gear is not None:
+                return gear
+        return None
+
+    @property
+    def gear_number(self) -> int:
+        """The gear in mesh: 1..14, 0 neutral, -1 between gears or not known."""
+        main, split, range_ = self.main_gear, self.split, self.range_
+        if main is MainGear.NEUTRAL:
+            return 0
+        if main is None or split is None or range_ is None:
+            return -1
+        return _NUMBER.get((main, split, range_), -1)
+
+    @property
+    def main_box_free(self) -> bool:
+        """Whether no main sleeve is at a gear's teeth, where it rubs on them or is in mesh."""
+        limit = self._contact_m - SHORT_M
+        first, third = Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD
+        return (
+            abs(self.position_m(first) - self._rest_m[first]) < limit
+            and abs(self.position_m(third) - self._rest_m[third]) < limit
+        )

@@ -1,0 +1,1 @@
+"""The shift sequence: phases, their table, and what each does."""

@@ -1,0 +1,149 @@
+"""The shift sequence: a table of states, a handler each (thesis 2.2).
+
+Up: clutch open, old gear out, brake the layshaft, let the brake go, fire the sleeve, see by
+position that the gear is in, close valve and clutch. Down: the engine first brings the layshaft
+above the new gear's speed, through the closed clutch; from there it falls as on the way up.
+Splitter and range move while the main box is in neutral.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+from meshpoint.controller.motion.brake_input import BrakeInput
+from meshpoint.controller.phase.reference import PhaseReferences
+from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.shift.desk import ShiftDesk
+from meshpoint.controller.shift.disengage import disengage, open_clutch
+from meshpoint.controller.shift.engage import engage, retract
+from meshpoint.controller.shift.moment import Moment
+from meshpoint.controller.shift.rest import close_clutch, find_gear, stand_faulted, stay
+from meshpoint.controller.shift.speed_up import part_clutch, raise_speed
+from meshpoint.controller.shift.steps import change_splitter, change_steps
+from meshpoint.controller.shift.synchronise import coast, synchronise
+from meshpoint.controller.shift.table import TRANSITIONS, ShiftRecord, Trigger
+from meshpoint.controller.shift.valve_board import ValveBoard
+from meshpoint.dbc.messages import ControllerState as State
+from meshpoint.dbc.messages import FaultCode, ShiftResult
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.gears import DRIVE_GEARS
+
+Handler = Callable[[ShiftDesk, Moment], Trigger | None]
+HANDLERS: Final[dict[State, Handler]] = {
+    State.STARTING: find_gear,
+    State.IN_GEAR: stay,
+    State.NEUTRAL: stay,
+    State.CLUTCH_OPENING: open_clutch,
+    State.DISENGAGING: disengage,
+    State.SPLITTER_CHANGING: change_splitter,
+    State.STEPS_CHANGING: change_steps,
+    State.SYNCHRONISING: synchronise,
+    State.SPEED_RAISING: raise_speed,
+    State.CLUTCH_PARTING: part_clutch,
+    State.COASTING: coast,
+    State.ENGAGING: engage,
+    State.RETRACTING: retract,
+    State.CLUTCH_CLOSING: close_clutch,
+    State.FAULTED: stand_faulted,
+}
+FAULT_OF_ROW: Final = {
+    6: FaultCode.BRAKE_LIMIT,
+    9: FaultCode.INPUT_OVERSPEED,
+    10: FaultCode.DISENGAGE_REFUSED,
+    11: FaultCode.LOW_SUPPLY,
+}
+"""What a row of the guard's table means for a shift; every other is GUARD_BLOCKED."""
+
+
+class ShiftSequence(ShiftDesk):
+    """Decides; the valve board, clutch and engine requests and the record are what it decides."""
+
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        settings: ControllerSettings,
+        board: ValveBoard,
+        brake: BrakeInput,
+        references: PhaseReferences,
+    ) -> None:
+        super().__init__(sheet, settings, board, brake, references)
+
+    def step(self, moment: Moment) -> None:
+        """One decision. Goes on through states that have nothing to wait for."""
+        self.finished = self.decision = None
+        if self.shift is not None and moment.lost is not FaultCode.NONE:
+            self._go(self.give_up(moment, moment.lost), moment)
+        for _ in range(len(State)):
+            trigger = HANDLERS[self.state](self, moment)
+            if trigger is None:
+                return
+            self._go(trigger, moment)
+
+    def _go(self, trigger: Trigger, moment: Moment) -> None:
+        self.enter(TRANSITIONS[self.state, trigger], moment)
+
+    def blocked(self, row: int, moment: Moment) -> None:
+        """The guard has blocked this step's valve command, and nothing is driven any more. The
+        phase tries again from where it stands, until it has been told so too often."""
+        self.all_off(moment.now_us)
+        if self.shift is None:
+            return
+        self.shift.blocks += 1
+        self.shift.plan = self.shift.release_us = None
+        if self.state is State.SYNCHRONISING:
+            self.shift.pulses = max(0, self.shift.pulses - 1)
+        if self.shift.blocks >= self.settings.limits.blocks:
+            fault = FAULT_OF_ROW.get(row, FaultCode.GUARD_BLOCKED)
+            self._go(self.give_up(moment, fault), moment)
+        elif self.state is State.ENGAGING:
+            self._go(Trigger.BLOCKED, moment)
+
+    def request(self, number: int, moment: Moment) -> str | None:
+        """A gear is asked for. Returns a line for the log where it is refused."""
+        if self.state not in (State.IN_GEAR, State.NEUTRAL):
+            return None
+        current = moment.view.gear_number
+        if number == current:
+            return None
+        record = ShiftRecord(
+            current,
+            number if number in DRIVE_GEARS else -1,
+            DRIVE_GEARS.get(number, DRIVE_GEARS[1]),
+            moment.now_us,
+            self.settings.strategy,
+        )
+        refusal = self._impossible(moment, number)
+        if refusal is not None:
+            record.result, (record.fault, reason) = ShiftResult.REFUSED, refusal
+            record.end_us = moment.now_us
+            self.finished, self.fault = record, record.fault
+            return f"request for gear {number} refused: {reason}"
+        self.shift, self.fault = record, FaultCode.NONE
+        self._go(Trigger.REQUESTED, moment)
+        return None
+
+    def _impossible(self, moment: Moment, number: int) -> tuple[FaultCode, str] | None:
+        """Why a shift is not begun; None where it is."""
+        if number not in DRIVE_GEARS:
+            return FaultCode.REQUEST_IMPOSSIBLE, "gears are 1 to 14"
+        if not _knows_the_gear(moment.view):
+            return FaultCode.REQUEST_IMPOSSIBLE, "a sleeve stands between two gears"
+        if moment.lost is not FaultCode.NONE:
+            return moment.lost, f"{moment.lost.name.lower()} before it began"
+        if moment.supply_pa < self.settings.limits.supply_low_pa:
+            return FaultCode.LOW_SUPPLY, f"supply at {moment.supply_pa / 1e5:.1f} bar"
+        propeller = moment.speeds.propeller
+        top = self.sheet.limits.input_max_rad_s
+        if propeller is not None:
+            input_rad_s = propeller * self.sheet.overall_ratio(DRIVE_GEARS[number])
+            if input_rad_s > top:
+                rpm = input_rad_s * 30.0 / math.pi
+                return FaultCode.INPUT_OVERSPEED, f"the input shaft would turn at {rpm:.0f} rpm"
+        return None
+
+
+def _knows_the_gear(view: GearboxView) -> bool:
+    return view.main_gear is not None and view.split is not None and view.range_ is not None

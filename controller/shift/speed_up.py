@@ -1,0 +1,71 @@
+"""The way down: the engine brings the layshaft above the new gear's speed (thesis 2.2).
+
+Clutch closed, a TSC1 speed request, clutch open again; then the gear falls past its sleeve as on an
+upshift. The same way brings back a gear that became too slow while it waited.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from meshpoint.controller.shift.desk import CLUTCH_CLOSED_SHARE, CLUTCH_OPEN_SHARE, MS, ShiftDesk
+from meshpoint.controller.shift.desk import FALL_US as SEEN_LATE_US
+from meshpoint.controller.shift.moment import Moment
+from meshpoint.controller.shift.table import Trigger
+from meshpoint.controller.shift.valve_board import Valve
+from meshpoint.dbc.messages import ClutchAction, FaultCode
+
+SHORT_RAD_S: Final = 1.0
+"""So much less slip than asked for is enough (10 rpm), and"""
+OVER_RAD_S: Final = 3.0
+"""so much more: the brake takes it off again."""
+
+
+def too_slow(desk: ShiftDesk, moment: Moment) -> Trigger:
+    """The gear is slower than its sleeve: up with the engine, a bounded number of times."""
+    shift = desk.running
+    if shift.raises >= desk.settings.limits.raises:
+        return desk.give_up(moment, FaultCode.SYNCHRONISE_FAILED)
+    shift.raises += 1
+    shift.plan = shift.release_us = None
+    desk.all_off(moment.now_us)
+    return Trigger.TOO_SLOW
+
+
+def raise_speed(desk: ShiftDesk, moment: Moment) -> Trigger | None:
+    """Clutch closing and engine asked, until the gear has the slip wanted."""
+    shift = desk.running
+    desk.clutch = ClutchAction.CLOSE
+    wanted = _raised_slip(desk, moment)
+    desk.ask_engine(shift.target, wanted, moment)
+    slip = moment.speeds.slip_rad_s(shift.target.main)
+    closed = (moment.view.clutch_closed or 0.0) >= CLUTCH_CLOSED_SHARE
+    if closed and slip is not None and -SHORT_RAD_S <= slip - wanted <= OVER_RAD_S:
+        return Trigger.RAISED
+    if desk.late(moment, desk.settings.limits.raise_ms):
+        return desk.give_up(moment, FaultCode.ENGINE_FAILED if closed else FaultCode.CLUTCH_STUCK)
+    return None
+
+
+def part_clutch(desk: ShiftDesk, moment: Moment) -> Trigger | None:
+    """The engine holds the speed until the plates are apart."""
+    desk.clutch = ClutchAction.OPEN
+    desk.ask_engine(desk.running.target, _raised_slip(desk, moment), moment)
+    if (moment.view.clutch_closed or 0.0) <= CLUTCH_OPEN_SHARE:
+        desk.engine_rad_s = None
+        desk.board.off(Valve.BRAKE)
+        return Trigger.CLUTCH_OPEN
+    if desk.late(moment, desk.settings.limits.clutch_ms):
+        return desk.give_up(moment, FaultCode.CLUTCH_STUCK)
+    return None
+
+
+def _raised_slip(desk: ShiftDesk, moment: Moment) -> float:
+    """What is wanted when the clutch is seen open, and what drag takes until then: the plates part
+    on half of the clutch's way, and it is seen open a read and a tick later."""
+    sheet, target = desk.sheet, desk.running.target
+    ratio = sheet.main_mesh(target.main).ratio
+    layshaft = moment.speeds.layshaft or 0.0
+    drag_rad_s2 = layshaft * sheet.shafts.friction_nms / sheet.inertia_kgm2(target.split)
+    fall_s = 0.5 * sheet.clutch.open_delay_s + SEEN_LATE_US / (1000.0 * MS)
+    return desk.settings.window.raised_rad_s + ratio * drag_rad_s2 * fall_s

@@ -1,0 +1,128 @@
+"""Splitter and range: their sleeves change over through synchronisers, the main box in neutral for
+the range, the clutch open for both.
+
+While a step is on its way neither the layshaft's model (4.13) nor the main shaft's constant speed
+(4.16) holds, so nothing is predicted until the shafts turn together again. Tooth counts go on, and
+with them every phase reference: layshaft and main gears are in constant mesh, and both wheels keep
+counting.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.shift.desk import MS, ShiftDesk
+from meshpoint.controller.shift.moment import Moment
+from meshpoint.controller.shift.table import Trigger
+from meshpoint.controller.shift.valve_board import Valve
+from meshpoint.dbc.messages import FaultCode, ShiftResult
+from meshpoint.gearbox import MainGear, Range, Split
+
+PUSH_US: Final = 400 * MS
+"""A valve on for so long that has not moved its sleeve is switched off and on again."""
+SPLIT_VALVE: Final = {Split.LOW: Valve.SPLIT_LOW, Split.HIGH: Valve.SPLIT_HIGH}
+RANGE_VALVE: Final = {Range.LOW: Valve.RANGE_LOW, Range.HIGH: Valve.RANGE_HIGH}
+
+
+class Step(NamedTuple):
+    """One of the two: the valve that brings it in, and how far it is."""
+
+    valve: Valve
+    in_mesh: bool
+    together: bool
+    fault: FaultCode
+
+    @property
+    def done(self) -> bool:
+        """In mesh and synchronised."""
+        return self.in_mesh and self.together
+
+
+def change_splitter(desk: ShiftDesk, moment: Moment) -> Trigger | None:
+    """The splitter alone, the main box staying in its gear: that is the whole shift."""
+    missing = _push_steps(desk, moment)
+    if missing is None:
+        desk.end(moment, ShiftResult.ENGAGED, FaultCode.NONE)
+        return Trigger.ENGAGED
+    if desk.late(moment, desk.settings.limits.steps_ms):
+        return desk.give_up(moment, missing)
+    return None
+
+
+def change_steps(desk: ShiftDesk, moment: Moment) -> Trigger | None:
+    """Brings splitter and range to where the new gear wants them, the main box in neutral."""
+    missing = _push_steps(desk, moment)
+    if missing is None and _tracked(moment):
+        return Trigger.STEPS_IN
+    if desk.late(moment, desk.settings.limits.steps_ms):
+        return desk.give_up(moment, missing or FaultCode.SPEED_STALE)
+    return None
+
+
+def _push_steps(desk: ShiftDesk, moment: Moment) -> FaultCode | None:
+    """Drives what is not in yet. The fault that it would be, of the first that is not done."""
+    steps = _steps(desk, moment)
+    for step in steps:
+        if step.in_mesh:
+            desk.board.off(step.valve)
+        else:
+            _push(desk, step.valve, moment)
+    return next((step.fault for step in steps if not step.done), None)
+
+
+def _tracked(moment: Moment) -> bool:
+    """Whether the estimators have followed what the synchronisers did."""
+    layshaft, main = moment.layshaft.at(moment.now_us), moment.main
+    if layshaft is None or main is None:
+        return False
+    for estimate, seen in (
+        (layshaft.omega_rad_s, moment.speeds.layshaft),
+        (main.omega_rad_s, moment.speeds.main),
+    ):
+        if seen is None or abs(estimate - seen) > 0.05 * seen:
+            return False
+    return True
+
+
+def _steps(desk: ShiftDesk, moment: Moment) -> list[Step]:
+    """The steps that stand elsewhere than the new gear wants, or did when this began. In neutral
+    a step that stood right is not looked at: there is nothing to wait for."""
+    target, view, speeds = desk.running.target, moment.view, moment.speeds
+    from_ = _stood(view, desk)
+    steps = []
+    if from_[0] is not target.split:
+        steps.append(
+            Step(
+                SPLIT_VALVE[target.split],
+                view.split is target.split,
+                speeds.split_turns_together(target.split),
+                FaultCode.SPLITTER_FAILED,
+            )
+        )
+    if from_[1] is not target.range_ and view.main_gear is MainGear.NEUTRAL:
+        steps.append(
+            Step(
+                RANGE_VALVE[target.range_],
+                view.range_ is target.range_,
+                speeds.range_turns_together(target.range_),
+                FaultCode.RANGE_FAILED,
+            )
+        )
+    return steps
+
+
+def _stood(view: GearboxView, desk: ShiftDesk) -> tuple[Split | None, Range | None]:
+    """Where splitter and range stood when the shift began."""
+    shift = desk.running
+    if shift.steps_before is None:
+        shift.steps_before = (view.split, view.range_)
+    return shift.steps_before
+
+
+def _push(desk: ShiftDesk, valve: Valve, moment: Moment) -> None:
+    command = desk.board.command(valve)
+    if not command.on:
+        desk.board.schedule(valve, True, moment.earliest_us, moment.now_us)
+    elif moment.now_us - command.time_us > PUSH_US:
+        desk.board.off(valve)

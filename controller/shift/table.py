@@ -1,0 +1,125 @@
+"""The record of one shift, and the states and transitions of the sequence that makes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, auto
+from typing import Final
+
+from meshpoint.controller.planning.strategist import Plan
+from meshpoint.dbc.messages import ControllerState as State
+from meshpoint.dbc.messages import FaultCode, ReferenceSource, ShiftResult, Strategy
+from meshpoint.gearbox import DriveGear, Range, Split
+
+
+class Trigger(IntEnum):
+    """What makes the sequence go on."""
+
+    FOUND_IN_GEAR = auto()
+    FOUND_IN_NEUTRAL = auto()
+    REQUESTED = auto()
+    CLUTCH_OPEN = auto()
+    MAIN_BOX_STAYS = auto()
+    """Only the splitter moves: the main box stays in its gear."""
+    MAIN_BOX_NEUTRAL = auto()
+    STEPS_IN = auto()
+    """Splitter and range stand as the new gear wants them, and turn together."""
+    TOO_SLOW = auto()
+    """The gear turns slower than its sleeve: only the engine can bring it up."""
+    TOO_FAST = auto()
+    """Drag would take too long to bring the gear down: the brake helps once more."""
+    RAISED = auto()
+    BRAKE_RELEASED = auto()
+    FIRED = auto()
+    ENGAGED = auto()
+    BLOCKED = auto()
+    RETRACTED = auto()
+    GAVE_UP = auto()
+    GEAR_UNKNOWN = auto()
+    """The positions are lost, or a sleeve stands between neutral and a gear."""
+
+
+_S, _T = State, Trigger
+TRANSITIONS: Final[dict[tuple[State, Trigger], State]] = {
+    (_S.STARTING, _T.FOUND_IN_GEAR): _S.IN_GEAR,
+    (_S.STARTING, _T.FOUND_IN_NEUTRAL): _S.NEUTRAL,
+    (_S.IN_GEAR, _T.FOUND_IN_NEUTRAL): _S.NEUTRAL,
+    (_S.NEUTRAL, _T.FOUND_IN_GEAR): _S.IN_GEAR,
+    (_S.IN_GEAR, _T.REQUESTED): _S.CLUTCH_OPENING,
+    (_S.NEUTRAL, _T.REQUESTED): _S.CLUTCH_OPENING,
+    (_S.CLUTCH_OPENING, _T.CLUTCH_OPEN): _S.DISENGAGING,
+    (_S.DISENGAGING, _T.MAIN_BOX_STAYS): _S.SPLITTER_CHANGING,
+    (_S.DISENGAGING, _T.MAIN_BOX_NEUTRAL): _S.STEPS_CHANGING,
+    (_S.STEPS_CHANGING, _T.STEPS_IN): _S.SYNCHRONISING,
+    (_S.SPLITTER_CHANGING, _T.ENGAGED): _S.CLUTCH_CLOSING,
+    (_S.SYNCHRONISING, _T.BRAKE_RELEASED): _S.COASTING,
+    (_S.SYNCHRONISING, _T.FIRED): _S.ENGAGING,
+    (_S.SYNCHRONISING, _T.TOO_SLOW): _S.SPEED_RAISING,
+    (_S.SPEED_RAISING, _T.RAISED): _S.CLUTCH_PARTING,
+    (_S.CLUTCH_PARTING, _T.CLUTCH_OPEN): _S.SYNCHRONISING,
+    (_S.COASTING, _T.FIRED): _S.ENGAGING,
+    (_S.COASTING, _T.TOO_SLOW): _S.SPEED_RAISING,
+    (_S.COASTING, _T.TOO_FAST): _S.SYNCHRONISING,
+    (_S.ENGAGING, _T.ENGAGED): _S.CLUTCH_CLOSING,
+    (_S.ENGAGING, _T.BLOCKED): _S.RETRACTING,
+    (_S.RETRACTING, _T.RETRACTED): _S.COASTING,
+    (_S.CLUTCH_CLOSING, _T.FOUND_IN_GEAR): _S.IN_GEAR,
+    (_S.CLUTCH_CLOSING, _T.FOUND_IN_NEUTRAL): _S.NEUTRAL,
+    (_S.CLUTCH_CLOSING, _T.GEAR_UNKNOWN): _S.FAULTED,
+    (_S.FAULTED, _T.FOUND_IN_GEAR): _S.CLUTCH_CLOSING,
+    (_S.FAULTED, _T.FOUND_IN_NEUTRAL): _S.CLUTCH_CLOSING,
+}
+"""A missing entry is an error: a trigger that a state does not expect."""
+
+IN_SHIFT: Final = (
+    _S.CLUTCH_OPENING,
+    _S.DISENGAGING,
+    _S.SPLITTER_CHANGING,
+    _S.STEPS_CHANGING,
+    _S.SYNCHRONISING,
+    _S.SPEED_RAISING,
+    _S.CLUTCH_PARTING,
+    _S.COASTING,
+    _S.ENGAGING,
+    _S.RETRACTING,
+)
+"""The states of a shift that is under way; from each it can be given up."""
+for _state in IN_SHIFT:
+    TRANSITIONS[_state, _T.GAVE_UP] = _S.CLUTCH_CLOSING
+    TRANSITIONS[_state, _T.GEAR_UNKNOWN] = _S.FAULTED
+
+
+@dataclass
+class ShiftRecord:
+    """One shift from request to outcome; what the outcome frame reports."""
+
+    from_number: int
+    to_number: int
+    """The gear asked for; -1 where there is no such gear, and `target` then means nothing."""
+    target: DriveGear
+    request_us: int
+    strategy: Strategy
+    """The strategy that acts: the fallback while the reference is unknown."""
+    reference_known: bool = False
+    reference_source: ReferenceSource = ReferenceSource.NONE
+    attempts: int = 0
+    raises: int = 0
+    """How often the engine was asked to bring the layshaft up."""
+    pulses: int = 0
+    """How often the brake was used."""
+    steps_before: tuple[Split | None, Range | None] | None = None
+    """Where splitter and range stood when their change began."""
+    blocks: int = 0
+    """How often the guard has blocked what was commanded."""
+    release_us: int | None = None
+    plan: Plan | None = None
+    measured_contact_us: int | None = None
+    estimated_phase_rad: float = 0.0
+    result: ShiftResult = ShiftResult.NONE
+    fault: FaultCode = FaultCode.NONE
+    end_us: int | None = None
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended, well or not."""
+        return self.result is not ShiftResult.NONE

@@ -1,0 +1,116 @@
+"""What the controller wants of its valves: one command a valve, resent every step.
+
+Scheduled hardware gets the activation time with the command. Hardware that cannot schedule gets
+plain on and off, and the controller wakes at the moment (`valve_timing = "immediate"`).
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from operator import itemgetter
+from typing import Final, NamedTuple
+
+from meshpoint.controller.sensing.sensor_clock import wrap
+from meshpoint.controller.settings import ValveTiming
+from meshpoint.dbc.messages import ValveAction, ValveCommand
+
+
+class Valve(IntEnum):
+    """The nine valves, in the order of the command frame."""
+
+    BRAKE = 0
+    SPLIT_LOW = 1
+    SPLIT_HIGH = 2
+    MAIN_FIRST = 3
+    MAIN_SECOND = 4
+    MAIN_CRAWL = 5
+    MAIN_THIRD = 6
+    RANGE_LOW = 7
+    RANGE_HIGH = 8
+
+
+_ACTION: Final = itemgetter(0)
+_TIME_US: Final = itemgetter(1)
+HELD_US: Final = 1_000_000
+"""An `off` this long past needs no time any more; far from where 32-bit times turn ambiguous."""
+
+
+class Command(NamedTuple):
+    """The valve is to be `on` from sensor time `time_us`; `before` is its state until then."""
+
+    time_us: int
+    on: bool
+    before: bool
+
+
+FOREVER_US: Final = 1 << 62
+OFF: Final = Command(-(1 << 62), False, False)
+
+
+class ValveBoard:
+    """The commands as they stand."""
+
+    def __init__(self, timing: ValveTiming) -> None:
+        self._timing = timing
+        self._commands: dict[Valve, Command] = dict.fromkeys(Valve, OFF)
+        self._message: ValveCommand | None = None
+        self._message_until_us = 0
+
+    def schedule(self, valve: Valve, on: bool, time_us: int, now_us: int) -> None:
+        """Switch the valve at a sensor time; replaces what was still to come."""
+        before = self.driven(valve, now_us)
+        self._commands[valve] = Command(time_us, on, before)
+        self._message = None
+
+    def all_off(self) -> None:
+        """Everything off at once."""
+        self._commands = dict.fromkeys(Valve, OFF)
+        self._message = None
+
+    def off(self, valve: Valve) -> None:
+        """This valve off at once."""
+        self._commands[valve] = OFF
+        self._message = None
+
+    def driven(self, valve: Valve, time_us: int) -> bool:
+        """Whether the valve is driven at a sensor time, as commanded."""
+        command = self._commands[valve]
+        return command.on if time_us >= command.time_us else command.before
+
+    def command(self, valve: Valve) -> Command:
+        """The command as it stands."""
+        return self._commands[valve]
+
+    def next_switch_us(self, now_us: int) -> int | None:
+        """The next moment at which something must be sent for hardware that cannot schedule."""
+        if self._timing is ValveTiming.SCHEDULED:
+            return None
+        times = [c.time_us for c in self._commands.values() if c.time_us > now_us]
+        return min(times, default=None)
+
+    def message(self, now_us: int) -> ValveCommand:
+        """The command frame's content at a sensor time; made anew when something changes."""
+        if self._message is None or now_us >= self._message_until_us:
+            self._message = self._make_message(now_us)
+            self._message_until_us = self._unchanged_until_us(now_us)
+        return self._message
+
+    def _make_message(self, now_us: int) -> ValveCommand:
+        said = [self._action(command, now_us) for command in self._commands.values()]
+        # The frame has all actions, then all times, each in the order of `Valve`.
+        return ValveCommand._make([*map(_ACTION, said), *map(_TIME_US, said)])
+
+    def _unchanged_until_us(self, now_us: int) -> int:
+        """When the message says something else although nothing is commanded anew."""
+        held_us = 0 if self._timing is ValveTiming.IMMEDIATE else HELD_US + 1
+        times = [c.time_us + held_us for c in self._commands.values()]
+        return min([time_us for time_us in times if time_us > now_us], default=FOREVER_US)
+
+    def _action(self, command: Command, now_us: int) -> tuple[ValveAction, int]:
+        if self._timing is ValveTiming.IMMEDIATE:
+            on = command.on if now_us >= command.time_us else command.before
+            return (ValveAction.ON_NOW if on else ValveAction.OFF_NOW), 0
+        if not command.on and command.time_us < now_us - HELD_US:
+            return ValveAction.OFF_NOW, 0
+        action = ValveAction.ON_AT if command.on else ValveAction.OFF_AT
+        return action, wrap(command.time_us)

@@ -1,0 +1,331 @@
+"""The live driver: runs any core on a python-can bus, in asyncio.
+
+It decides nothing. It reads the clock once a turn, hands over all frames that have arrived, steps
+the core when a step is due, and sends what the step returns.
+"""
+
+import asyncio
+import errno
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from typing import Any
+
+import can
+
+from meshpoint.bus.clock import NodeClock
+from meshpoint.bus.core import Core
+from meshpoint.bus.frames import frame_of
+from meshpoint.bus.reception import Reception, receive_from
+from meshpoint.bus.statistics import NodeStatistics
+from meshpoint.dbc.frame import Frame
+
+RETRY_S = 0.5
+_REPORT_EVERY_S = 1.0
+
+_LAST_SEND_TIMEOUT_S = 0.2
+
+# The transmit queue is full (the first three), or the device cannot send such a frame at all.
+_REFUSALS = {errno.ENOBUFS, errno.EAGAIN, errno.EWOULDBLOCK, errno.EINVAL}
+# How python-can reports a full socketcan queue when it is not told to wait: without a code.
+_QUEUE_FULL_TEXT = "Transmit buffer full"
+# Buses that return own frames as if received, so that one's own address there means nothing.
+_ECHOING = {"UdpMulticastBus"}
+
+OpenBus = Callable[[], can.BusABC]
+OnEvent = Callable[[str], None]
+OnMessage = Callable[[can.Message], None]
+
+
+async def run_node(
+    core: Core,
+    open_bus: OpenBus,
+    clock: NodeClock,
+    *,
+    on_event: OnEvent,
+    stop: asyncio.Event,
+    name: str,
+    own_addresses: frozenset[int] = frozenset(),
+    statistics: NodeStatistics | None = None,
+    on_message: OnMessage | None = None,
+) -> NodeStatistics:
+    """Runs `core` until `stop` is set, then sends its last frames and closes the bus.
+
+    A bus that goes away is reported and opened again, tried every half second. Meanwhile the core
+    is stepped at its times, and what it sends is discarded, never sent late.
+
+    open_bus: called in a thread. What it raises at the first call is raised from here.
+    on_event: gets the core's events and the driver's own, as lines that begin with `name`.
+    own_addresses: source addresses (the last byte of a 29-bit identifier) of this node. Frames
+        that carry one are not handed to the core: several interfaces return one's own frames, and
+        not all mark them (python-can issue 1274).
+    statistics: counted in here, so that it can be read meanwhile; also returned.
+    on_message: gets every message as it came, before the core does: error frames, own ones, all.
+    """
+    node = _Node(
+        core,
+        open_bus,
+        clock,
+        on_event,
+        name,
+        own_addresses,
+        statistics or NodeStatistics(),
+        on_message,
+    )
+    await node.run(stop)
+    return node.statistics
+
+
+class _Node:
+    def __init__(
+        self,
+        core: Core,
+        open_bus: OpenBus,
+        clock: NodeClock,
+        on_event: OnEvent,
+        name: str,
+        own_addresses: frozenset[int],
+        statistics: NodeStatistics,
+        on_message: OnMessage | None,
+    ) -> None:
+        self.statistics = statistics
+        self._core = core
+        self._open_bus = open_bus
+        self._clock = clock
+        self._on_event = on_event
+        self._name = name
+        self._own_addresses = own_addresses
+        self._on_message = on_message
+        self._loop = asyncio.get_running_loop()
+        self._bus: can.BusABC | None = None
+        self._reception: Reception | None = None
+        self._reopening: asyncio.Task[None] | None = None
+        self._timer: asyncio.TimerHandle | None = None
+        self._timer_due_us = 0
+        self._stepping = True
+        self._ending = asyncio.Event()
+        self._failure: asyncio.Future[None] = self._loop.create_future()
+        self._lost_at_s: float | None = None  # until the next bus has carried a frame
+        self._refused_reported_at_s = float("-inf")
+
+    async def run(self, stop: asyncio.Event) -> None:
+        self._attach(await asyncio.to_thread(self._open_bus))
+        stopped = asyncio.ensure_future(stop.wait())
+        try:
+            self._turn()
+            ends: list[asyncio.Future[Any]] = [stopped, self._failure]
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+        finally:
+            stopped.cancel()
+            self._clock.leave()
+            await self._end()
+        if self._failure.done():
+            self._failure.result()
+
+    def _turn(self) -> None:
+        if not self._stepping:
+            return
+        try:
+            self._receive_and_step()
+        # Raised again by run(): from a callback it would only be logged.
+        except Exception as error:  # noqa: BLE001
+            self._stepping = False
+            self._failure.set_exception(error)
+
+    def _receive_and_step(self) -> None:
+        now_us = self._clock.now_us()
+        self._receive()
+        due_us = self._core.next_step_us
+        if now_us >= due_us:
+            step = self._core.step(now_us)
+            self.statistics.steps += 1
+            if self._timer_due_us <= now_us:  # not one that a frame asked for
+                late_s = self._clock.wall_s(now_us - self._timer_due_us)
+                self.statistics.lateness_us.add(round(late_s * 1e6))
+            self._report(step.events)
+            self._send(step.frames)
+        self._set_timer(now_us)
+        self._clock.here()
+
+    def _set_timer(self, now_us: int) -> None:
+        # A step that is asked for at once is due now, however long ago its time may be.
+        due_us = max(now_us, self._core.next_step_us)
+        if self._timer is not None:
+            if due_us == self._timer_due_us:
+                return
+            self._timer.cancel()
+        self._timer_due_us = due_us
+        self._timer = self._loop.call_later(self._clock.delay_s(due_us), self._on_timer)
+
+    def _on_timer(self) -> None:
+        self._timer = None
+        self._turn()
+
+    def _receive(self) -> None:
+        if self._reception is None:
+            return
+        messages, error = self._reception.take()
+        for message in messages:
+            self._accept(message)
+        if error is not None:
+            self._lose_bus(error)
+
+    def _accept(self, message: can.Message) -> None:
+        counts = self.statistics
+        self._bus_works()
+        if self._on_message is not None:
+            self._on_message(message)
+        if message.is_error_frame:
+            counts.error_frames += 1
+            if counts.error_frames == 1:
+                self._say(
+                    f"error frames on the bus, the first of class 0x{message.arbitration_id:X}"
+                )
+        elif message.is_remote_frame:
+            counts.remote_frames += 1
+            if counts.remote_frames == 1:
+                self._say(
+                    f"remote frames on the bus, the first 0x{message.arbitration_id:X}: ignored"
+                )
+        elif message.is_extended_id and message.arbitration_id & 0xFF in self._own_addresses:
+            counts.own_address_frames += 1
+            if counts.own_address_frames == 1 and type(self._bus).__name__ not in _ECHOING:
+                self._say(
+                    f"frame 0x{message.arbitration_id:X} on the bus has our own source address: "
+                    "ignored, as all of these"
+                )
+        else:
+            counts.frames_received += 1
+            self._clock.heard()
+            self._core.receive(frame_of(message))
+
+    def _send(self, frames: list[Frame], timeout_s: float = 0.0) -> None:
+        counts = self.statistics
+        for index, frame in enumerate(frames):
+            if self._bus is None:
+                counts.frames_discarded += len(frames) - index
+                return
+            try:
+                self._bus.send(_message(frame), timeout_s)
+            except (can.CanError, OSError) as error:
+                if not _only_this_frame(error):
+                    counts.frames_discarded += 1
+                    self._lose_bus(error)
+                    continue
+                counts.frames_refused += 1
+                self._report_refusal(frame, error)
+            else:
+                counts.frames_sent += 1
+                self._bus_works()
+
+    def _report_refusal(self, frame: Frame, error: Exception) -> None:
+        now_s = self._loop.time()
+        if now_s - self._refused_reported_at_s < _REPORT_EVERY_S:
+            return
+        self._refused_reported_at_s = now_s
+        hint = ""
+        if _error_number(error) == errno.EINVAL:
+            hint = "; is this a classic CAN device, or CAN FD not switched on?"
+        self._say(
+            f"frame 0x{frame.can_id:X} not sent: {error} "
+            f"({self.statistics.frames_refused} refused so far){hint}"
+        )
+
+    def _attach(self, bus: can.BusABC) -> None:
+        self._reception = receive_from(bus, self._turn)
+        self._bus = bus
+
+    def _bus_works(self) -> None:
+        """A frame has gone through. Only that proves a reopened bus: a link that is down opens."""
+        if self._lost_at_s is not None:
+            self._say(f"bus is back after {self._loop.time() - self._lost_at_s:.1f} s")
+            self._lost_at_s = None
+
+    def _lose_bus(self, error: Exception) -> None:
+        bus, reception = self._bus, self._reception
+        if bus is None or reception is None:
+            return
+        self._bus = self._reception = None
+        if self._lost_at_s is None:
+            self.statistics.outages += 1
+            self._lost_at_s = self._loop.time()
+            self._say(f"bus lost: {error}; trying again every {RETRY_S:g} s")
+        self._reopening = self._loop.create_task(self._reopen(bus, reception))
+
+    async def _reopen(self, lost: can.BusABC, reception: Reception) -> None:
+        """Opens anew instead of using the same bus again, so that nothing stale is in a queue."""
+        await _close(lost, reception)
+        complaint = ""
+        while not await self._ends_within(RETRY_S):
+            try:
+                self._attach(await asyncio.to_thread(self._open_bus))
+            except Exception as error:  # noqa: BLE001 (a vendor's driver may raise anything)
+                if str(error) != complaint:
+                    complaint = str(error)
+                    self._say(f"bus still away: {complaint}")
+            else:
+                return
+
+    async def _ends_within(self, seconds: float) -> bool:
+        try:
+            await asyncio.wait_for(self._ending.wait(), seconds)
+        except TimeoutError:
+            return False
+        return True
+
+    async def _end(self) -> None:
+        """Last frames, whatever the reason of the end; then closes everything."""
+        self._ending.set()
+        if self._reopening is not None:
+            await self._reopening
+        self._stepping = False
+        if self._timer is not None:
+            self._timer.cancel()
+        try:
+            step = self._core.shutdown(self._clock.now_us())
+            self._report(step.events)
+            self._send(step.frames, timeout_s=_LAST_SEND_TIMEOUT_S)
+        finally:
+            bus, reception = self._bus, self._reception
+            self._bus = self._reception = None
+            if bus is not None and reception is not None:
+                await _close(bus, reception)
+
+    def _report(self, events: Iterable[str]) -> None:
+        for event in events:
+            self._say(event)
+
+    def _say(self, event: str) -> None:
+        self._on_event(f"{self._name}: {event}")
+
+
+async def _close(bus: can.BusABC, reception: Reception) -> None:
+    await reception.stop()
+    with suppress(can.CanError, OSError):  # a broken bus may fail to close properly
+        await asyncio.to_thread(bus.shutdown)
+
+
+def _message(frame: Frame) -> can.Message:
+    return can.Message(
+        arbitration_id=frame.can_id,
+        is_extended_id=frame.is_extended,
+        data=frame.data,
+        is_fd=frame.is_fd,
+        bitrate_switch=frame.is_fd,
+        is_rx=False,
+    )
+
+
+def _only_this_frame(error: Exception) -> bool:
+    """Whether the bus refused a frame but goes on working."""
+    if isinstance(error, can.CanTimeoutError) or str(error).startswith(_QUEUE_FULL_TEXT):
+        return True
+    return _error_number(error) in _REFUSALS
+
+
+def _error_number(error: Exception) -> int | None:
+    """The operating system's error number, wherever the interface has put it."""
+    if isinstance(error, OSError):
+        return error.errno
+    if isinstance(error, can.CanError) and error.error_code is not None:
+        return error.error_code
+    return error.__cause__.errno if isinstance(error.__cause__, OSError) else None

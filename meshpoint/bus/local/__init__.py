@@ -1,0 +1,1 @@
+"""The local bus: a hub, and the python-can interface `meshpoint` to it."""

@@ -1,0 +1,1 @@
+"""CAN logs: read with limits, written in parts."""

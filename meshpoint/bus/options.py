@@ -1,0 +1,201 @@
+"""Opening a bus from the command line, in python-can's own arguments and configuration."""
+
+import argparse
+import configparser
+import logging
+import os
+import socket
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import can
+import can.cli
+import can.util
+
+from meshpoint.bus.local.channel import ChannelError
+from meshpoint.bus.local.register import register_interface
+
+DEFAULT_INTERFACE = "meshpoint"
+
+# Interfaces that take fd=True without any further parameter.
+_FD_BY_DEFAULT = frozenset({"socketcan", "udp_multicast", "kvaser", "vector"})
+_UDP_DEFAULTS = {
+    "channel": "239.74.163.2",  # python-can's own default is IPv6 and mostly delivers nothing
+    "hop_limit": 0,  # frames stay on this machine
+}
+_CANFD_MTU = 72
+_CAN_DEVICE_TYPE = "280"  # ARPHRD_CAN
+_NET_DEVICES = Path("/sys/class/net")
+# Interfaces whose sockets drop frames when a reader is late: 278 FD frames fit into the usual one.
+_LOSSY = frozenset({"socketcan", "udp_multicast"})
+_RECEIVE_BUFFER_BYTES = 8 * 1024 * 1024
+_SO_RCVBUFFORCE = 33  # linux/socket.h; Python has no name for it
+
+_ARGUMENTS = ("channel", "interface", "bitrate", "fd", "data_bitrate", "timing")
+
+
+class BusOpenError(Exception):
+    """The bus that was asked for cannot be opened. The message is one line, for the user."""
+
+
+def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds python-can's arguments (-i -c -b --fd --data-bitrate --timing --bus-kwargs), and
+    `--config`."""
+    register_interface()
+    can.cli.add_bus_arguments(parser)
+    parser.add_argument(
+        "--config",
+        default=argparse.SUPPRESS,
+        metavar="[FILE/]SECTION",
+        help="take the bus from a section of a python-can configuration file; FILE alone: its "
+        "section 'default'; SECTION alone: of can.conf and the other usual files",
+    )
+
+
+def open_bus_from(namespace: argparse.Namespace) -> can.BusABC:
+    """Opens the bus that arguments, `--config`, environment and python-can's configuration files
+    ask for, in this order of precedence; the local bus of this user when none of them does.
+
+    Raises BusOpenError.
+    """
+    config = bus_config(namespace)
+    try:
+        with _no_log_lines():
+            bus = can.Bus(ignore_config=True, **config)
+    except Exception as error:  # whatever a vendor's driver raises for a device that is not there
+        raise BusOpenError(_open_error(config, error)) from error
+    if config["interface"] in _LOSSY:
+        _enlarge_receive_buffer(bus)
+    return bus
+
+
+def bus_config(namespace: argparse.Namespace) -> dict[str, Any]:
+    """The parameters for `can.Bus`, with CAN FD on where an interface has it.
+
+    What environment and files say counts only when they mean the same interface: a channel of
+    another one would be no channel here.
+
+    Raises BusOpenError.
+    """
+    register_interface()
+    given = {key: getattr(namespace, key) for key in _ARGUMENTS if key in namespace}
+    given |= getattr(namespace, "bus_kwargs", {})
+    try:
+        if "config" in namespace:
+            given = _section(namespace.config) | given
+        ambient = can.util.load_file_config() | can.util.load_environment_config() | dict(can.rc)
+        wanted, usual = given.get("interface"), ambient.get("interface")
+        asked = ambient | given if wanted is None or usual in (None, wanted) else given
+        asked = _defaults(asked.get("interface", DEFAULT_INTERFACE)) | asked
+        # python-can casts values and builds bit timings; it also adds what we have left out.
+        config = can.util.load_config(config=dict(asked))
+    except can.CanInterfaceNotImplementedError as error:
+        known = ", ".join(sorted(can.VALID_INTERFACES))
+        raise BusOpenError(f"{error}; known interfaces are {known}") from error
+    except (configparser.Error, ValueError, TypeError) as error:
+        raise BusOpenError(f"bus configuration: {_one_line(str(error))}") from error
+    wanted_keys = asked.keys() | ({"timing"} if "f_clock" in asked else set())
+    result = {key: value for key, value in config.items() if key in wanted_keys}
+    if result["interface"] == "socketcan":
+        _check_socketcan(result.get("channel"))
+    return result
+
+
+def _defaults(interface: str) -> dict[str, Any]:
+    defaults: dict[str, Any] = {"interface": interface}
+    if interface in _FD_BY_DEFAULT:
+        defaults["fd"] = True
+    if interface == "udp_multicast":
+        defaults |= _UDP_DEFAULTS
+    return defaults
+
+
+def _section(text: str) -> dict[str, Any]:
+    """The section of a configuration file that `--config` names."""
+    head, slash, tail = text.rpartition("/")
+    if Path(text).is_file():
+        path, section = Path(text), "default"
+    elif slash and Path(head).is_file():
+        path, section = Path(head), tail
+    elif not slash:
+        found = can.util.load_file_config(section=text)
+        if not found:
+            files = ", ".join(can.util.CONFIG_FILES)
+            raise BusOpenError(f"--config {text}: neither a file nor a section of {files}")
+        return dict(found)
+    else:
+        raise BusOpenError(f"--config {text}: there is no file {head} (nor {text})")
+    found = can.util.load_file_config(path, section)
+    if not found:
+        parser = configparser.ConfigParser()
+        parser.read(path)
+        sections = ", ".join(parser.sections()) or "none"
+        raise BusOpenError(
+            f"--config {text}: {path} has no settings in section {section!r}; sections: {sections}"
+        )
+    return dict(found)
+
+
+def _check_socketcan(channel: Any) -> None:
+    """Says what python-can would say late or not at all: that a device is missing or classic."""
+    if channel is None:
+        raise BusOpenError(f"interface socketcan needs a channel (-c); {_can_devices()}")
+    mtu = _NET_DEVICES / str(channel) / "mtu"
+    if not mtu.exists():
+        return  # opening it says why
+    if int(mtu.read_text()) < _CANFD_MTU:
+        raise BusOpenError(
+            f"{channel} is set up for classic CAN, but CAN FD is needed: set a real device up by "
+            f"`ip link set {channel} type can bitrate 500000 dbitrate 2000000 fd on`, "
+            f"a virtual one by `ip link set {channel} mtu {_CANFD_MTU}`"
+        )
+
+
+def _enlarge_receive_buffer(bus: can.BusABC) -> None:
+    if sys.platform != "linux":
+        return
+    with socket.socket(fileno=os.dup(bus.fileno())) as same:
+        same.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+        with suppress(PermissionError):  # only the administrator may go beyond the system's limit
+            same.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER_BYTES)
+
+
+def _can_devices() -> str:
+    devices = sorted(
+        entry.parent.name
+        for entry in _NET_DEVICES.glob("*/type")
+        if entry.read_text().strip() == _CAN_DEVICE_TYPE
+    )
+    return "this machine has " + (", ".join(devices) or "no CAN device")
+
+
+def _open_error(config: dict[str, Any], error: Exception) -> str:
+    interface, channel = config["interface"], config.get("channel")
+    asked = f"interface {interface}, channel {'(default)' if channel is None else channel}"
+    cause = _one_line(str(error)) or type(error).__name__
+    if channel is None and isinstance(error, TypeError):
+        cause = f"it needs a channel (-c) ({cause})"
+    elif isinstance(error, ChannelError) and ":" not in str(channel):
+        cause += f"; for a device named {channel} add -i with its interface"
+    elif interface == "socketcan":
+        cause += f"; {_can_devices()}"
+    return f"cannot open {asked}: {cause}"
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+@contextmanager
+def _no_log_lines() -> Iterator[None]:
+    """Keeps python-can from writing its own lines about an error that we report."""
+    logger = logging.getLogger("can")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)

@@ -1,0 +1,187 @@
+"""Bus time that waits for its nodes: several processes share one clock, and none is left behind.
+
+A machine under load stops a process, or all of them, for tenths of a second, while a valve command
+expires after 100 ms: on such a machine a live run shows the machine, not the gearbox. Here time is
+kept in a file that all nodes map. A pacemaker moves it on with the wall clock, but never further
+than every node has promised to look at it again, plus a millisecond. A node that has heard others
+promises nothing while it hears nobody, so that frames on their way are waited for as well. A
+machine that keeps up runs in real time; one that does not runs slower, and the nodes cannot tell.
+
+One writer a word, and words of eight aligned bytes, so nothing needs a lock.
+"""
+
+from __future__ import annotations
+
+import argparse
+import mmap
+import struct
+import sys
+import threading
+from collections.abc import Iterable
+from pathlib import Path
+from time import perf_counter, sleep
+
+PACED_NODES = ("rig", "controller", "bench")
+HEARTBEAT_US = 2_000
+"""How long, at speed 1, a node may go without looking at the clock."""
+SLACK_US = 1_000
+SILENCE_US = 14_000
+"""How long a bus on which nodes speak every 10 ms may seem silent before time waits for frames."""
+TICK_S = 0.0005
+LONGEST_TICK_US = 2_000.0
+"""Of bus time, at speed 1 and below. A pacemaker that was itself stopped goes on from where it was,
+not from where it would be."""
+GIVEN_UP_S = 1.0
+"""A node that does not move for this long, by the pacemaker's time, is not waited for any more."""
+
+_ABSENT = -1
+_WORDS = 1 + len(PACED_NODES)
+
+
+def tick_s(speed: float) -> float:
+    """Wall seconds between two looks at the wall clock: half a millisecond of bus time."""
+    return TICK_S / min(1.0, speed)
+
+
+class PaceFile:
+    """The shared words: bus time in microseconds, then one promise a node."""
+
+    def __init__(self, path: Path) -> None:
+        """Maps an existing file; OSError when there is none, ValueError when it is another."""
+        with path.open("r+b") as file:
+            self._map = mmap.mmap(file.fileno(), 0)
+        if len(self._map) != 8 * _WORDS:
+            found = len(self._map)
+            self._map.close()
+            raise ValueError(f"{path}: {found} bytes, a pace file has {8 * _WORDS}")
+        self._words = memoryview(self._map).cast("q")
+
+    @staticmethod
+    def create(path: Path) -> PaceFile:
+        """A new file: time zero, no node there."""
+        path.write_bytes(struct.pack(f"={_WORDS}q", 0, *[_ABSENT] * len(PACED_NODES)))
+        return PaceFile(path)
+
+    @property
+    def now_us(self) -> int:
+        """Bus time."""
+        return self._words[0]
+
+    def set_now(self, now_us: int) -> None:
+        """For the pacemaker alone."""
+        self._words[0] = now_us
+
+    def promise(self, node: int, until_us: int) -> None:
+        """Node number `node` will look at the clock again by then."""
+        self._words[1 + node] = until_us
+
+    def leave(self, node: int) -> None:
+        """Nobody needs to wait for this node."""
+        self._words[1 + node] = _ABSENT
+
+    def promises_us(self) -> list[int | None]:
+        """What each node has promised; None for one that is not there."""
+        return [None if word == _ABSENT else word for word in self._words[1:]]
+
+
+class PacedClock:
+    """A node's view of the shared bus time; the same use as `meshpoint.bus.clock.Clock`."""
+
+    def __init__(self, file: PaceFile, name: str, speed: float = 1.0) -> None:
+        """name: one of PACED_NODES."""
+        self.speed = speed
+        self._file = file
+        self._node = PACED_NODES.index(name)
+        self._heartbeat_us = int(HEARTBEAT_US * max(1.0, speed))
+        self._heard_us: int | None = None
+        self._promised_us = 0
+
+    def now_us(self) -> int:
+        """Bus time in microseconds."""
+        return self._file.now_us
+
+    def heard(self) -> None:
+        """A frame of another node has arrived."""
+        self._heard_us = self._file.now_us
+
+    def here(self) -> None:
+        """The node has done all that was due. Where others have spoken and none does now, it
+        promises nothing further, until the pacemaker has given up and time has gone on."""
+        now_us = self._file.now_us
+        if self._heard_us is not None:
+            if now_us > self._promised_us + self._heartbeat_us + SLACK_US * max(1.0, self.speed):
+                self._heard_us = None  # given up: there is nobody to wait for
+            elif now_us - self._heard_us > SILENCE_US * max(1.0, self.speed):
+                return
+        self._promised_us = now_us + self._heartbeat_us
+        self._file.promise(self._node, self._promised_us)
+
+    def leave(self) -> None:
+        """The node ends."""
+        self._file.leave(self._node)
+
+    def delay_s(self, until_us: int) -> float:
+        """Wall seconds after which to look again: at `until_us`, or a heartbeat from now."""
+        left_us = until_us - self._file.now_us
+        if left_us <= 0:
+            return 0.0
+        return max(tick_s(self.speed), self.wall_s(min(left_us, self._heartbeat_us)))
+
+    def wall_s(self, clock_us: int) -> float:
+        """Wall seconds that a span of bus time takes on a machine that keeps up."""
+        return clock_us / (self.speed * 1e6)
+
+
+class Pacemaker:
+    """Decides how far bus time goes. Pure: the wall clock comes in as spans."""
+
+    def __init__(self, speed: float) -> None:
+        self.now_us = 0.0
+        self._speed = speed
+        self._seen: list[int | None] = [None] * len(PACED_NODES)
+        self._still_us = [0.0] * len(PACED_NODES)
+
+    def advance(self, elapsed_us: float, promises_us: Iterable[int | None]) -> int:
+        """The bus time after `elapsed_us` of wall time, given what the nodes have promised."""
+        elapsed_us = min(elapsed_us, LONGEST_TICK_US / min(1.0, self._speed))
+        until_us = self.now_us + elapsed_us * self._speed
+        for node, promise_us in enumerate(promises_us):
+            moved = promise_us != self._seen[node]
+            self._seen[node] = promise_us
+            self._still_us[node] = 0.0 if moved else self._still_us[node] + elapsed_us
+            if promise_us is not None and self._still_us[node] < GIVEN_UP_S * 1e6:
+                until_us = min(until_us, promise_us + SLACK_US * max(1.0, self._speed))
+        self.now_us = max(self.now_us, until_us)
+        return int(self.now_us)
+
+
+def keep_pace(path: Path, speed: float, ending: threading.Event) -> None:
+    """Moves the time of the file on until `ending` is set."""
+    file = PaceFile(path)
+    pacemaker = Pacemaker(speed)
+    before_s = perf_counter()
+    while not ending.is_set():
+        sleep(tick_s(speed))
+        now_s = perf_counter()
+        file.set_now(pacemaker.advance((now_s - before_s) * 1e6, file.promises_us()))
+        before_s = now_s
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """`python -m meshpoint.bus.pace FILE --speed X`: keeps pace until standard input ends, as it does when
+    the process that started this one is gone, however it went."""
+    parser = argparse.ArgumentParser(description="Keeps the bus time of a paced run.")
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--speed", type=float, default=1.0)
+    chosen = parser.parse_args(arguments)
+    ending = threading.Event()
+    keeper = threading.Thread(target=keep_pace, args=(chosen.file, chosen.speed, ending))
+    keeper.start()
+    sys.stdin.buffer.read()
+    ending.set()
+    keeper.join()
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,315 @@
+"""The data sheet: what is known of a gearbox from its drawings, as one TOML file.
+
+Ratios are never written down: they are quotients of tooth counts, kept exact, so that phases do not
+drift over hours. One definition throughout (docs/decisions/0003):
+
+    i_split = omega_layshaft / omega_input     = teeth_input / teeth_layshaft
+    i_gear  = omega_gear / omega_layshaft      = teeth_layshaft / teeth_gear
+    i_range = omega_propeller / omega_main     = teeth_main / teeth_propeller
+
+The angle from dog tooth to dog tooth is the pitch; a gear tooth stands in a gap of the sleeve where
+|phase| < backlash / 2.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+from meshpoint.gearbox.gears import MAIN_GEARS, DriveGear, MainGear, Range, Split
+from meshpoint.gearbox.tables import (
+    TableError,
+    count,
+    counts,
+    group,
+    load_toml,
+    quantity,
+    read_group,
+    text,
+    to_table,
+)
+
+RPM: Final = 2.0 * math.pi / 60.0
+BAR: Final = 1e5
+MS: Final = 1e-3
+MM: Final = 1e-3
+SHEET_NAMES: Final = ("thesis", "truck12")
+LEAST_RUN: Final = 6
+"""Teeth in a row that a sensor wheel needs somewhere, to see its speed."""
+_MAIN_FIELD: Final = {gear: gear.name.lower() for gear in MAIN_GEARS}
+
+
+class SheetError(TableError):
+    """A data sheet that cannot be used; the message names file, key, found and allowed."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A pair of wheels in constant mesh; the driven wheel's speed is ratio x the driving one's."""
+
+    driving: int = count("teeth_driving", 8, 200)
+    driven: int = count("teeth_driven", 8, 200)
+
+    @property
+    def exact(self) -> Fraction:
+        """Driven speed over driving speed."""
+        return Fraction(self.driving, self.driven)
+
+    @property
+    def ratio(self) -> float:
+        """The same as the nearest float."""
+        return self.driving / self.driven
+
+
+@dataclass(frozen=True)
+class Splitter:
+    """Input shaft (driving) to layshaft (driven)."""
+
+    low: Mesh = group(Mesh)
+    high: Mesh = group(Mesh)
+
+
+@dataclass(frozen=True)
+class MainBox:
+    """Layshaft (driving) to the four loose gears on the main shaft (driven)."""
+
+    crawl: Mesh = group(Mesh)
+    first: Mesh = group(Mesh)
+    second: Mesh = group(Mesh)
+    third: Mesh = group(Mesh)
+
+
+@dataclass(frozen=True)
+class RangeBox:
+    """Main shaft (driving) to propeller shaft (driven)."""
+
+    low: Mesh = group(Mesh)
+    high: Mesh = group(Mesh)
+
+
+@dataclass(frozen=True)
+class DogTeeth:
+    """The toothed sides of gears and sleeves of the main box (thesis 2.2)."""
+
+    teeth: int = count("teeth", 8, 96)
+    backlash_share: float = quantity("backlash_percent_of_pitch", 2.0, 50.0, 0.01)
+    radius_m: float = quantity("radius_mm", 30.0, 150.0, MM)
+
+    @property
+    def pitch_rad(self) -> float:
+        """Angle from dog tooth to dog tooth."""
+        return 2.0 * math.pi / self.teeth
+
+    @property
+    def backlash_rad(self) -> float:
+        """Width of the gap: a gear tooth is in it where |phase| < backlash / 2."""
+        return self.backlash_share * self.pitch_rad
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """A sensor wheel and its Hall sensor (thesis 2.5, 4.5)."""
+
+    teeth: int = count("teeth", 8, 120)
+    duty_share: float = quantity("duty_percent", 20.0, 80.0, 0.01)
+    missing: tuple[int, ...] = counts("missing", 0, 119, default=())
+    """Teeth that were left out (58 and 59 of a 60-2 wheel): they tell which tooth is which."""
+
+    def __post_init__(self) -> None:
+        if not self.missing:
+            return
+        if self.missing[-1] >= self.teeth:
+            raise TableError(f"missing = {list(self.missing)}, allowed are 0 to {self.teeth - 1}")
+        left = "".join("-" if k in self.missing else "#" for k in range(self.teeth))
+        if "#" * LEAST_RUN not in left + left:
+            raise TableError(f"missing must leave {LEAST_RUN} teeth in a row")
+        if left in (left + left)[1:-1]:
+            raise TableError("missing must tell each tooth from all others, its pattern repeats")
+
+    @property
+    def pitch_rad(self) -> float:
+        """Angle from rising edge to rising edge, where no tooth is missing."""
+        return 2.0 * math.pi / self.teeth
+
+
+@dataclass(frozen=True)
+class Wheels:
+    """The sensor wheels of the four shafts."""
+
+    input_: Wheel = group(Wheel)
+    layshaft: Wheel = group(Wheel)
+    main: Wheel = group(Wheel)
+    propeller: Wheel = group(Wheel)
+
+
+@dataclass(frozen=True)
+class Shafts:
+    """Inertia and friction (thesis 4.10-4.13). The friction is that of layshaft and input shaft
+    together, felt at the layshaft (4.11)."""
+
+    layshaft_inertia_kgm2: float = quantity("layshaft_inertia_kgm2", 0.01, 5.0)
+    input_inertia_kgm2: float = quantity("input_inertia_kgm2", 0.001, 5.0)
+    friction_nms: float = quantity("friction_nms", 0.0, 2.0)
+
+
+@dataclass(frozen=True)
+class Brake:
+    """Layshaft disc brake and its valve (thesis 4.1-4.4)."""
+
+    max_torque_nm: float = quantity("max_torque_nm", 5.0, 1000.0)
+    valve_delay_s: float = quantity("valve_delay_ms", 0.0, 50.0, MS)
+    time_constant_s: float = quantity("time_constant_ms", 1.0, 500.0, MS)
+
+
+@dataclass(frozen=True)
+class Air:
+    """Supply and atmosphere; the gain K_valve of thesis 4.1 is the gauge pressure of the supply."""
+
+    supply_gauge_pa: float = quantity("supply_gauge_bar", 1.0, 12.0, BAR)
+    atmosphere_pa: float = quantity("atmosphere_bar", 0.5, 1.2, BAR)
+
+
+@dataclass(frozen=True)
+class SleeveActuator:
+    """Coupling sleeve with its two valves: a delay from activation to contact (thesis 6.2)."""
+
+    delay_s: float = quantity("delay_ms", 10.0, 200.0, MS)
+    delay_sd_s: float = quantity("delay_sd_ms", 0.0, 20.0, MS)
+    delay_limit_s: float = quantity("delay_limit_ms", 0.0, 50.0, MS)
+    valve_delay_s: float = quantity("valve_delay_ms", 0.0, 50.0, MS)
+    to_contact_m: float = quantity("to_contact_mm", 0.5, 10.0, MM)
+    stroke_m: float = quantity("stroke_mm", 2.0, 20.0, MM)
+    speed_m_s: float = quantity("speed_m_s", 0.02, 2.0)
+
+    def __post_init__(self) -> None:
+        if self.to_contact_m >= self.stroke_m:
+            raise TableError("to_contact_mm must be less than stroke_mm")
+        if self.valve_delay_s + self.delay_limit_s >= self.delay_s:
+            raise TableError("delay_ms must be more than valve_delay_ms + delay_limit_ms")
+
+
+@dataclass(frozen=True)
+class Clutch:
+    """Clutch actuator as a delay from command to fully open and to fully closed."""
+
+    open_delay_s: float = quantity("open_delay_ms", 0.0, 1000.0, MS)
+    close_delay_s: float = quantity("close_delay_ms", 0.0, 2000.0, MS)
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What the shafts must not exceed."""
+
+    input_max_rad_s: float = quantity("input_max_rpm", 500.0, 6000.0, RPM)
+
+
+@dataclass(frozen=True)
+class GearboxSheet:
+    """A whole gearbox. Attributes are SI; tooth counts are exact integers."""
+
+    name: str = text("name")
+    splitter: Splitter = group(Splitter)
+    main: MainBox = group(MainBox)
+    range_: RangeBox = group(RangeBox)
+    dog: DogTeeth = group(DogTeeth)
+    wheels: Wheels = group(Wheels)
+    shafts: Shafts = group(Shafts)
+    brake: Brake = group(Brake)
+    air: Air = group(Air)
+    sleeve: SleeveActuator = group(SleeveActuator)
+    clutch: Clutch = group(Clutch)
+    limits: Limits = group(Limits)
+
+    def __post_init__(self) -> None:
+        ratios = [self.main_mesh(gear).ratio for gear in MAIN_GEARS]
+        if sorted(ratios) != ratios or len(set(ratios)) != len(ratios):
+            raise TableError("main: i_gear must rise from crawl over first and second to third")
+        if self.splitter.low.ratio >= self.splitter.high.ratio:
+            raise TableError("splitter: i_split must be smaller in low than in high")
+        if self.range_.low.ratio >= self.range_.high.ratio:
+            raise TableError("range: i_range must be smaller in low than in high")
+
+    def main_mesh(self, gear: MainGear) -> Mesh:
+        """The wheel pair of a main-box gear. KeyError for neutral."""
+        mesh: Mesh = getattr(self.main, _MAIN_FIELD[gear])
+        return mesh
+
+    def split_mesh(self, split: Split) -> Mesh:
+        """The wheel pair of a splitter step."""
+        return self.splitter.low if split is Split.LOW else self.splitter.high
+
+    def range_mesh(self, range_: Range) -> Mesh:
+        """The wheel pair of a range step."""
+        return self.range_.low if range_ is Range.LOW else self.range_.high
+
+    def inertia_kgm2(self, split: Split) -> float:
+        """Inertia felt at the layshaft, J_LS + J_IS / i_split^2 (thesis 4.13)."""
+        ratio = self.split_mesh(split).ratio
+        return self.shafts.layshaft_inertia_kgm2 + self.shafts.input_inertia_kgm2 / ratio**2
+
+    @property
+    def brake_nm_per_pa(self) -> float:
+        """C_db of thesis 4.4 on gauge pressure, unsigned: the torque acts against rotation."""
+        return self.brake.max_torque_nm / self.air.supply_gauge_pa
+
+    def overall_ratio(self, gear: DriveGear) -> float:
+        """Input speed over propeller speed, the ratio people quote."""
+        turns = (
+            self.split_mesh(gear.split).exact
+            * self.main_mesh(gear.main).exact
+            * self.range_mesh(gear.range_).exact
+        )
+        return float(1 / turns)
+
+    def canonical(self) -> str:
+        """The sheet as one line of JSON with sorted keys: what its hash and the run header hold."""
+        return json.dumps(to_table(self), sort_keys=True, separators=(",", ":"))
+
+    @property
+    def sha256(self) -> str:
+        """Hash of the values, not of the file's bytes: a comment changes nothing."""
+        return hashlib.sha256(self.canonical().encode()).hexdigest()
+
+
+def load_sheet(name_or_path: str | Path) -> GearboxSheet:
+    """A sheet by name (`thesis`) or from a TOML file. SheetError names file, key and allowed."""
+    if str(name_or_path) in SHEET_NAMES:
+        source = resources.files("meshpoint.gearbox") / "sheets" / f"{name_or_path}.toml"
+        with resources.as_file(source) as path:
+            return _read_sheet(path)
+    path = Path(name_or_path)
+    if not path.exists():
+        known = ", ".join(SHEET_NAMES)
+        raise SheetError(f"{path}: no such file, and no sheet of that name; sheets are {known}")
+    return _read_sheet(path)
+
+
+def _read_sheet(path: Path) -> GearboxSheet:
+    try:
+        return read_group(GearboxSheet, load_toml(path), path.name)
+    except TableError as error:
+        raise SheetError(str(error)) from error
+
+
+def sheet_from_canonical(values: dict[str, Any]) -> GearboxSheet:
+    """The inverse of `canonical`, parsed: how a run header gives back its sheet (SI values)."""
+    sheet: GearboxSheet = _build(GearboxSheet, values)
+    return sheet
+
+
+def _build(cls: Any, values: dict[str, Any]) -> Any:
+    built = {}
+    for field in cls.__dataclass_fields__.values():
+        inner = field.metadata.get("group")
+        value = values[field.name]
+        # JSON has no tuples.
+        built[field.name] = (
+            _build(inner, value) if inner else tuple(value) if isinstance(value, list) else value
+        )
+    return cls(**built)

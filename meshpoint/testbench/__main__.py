@@ -1,0 +1,8 @@
+"""`python -m testbench` is `meshpoint`."""
+
+import sys
+
+from meshpoint.testbench.cli import main
+
+if __name__ == "__main__":
+    sys.exit(main())

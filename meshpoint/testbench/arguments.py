@@ -1,0 +1,277 @@
+"""Arguments that several commands share, and how they become settings."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+from meshpoint.bus.logs.files import MIN_PART_BYTES
+from meshpoint.bus.logs.limits import MAX_LOG_BYTES
+from meshpoint.controller.calibration.file import load
+from meshpoint.controller.calibration.records import Calibration
+from meshpoint.controller.calibration_keeper import CalibrationWriter
+from meshpoint.controller.settings import (
+    ESTIMATOR_NAMES,
+    STRATEGY_NAMES,
+    ControllerSettings,
+    load_settings,
+)
+from meshpoint.gearbox import GearboxSheet, load_sheet
+from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.rig_sim.orders import ScheduledFault
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.truck.as_built import load_as_built
+from meshpoint.rig_sim.truck.scenario import load_scenario
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.loop.schedules import NAMES, UPSHIFTS, Pairs, check_preset, pairs
+from meshpoint.testbench.results.output import folder_for
+
+MAX_SHIFTS = 100_000
+_SIZE = re.compile(
+    r"(?P<number>\d{1,12}(\.\d{1,6})?) ?(?P<unit>[kmg]?i?b?)", re.IGNORECASE | re.ASCII
+)
+_UNITS = {
+    prefix + infix + suffix: float(base**power)
+    for power, prefix in enumerate(("", "k", "m", "g"))
+    for infix, base in (("", 1000), ("i", 1024))
+    for suffix in ("", "b")
+}
+
+
+def whole(low: int, high: int):  # type: ignore[no-untyped-def]
+    """An argparse type: a whole number from `low` to `high`."""
+
+    def parse(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = low - 1
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(
+                f"{text!r}, allowed is a whole number from {low} to {high}"
+            )
+        return value
+
+    return parse
+
+
+def speed(text: str) -> float:
+    """An argparse type: how many times as fast as the wall clock."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 1e-3 <= value <= 1e3:
+        raise argparse.ArgumentTypeError(f"{text!r}, allowed is a number from 0.001 to 1000")
+    return value
+
+
+def size_bytes(text: str) -> int:
+    """An argparse type: a size in bytes, as 500kB, 10MB, 1GiB."""
+    match = _SIZE.fullmatch(text.strip())
+    size = 0.0
+    if match is not None:
+        size = float(match["number"]) * _UNITS[match["unit"].lower()]
+    if not MIN_PART_BYTES <= size <= MAX_LOG_BYTES:
+        raise argparse.ArgumentTypeError(
+            f"{text!r}, allowed is a size from {MIN_PART_BYTES // 1024}KiB to "
+            f"{MAX_LOG_BYTES // 1024**3}GiB, as 10MB"
+        )
+    return int(size)
+
+
+def add_gearbox(parser: argparse.ArgumentParser) -> None:
+    """--gearbox."""
+    parser.add_argument(
+        "--gearbox",
+        default="thesis",
+        metavar="NAME|FILE",
+        help=f"data sheet: {', '.join(SHEET_NAMES)}, or a TOML file (default: thesis)",
+    )
+
+
+def add_controller(parser: argparse.ArgumentParser, strategy: bool = True) -> None:
+    """--settings, --estimator and --strategy."""
+    parser.add_argument("--settings", type=Path, metavar="FILE", help="controller settings, TOML")
+    parser.add_argument(
+        "--estimator",
+        choices=tuple(ESTIMATOR_NAMES),
+        help="layshaft estimator: window, the 10 ms window speed of today; thesis, its Kalman "
+        "filter; crossing, a filter on the time of each edge (default)",
+    )
+    if strategy:
+        parser.add_argument(
+            "--strategy",
+            choices=tuple(STRATEGY_NAMES),
+            help="speed_window: fire when the slip is inside its window, as is done today; "
+            "speed_window_anticipating: fire ahead, so that the slip is small at contact; "
+            "target_phase: fire so that tooth meets gap (default)",
+        )
+
+
+def add_calibration(parser: argparse.ArgumentParser) -> None:
+    """--calibration."""
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help="what the controller has learned of this gearbox, TOML: read where it exists, written "
+        "after every shift (`meshpoint calibration show FILE`). A file that does not hold together "
+        "is put aside as FILE.refused and the controller starts cold",
+    )
+
+
+def add_rig(parser: argparse.ArgumentParser) -> None:
+    """--preset, --seed, --as-built and --faults."""
+    add_preset(parser)
+    add_seed(parser)
+    add_as_built(parser)
+    parser.add_argument(
+        "--faults",
+        type=Path,
+        metavar="FILE",
+        help="preset truck: a scenario of faults, TOML (`meshpoint rig --describe` lists them)",
+    )
+
+
+def add_preset(parser: argparse.ArgumentParser) -> None:
+    """--preset."""
+    parser.add_argument(
+        "--preset",
+        choices=tuple(preset.value for preset in Preset),
+        default=Preset.TRUCK.value,
+        help="physics of the rig: truck, a gearbox with friction, backlash and impacts, drawn from "
+        "the seed; thesis, the thesis's equations 4.1-4.17 to the letter (default: %(default)s)",
+    )
+
+
+def add_as_built(parser: argparse.ArgumentParser) -> None:
+    """--as-built."""
+    parser.add_argument(
+        "--as-built",
+        type=Path,
+        metavar="FILE",
+        help="preset truck: fix these as-built values, TOML or a run's JSON; the rest is drawn",
+    )
+
+
+def add_seed(parser: argparse.ArgumentParser) -> None:
+    """--seed."""
+    parser.add_argument(
+        "--seed",
+        type=whole(0, 2**63 - 1),
+        default=1,
+        metavar="N",
+        help="draws start angles and delays, in the preset truck also every part (default: 1)",
+    )
+
+
+def add_speed(parser: argparse.ArgumentParser) -> None:
+    """--speed."""
+    parser.add_argument(
+        "--speed",
+        type=speed,
+        default=1.0,
+        metavar="X",
+        help="run X times as fast as the wall clock; give both nodes the same (default: 1)",
+    )
+
+
+def add_json(parser: argparse.ArgumentParser) -> None:
+    """--json."""
+    parser.add_argument(
+        "--json", metavar="FILE|-", help="write the results as JSON to a file, or - for stdout"
+    )
+
+
+def add_log(parser: argparse.ArgumentParser) -> None:
+    """--log and --log-size."""
+    parser.add_argument(
+        "--log",
+        metavar="FILE|DIR/",
+        help="record the bus: .log (candump), .blf or .asc by ending; in a folder the log is named "
+        "as by candump -l. What a killed run leaves can be read up to its last second",
+    )
+    parser.add_argument(
+        "--log-size",
+        type=size_bytes,
+        metavar="SIZE",
+        help="no log file larger than this, as 10MB; goes on in FILE_001, FILE_002 ...",
+    )
+
+
+def add_report(parser: argparse.ArgumentParser) -> None:
+    """--report."""
+    parser.add_argument(
+        "--report", type=Path, metavar="FILE", help="write a page with every shift's traces (HTML)"
+    )
+
+
+def add_shifts(parser: argparse.ArgumentParser, default: int, least: int) -> None:
+    """--shifts and --pairs."""
+    parser.add_argument(
+        "--shifts",
+        type=whole(least, MAX_SHIFTS),
+        default=default,
+        metavar="N",
+        help=f"number of shifts (default: {default})",
+    )
+    parser.add_argument(
+        "--pairs",
+        type=pairs,
+        default=UPSHIFTS,
+        metavar="LIST",
+        help=f"shifts to cycle through: {', '.join(NAMES)}, or a list (default: 8-10,10-12); all "
+        "but upshifts of the main box need --preset truck",
+    )
+
+
+def sheet_of(namespace: argparse.Namespace) -> GearboxSheet:
+    """The data sheet asked for."""
+    return load_sheet(namespace.gearbox)
+
+
+def pairs_of(namespace: argparse.Namespace, sheet: GearboxSheet, preset: Preset) -> Pairs:
+    """The shifts asked for. TableError where the preset cannot make one."""
+    chosen: Pairs = namespace.pairs
+    check_preset(chosen, sheet, preset)
+    return chosen
+
+
+def settings_of(namespace: argparse.Namespace, strategy: str | None = None) -> ControllerSettings:
+    """The controller settings asked for; `strategy` wins over the namespace's."""
+    return load_settings(
+        namespace.settings,
+        strategy_name=strategy or getattr(namespace, "strategy", None),
+        estimator_name=namespace.estimator,
+    )
+
+
+def calibration_of(
+    namespace: argparse.Namespace, sheet: GearboxSheet, threaded: bool, tell: Callable[[str], None]
+) -> tuple[Calibration | None, CalibrationWriter | None]:
+    """The calibration to start with and who writes it; CommandError where nothing can be written
+    there. What became of the file is told in a line."""
+    path: Path | None = namespace.calibration
+    if path is None:
+        return None, None
+    if path.is_dir():
+        raise CommandError(f"{path}: is a folder, allowed is a file")
+    folder_for(path.parent)
+    loaded = load(path, sheet)
+    tell(loaded.line)
+    writer = CalibrationWriter(path, sheet, threaded) if loaded.writable else None
+    return loaded.calibration, writer
+
+
+def as_built_of(namespace: argparse.Namespace) -> dict[str, float]:
+    """The as-built values that are fixed."""
+    return {} if namespace.as_built is None else load_as_built(namespace.as_built)
+
+
+def faults_of(namespace: argparse.Namespace) -> tuple[ScheduledFault, ...]:
+    """The scenario of faults."""
+    return () if namespace.faults is None else load_scenario(namespace.faults)

@@ -1,0 +1,97 @@
+"""95 % intervals for shifts that come in clusters: those of one run share a gearbox.
+
+Rates: Wilson's interval (1927) on the effective number of shifts, n over the design effect of the
+clusters (Rao and Scott 1992): it says something at 0 and at 1 too, where resampling says nothing.
+Means, quantiles and ratios: percentile bootstrap over whole runs, with the same resamples for the
+strategies compared, so that a ratio keeps the pairing (Efron and Tibshirani 1993, ch. 8).
+"""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshpoint.testbench.report.overview import wilson
+
+RESAMPLES: Final = 1000
+SEED: Final = 0xB007
+AT_ONCE: Final = 4_000_000
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Interval = tuple[float, float]
+
+
+def rate_interval(hits: NDArray[np.bool_], clusters: Integers) -> Interval:
+    """Interval of a share of shifts; `clusters` numbers the run of each shift from 0."""
+    n = hits.size
+    if n == 0:
+        return 0.0, 1.0
+    effective = n / design_effect(hits, clusters)
+    return wilson(float(hits.mean()) * effective, effective)
+
+
+def design_effect(hits: NDArray[np.bool_], clusters: Integers) -> float:
+    """Variance of the rate over what independent shifts would have; never taken below 1."""
+    n, rate = hits.size, float(hits.mean())
+    count = int(clusters.max()) + 1
+    if rate in (0.0, 1.0):
+        return n / count  # nothing is seen of the differences between runs: the worst is taken
+    if count == 1:
+        return 1.0
+    residual = np.bincount(clusters, hits - rate, minlength=count)
+    variance = count / (count - 1) * float(residual @ residual) / n**2
+    return max(1.0, variance * n / (rate * (1.0 - rate)))
+
+
+class Bootstrap:
+    """Resamples of whole runs: how often each run is in each resample."""
+
+    def __init__(self, runs: int) -> None:
+        runs = max(1, runs)
+        rng = np.random.Generator(np.random.PCG64(SEED))
+        self.weights: Floats = rng.multinomial(runs, np.full(runs, 1.0 / runs), RESAMPLES).astype(
+            np.float64
+        )
+
+    def means(self, values: Floats, clusters: Integers) -> Floats:
+        """The mean in each resample."""
+        runs = self.weights.shape[1]
+        sums = np.bincount(clusters, values, minlength=runs)
+        counts = np.bincount(clusters, minlength=runs)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found: Floats = (self.weights @ sums) / (self.weights @ counts)
+        return found
+
+    def quantiles(self, values: Floats, clusters: Integers, share: float) -> Floats:
+        """The quantile in each resample: the least value that `share` of the shifts do not
+        exceed."""
+        order = np.argsort(values, kind="stable")
+        sorted_values, owners = values[order], clusters[order]
+        found = []
+        rows = max(1, AT_ONCE // max(1, values.size))
+        for start in range(0, RESAMPLES, rows):
+            heaped = np.cumsum(self.weights[start : start + rows, :][:, owners], axis=1)
+            reached = heaped >= share * heaped[:, -1:] - 1e-9
+            found.append(sorted_values[np.argmax(reached, axis=1)])
+        return np.concatenate(found)
+
+
+def quantile(values: Floats, share: float) -> float:
+    """The least value that `share` of the values do not exceed."""
+    ordered = np.sort(values)
+    return float(ordered[max(0, int(np.ceil(share * ordered.size - 1e-9)) - 1)])
+
+
+def interval(resampled: Floats) -> list[float | None]:
+    """Its 2.5 and 97.5 per cent; None where a resample has no such figure."""
+    if not resampled.size or np.isnan(resampled).any():
+        return [None, None]
+    low, high = np.quantile(resampled, (0.025, 0.975), method="nearest")
+    return [finite(float(low)), finite(float(high))]
+
+
+def finite(value: Any) -> float | None:
+    """A number as it can stand in JSON."""
+    return round(float(value), 6) if np.isfinite(value) else None

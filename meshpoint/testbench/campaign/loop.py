@@ -1,0 +1,139 @@
+"""One gearbox and its controller in closed loop, that can be copied between two shifts.
+
+Cores are pure, so a copy goes on exactly as the original would: the learning shifts of a run are
+made once, and each strategy then goes on from a copy (docs/decisions/0008-campaign.md).
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable
+from typing import Final
+
+from meshpoint.bus.core import Core
+from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.header import new_header
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.messages import ControllerStatus, ReferenceEngagement, ShiftOutcome
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.testbench.campaign.draw import Draw
+from meshpoint.testbench.campaign.oracle import Oracle
+from meshpoint.testbench.campaign.scorer import NEVER_US, READ, Scorer
+from meshpoint.testbench.loop.bench import BenchCore, Pauses
+from meshpoint.testbench.loop.simulate import not_addressed_to, tick_phases
+from meshpoint.testbench.loop.virtual_time import VirtualTime
+from meshpoint.testbench.provenance import product_version
+from meshpoint.testbench.results.monitor import identifiers
+from meshpoint.testbench.results.rows import ShiftRow
+
+PAUSES: Final = Pauses(settle_us=0, locked_us=100_000, learn_us=300_000, learned_us=100_000)
+"""No pause is longer than what it is for. Before a request the filters settle in the old gear:
+0.1 s after its lock phases are known as well as after 0.2 s (40 runs of each; 20 ms are too few).
+The truck's clutch takes longer than that to close, and once it has nothing is left to wait for. A
+new gear is left when its phase is known, but not before a tenth of a second: its reference gains by
+every look, and the clutch closes meanwhile, which it would else do in the old gear."""
+RETURN_RAMP_S: Final = 0.05
+"""From the new gear's speeds to the old one's. As fast as this the wheels' teeth are still counted
+without a loss; it is the bench's doing and no part of a shift."""
+LIMIT_US_PER_SHIFT: Final = 30_000_000
+ALL_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
+SHARED: Final = tuple(CODECS.values())
+"""What a copy shares with its original: it never changes."""
+
+
+class ClosedLoop:
+    """Controller, rig, bench operator and scorer on one virtual bus."""
+
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        settings: ControllerSettings,
+        preset: Preset,
+        drawn: Draw,
+        log: list[tuple[int, Frame]] | None = None,
+    ) -> None:
+        """`log`: every frame of the bus with its time is put in here; a copy has its own."""
+        self._sheet = sheet
+        self.log = log
+        first = drawn.plan[0]
+        self._rig = RigCore(
+            sheet,
+            RigSettings(
+                preset=preset,
+                seed=drawn.seed,
+                start_gear=first.from_,
+                main_speed_rpm=first.main_rad_s * 30.0 / math.pi,
+                as_built=drawn.as_built,
+                return_ramp_s=RETURN_RAMP_S,
+            ),
+        )
+        self._settings = settings
+        self._made = 0
+        self._controller = ControllerCore(new_header(product_version(), sheet, settings))
+        self._bench = BenchCore(list(drawn.plan), PAUSES)
+        half_gap = sheet.dog.backlash_rad / 2.0
+        self._scorer = Scorer(sheet, settings.aim.target_rad_share * half_gap)
+        cores: list[Core] = [self._controller, self._rig, self._bench, self._scorer]
+        self._driver = VirtualTime(
+            cores,
+            [*tick_phases(drawn.seed), NEVER_US],
+            on_frame=None if log is None else self._write,
+            rejected=[
+                frozenset(),
+                not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
+                ALL_IDS - identifiers((ControllerStatus, ShiftOutcome, ReferenceEngagement)),
+                ALL_IDS - READ,
+            ],
+        )
+
+    @property
+    def simulated_s(self) -> float:
+        """Virtual time so far."""
+        return self._driver.now_us / 1e6
+
+    @property
+    def as_built(self) -> dict[str, dict[str, float]]:
+        """What was drawn for the rig; nothing for the preset thesis."""
+        return self._rig.as_built or {}
+
+    def prepare(self) -> None:
+        """Up to the request for the next shift, which no strategy has a say in."""
+        bench, made = self._bench, self._made
+        self._run(lambda: bench.index == made and bench.is_asking)
+
+    def shift(self) -> ShiftRow | None:
+        """The next shift of the plan, up to its outcome; None where it came to none."""
+        self.prepare()
+        bench, rows = self._bench, self._scorer.rows
+        made, before = self._made, len(rows)
+        self._run(lambda: len(rows) > before or bench.index > made)
+        self._made += 1
+        return rows[-1] if len(rows) > before else None
+
+    def _run(self, until: Callable[[], bool]) -> None:
+        limit_us = self._driver.now_us + LIMIT_US_PER_SHIFT
+        if not until() and not self._driver.run(until, limit_us):
+            raise TimeoutError(
+                f"shift {self._made + 1}: not over after {LIMIT_US_PER_SHIFT / 1e6:g} s"
+            )
+
+    def _write(self, time_us: int, frame: Frame) -> None:
+        if self.log is not None:
+            self.log.append((time_us, frame))
+
+    def fork(self) -> ClosedLoop:
+        """A copy that goes on as this one would."""
+        memo = {id(shared): shared for shared in (*SHARED, self._sheet, self._settings)}
+        return copy.deepcopy(self, memo)
+
+    def use(self, settings: ControllerSettings, knows_all: bool) -> None:
+        """Other engagement settings from here on; `knows_all`: by the rig's truth."""
+        self._controller.change_settings(settings)
+        if knows_all:
+            self._controller.take_outlook_from(Oracle(self._sheet, self._rig.truth))

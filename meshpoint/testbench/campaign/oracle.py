@@ -1,0 +1,136 @@
+"""The oracle: a strategy that is told the rig's true state and parameters, and no future chance.
+
+It shows what physics leaves to be had: the scatter of the sleeve's delay stays unknown to it. In
+the preset thesis the controller's own model is exact, so the true state is all that it needs; in
+the preset truck predictions come from a copy of the rig's plant that is run ahead.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from meshpoint.controller.estimation.cruise import ShaftState
+from meshpoint.controller.motion.kinematics import raw_phase_rad
+from meshpoint.controller.motion.models import LayshaftState, first_order_law
+from meshpoint.controller.phase.reference import PhaseReferences
+from meshpoint.controller.planning.outlook import Course, Outlook
+from meshpoint.gearbox import GearboxSheet, MainGear
+from meshpoint.rig_sim.shared.angles import Angle
+from meshpoint.rig_sim.shared.world import Truth
+from meshpoint.rig_sim.thesis.sensors import Shaft
+from meshpoint.rig_sim.truck.plant import TruckPlant
+from meshpoint.testbench.campaign.forecast import Forecast
+
+TURN_RAD = 2.0 * math.pi
+
+
+class TrueReferences(PhaseReferences):
+    """The phase of one gear as it is: known, whatever the controller has seen."""
+
+    def __init__(self, sheet: GearboxSheet, offset_rad: float) -> None:
+        super().__init__(sheet)
+        self._true_offset_rad = offset_rad
+        self._true_sheet = sheet
+
+    def known(self, gear: MainGear) -> bool:  # noqa: ARG002
+        """Always."""
+        return True
+
+    def phase_rad(self, gear: MainGear, theta_layshaft: float, theta_main: float) -> float:
+        """Phase of the gear, unwrapped."""
+        ratio = self._true_sheet.main_mesh(gear).ratio
+        return raw_phase_rad(ratio, theta_layshaft, theta_main) - self._true_offset_rad
+
+
+@dataclass(frozen=True)
+class ForecastOutlook(Outlook):
+    """Predictions from the plant itself instead of from the controller's model."""
+
+    forecast: Forecast
+
+    def layshaft_at(self, time_us: float, release_us: float | None) -> LayshaftState:
+        """The layshaft as it would be with the main shaft at constant speed: phase and slip are
+        those of the plant, whatever the main shaft does."""
+        if release_us is None:
+            phase, slip = self.forecast.at(*self.brake.arrays(), time_us)
+        else:
+            phase, slip = self.forecast.after_release(*self.brake.with_release(release_us), time_us)
+        return self._layshaft(time_us, phase, slip)
+
+    def course(
+        self, first_us: float, step_us: float, count: int, release_us: float | None = None
+    ) -> Course:
+        """Phase and slip at `count` times from `first_us` on."""
+        is_released = release_us is not None
+        brake = self.brake
+        switches = brake.arrays() if release_us is None else brake.with_release(release_us)
+        times_us = first_us + step_us * np.arange(count, dtype=np.float64)
+        return Course(first_us, step_us, *self.forecast.course(*switches, times_us, is_released))
+
+    def _layshaft(self, time_us: float, phase_rad: float, slip_rad_s: float) -> LayshaftState:
+        zero = self.references.phase_rad(self.gear, 0.0, 0.0)
+        theta = (phase_rad - zero + self.main.theta_at(time_us)) / self.i_gear
+        omega = (slip_rad_s + self.main.omega_at(time_us)) / self.i_gear
+        return LayshaftState(time_us, theta, omega, 0.0)
+
+
+class Oracle:
+    """Makes a true outlook of an estimated one (`meshpoint.controller.shift.sequence.OutlookSource`)."""
+
+    def __init__(self, sheet: GearboxSheet, truth: Truth) -> None:
+        self._sheet = sheet
+        self._truth = truth
+        self._law = first_order_law(1.0 / sheet.brake.time_constant_s, sheet.air.supply_gauge_pa)
+        self._forecast: Forecast | None = None
+        self._ahead: TruckPlant | None = None
+        """A copy of the plant that is run ahead."""
+
+    def __call__(self, outlook: Outlook) -> Outlook:
+        """The outlook with the truth of this instant in place of the estimates."""
+        truth, gear = self._truth, outlook.gear
+        time_us = truth.time_us + truth.clock_start_us
+        theta, omega = truth.angles, truth.speeds_rad_s
+        layshaft_rad, main_rad = _angle_rad(theta[Shaft.LAYSHAFT]), _angle_rad(theta[Shaft.MAIN])
+        offset = raw_phase_rad(outlook.i_gear, layshaft_rad, main_rad) - truth.phase_rad(gear)
+        mean_s, sd_s = truth.delay_s(gear)
+        known = replace(
+            outlook,
+            layshaft=LayshaftState(
+                time_us, layshaft_rad, omega[Shaft.LAYSHAFT], truth.brake_gauge_pa
+            ),
+            main=ShaftState(time_us, main_rad, omega[Shaft.MAIN], 0.0, 0.0),
+            brake=outlook.brake.seen_through(round(truth.brake_valve_delay_s * 1e6)),
+            model=outlook.model._replace(law=self._law),
+            references=TrueReferences(self._sheet, offset),
+            delay_us=round(mean_s * 1e6),
+            delay_sd_s=sd_s,
+            drift_rad_s=0.0,
+        )
+        self._renew(known, time_us)
+        if self._forecast is None:
+            return known
+        return ForecastOutlook(**vars(known), forecast=self._forecast)
+
+    def _renew(self, known: Outlook, time_us: float) -> None:
+        """A forecast holds until the gearbox does something else than was forecast."""
+        truth = self._truth
+        forecast = self._forecast
+        gear, switches = known.gear, known.brake.arrays()
+        if forecast is not None and forecast.holds(gear, *switches, time_us, truth.phase_rad(gear)):
+            return
+        live = truth.plant
+        if live is None:
+            return
+        if self._ahead is None:
+            self._ahead = copy.deepcopy(live)
+        pitch_rad, start_us = self._sheet.dog.pitch_rad, truth.clock_start_us
+        self._forecast = Forecast(self._ahead, live.snapshot(), gear, pitch_rad, start_us)
+
+
+def _angle_rad(angle: Angle) -> float:
+    turns, rest = angle
+    return TURN_RAD * turns + rest

@@ -1,0 +1,112 @@
+"""One judged shift as a row of the campaign's table."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.testbench.loop.bench import PlannedShift
+from meshpoint.testbench.results.rows import RPM, ShiftRow
+
+NO_OUTCOME = "no_outcome"
+
+
+@dataclass(frozen=True)
+class Record:
+    """Phase error, slip and impacts are the rig's truth. None: it did not come to that."""
+
+    sweep: str
+    sweep_value: float
+    seed: int
+    shift: int
+    """Number among the judged shifts of its run."""
+    strategy: str
+    from_gear: int
+    to_gear: int
+    main_gear: str
+    ratio: float
+    """Main shaft torque over layshaft torque, 1 / i_gear."""
+    layshaft_rpm: float
+    """In the old gear."""
+    reference_known: bool
+    reference_source: str
+    result: str
+    fault: str
+    contact: str | None
+    duration_ms: float | None
+    slip_rpm: float | None
+    phase_error_deg: float | None
+    pitch_deg: float
+    predicted_phase_deg: float | None
+    predicted_phase_sd_deg: float | None
+    delay_ms: float | None
+    attempts: int
+    impact_j: float
+    face_ms: float
+    ratchets: int
+    blocked: int
+    backlash_percent: float
+    delay_sd_ms: float
+    oil_c: float | None
+    slope_percent: float | None
+    mass_kg: float | None
+    supply_offset_bar: float | None
+
+    @property
+    def engaged(self) -> bool:
+        """Whether the gear is in."""
+        return self.result == "engaged"
+
+
+class Conditions:
+    """What all shifts of a run have in common."""
+
+    def __init__(self, sheet: GearboxSheet, as_built: dict[str, dict[str, float]]) -> None:
+        def built(group: str, key: str) -> float | None:
+            return as_built[group][key] if group in as_built else None
+
+        factor = built("sheet", "backlash_factor") or 1.0
+        sd_ms = built("sleeve", "noise_sd_ms")
+        self.columns: dict[str, Any] = {
+            "backlash_percent": 100.0 * sheet.dog.backlash_share * factor,
+            "delay_sd_ms": sheet.sleeve.delay_sd_s * 1e3 if sd_ms is None else sd_ms,
+            "oil_c": built("oil", "temperature_c"),
+            "slope_percent": built("vehicle", "slope_percent"),
+            "mass_kg": built("vehicle", "mass_kg"),
+            "supply_offset_bar": built("air", "supply_offset_bar"),
+        }
+        self._sheet = sheet
+
+    def record(self, planned: PlannedShift, row: ShiftRow | None, **key: Any) -> Record:
+        """The record of a shift; `row` None: there was no outcome. `key`: sweep to strategy."""
+        gear = DRIVE_GEARS[planned.to].main
+        old = self._sheet.main_mesh(DRIVE_GEARS[planned.from_].main).ratio
+        return Record(
+            **key,
+            from_gear=planned.from_,
+            to_gear=planned.to,
+            main_gear=gear.name.lower(),
+            ratio=1.0 / self._sheet.main_mesh(gear).ratio,
+            layshaft_rpm=planned.main_rad_s / old / RPM,
+            reference_known=row is not None and row.reference == "known",
+            reference_source="none" if row is None else row.reference_source,
+            result=NO_OUTCOME if row is None else row.result,
+            fault="none" if row is None else row.fault,
+            contact=None if row is None else row.contact,
+            duration_ms=None if row is None else row.duration_ms,
+            slip_rpm=None if row is None else row.slip_rpm,
+            phase_error_deg=None if row is None else row.phase_error_deg,
+            pitch_deg=math.degrees(self._sheet.dog.pitch_rad),
+            predicted_phase_deg=None if row is None else row.predicted_phase_deg,
+            predicted_phase_sd_deg=None if row is None else row.predicted_phase_sd_deg,
+            delay_ms=None if row is None else row.delay_ms,
+            attempts=0 if row is None else row.attempts,
+            impact_j=0.0 if row is None else row.impact_j,
+            face_ms=0.0 if row is None else row.face_ms,
+            ratchets=0 if row is None else row.ratchets,
+            blocked=0 if row is None else row.blocked,
+            **self.columns,
+        )

@@ -1,0 +1,127 @@
+"""`report.html` of a campaign: its figures on one page that opens without a network."""
+
+from __future__ import annotations
+
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from meshpoint.testbench.campaign.figures import CURVES, frontier, gap_curve, phase_histogram
+from meshpoint.testbench.campaign.result import Collected
+from meshpoint.testbench.campaign.spec import CampaignSpec
+from meshpoint.testbench.campaign.summary import curve_point
+from meshpoint.testbench.campaign.sweep import BACKLASH, BASE, DELAY_SD
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.report.html import NUMBER, Cell, definitions, document, table, table_row
+from meshpoint.testbench.report.write import EXTRA
+
+SWEPT_BY = {"backlash": BACKLASH, "scatter": DELAY_SD}
+TITLES = {
+    "phases": "Where the teeth met",
+    "frontier": "Time against energy",
+    "slip": "Over slip",
+    "backlash": "Over backlash",
+    "scatter": "Over the scatter of the delay",
+}
+
+
+def write_report(
+    path: Path, spec: CampaignSpec, collected: Collected, values: dict[str, Any]
+) -> None:
+    """Writes the page. CommandError where plotly is missing or the file cannot be written."""
+    try:
+        from plotly.offline import get_plotlyjs
+    except ImportError as error:
+        raise CommandError(EXTRA) from error
+    title = f"meshpoint campaign: {values['runs']} runs"
+    body = [
+        f"<h1>{escape(title)}</h1>",
+        f"<p>{escape(_subtitle(spec))}</p>",
+        "<h2>Strategies</h2>",
+        _strategies(values),
+        "<h2>Ratios on the same draws</h2>",
+        _ratios(values),
+        '<h2>Figures</h2>\n<div class="overview">',
+        *(f'<div><h3>{escape(t)}</h3><div id="{name}"></div></div>' for name, t in TITLES.items()),
+        "</div>",
+        "<h2>Provenance</h2>",
+        definitions({k: str(v) for k, v in spec.to_json()["provenance"].items()}),
+    ]
+    text = document(title, body, figures(spec, collected), get_plotlyjs(), "report_campaign.js")
+    try:
+        path.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def figures(spec: CampaignSpec, collected: Collected) -> dict[str, Any]:
+    """All figures by the name of their element."""
+    names, base = spec.names, collected.at(BASE)
+    points = [
+        (str(point) if point != BASE else "as set", curve_point(collected.at(point), names))
+        for point in (BASE, *spec.sweep)
+    ]
+    found = {
+        "phases": phase_histogram(base, names, 100.0 * spec.sheet.dog.backlash_share),
+        "frontier": frontier(points, names),
+    }
+    for name, (title, of) in CURVES.items():
+        swept = [r for r in collected.records if r.sweep == SWEPT_BY.get(name)]
+        found[name] = gap_curve(swept or base, names, title, of)
+    return found
+
+
+def _subtitle(spec: CampaignSpec) -> str:
+    return (
+        f"Simulated in virtual time through encoded frames, preset {spec.preset.value}, gearbox "
+        f"{spec.sheet.name}; {spec.learn} learning and {spec.judged} judged shifts a run and "
+        "strategy. Intervals are 95 %, with the run as what was drawn."
+    )
+
+
+def _strategies(values: dict[str, Any]) -> str:
+    columns = (
+        "shifts", "first contact in gap", "95 % interval", "mean ms", "p50", "p99",
+        "mean impact, J", "retries", "blocked", "given up", "phase sd, deg", "reference known",
+    )  # fmt: skip
+    head: list[Cell] = [("strategy", ""), *((name, NUMBER) for name in columns)]
+    rows = []
+    for name, figure in values["strategies"].items():
+        gap, duration = figure["first_contact_gap"], figure["duration_ms"]
+        cells = [
+            str(figure["shifts"]), _percent(gap["rate"]),
+            f"{_percent(gap['ci95'][0])} to {_percent(gap['ci95'][1])}",
+            _text(duration["mean"], 0), _text(duration["p50"], 0), _text(duration["p99"], 0),
+            _text(figure["impact_j"]["mean"], 2), str(figure["retries"]), str(figure["blocked"]),
+            str(figure["given_up"]), _text(figure["phase_error_sd_deg"], 2),
+            _percent(figure["reference_known"]),
+        ]  # fmt: skip
+        rows.append(_line(name, cells))
+    return table(head, rows)
+
+
+def _ratios(values: dict[str, Any]) -> str:
+    keys = ("first_contact_gap_rate", "duration_ms_mean", "duration_ms_p99", "impact_j_mean")
+    columns = ("gap rate", "mean duration", "p99 duration", "mean impact")
+    head: list[Cell] = [("of / to", ""), *((name, NUMBER) for name in columns)]
+    rows = []
+    for name, ratios in values["ratios"].items():
+        found = [ratios.get(key, {"ratio": None, "ci95": [None, None]}) for key in keys]
+        cells = [
+            f"{_text(f['ratio'], 2)} ({_text(f['ci95'][0], 2)} to {_text(f['ci95'][1], 2)})"
+            for f in found
+        ]
+        rows.append(_line(name, cells))
+    return table(head, rows)
+
+
+def _line(name: str, cells: list[str]) -> str:
+    return f"<tr>{table_row([(name, ''), *((cell, NUMBER) for cell in cells)])}</tr>\n"
+
+
+def _text(value: float | None, digits: int) -> str:
+    return "–" if value is None else f"{value:.{digits}f}"
+
+
+def _percent(share: float | None) -> str:
+    return "–" if share is None else f"{100 * share:.1f} %"

@@ -1,0 +1,87 @@
+"""What has been run so far, and the campaign's JSON."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from meshpoint.testbench.campaign.record import Record
+from meshpoint.testbench.campaign.run import RunResult
+from meshpoint.testbench.campaign.spec import CampaignSpec, Job
+from meshpoint.testbench.campaign.summary import curve_point, summarise
+from meshpoint.testbench.campaign.sweep import BASE, Point
+
+
+class Collected:
+    """The results of a campaign's jobs, in any order of coming."""
+
+    def __init__(self, spec: CampaignSpec, jobs: list[Job], records: list[Record]) -> None:
+        self.jobs = jobs
+        self._order = {name: k for k, name in enumerate(spec.names)}
+        self._records: dict[Job, list[Record]] = {}
+        wanted = set(jobs)
+        for record in records:
+            job = Job(record.seed, Point(record.sweep, record.sweep_value))
+            if job in wanted:
+                self._records.setdefault(job, []).append(record)
+        self._failed: dict[Job, RunResult] = {}
+        self.shifts = 0
+        self.cpu_s = 0.0
+
+    @property
+    def done(self) -> set[Job]:
+        """Runs that came to their end."""
+        return set(self._records)
+
+    @property
+    def records(self) -> list[Record]:
+        """All judged shifts in order of job, strategy and shift."""
+        return [
+            record
+            for job in self.jobs
+            for record in sorted(
+                self._records.get(job, []), key=lambda r: (self._order[r.strategy], r.shift)
+            )
+        ]
+
+    @property
+    def failed(self) -> list[RunResult]:
+        """Runs that broke off, in order."""
+        return [self._failed[job] for job in self.jobs if job in self._failed]
+
+    def left(self) -> list[Job]:
+        """Runs not made yet."""
+        return [job for job in self.jobs if job not in self._records]
+
+    def take(self, results: list[RunResult]) -> None:
+        """Some more results."""
+        for result in results:
+            if result.error is None:
+                self._records[result.job] = result.records
+            else:
+                self._failed[result.job] = result
+            self.shifts += result.shifts
+            self.cpu_s += result.cpu_s
+
+    def at(self, point: Point) -> list[Record]:
+        """The records of one point of the sweep."""
+        return [r for r in self.records if (r.sweep, r.sweep_value) == point]
+
+
+def to_json(spec: CampaignSpec, collected: Collected) -> dict[str, Any]:
+    """As `campaign --json` prints it: a function of the spec and the number of runs alone."""
+    base = collected.at(BASE)
+    curves = [
+        {
+            "name": point.name,
+            "value": point.value,
+            "strategies": curve_point(collected.at(point), spec.names),
+        }
+        for point in spec.sweep
+    ]
+    return {
+        "runs": len({record.seed for record in base}),
+        "failed": [{"seed": f.job.seed, "error": f.reason} for f in collected.failed],
+        **summarise(base, spec.names),
+        "sweep": curves,
+        "campaign": spec.to_json(),
+    }

@@ -1,0 +1,91 @@
+"""One run: the learning shifts, then each judged one by every strategy from the same state."""
+
+from __future__ import annotations
+
+import itertools
+import time
+import traceback
+from dataclasses import dataclass, field
+from functools import cache
+
+from meshpoint.bus.settle import settle
+from meshpoint.testbench.campaign.draw import draw
+from meshpoint.testbench.campaign.loop import ClosedLoop
+from meshpoint.testbench.campaign.record import Conditions, Record
+from meshpoint.testbench.campaign.spec import ORACLE, CampaignSpec, Job
+from meshpoint.testbench.results.rows import ShiftRow
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """What came of a run. `error`: the run broke off, and this is its traceback."""
+
+    job: Job
+    records: list[Record] = field(default_factory=list)
+    shifts: int = 0
+    """Made in closed loop, the learning ones included."""
+    cpu_s: float = 0.0
+    error: str | None = None
+
+    @property
+    def reason(self) -> str:
+        """The last line of the traceback."""
+        return (self.error or "").strip().rpartition("\n")[2]
+
+
+def run_one(spec: CampaignSpec, job: Job) -> RunResult:
+    """Makes one run. A function of its arguments but for the time it takes. Any error is the
+    result of the run, not of the campaign."""
+    began_s = time.process_time()
+    try:
+        records, shifts = _shifts(spec.at(job.point), job)
+    except Exception:  # noqa: BLE001  # whatever it is, it is reported with the run's seed
+        return RunResult(job, error=traceback.format_exc())
+    return RunResult(job, records, shifts, time.process_time() - began_s)
+
+
+def run_many(spec: CampaignSpec, jobs: list[Job]) -> list[RunResult]:
+    """Several runs one after the other: what a worker is given at a time."""
+    _settle_once()
+    return [run_one(spec, job) for job in jobs]
+
+
+@cache
+def _settle_once() -> None:
+    settle()
+
+
+def _shifts(spec: CampaignSpec, job: Job) -> tuple[list[Record], int]:
+    drawn = draw(
+        job.seed, spec.sheet, spec.preset, spec.pairs, spec.learn + spec.judged, spec.as_built
+    )
+    bench = ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn)
+    for _ in range(spec.learn):
+        bench.shift()
+    conditions = Conditions(spec.sheet, bench.as_built)
+    records: dict[str, list[Record]] = {name: [] for name in spec.names}
+    made = spec.learn
+    for k, planned in enumerate(drawn.plan[spec.learn :]):
+        if k > 0 and spec.own not in spec.names:
+            bench.shift()
+            made += 1
+        bench.prepare()
+        for name, row in _judged(spec, bench).items():
+            key = {"sweep": job.point.name, "sweep_value": job.point.value, "seed": job.seed}
+            record = conditions.record(planned, row, **key, shift=k, strategy=name)
+            records[name].append(record)
+    rows = list(itertools.chain.from_iterable(records.values()))
+    return rows, made + len(rows)
+
+
+def _judged(spec: CampaignSpec, bench: ClosedLoop) -> dict[str, ShiftRow | None]:
+    """One shift by every strategy: each on a copy of the bench, which itself goes on by its own."""
+    rows: dict[str, ShiftRow | None] = {}
+    for name in spec.names:
+        if name != spec.own:
+            copy = bench.fork()
+            copy.use(spec.engagement(name), knows_all=name == ORACLE)
+            rows[name] = copy.shift()
+    if spec.own in spec.names:
+        rows[spec.own] = bench.shift()
+    return rows

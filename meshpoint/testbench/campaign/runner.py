@@ -1,0 +1,109 @@
+"""All runs of a campaign over an executor: this process, processes here, or a Dask cluster.
+
+The result does not depend on which: a run depends on its spec and its job alone, and results are
+put in order of their jobs.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from typing import Any, Final
+
+from meshpoint.testbench.campaign.run import RunResult, run_many
+from meshpoint.testbench.campaign.spec import CampaignSpec, Job
+from meshpoint.testbench.errors import CommandError
+
+MOST_AT_A_TIME: Final = 4
+"""Runs handed to a worker together: some seconds of work, which is what Ctrl-C waits for."""
+DASK_EXTRA: Final = "--dask needs the extra: pip install 'meshpoint[dask]'"
+
+
+@contextmanager
+def executor(workers: int, dask: str | None) -> Iterator[Executor]:
+    """Where the runs are made."""
+    if dask is not None:
+        with _dask(dask) as over_dask:
+            yield over_dask
+    else:
+        # spawned, not forked: the same on every system, and threads are not copied half alive
+        context = multiprocessing.get_context("spawn")
+        pool = ProcessPoolExecutor(workers, context, initializer=_leave_interrupts_to_the_parent)
+        try:
+            yield pool
+        finally:
+            pool.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _dask(address: str) -> Iterator[Executor]:
+    try:
+        from dask.distributed import Client
+    except ImportError as error:
+        raise CommandError(DASK_EXTRA) from error
+    try:
+        connect: Any = Client
+        client = connect(address, timeout=10)
+    except (OSError, ValueError) as error:
+        raise CommandError(f"--dask {address}: cannot be reached: {error}") from error
+    with client, client.get_executor(pure=False) as over_dask:
+        yield over_dask
+
+
+def _leave_interrupts_to_the_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def run_all(
+    spec: CampaignSpec,
+    jobs: list[Job],
+    workers: int,
+    dask: str | None,
+    take: Callable[[list[RunResult]], None],
+) -> bool:
+    """Makes all runs, handing over results as they come; False where it was interrupted.
+
+    `take` gets every result exactly once, in any order."""
+    at_a_time = max(1, min(MOST_AT_A_TIME, len(jobs) // (4 * workers)))
+    chunks = [jobs[i : i + at_a_time] for i in range(0, len(jobs), at_a_time)]
+    if workers == 1 and dask is None:
+        return _one_by_one(spec, chunks, take)
+    with executor(workers, dask) as where:
+        futures = [where.submit(run_many, spec, chunk) for chunk in chunks]
+        left = set(futures)
+        try:
+            for future in as_completed(futures):
+                left.discard(future)
+                take(future.result())
+        except KeyboardInterrupt:
+            for future in left:
+                future.cancel()
+            _take_what_runs(left, take)
+            return False
+        except BrokenExecutor as error:
+            raise CommandError(f"a worker ended before its work: {error}") from error
+    return True
+
+
+def _one_by_one(
+    spec: CampaignSpec, chunks: list[list[Job]], take: Callable[[list[RunResult]], None]
+) -> bool:
+    """One worker needs no second process."""
+    try:
+        for chunk in chunks:
+            take(run_many(spec, chunk))
+    except KeyboardInterrupt:
+        return False
+    return True
+
+
+def _take_what_runs(
+    futures: set[Future[list[RunResult]]], take: Callable[[list[RunResult]], None]
+) -> None:
+    """What workers were at when it was interrupted comes to its end and is kept."""
+    for future in futures:
+        if not future.cancelled():
+            take(future.result())

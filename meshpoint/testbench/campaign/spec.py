@@ -1,0 +1,95 @@
+"""What a campaign runs: everything its results depend on, so that a worker needs nothing else."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc import DBC_SHA256
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.testbench.campaign.sweep import BASE, Point, at_point
+from meshpoint.testbench.provenance import product_version, provenance
+
+ORACLE: Final = "oracle"
+ORACLE_STRATEGY: Final = "target_phase"
+"""What the oracle does with the truth."""
+SEEDS_APART: Final = 1_000_000
+"""Run k of campaign seed S has seed S * 10^6 + k: no two campaigns share a draw."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run: its seed, and the point of the sweep it is made at."""
+
+    seed: int
+    point: Point = BASE
+
+
+@dataclass(frozen=True)
+class CampaignSpec:
+    """A campaign. `learn` shifts of each run come before its `judged` ones."""
+
+    sheet: GearboxSheet
+    settings: ControllerSettings
+    preset: Preset
+    strategies: tuple[str, ...]
+    oracle: bool
+    pairs: tuple[tuple[int, int], ...]
+    learn: int
+    judged: int
+    seed: int
+    as_built: Mapping[str, float] = field(default_factory=dict)
+    sweep: tuple[Point, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The strategies compared, the oracle last."""
+        return (*self.strategies, ORACLE) if self.oracle else self.strategies
+
+    @property
+    def own(self) -> str:
+        """The strategy that the bench learns by and goes on by from shift to shift."""
+        return self.settings.strategy_name
+
+    def jobs(self, runs: int) -> list[Job]:
+        """The runs: all of the base first, then of each point of the sweep the same seeds."""
+        seeds = range(SEEDS_APART * self.seed, SEEDS_APART * self.seed + runs)
+        return [Job(seed, point) for point in (BASE, *self.sweep) for seed in seeds]
+
+    def at(self, point: Point) -> CampaignSpec:
+        """The campaign as it is made at a point of its sweep."""
+        sheet, settings, fixed = at_point(point, self.sheet, self.settings, self.preset)
+        as_built = {**self.as_built, **fixed}
+        return dataclasses.replace(self, sheet=sheet, settings=settings, as_built=as_built)
+
+    def engagement(self, name: str) -> ControllerSettings:
+        """The controller's settings for a strategy or the oracle."""
+        strategy = ORACLE_STRATEGY if name == ORACLE else name
+        return dataclasses.replace(self.settings, strategy_name=strategy)
+
+    def to_json(self) -> dict[str, Any]:
+        """Everything but what the hashes of the provenance say."""
+        return {
+            "strategies": list(self.names),
+            "pairs": [list(pair) for pair in self.pairs],
+            "learning_shifts": self.learn,
+            "judged_shifts": self.judged,
+            "settings": dataclasses.asdict(self.settings),
+            "as_built": dict(self.as_built),
+            "sweep": [str(point) for point in self.sweep],
+            "provenance": provenance(self.sheet, self.seed, self.preset.value),
+        }
+
+    @property
+    def sha256(self) -> str:
+        """Hash of all that a run's result depends on but its job: results of one hash go together.
+        What is swept may be added to later, and so may runs."""
+        values = self.to_json() | {"dbc": DBC_SHA256, "version": product_version()}
+        del values["sweep"]
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()

@@ -1,0 +1,108 @@
+"""A campaign's figures as people read them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Final
+
+from rich.console import Console
+from rich.table import Table
+
+from meshpoint.testbench.campaign.record import Record
+
+
+def print_tables(out: Console, values: dict[str, Any]) -> None:
+    """Strategies side by side, then the ratios between them."""
+    out.print(_strategies(values))
+    if values["ratios"]:
+        out.print()
+        out.print(_ratios(values["ratios"]))
+
+
+def _strategies(values: dict[str, Any]) -> Table:
+    """A column a strategy, a line a figure: as many fit as are compared."""
+    table = Table(
+        title=f"{values['runs']} runs, 95 % intervals", title_justify="left", box=None,
+        pad_edge=False,
+    )  # fmt: skip
+    strategies: dict[str, dict[str, Any]] = values["strategies"]
+    table.add_column("", no_wrap=True)
+    for name in strategies:
+        table.add_column(name, justify="right", overflow="fold")
+    for title, cell in CELLS.items():
+        table.add_row(title, *(cell(figures) for figures in strategies.values()))
+    return table
+
+
+def _ratios(ratios: dict[str, Any]) -> Table:
+    table = Table(title="ratios on the same draws", title_justify="left", box=None, pad_edge=False)
+    table.add_column("of / to")
+    for column in ("gap rate", "mean duration", "p99 duration", "mean impact"):
+        table.add_column(column, justify="right", no_wrap=True)
+    keys = ("first_contact_gap_rate", "duration_ms_mean", "duration_ms_p99", "impact_j_mean")
+    for name, figures in ratios.items():
+        table.add_row(name, *(_ratio(figures.get(key)) for key in keys))
+    return table
+
+
+def records_table(title: str, records: list[Record]) -> Table:
+    """Every judged shift of one run."""
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
+    for column in ("strategy", "shift", "contact", "reference", "result"):
+        table.add_column(column)
+    for column in ("duration ms", "slip rpm", "phase error deg", "impact J", "attempts"):
+        table.add_column(column, justify="right", no_wrap=True)
+    for record in records:
+        table.add_row(
+            record.strategy,
+            f"{record.from_gear} to {record.to_gear}",
+            record.contact or "-",
+            "known" if record.reference_known else "unknown",
+            record.result,
+            _number(record.duration_ms, 0),
+            _number(record.slip_rpm, 1),
+            _number(record.phase_error_deg, 2),
+            _number(record.impact_j, 2),
+            str(record.attempts),
+        )
+    return table
+
+
+def _rate(figure: dict[str, Any]) -> str:
+    if figure["rate"] is None:
+        return "-"
+    low, high = (100 * bound for bound in figure["ci95"])
+    return f"{100 * figure['rate']:.1f} % ({low:.1f}..{high:.1f})"
+
+
+def _ratio(figure: dict[str, Any] | None) -> str:
+    if figure is None or figure["ratio"] is None:
+        return "-"
+    low, high = figure["ci95"]
+    return f"{figure['ratio']:.2f} ({_number(low, 2)}..{_number(high, 2)})"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f} %"
+
+
+CELLS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
+    "shifts": lambda f: str(f["shifts"]),
+    "first in gap": lambda f: _rate(f["first_contact_gap"]),
+    "mean ms": lambda f: _number(f["duration_ms"]["mean"], 0),
+    "p50 ms": lambda f: _number(f["duration_ms"]["p50"], 0),
+    "p99 ms": lambda f: _number(f["duration_ms"]["p99"], 0),
+    "mean impact J": lambda f: _number(f["impact_j"]["mean"], 2),
+    "p99 impact J": lambda f: _number(f["impact_j"]["p99"], 2),
+    "mean slip rpm": lambda f: _number(f["slip_rpm_mean"], 1),
+    "retries": lambda f: str(f["retries"]),
+    "blocked": lambda f: str(f["blocked"]),
+    "given up": lambda f: str(f["given_up"]),
+    "phase sd deg": lambda f: _number(f["phase_error_sd_deg"], 2),
+    "reference known": lambda f: _percent(f["reference_known"]),
+}
+"""A line of the table each."""

@@ -1,0 +1,222 @@
+"""`meshpoint campaign`: many seeded runs, strategies compared on the same draws."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from meshpoint.controller.settings import STRATEGY_NAMES
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.testbench import arguments
+from meshpoint.testbench.campaign.draw import upshifts
+from meshpoint.testbench.campaign.report import write_report
+from meshpoint.testbench.campaign.result import Collected, to_json
+from meshpoint.testbench.campaign.run import RunResult, run_one
+from meshpoint.testbench.campaign.runner import run_all
+from meshpoint.testbench.campaign.spec import CampaignSpec, Job
+from meshpoint.testbench.campaign.store import Store
+from meshpoint.testbench.campaign.sweep import Point
+from meshpoint.testbench.campaign.table import print_tables, records_table
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.loop.schedules import pairs
+from meshpoint.testbench.report.write import has_plotly
+from meshpoint.testbench.results.output import check_json, console, write_json
+
+MOST_RUNS: Final = 1_000_000
+DESCRIPTION: Final = """\
+Seeded Monte Carlo. A run is one draw: a gearbox as built, oil, load, slope, supply pressure and one
+gear change. The controller first makes the learning shifts; then each judged shift is made by every
+strategy on a copy of the same bench, so strategies are compared on the same draws. Every shift goes
+through encoded frames of both nodes in virtual time. Results do not depend on --jobs or --dask."""
+
+
+def add_parser(commands: Any) -> None:
+    """The command's arguments."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "campaign",
+        help="many seeded runs: strategies compared on the same draws, with intervals",
+        description=DESCRIPTION,
+    )
+    parser.add_argument(
+        "--runs", type=arguments.whole(1, MOST_RUNS), default=100, metavar="N",
+        help="number of draws (default: 100); each has --judged paired shifts",
+    )  # fmt: skip
+    parser.add_argument(
+        "--learn", type=arguments.whole(0, 1000), default=6, metavar="L",
+        help="shifts of each run in which the controller learns, not judged (default: 6)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--judged", type=arguments.whole(1, 1000), default=2, metavar="K",
+        help="shifts of each run and strategy that are judged (default: 2)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--strategy", dest="strategies", type=_strategies, default=tuple(STRATEGY_NAMES),
+        metavar="A,B,...",
+        help=f"strategies to compare, of {', '.join(STRATEGY_NAMES)} (default: all)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--oracle", action="store_true",
+        help="also target_phase with the rig's true state and parameters, but no future chance",
+    )  # fmt: skip
+    parser.add_argument(
+        "--pairs", type=pairs, default=upshifts(), metavar="LIST",
+        help="gear changes to draw from, as 8-10,10-12 (default: all upshifts of the main box)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--sweep", type=_sweep, action="append", default=[], metavar="NAME=V1,V2,...",
+        help="all runs again at each of these values, for curves: backlash_percent, delay_sd_ms, "
+        "or a controller setting, as window.aim_slip_rpm; may be repeated",
+    )  # fmt: skip
+    _add_execution(parser)
+    arguments.add_preset(parser)
+    arguments.add_seed(parser)
+    arguments.add_as_built(parser)
+    arguments.add_gearbox(parser)
+    arguments.add_controller(parser, strategy=False)
+    arguments.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def _add_execution(parser: argparse.ArgumentParser) -> None:
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
+        "--jobs", type=arguments.whole(1, 1024), default=os.cpu_count() or 1, metavar="J",
+        help="worker processes (default: one a processor)",
+    )  # fmt: skip
+    where.add_argument(
+        "--dask", metavar="ADDRESS", help="a Dask scheduler, as tcp://host:8786 (extra: dask)"
+    )
+    parser.add_argument(
+        "--out", type=Path, metavar="DIR",
+        help="keep every judged shift (shifts.parquet) and a report here",
+    )  # fmt: skip
+    parser.add_argument(
+        "--resume", action="store_true", help="go on with the campaign in --out; it may grow"
+    )
+    parser.add_argument(
+        "--only", type=arguments.whole(0, 2**63 - 1), metavar="SEED",
+        help="make the run of this seed alone, here, and show its shifts",
+    )  # fmt: skip
+
+
+def run(namespace: argparse.Namespace) -> int:
+    """Runs it."""
+    spec = CampaignSpec(
+        sheet=arguments.sheet_of(namespace),
+        settings=arguments.settings_of(namespace),
+        preset=Preset(namespace.preset),
+        strategies=namespace.strategies,
+        oracle=namespace.oracle,
+        pairs=namespace.pairs,
+        learn=namespace.learn,
+        judged=namespace.judged,
+        seed=namespace.seed,
+        as_built=arguments.as_built_of(namespace),
+        sweep=tuple(point for points in namespace.sweep for point in points),
+    )
+    for point in spec.sweep:
+        spec.at(point)  # a name or value that cannot be used is found before a long run
+    out = console(namespace.json)
+    check_json(namespace.json)
+    if namespace.only is not None:
+        return _only(namespace, spec, out)
+    return _all(namespace, spec, out)
+
+
+def _only(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int:
+    """One run, where a debugger can follow it."""
+    result = run_one(spec, Job(namespace.only))
+    if result.error is not None:
+        print(result.error, file=sys.stderr)
+        return Exit.FAILED
+    if namespace.json is not None:
+        write_json(namespace.json, {"shifts": [vars(record) for record in result.records]})
+    if namespace.json != "-":
+        out.print(records_table(f"run {namespace.only}", result.records))
+    return Exit.DONE
+
+
+def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int:
+    if namespace.resume and namespace.out is None:
+        raise CommandError("--resume needs the --out of the campaign to go on with")
+    store = None
+    if namespace.out is not None:
+        store = Store(namespace.out, spec, namespace.resume)
+    jobs = spec.jobs(namespace.runs)
+    collected = Collected(spec, jobs, [] if store is None else store.records)
+    finished = _make(namespace, spec, store, collected)
+    if not finished:
+        _say_interrupted(namespace, collected)
+        return Exit.INTERRUPTED
+    values = to_json(spec, collected)
+    if store is not None:
+        store.finish(collected.records)
+        out.print(f"table {store.table}", markup=False)
+        if has_plotly():
+            write_report(store.report, spec, collected, values)
+            out.print(f"report {store.report}", markup=False)
+    if namespace.json is not None:
+        write_json(namespace.json, values)
+    if namespace.json != "-":
+        print_tables(out, values)
+    for failed in collected.failed:
+        print(
+            f"meshpoint campaign: run {failed.job.seed} failed: {failed.reason} "
+            f"(again alone: --only {failed.job.seed})",
+            file=sys.stderr,
+        )
+    return Exit.FAILED if collected.failed else Exit.DONE
+
+
+def _make(
+    namespace: argparse.Namespace, spec: CampaignSpec, store: Store | None, collected: Collected
+) -> bool:
+    """All runs that are left, under a progress bar on standard error."""
+    progress = Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("runs"),
+        TimeRemainingColumn(), console=console("-"), transient=True,
+    )  # fmt: skip
+    with progress:
+        task = progress.add_task(
+            "campaign", total=len(collected.jobs), completed=len(collected.done)
+        )
+
+        def take(results: list[RunResult]) -> None:
+            if store is not None:
+                store.add([record for result in results for record in result.records])
+            collected.take(results)
+            progress.advance(task, len(results))
+
+        return run_all(spec, collected.left(), namespace.jobs, namespace.dask, take)
+
+
+def _say_interrupted(namespace: argparse.Namespace, collected: Collected) -> None:
+    kept = f"{len(collected.done)} of {len(collected.jobs)} runs done"
+    more = "; nothing is kept without --out"
+    if namespace.out is not None:
+        more = f" and kept in {namespace.out}; --resume goes on"
+    print(f"interrupted: {kept}{more}", file=sys.stderr)
+
+
+def _strategies(text: str) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(text.split(",")))
+    for name in names:
+        if name not in STRATEGY_NAMES:
+            allowed = ", ".join(STRATEGY_NAMES)
+            raise argparse.ArgumentTypeError(f"{name!r}, allowed are {allowed}")
+    return names
+
+
+def _sweep(text: str) -> tuple[Point, ...]:
+    name, _, values = text.partition("=")
+    try:
+        return tuple(Point(name, float(value)) for value in values.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}, allowed is NAME=V1,V2,...") from None

@@ -1,0 +1,197 @@
+"""`meshpoint controller` and `meshpoint rig`: the two nodes on a bus, until told to stop."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import sys
+from collections.abc import Callable
+from contextlib import AbstractAsyncContextManager
+from pathlib import Path
+from typing import Any
+
+import can
+
+from meshpoint.bus.clock import Clock, NodeClock
+from meshpoint.bus.fine_timers import run as run_loop
+from meshpoint.bus.options import add_bus_arguments, open_bus_from
+from meshpoint.bus.pace import PacedClock, PaceFile
+from meshpoint.bus.signals import stop_on_signals
+from meshpoint.controller.header import RunHeader, new_header
+from meshpoint.controller.node import run_controller
+from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.rig_sim.node import run_rig
+from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.testbench import arguments
+from meshpoint.testbench.describe import describe_rig
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.logs.recording import recording, start_log
+from meshpoint.testbench.provenance import product_version
+from meshpoint.testbench.results.output import complain, folder_for
+
+
+def add_parser(commands: Any) -> None:
+    """Both commands' arguments."""
+    controller: argparse.ArgumentParser = commands.add_parser(
+        "controller",
+        help="the transmission controller as a node on a CAN bus",
+        description="Reads tooth timestamps, estimates, predicts, and fires. SIGINT or SIGTERM "
+        "ends it with all valves off.",
+    )
+    arguments.add_gearbox(controller)
+    arguments.add_controller(controller)
+    arguments.add_calibration(controller)
+    controller.add_argument(
+        "--header-dir",
+        type=Path,
+        metavar="DIR",
+        help="save the run header here; replay wants it beside the log",
+    )
+    _add_common(controller)
+    controller.set_defaults(run=run_controller_command)
+    rig: argparse.ArgumentParser = commands.add_parser(
+        "rig",
+        help="the virtual gearbox as a node on a CAN bus",
+        description="Plays gearbox, sensors and engine. SIGINT or SIGTERM ends it with all "
+        "valves off.",
+    )
+    arguments.add_rig(rig)
+    arguments.add_gearbox(rig)
+    rig.add_argument(
+        "--gear",
+        type=arguments.whole(1, len(DRIVE_GEARS)),
+        default=8,
+        metavar="N",
+        help="the gear it stands in at the start (default: 8)",
+    )
+    rig.add_argument(
+        "--main-speed",
+        type=float,
+        default=RigSettings().main_speed_rpm,
+        metavar="RPM",
+        help="main shaft speed at the start (default: %(default)g)",
+    )
+    rig.add_argument(
+        "--describe",
+        action="store_true",
+        help="print data sheet, as-built values of the seed and every fault, and end",
+    )
+    _add_common(rig)
+    rig.set_defaults(run=run_rig_command)
+
+
+def _add_common(parser: argparse.ArgumentParser) -> None:
+    arguments.add_speed(parser)
+    parser.add_argument(
+        "--pace",
+        type=Path,
+        metavar="FILE",
+        help="bus time shared with the other nodes, as `meshpoint pace FILE` keeps it: waits "
+        "for whoever the machine keeps from running (default: wall time)",
+    )
+    arguments.add_log(parser)
+    parser.add_argument("-q", "--quiet", action="store_true", help="no lines about what happens")
+    add_bus_arguments(parser)
+
+
+def run_controller_command(namespace: argparse.Namespace) -> int:
+    """Runs the controller until a signal."""
+    sheet, settings = arguments.sheet_of(namespace), arguments.settings_of(namespace)
+    calibration, writer = arguments.calibration_of(namespace, sheet, threaded=True, tell=complain)
+    header = new_header(product_version(), sheet, settings, calibration)
+    if namespace.header_dir is not None:
+        header.save(folder_for(namespace.header_dir))
+
+    async def run() -> None:
+        stop = asyncio.Event()
+        with stop_on_signals(stop):
+            async with _recording(namespace, header):
+                await run_controller(
+                    header,
+                    _opener(namespace, f"run header {header.run_hash:016x}"),
+                    _clock(namespace),
+                    on_event=_printer(namespace),
+                    stop=stop,
+                    keep=writer,
+                )
+
+    run_loop(run())
+    unwritten = writer.close() if writer is not None else None
+    if unwritten is not None:
+        complain(unwritten)
+    return Exit.DONE
+
+
+def run_rig_command(namespace: argparse.Namespace) -> int:
+    """Runs the rig until a signal."""
+    settings = RigSettings(
+        preset=Preset(namespace.preset),
+        seed=namespace.seed,
+        start_gear=namespace.gear,
+        main_speed_rpm=namespace.main_speed,
+        as_built=arguments.as_built_of(namespace),
+        faults=arguments.faults_of(namespace),
+    )
+    sheet = arguments.sheet_of(namespace)
+    if namespace.describe:
+        describe_rig(sheet, settings)
+        return Exit.DONE
+
+    async def run() -> None:
+        stop = asyncio.Event()
+        with stop_on_signals(stop):
+            async with _recording(namespace, None):
+                await run_rig(
+                    sheet,
+                    settings,
+                    _opener(namespace, f"preset {settings.preset}, seed {settings.seed}"),
+                    _clock(namespace),
+                    on_event=_printer(namespace),
+                    stop=stop,
+                )
+
+    run_loop(run())
+    return Exit.DONE
+
+
+def _opener(namespace: argparse.Namespace, greeting: str) -> Callable[[], can.BusABC]:
+    """Opens the bus; the first time it says what runs there, so that an error stands alone."""
+    show = _printer(namespace)
+
+    def open_bus() -> can.BusABC:
+        nonlocal greeting
+        bus = open_bus_from(namespace)
+        if greeting:
+            show(f"{namespace.command}: {greeting}, on {bus.channel_info}")
+            greeting = ""
+        return bus
+
+    return open_bus
+
+
+def _recording(
+    namespace: argparse.Namespace, header: RunHeader | None
+) -> AbstractAsyncContextManager[None]:
+    """Records the bus beside the node, where --log asks for it."""
+    log = start_log(namespace, header, channel="meshpoint")
+    if log is not None:
+        _printer(namespace)(f"{namespace.command}: log {log.path}")
+    return recording(log, lambda: open_bus_from(namespace), _printer(namespace))
+
+
+def _clock(namespace: argparse.Namespace) -> NodeClock:
+    if namespace.pace is None:
+        return Clock(namespace.speed)
+    try:
+        return PacedClock(PaceFile(namespace.pace), namespace.command, namespace.speed)
+    except (OSError, ValueError) as error:
+        raise CommandError(f"--pace {namespace.pace}: {error}") from error
+
+
+def _printer(namespace: argparse.Namespace) -> Callable[[str], None]:
+    def show(line: str) -> None:
+        if not namespace.quiet:
+            print(line, file=sys.stderr, flush=True)
+
+    return show

@@ -1,0 +1,54 @@
+"""`meshpoint pace`: keeps the bus time that nodes on a machine that stalls can share."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import threading
+from pathlib import Path
+from typing import Any
+
+from meshpoint.bus.pace import PaceFile, keep_pace
+from meshpoint.bus.signals import stop_on_signals
+from meshpoint.testbench import arguments
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.exits import Exit
+
+
+def add_parser(commands: Any) -> None:
+    """The command's arguments."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "pace",
+        help="bus time that waits for nodes which the machine keeps from running",
+        description="Writes a bus time to FILE until SIGINT or SIGTERM; give every node "
+        "`--pace FILE` and the same --speed. Time goes with the wall clock, but never further than "
+        "every node has promised to look at it again. `demo` does this by itself.",
+    )
+    parser.add_argument("file", type=Path, metavar="FILE", help="made anew; removed at the end")
+    arguments.add_speed(parser)
+    parser.set_defaults(run=run)
+
+
+def run(namespace: argparse.Namespace) -> int:
+    """Keeps pace until a signal."""
+    path: Path = namespace.file
+    try:
+        PaceFile.create(path)
+    except OSError as error:
+        raise CommandError(f"{path}: {error.strerror}") from error
+    ending = threading.Event()
+    keeper = threading.Thread(target=keep_pace, args=(path, namespace.speed, ending))
+
+    async def until_signal() -> None:
+        stop = asyncio.Event()
+        with stop_on_signals(stop):
+            keeper.start()
+            await stop.wait()
+
+    try:
+        asyncio.run(until_signal())
+    finally:
+        ending.set()
+        keeper.join()
+        path.unlink(missing_ok=True)
+    return Exit.DONE

@@ -1,0 +1,156 @@
+"""`meshpoint simulate`: shifts in virtual time."""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import ExitStack
+from typing import Any
+
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
+
+from meshpoint.controller.calibration.records import Calibration
+from meshpoint.controller.calibration_keeper import CalibrationWriter, Keep
+from meshpoint.dbc.frame import Frame
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.testbench import arguments
+from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.logs.recording import start_log, written
+from meshpoint.testbench.loop.simulate import Result, Setup, simulate
+from meshpoint.testbench.report.collect import ReportCollector
+from meshpoint.testbench.report.run import Report, Run
+from meshpoint.testbench.report.write import (
+    aim_rad,
+    check_report,
+    estimator_notes,
+    report_provenance,
+    write_report,
+)
+from meshpoint.testbench.results.output import (
+    check_json,
+    complain,
+    console,
+    rows_table,
+    summary_table,
+    write_json,
+)
+from meshpoint.testbench.results.rows import ShiftRow, summarise
+
+LOG_CHANNEL = "virtual"
+
+
+def add_parser(commands: Any) -> None:
+    """The command's arguments."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "simulate",
+        help="shifts in virtual time: one process, encoded frames, no waiting",
+        description="Runs controller, rig and bench in one process on a virtual bus, as fast as "
+        "it goes. The same seed gives the same bytes.",
+    )
+    arguments.add_rig(parser)
+    arguments.add_gearbox(parser)
+    arguments.add_controller(parser)
+    arguments.add_calibration(parser)
+    arguments.add_shifts(parser, default=20, least=1)
+    arguments.add_log(parser)
+    arguments.add_json(parser)
+    arguments.add_report(parser)
+    parser.set_defaults(run=run)
+
+
+def run(namespace: argparse.Namespace) -> int:
+    """Runs it."""
+    sheet, preset = arguments.sheet_of(namespace), Preset(namespace.preset)
+    calibration, writer = arguments.calibration_of(namespace, sheet, threaded=False, tell=complain)
+    unwritten: list[str] = []
+    setup = Setup(
+        sheet=sheet,
+        settings=arguments.settings_of(namespace),
+        preset=preset,
+        seed=namespace.seed,
+        shifts=namespace.shifts,
+        pairs=arguments.pairs_of(namespace, sheet, preset),
+        as_built=arguments.as_built_of(namespace),
+        faults=arguments.faults_of(namespace),
+        calibration=calibration,
+    )
+    out = console(namespace.json)
+    check_json(namespace.json)
+    check_report(namespace.report)
+    collector = None
+    if namespace.report is not None:
+        collector = ReportCollector(setup.sheet, aim_rad(setup.header))
+    with ExitStack() as stack:
+        log = start_log(namespace, setup.header, channel=LOG_CHANNEL, by_frame_time=True)
+        if log is not None:
+            stack.enter_context(log)
+        progress = stack.enter_context(
+            Progress(
+                SpinnerColumn(),
+                TextColumn("simulating"),
+                MofNCompleteColumn(),
+                console=console("-"),
+                transient=True,
+            )
+        )
+        task = progress.add_task("shifts", total=setup.shifts)
+
+        def on_frame(time_us: int, frame: Frame) -> None:
+            if log is not None:
+                log.write(time_us / 1e6, frame)
+            if collector is not None:
+                collector.receive(frame)
+
+        def on_row(_row: ShiftRow) -> None:
+            progress.advance(task)
+
+        result = simulate(setup, on_frame, on_row, keep=_keep(writer, unwritten))
+    if collector is not None:
+        write_report(namespace.report, _report(setup, result, collector))
+    if namespace.json is not None:
+        write_json(namespace.json, result.to_json(setup.settings.strategy_name))
+    if log is not None:
+        out.print(f"log {written(log)}", markup=False)
+    if namespace.json != "-":
+        _show(out, setup, result)
+    return Exit.DONE if not (result.stuck or unwritten) else Exit.FAILED
+
+
+def _show(out: Console, setup: Setup, result: Result) -> None:
+    """Rows, summary and estimators as people read them."""
+    name = setup.settings.strategy_name
+    out.print(rows_table(f"{name}, seed {setup.seed}", result.rows))
+    out.print()
+    out.print(summary_table([summarise(name, result.rows)]))
+    for line in estimator_notes(name, result.estimation):
+        out.print(line)
+
+
+def _keep(writer: CalibrationWriter | None, unwritten: list[str]) -> Keep | None:
+    """Writes, and says where that failed."""
+    if writer is None:
+        return None
+
+    def keep(learned: Calibration) -> str | None:
+        line = writer(learned)
+        if line is not None:
+            complain(line)
+            unwritten.append(line)
+        return line
+
+    return keep
+
+
+def _report(setup: Setup, result: Result, collector: ReportCollector) -> Report:
+    name = setup.settings.strategy_name
+    notes = estimator_notes(name, result.estimation)
+    return Report(
+        title=f"meshpoint simulate: {setup.shifts} shifts, {name}",
+        subtitle=f"Simulated in virtual time by the rig's preset {setup.preset.value}.",
+        sheet=setup.sheet,
+        runs=[Run(name, collector.finish(), notes)],
+        provenance=report_provenance(
+            setup.sheet, seed=setup.seed, preset=setup.preset.value,
+            **{"run header": f"{setup.header.run_hash:016x}"},
+        ),
+    )  # fmt: skip

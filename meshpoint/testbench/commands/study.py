@@ -1,0 +1,142 @@
+"""`meshpoint study`: the thesis's figures and tables, ours beside them."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import Any
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from meshpoint.testbench import arguments
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.provenance import provenance
+from meshpoint.testbench.results.output import check_json, console, folder_for, write_json
+from meshpoint.testbench.studies.draw import check_extras
+from meshpoint.testbench.studies.record import Verdict
+from meshpoint.testbench.studies.registry import NAMES, chosen, load
+from meshpoint.testbench.studies.runner import StudyRecord, run_studies
+from meshpoint.testbench.studies.settings import StudySettings, load_study_settings, shipped_text
+
+LIST = "list"
+PAGE = "studies.html"
+SETTINGS = "studies.toml"
+WORDS = {
+    Verdict.AGREES: "[green]agrees[/]",
+    Verdict.DIFFERS: "[red]differs[/]",
+    Verdict.NOT_COMPARABLE: "not comparable",
+}
+MAX_WORKERS = 64
+
+
+def add_parser(commands: Any) -> None:
+    """The command's arguments."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "study",
+        help="the thesis's figures and tables reproduced, ours beside them",
+        description="Each study reproduces a figure or table of the thesis with the product's "
+        "code and says whether ours agrees, and why. DIR gets a page (studies.html), pictures and "
+        "CSV of each study, and studies.toml: the settings, to copy, change and give back with "
+        "--settings. A verdict that differs is a result, not a failure.",
+    )
+    parser.add_argument(
+        "names",
+        nargs="+",
+        metavar="NAME",
+        help="studies by name or by what they reproduce (6.8), `all`, or `list` to see them",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("out/study"), metavar="DIR",
+        help="folder for the results (default: %(default)s)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--settings", type=Path, metavar="FILE", help="TOML; what it names wins over studies.toml"
+    )
+    parser.add_argument(
+        "--workers",
+        type=arguments.whole(1, MAX_WORKERS),
+        default=os.cpu_count() or 1,
+        metavar="N",
+        help="processes; the results do not depend on it (default: one a processor)",
+    )
+    arguments.add_json(parser)
+    parser.set_defaults(run=run)
+
+
+def run(namespace: argparse.Namespace) -> int:
+    """Runs the studies asked for."""
+    if LIST in namespace.names:
+        return _list(namespace)
+    check_extras()
+    settings = load_study_settings(namespace.settings)
+    studies = chosen(namespace.names)
+    folder = folder_for(namespace.out)
+    check_json(namespace.json)
+    out = console(namespace.json)
+    columns = (
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+    )  # fmt: skip
+    with Progress(*columns, console=console("-"), transient=True) as bar:
+        task = bar.add_task("studies", total=None)
+
+        def progress(name: str, done: int, total: int) -> None:
+            bar.update(task, description=name, completed=done, total=total)
+
+        records = run_studies(studies, settings, folder, namespace.workers, progress)
+    _write(namespace, settings, records)
+    if namespace.json != "-":
+        out.print(_table(records))
+        out.print(f"page {folder / PAGE}", markup=False)
+    return Exit.DONE
+
+
+def _list(namespace: argparse.Namespace) -> int:
+    if namespace.names != [LIST]:
+        raise CommandError("list stands alone, without names of studies")
+    studies = [load(name) for name in NAMES]
+    if namespace.json is not None:
+        values = {study.name: {"title": study.title, "of": list(study.of)} for study in studies}
+        write_json(namespace.json, values)
+    if namespace.json != "-":
+        table = Table(box=None, pad_edge=False)
+        for column in ("study", "of the thesis", ""):
+            table.add_column(column, no_wrap=True)
+        for study in studies:
+            table.add_row(study.name, ", ".join(study.of) or "beyond it", study.title)
+        console(namespace.json).print(table)
+    return Exit.DONE
+
+
+def _write(
+    namespace: argparse.Namespace, settings: StudySettings, records: list[StudyRecord]
+) -> None:
+    from meshpoint.testbench.studies.page import write_page
+
+    source = provenance(
+        settings.sheet, settings.common.seed, "thesis and truck, as each study says"
+    )
+    write_page(namespace.out / PAGE, records, {key: str(value) for key, value in source.items()})
+    text = shipped_text()
+    if namespace.settings is not None:
+        text = namespace.settings.read_text(encoding="utf-8")
+    path = namespace.out / SETTINGS
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+    if namespace.json is not None:
+        write_json(namespace.json, {record.study: record.to_json(source) for record in records})
+
+
+def _table(records: list[StudyRecord]) -> Table:
+    table = Table(box=None, pad_edge=False, show_lines=False)
+    for column in ("study", "of the thesis", "verdict", "ours"):
+        table.add_column(column, no_wrap=column != "ours")
+    for record in records:
+        for i, statement in enumerate(record.finding.statements):
+            first = (record.study, ", ".join(record.of) or "beyond it") if i == 0 else ("", "")
+            table.add_row(*first, WORDS[statement.verdict], statement.ours)
+    return table

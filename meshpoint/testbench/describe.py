@@ -1,0 +1,51 @@
+"""What `meshpoint rig --describe` prints: data sheet, the gearbox as built, and its faults."""
+
+from __future__ import annotations
+
+from rich.table import Table
+
+from meshpoint.dbc.messages import RigFault
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.tables import to_table
+from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.truck.as_built import draw_as_built, parameters
+from meshpoint.rig_sim.truck.faults import KINDS
+from meshpoint.testbench.results.output import console
+
+
+def describe_rig(sheet: GearboxSheet, settings: RigSettings) -> None:
+    """Prints it for people; the same values as JSON are in `simulate --json`."""
+    out = console()
+    out.print(f"data sheet {sheet.name}, sha256 {sheet.sha256}", markup=False)
+    for line in _flat("", to_table(sheet)):
+        out.print(f"  {line}", markup=False)
+    if settings.preset is Preset.THESIS:
+        out.print("\npreset thesis: the gearbox is as its sheet says, and has no faults")
+        return
+    built = draw_as_built(settings.seed, settings.as_built)
+    out.print(f"\nas built, seed {settings.seed}, teeth {built.teeth_seed}", markup=False)
+    table = Table("parameter", "default", "as built", "range", "what it is", box=None)
+    for name, parameter in parameters().items():
+        fixed = " fixed" if name in settings.as_built else ""
+        table.add_row(
+            name,
+            f"{parameter.default:g}",
+            f"{built[name]:g}{fixed}",
+            f"{parameter.low:g}..{parameter.high:g}",
+            parameter.note,
+        )
+    out.print(table)
+    out.print("\nfaults, by --faults FILE or the bench's frame BenchFault")
+    table = Table("number", "kind", "what goes wrong", "target", "value", box=None)
+    for kind in RigFault:
+        text, target, _, value = KINDS[kind]
+        table.add_row(str(int(kind)), kind.name.lower(), text, target, value)
+    out.print(table)
+
+
+def _flat(prefix: str, values: dict[str, object]) -> list[str]:
+    lines = []
+    for key, value in values.items():
+        name = f"{prefix}{key.rstrip('_')}"
+        lines += _flat(f"{name}.", value) if isinstance(value, dict) else [f"{name} = {value}"]
+    return lines

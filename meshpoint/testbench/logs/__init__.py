@@ -1,0 +1,1 @@
+"""Recorded logs and captures through the controller."""

@@ -1,0 +1,89 @@
+"""`--log`: the log of a run, with the run header beside it so that the log can be replayed."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+import can
+
+from meshpoint.bus.driver import OpenBus
+from meshpoint.bus.logs.files import RotatingLog, open_log
+from meshpoint.bus.logs.limits import LogError
+from meshpoint.bus.logs.recorder import LogWriter, record_bus
+from meshpoint.controller.header import RunHeader
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.results.output import folder_for
+
+LAST_FRAMES_S = 0.1
+"""What the nodes send when they end belongs to the log."""
+
+
+def start_log(
+    namespace: argparse.Namespace,
+    header: RunHeader | None,
+    *,
+    channel: str,
+    by_frame_time: bool = False,
+) -> LogWriter | RotatingLog | None:
+    """The log that --log and --log-size ask for; LogError or CommandError where it cannot be."""
+    target: str | None = namespace.log
+    if target is None:
+        if namespace.log_size is not None:
+            raise CommandError("--log-size without --log: there is no log to divide")
+        return None
+    path = Path(target)
+    folder_for(path if target.endswith(("/", "\\")) or path.is_dir() else path.parent)
+    log = open_log(
+        target, channel=channel, max_bytes=namespace.log_size, by_frame_time=by_frame_time
+    )
+    if header is not None:
+        header.save(log.path.parent)
+    return log
+
+
+def written(log: LogWriter | RotatingLog) -> str:
+    """The file or files of a log, in words."""
+    if isinstance(log, LogWriter) or len(log.paths) == 1:
+        return str(log.path if isinstance(log, LogWriter) else log.paths[0])
+    return f"{log.paths[0]} ... {log.paths[-1].name}, {len(log.paths)} files"
+
+
+@asynccontextmanager
+async def recording(
+    log: LogWriter | RotatingLog | None, open_bus: OpenBus, on_event: Callable[[str], None]
+) -> AsyncIterator[None]:
+    """Records the bus while the block runs, with a connection of its own that is there before the
+    block begins. A log that cannot be written any more is told, and the block goes on."""
+    if log is None:
+        yield
+        return
+    loop, opened, stop = asyncio.get_running_loop(), asyncio.Event(), asyncio.Event()
+
+    def open_and_tell() -> can.BusABC:
+        bus = open_bus()
+        loop.call_soon_threadsafe(opened.set)
+        return bus
+
+    async def record() -> None:
+        try:
+            await record_bus(open_and_tell, log, on_event=on_event, stop=stop)
+        except LogError as error:
+            on_event(f"recorder: the log has ended: {error}")
+
+    with log:
+        task = asyncio.create_task(record())
+        waiting = asyncio.create_task(opened.wait())
+        await asyncio.wait((task, waiting), return_when=asyncio.FIRST_COMPLETED)
+        waiting.cancel()
+        try:
+            if task.done():
+                task.result()
+            yield
+            await asyncio.sleep(LAST_FRAMES_S)
+        finally:
+            stop.set()
+            await task

@@ -1,0 +1,285 @@
+"""The log driver: a recorded bus through the same core, step by step.
+
+A log is enough to repeat a live run byte for byte: each status frame says when its step was, how
+many frames it consumed and their CRC, and which run header it belongs to. `verify` says one of
+three things: identical; differs at step n; not verifiable, and why.
+"""
+
+from __future__ import annotations
+
+import itertools
+import zlib
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Final
+
+from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
+from meshpoint.controller.header import HeaderError, RunHeader, architecture, load_header
+from meshpoint.dbc import DBC_SHA256
+from meshpoint.dbc.e2e import check_crc
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.messages import ControllerStatus
+from meshpoint.testbench.provenance import product_version
+
+RIG_ADDRESSES: Final = frozenset({0x80, 0x81, 0x00})
+KNOWN_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
+STATUS: Final = CODECS[ControllerStatus.__name__]
+LATE_FRAMES: Final = 12
+"""How many frames around the end of a step may reach the logger in another order than the node."""
+UNKNOWN_FRAME: Final = Frame(0x1FFF_FFFF, b"", is_fd=False)
+"""Stands for a frame foreign to the DBC: only its number matters."""
+
+
+class Verification(Enum):
+    """What a log's verification came to."""
+
+    IDENTICAL = "identical"
+    DIFFERS = "differs"
+    NOT_VERIFIABLE = "not verifiable"
+
+
+@dataclass
+class Session:
+    """One run of a controller within a log."""
+
+    header: RunHeader | None = None
+    run_hash: int = 0
+    steps: int = 0
+    frames: int = 0
+    verdict: Verification = Verification.IDENTICAL
+    step: int | None = None
+    """The step at which it differs or stops being verifiable."""
+    reason: str = ""
+
+    def __str__(self) -> str:
+        if self.verdict is Verification.IDENTICAL:
+            return f"identical: {self.steps} steps, {self.frames} frames"
+        where = "" if self.step is None else f" at step {self.step}"
+        return f"{self.verdict.value}{where}: {self.reason}"
+
+
+class NotVerifiableError(Exception):
+    """Why a session cannot be repeated from here on."""
+
+
+class DiffersError(Exception):
+    """The repeated step sent something else than the log holds."""
+
+
+@dataclass
+class _Recorded:
+    """A step as the log shows it: its status and all frames the controller sent in it."""
+
+    status: ControllerStatus
+    frames: list[Frame] = field(default_factory=list)
+
+
+class LogReplay:
+    """Feeds a log's frames to controllers, one for each session that the log holds.
+
+    `settings_of(header)` may change the header (another strategy); then nothing is compared.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        verify: bool,
+        change: Callable[[RunHeader], RunHeader] | None = None,
+        on_output: Callable[[Frame], None] | None = None,
+        on_event: Callable[[int, str], None] | None = None,
+    ) -> None:
+        self._folder = folder
+        self._verify = verify
+        self._change = change
+        self._on_output = on_output
+        self._on_event = on_event
+        self._waiting: deque[Frame] = deque()
+        self._sent: list[Frame] = []
+        self._core: ControllerCore | None = None
+        self._foreign = 0
+        self._aligned = False
+        self.sessions: list[Session] = []
+
+    def run(self, frames: Iterable[Frame]) -> list[Session]:
+        """Takes the whole log. A session that cannot go on is skipped to the next one."""
+        for frame in frames:
+            self.take(frame)
+        if not self.sessions:
+            session = Session(verdict=Verification.NOT_VERIFIABLE)
+            session.reason = "the log holds no controller status frame"
+            self.sessions.append(session)
+        return self.sessions
+
+    def take(self, frame: Frame) -> None:
+        """One frame of the log, in order."""
+        if not (frame.is_extended and frame.can_id & 0xFF == OWN_ADDRESS):
+            if frame.is_extended and frame.can_id in KNOWN_IDS:
+                self._waiting.append(frame)
+            return
+        self._sent.append(frame)
+        status = _status(frame)
+        if status is not None:
+            sent = self._sent if status.step_number else _last_step(self._sent)
+            step = _Recorded(status, sent)
+            self._sent = []
+            self._close_step(step)
+
+    def _close_step(self, step: _Recorded) -> None:
+        number = step.status.step_number
+        starts = not self.sessions or number == 0
+        try:
+            if starts:
+                self._start(step.status)
+            session = self.sessions[-1]
+            if session.verdict is Verification.IDENTICAL:
+                self._repeat(session, step)
+        except (NotVerifiableError, HeaderError) as error:
+            self._end(Verification.NOT_VERIFIABLE, number, str(error))
+        except DiffersError as error:
+            self._end(Verification.DIFFERS, number, str(error))
+
+    def _end(self, verdict: Verification, number: int, reason: str) -> None:
+        session = self.sessions[-1]
+        session.verdict, session.step, session.reason = verdict, number, reason
+        self._core = None
+
+    def _start(self, status: ControllerStatus) -> None:
+        session = Session(run_hash=status.run_hash)
+        self.sessions.append(session)
+        self._core, self._foreign, self._aligned = None, 0, False
+        if status.step_number != 0:
+            raise NotVerifiableError(
+                "the log starts in mid-run; what the steps before it saw is unknown"
+            )
+        header = load_header(self._folder, status.run_hash)
+        session.header = header
+        if self._verify:
+            _check_same_product(header)
+        self._core = ControllerCore(self._change(header) if self._change else header)
+
+    def _repeat(self, session: Session, step: _Recorded) -> None:
+        core, status = self._core, step.status
+        if core is None:
+            raise RuntimeError("a session without a core")
+        if status.step_number != session.steps:
+            raise NotVerifiableError(
+                f"step {session.steps} is missing: frames were lost between bus and log"
+            )
+        for frame in self._consumed(status):
+            core.receive(frame)
+        made = core.step(status.step_time_us)
+        session.steps += 1
+        session.frames += len(made.frames)
+        for line in made.events:
+            if self._on_event is not None:
+                self._on_event(status.step_time_us, line)
+        for frame in made.frames:
+            if self._on_output is not None:
+                self._on_output(frame)
+        if self._verify:
+            _compare(made.frames, step.frames)
+
+    def _consumed(self, status: ControllerStatus) -> list[Frame]:
+        """The frames this step consumed, by its count and CRC; foreign ones by its counter."""
+        unknown = (status.foreign_frames - self._foreign) & 0xFFFF
+        self._foreign = status.foreign_frames
+        known = self._match(status.consumed_count, status.consumed_crc)
+        return known + [UNKNOWN_FRAME] * unknown
+
+    def _match(self, count: int, crc: int) -> list[Frame]:
+        if count == 0:
+            return []
+        waiting = list(self._waiting)
+        for skipped, chosen in self._candidates(waiting, count):
+            if _crc(chosen) == crc:
+                self._aligned = True
+                self._take_away(waiting, skipped, chosen)
+                return chosen
+        if not self._verify and len(waiting) >= count:
+            # What it commands is asked, not whether the log is whole.
+            self._take_away(waiting, 0, waiting[:count])
+            return waiting[:count]
+        raise NotVerifiableError(
+            f"the {count} frames it consumed are not in the log as it received them: frames were "
+            "changed, or lost between bus and log"
+        )
+
+    def _candidates(self, waiting: list[Frame], count: int) -> Iterator[tuple[int, list[Frame]]]:
+        """Ways in which the log may hold the frames of a step: (skipped before, frames).
+
+        The first step that consumed anything may follow frames sent before the controller was on
+        the bus. Later, only senders on different processors may have overtaken each other."""
+        if not self._aligned:
+            for start in range(len(waiting) - count, -1, -1):
+                yield start, waiting[start : start + count]
+            return
+        if len(waiting) >= count:
+            yield 0, waiting[:count]
+        near = waiting[: count + LATE_FRAMES]
+        rig = [frame for frame in near if frame.can_id & 0xFF in RIG_ADDRESSES]
+        others = [frame for frame in near if frame.can_id & 0xFF not in RIG_ADDRESSES]
+        for from_others in range(min(count, len(others)) + 1):
+            if count - from_others <= len(rig):
+                yield 0, rig[: count - from_others] + others[:from_others]
+
+    def _take_away(self, waiting: list[Frame], skipped: int, chosen: list[Frame]) -> None:
+        taken = {id(frame) for frame in chosen}
+        self._waiting = deque(f for f in waiting[skipped:] if id(f) not in taken)
+
+
+def _last_step(frames: list[Frame]) -> list[Frame]:
+    """The frames of the last step alone: a controller that ended before has sent its last frames
+    without a status. Within a step identifiers rise."""
+    start = len(frames) - 1
+    while start > 0 and frames[start - 1].can_id < frames[start].can_id:
+        start -= 1
+    return frames[start:]
+
+
+def _status(frame: Frame) -> ControllerStatus | None:
+    """The status frame that closes a step, whatever its counter: a controller that has started
+    anew counts from zero."""
+    spec = STATUS.spec
+    if frame.can_id != spec.can_id or len(frame.data) != spec.length or spec.data_id is None:
+        return None
+    if not check_crc(frame.data, spec.data_id):
+        return None
+    status: ControllerStatus | None = STATUS.decode(frame.data)
+    return status
+
+
+def _crc(frames: list[Frame]) -> int:
+    """The status frame's CRC: over identifier and payload, in order of identifier."""
+    crc = 0
+    for frame in sorted(frames, key=lambda frame: frame.can_id):
+        crc = zlib.crc32(frame.data, zlib.crc32(frame.can_id.to_bytes(4, "little"), crc))
+    return crc
+
+
+def _check_same_product(header: RunHeader) -> None:
+    here = (product_version(), architecture(), DBC_SHA256)
+    there = (header.version, header.architecture, header.dbc_sha256)
+    for what, mine, logged in zip(("version", "architecture", "DBC"), here, there, strict=True):
+        if mine != logged:
+            raise NotVerifiableError(f"recorded with {what} {logged}, this is {mine}")
+
+
+def _compare(made: list[Frame], logged: list[Frame]) -> None:
+    for mine, theirs in itertools.zip_longest(made, logged):
+        if mine is None:
+            raise DiffersError(f"the log holds a frame {theirs.can_id:08X} that it did not send")
+        if theirs is None:
+            raise DiffersError(f"it sent a frame {mine.can_id:08X} that the log does not hold")
+        if mine.can_id != theirs.can_id:
+            raise DiffersError(f"it sent {mine.can_id:08X} where the log holds {theirs.can_id:08X}")
+        if mine.data != theirs.data:
+            at = next(
+                i for i, (a, b) in enumerate(zip(mine.data, theirs.data, strict=False)) if a != b
+            )
+            raise DiffersError(
+                f"frame {mine.can_id:08X} byte {at}: {mine.data[at]:02X}, log {theirs.data[at]:02X}"
+            )

@@ -1,0 +1,1 @@
+"""Controller and rig in one loop: virtual time, live, simulated."""

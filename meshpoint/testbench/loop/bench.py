@@ -1,0 +1,264 @@
+"""The bench operator as a core: brings the rig into the old gear, asks for the new one, N times.
+
+It is a third node on the bus with the same call shape as controller and rig, so one driver runs it
+in virtual time and live.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import Final
+
+from meshpoint.bus.core import Step
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.link import Receiver, Transmitter
+from meshpoint.dbc.messages import (
+    TC1,
+    BenchAction,
+    BenchCommand,
+    ControllerState,
+    ControllerStatus,
+    EngagementEvent,
+    ReferenceEngagement,
+    ShiftOutcome,
+)
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox import DriveGear, GearboxSheet, drive_gear
+
+TICK_US: Final = 10_000
+COMMAND_EVERY: Final = 2
+"""BenchCommand goes out every 20 ms."""
+REQUEST_EVERY_US: Final = 50_000
+SETTLE_US: Final = 200_000
+"""In the old gear before the request: speeds settle as they would in driving."""
+LEARN_US: Final = 300_000
+"""In the new gear before it is left: time to learn its phase."""
+PATIENCE_US: Final = 8_000_000
+"""A step of the plan that takes longer has failed; the bench goes on with the next shift."""
+HEARD: Final = frozenset(
+    CODECS[kind.__name__].spec.can_id
+    for kind in (ControllerStatus, ShiftOutcome, ReferenceEngagement)
+)
+MOVING: Final = frozenset(ControllerState) - {
+    ControllerState.STARTING,
+    ControllerState.IN_GEAR,
+    ControllerState.NEUTRAL,
+}
+
+
+@dataclass(frozen=True)
+class Pauses:
+    """How long the bench rests in the old gear before a request, and in the new one after it."""
+
+    settle_us: int = SETTLE_US
+    """From when the controller says that it is in the old gear with its clutch closed."""
+    locked_us: int = 0
+    """From when the rig says that the old gear is locked, at least."""
+    learn_us: int = LEARN_US
+    learned_us: int = LEARN_US
+    """In the new gear at least, where its phase reference is known before `learn_us`."""
+
+
+@dataclass(frozen=True)
+class PlannedShift:
+    """From a gear to a gear, with the main shaft at a speed."""
+
+    from_: int
+    to: int
+    main_rad_s: float
+
+
+def plan_shifts(
+    sheet: GearboxSheet, pairs: list[tuple[int, int]], shifts: int, layshaft_rad_s: float
+) -> list[PlannedShift]:
+    """`shifts` shifts cycling through `pairs`; main speed such that the layshaft, in the old gear
+    or in the new, turns at the given speed where it turns faster, or at less where the input shaft
+    would turn too fast."""
+    planned = []
+    for i in range(shifts):
+        from_, to = pairs[i % len(pairs)]
+        before, after = drive_gear(from_), drive_gear(to)
+        main = _most_main_rad_s(sheet, before, layshaft_rad_s)
+        then = _most_main_rad_s(sheet, after, layshaft_rad_s)
+        if after.range_ is not before.range_:
+            ratio = sheet.range_mesh(after.range_).ratio
+            then *= ratio / sheet.range_mesh(before.range_).ratio
+        planned.append(PlannedShift(from_, to, min(main, then)))
+    return planned
+
+
+def _most_main_rad_s(sheet: GearboxSheet, gear: DriveGear, layshaft_rad_s: float) -> float:
+    """The main shaft's speed at which a gear turns its layshaft or input shaft at the limit."""
+    top = 0.9 * sheet.limits.input_max_rad_s * sheet.split_mesh(gear.split).ratio
+    return min(layshaft_rad_s, top) * sheet.main_mesh(gear.main).ratio
+
+
+class Phase(Enum):
+    """What the bench is at."""
+
+    RETURNING = auto()
+    SETTLING = auto()
+    REQUESTING = auto()
+    SHIFTING = auto()
+    LEARNING = auto()
+    DONE = auto()
+
+
+@dataclass
+class _Seen:
+    """What the bus said since the phase began."""
+
+    ready_in: int | None = None
+    ready_us: int | None = None
+    """The tick at which the rig had said so."""
+    outcome: bool = False
+    status: ControllerStatus | None = None
+
+
+class BenchCore:
+    """Runs a plan of shifts."""
+
+    def __init__(self, plan: list[PlannedShift], pauses: Pauses | None = None) -> None:
+        self._plan = plan
+        self._pauses = pauses or Pauses()
+        self._receiver = Receiver(Node.BENCH)
+        self._transmitter = Transmitter(Node.BENCH)
+        self._seen = _Seen()
+        self._phase = Phase.RETURNING
+        self._since_us: int | None = None
+        self._next_us = 0
+        self._ticks = 0
+        self._asked_us = -REQUEST_EVERY_US
+        self.index = 0
+        """Number of the shift being made."""
+        self.gave_up: list[int] = []
+        """Shifts whose phase took longer than the bench's patience."""
+
+    @property
+    def done(self) -> bool:
+        """Whether the plan has run to its end."""
+        return self._phase is Phase.DONE
+
+    @property
+    def is_asking(self) -> bool:
+        """Whether the new gear is being asked for, or is on its way."""
+        return self._phase in (Phase.REQUESTING, Phase.SHIFTING)
+
+    @property
+    def next_step_us(self) -> int:
+        """The next tick."""
+        return self._next_us
+
+    def receive(self, frame: Frame) -> None:
+        """Notes what the plan waits for."""
+        if frame.can_id not in HEARD:
+            return
+        message = self._receiver.receive(frame).message
+        if isinstance(message, ControllerStatus):
+            self._seen.status = message
+        elif isinstance(message, ShiftOutcome):
+            self._seen.outcome = True
+        elif isinstance(message, ReferenceEngagement) and message.event is EngagementEvent.READY:
+            self._seen.ready_in = message.drive_gear
+
+    def step(self, now_us: int) -> Step:
+        """Goes on with the plan; sends what it asks for."""
+        if self._since_us is None:
+            self._since_us = now_us
+        self._receiver.tick(now_us)
+        if self._seen.ready_us is None and self._seen.ready_in is not None:
+            self._seen.ready_us = now_us
+        events = self._go_on(now_us)
+        frames = self._frames(now_us)
+        self._ticks += 1
+        while self._next_us <= now_us:
+            self._next_us += TICK_US
+        return Step(frames, events)
+
+    def shutdown(self, now_us: int) -> Step:  # noqa: ARG002
+        """Nothing to make safe: bench commands are requests."""
+        return Step([], [])
+
+    def _go_on(self, now_us: int) -> list[str]:
+        if self._phase is Phase.DONE:
+            return []
+        waited_us = now_us - (self._since_us or 0)
+        if self._is_over(now_us, waited_us):
+            return self._advance(now_us)
+        if waited_us > PATIENCE_US:
+            self.gave_up.append(self.index)
+            events = [f"bench: shift {self.index + 1} stuck in {self._phase.name.lower()}"]
+            self._phase = Phase.LEARNING
+            return events + self._advance(now_us)
+        return []
+
+    def _is_over(self, now_us: int, waited_us: int) -> bool:
+        seen, shift = self._seen, self._plan[self.index]
+        status = seen.status
+        in_old_gear = (
+            status is not None
+            and status.state is ControllerState.IN_GEAR
+            and status.current_gear == shift.from_
+        )
+        match self._phase:
+            case Phase.RETURNING:
+                return seen.ready_in == shift.from_ and in_old_gear
+            case Phase.SETTLING:
+                locked_us = now_us - (seen.ready_us or 0)
+                return waited_us >= self._pauses.settle_us and locked_us >= self._pauses.locked_us
+            case Phase.REQUESTING:
+                return seen.outcome or (status is not None and status.state in MOVING)
+            case Phase.SHIFTING:
+                return seen.outcome
+            case _:
+                return waited_us >= self._learning_us
+
+    @property
+    def _learning_us(self) -> int:
+        """How long to stay in the gear the shift went to."""
+        gear = drive_gear(self._plan[self.index].to).main
+        status = self._seen.status
+        is_known = status is not None and status.reference_known >> (gear - 1) & 1
+        return self._pauses.learned_us if is_known else self._pauses.learn_us
+
+    def _advance(self, now_us: int) -> list[str]:
+        following = {
+            Phase.RETURNING: Phase.SETTLING,
+            Phase.SETTLING: Phase.REQUESTING,
+            Phase.REQUESTING: Phase.SHIFTING,
+            Phase.SHIFTING: Phase.LEARNING,
+            Phase.LEARNING: Phase.RETURNING,
+        }
+        self._phase = following[self._phase]
+        self._since_us = now_us
+        if self._phase is Phase.SETTLING:
+            self._seen.outcome = False
+        elif self._phase is Phase.RETURNING:
+            self._seen = _Seen(status=self._seen.status)
+            self.index += 1
+            if self.index == len(self._plan):
+                self._phase = Phase.DONE
+        return []
+
+    def _frames(self, now_us: int) -> list[Frame]:
+        frames = []
+        if self._ticks % COMMAND_EVERY == 0:
+            frames.append(self._transmitter.encode(self._command()))
+        if self._phase is Phase.REQUESTING and now_us - self._asked_us >= REQUEST_EVERY_US:
+            self._asked_us = now_us
+            wanted = self._plan[self.index].to
+            frames.append(self._transmitter.encode(TC1(requested_gear=wanted)))
+        return frames
+
+    def _command(self) -> BenchCommand:
+        """The rig acts once on a new sequence number, and only while it is being returned."""
+        shift = self._plan[min(self.index, len(self._plan) - 1)]
+        action = BenchAction.RETURN_TO_GEAR if self._phase is Phase.RETURNING else BenchAction.HOLD
+        return BenchCommand(
+            action=action,
+            gear=shift.from_,
+            sequence=(self.index + 1) & 0xFFFF,
+            main_speed_rad_s=shift.main_rad_s,
+        )

@@ -1,0 +1,300 @@
+"""One strategy live: controller and rig on a real or local bus, the bench and the recorder beside.
+
+The nodes are processes of their own; on python-can's `virtual` bus, which ends at the process, they
+are tasks of this one.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+
+import can
+
+from meshpoint.bus.clock import Clock, NodeClock
+from meshpoint.bus.core import Step
+from meshpoint.bus.driver import run_node
+from meshpoint.bus.logs.recorder import LogWriter
+from meshpoint.bus.pace import PacedClock, PaceFile
+from meshpoint.controller.header import RunHeader
+from meshpoint.controller.node import run_controller
+from meshpoint.dbc.frame import Frame
+from meshpoint.rig_sim.node import run_rig
+from meshpoint.rig_sim.settings import RigSettings
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.loop.bench import BenchCore, PlannedShift
+from meshpoint.testbench.results.monitor import Monitor
+from meshpoint.testbench.results.traces import TRACED, Traces
+
+BENCH_ADDRESS = 0xF9
+FLUSH_US = 1_000_000
+POLL_S = 0.05
+END_S = 15.0
+START_S = 120.0
+SILENCE_S = 20.0
+"""Wall seconds without a shift, at speed 1, after which the live run is given up."""
+
+
+@dataclass
+class LiveRun:
+    """What is needed to run one strategy live."""
+
+    header: RunHeader
+    rig: RigSettings
+    plan: list[PlannedShift]
+    log: Path
+    open_bus: Callable[[], can.BusABC]
+    speed: float
+    in_process: bool
+    paced: bool = True
+    """Bus time waits for nodes that the machine keeps from running; else it is wall time."""
+    node_arguments: Sequence[str] = ()
+    """Bus and data-sheet arguments for the two processes."""
+    controller_arguments: Sequence[str] = ()
+    rig_arguments: Sequence[str] = ()
+    """Files the rig's process reads; what they say is in `rig` as well."""
+    on_row: Callable[[], None] = lambda: None
+    on_event: Callable[[str], None] = lambda _line: None
+
+
+@dataclass
+class LiveResult:
+    """What the bus showed."""
+
+    monitor: Monitor
+    traces: Traces
+    bench: BenchCore
+    frames: int = 0
+    pace: float = 1.0
+    """Bus time over wall time while the plan ran."""
+    problems: list[str] = field(default_factory=list)
+
+
+class _Recorder:
+    """A core that only listens: everything on the bus goes to rows and traces."""
+
+    def __init__(self, result: LiveResult, log: LogWriter, on_row: Callable[[], None]) -> None:
+        self._result = result
+        self._log = log
+        self._on_row = on_row
+        self._rows = 0
+        self.next_step_us = 0
+
+    def receive(self, frame: Frame) -> None:
+        """One frame in bus order."""
+        self._result.frames += 1
+        message = self._result.monitor.take(frame)
+        if message is not None:
+            self._result.traces.take(message)
+
+    def step(self, now_us: int) -> Step:
+        """Brings the log to disk, and reports finished shifts."""
+        self._log.flush()
+        self.next_step_us = now_us + FLUSH_US
+        rows = len(self._result.monitor.rows.rows)
+        for _ in range(rows - self._rows):
+            self._on_row()
+        self._rows = rows
+        return Step([], [])
+
+    def shutdown(self, now_us: int) -> Step:
+        """The last look."""
+        return self.step(now_us)
+
+
+async def run_live(run: LiveRun) -> LiveResult:
+    """Runs the plan; ends the nodes with their valves off. CommandError when they cannot run."""
+    bench = BenchCore(run.plan)
+    monitor = Monitor(run.header.sheet, run.header.settings, TRACED)
+    result = LiveResult(monitor, Traces(), bench)
+    stop_listening, stop_bench, stop_nodes = asyncio.Event(), asyncio.Event(), asyncio.Event()
+
+    def report(line: str) -> None:
+        result.problems.append(line)
+        run.on_event(line)
+
+    with (
+        LogWriter(run.log, channel="meshpoint", flush_every_s=None) as log,
+        _clocks(run) as clocks,
+    ):
+        recorder = asyncio.create_task(
+            run_node(
+                _Recorder(result, log, run.on_row), run.open_bus, Clock(),
+                on_event=report, stop=stop_listening, name="recorder",
+                on_message=log.write_message,
+            )
+        )  # fmt: skip
+        # The log begins before the nodes do, so that their first steps are in it.
+        await asyncio.sleep(2 * POLL_S)
+        nodes = await _start_nodes(run, clocks, stop_nodes)
+        try:
+            await _until_heard(result, recorder, nodes)
+        except BaseException:
+            await _end_nodes(nodes, stop_nodes)
+            stop_listening.set()
+            await recorder
+            raise
+        clock = clocks.of("bench")
+        begun_us, begun_s = clock.now_us(), perf_counter()
+        task = asyncio.create_task(
+            run_node(
+                bench, run.open_bus, clock, on_event=report, stop=stop_bench,
+                name="bench", own_addresses=frozenset({BENCH_ADDRESS}),
+            )
+        )  # fmt: skip
+        try:
+            await _until_done(run, result, [recorder, task], nodes)
+        finally:
+            result.pace = (clock.now_us() - begun_us) / 1e6 / (perf_counter() - begun_s)
+            stop_bench.set()
+            await _end_nodes(nodes, stop_nodes)
+            await asyncio.sleep(2 * POLL_S)
+            stop_listening.set()
+            await asyncio.gather(recorder, task)
+    return result
+
+
+class _Clocks:
+    """The clocks of one run: shared bus time, or one wall clock each."""
+
+    def __init__(self, run: LiveRun, pace_path: Path | None) -> None:
+        self.pace_path = pace_path
+        self._speed = run.speed
+        self._file = None if pace_path is None else PaceFile(pace_path)
+
+    def of(self, name: str) -> NodeClock:
+        """The clock of a node of this process."""
+        if self._file is None:
+            return Clock(self._speed)
+        return PacedClock(self._file, name, self._speed)
+
+
+@contextmanager
+def _clocks(run: LiveRun) -> Iterator[_Clocks]:
+    """The clocks, with a pacemaker running beside where bus time is shared."""
+    if not run.paced:
+        yield _Clocks(run, None)
+        return
+    with tempfile.TemporaryDirectory(prefix="meshpoint-") as folder:
+        path = Path(folder) / "pace"
+        PaceFile.create(path)
+        command = [sys.executable, "-m", "meshpoint.bus.pace", str(path), "--speed", str(run.speed)]
+        # It ends with its standard input, which leaving the block closes.
+        with subprocess.Popen(command, stdin=subprocess.PIPE):  # noqa: S603 (our own module)
+            yield _Clocks(run, path)
+
+
+Nodes = list["asyncio.subprocess.Process | asyncio.Task[object]"]
+
+
+async def _start_nodes(run: LiveRun, clocks: _Clocks, stop: asyncio.Event) -> Nodes:
+    if run.in_process:
+        return [
+            asyncio.create_task(
+                run_rig(
+                    run.header.sheet, run.rig, run.open_bus, clocks.of("rig"),
+                    on_event=run.on_event, stop=stop,
+                )
+            ),
+            asyncio.create_task(
+                run_controller(
+                    run.header, run.open_bus, clocks.of("controller"),
+                    on_event=run.on_event, stop=stop,
+                )
+            ),
+        ]  # fmt: skip
+    pace = [] if clocks.pace_path is None else ["--pace", str(clocks.pace_path)]
+    common = [*run.node_arguments, "--speed", str(run.speed), *pace, "--quiet"]
+    rig = [
+        "rig", "--seed", str(run.rig.seed), "--gear", str(run.rig.start_gear),
+        "--main-speed", str(run.rig.main_speed_rpm), "--preset", run.rig.preset.value,
+        *run.rig_arguments, *common,
+    ]  # fmt: skip
+    controller = ["controller", *run.controller_arguments, *common]
+    return [await _spawn(rig), await _spawn(controller)]
+
+
+async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
+    return await asyncio.create_subprocess_exec(
+        sys.executable, "-m", "meshpoint", *arguments, stdin=asyncio.subprocess.DEVNULL
+    )
+
+
+async def _until_heard(result: LiveResult, recorder: asyncio.Task[object], nodes: Nodes) -> None:
+    """Waits until both nodes are on the bus; the first start on a machine compiles for a while."""
+    waited_s = 0.0
+    while result.monitor.status is None or not result.traces.series:
+        await asyncio.sleep(POLL_S)
+        waited_s += POLL_S
+        _check(recorder)
+        _check_nodes(nodes)
+        if waited_s > START_S:
+            raise CommandError(f"the nodes were not heard on the bus within {START_S:.0f} s")
+
+
+def _check(task: asyncio.Task[object]) -> None:
+    """Raises what ended a task."""
+    if task.done():
+        task.result()
+
+
+def _check_nodes(nodes: Nodes) -> None:
+    for node in nodes:
+        if isinstance(node, asyncio.Task):
+            _check(node)
+        elif node.returncode is not None:
+            raise CommandError(f"a node ended by itself with exit code {node.returncode}")
+
+
+async def _until_done(
+    run: LiveRun,
+    result: LiveResult,
+    tasks: Sequence[asyncio.Task[object]],
+    nodes: Nodes,
+) -> None:
+    """Waits for the bench; gives up when a node has died or nothing happens any more."""
+    seen, quiet_s = 0, 0.0
+    while not result.bench.done:
+        await asyncio.sleep(POLL_S)
+        for task in tasks:
+            _check(task)
+        _check_nodes(nodes)
+        rows = len(result.monitor.rows.rows)
+        quiet_s = 0.0 if rows != seen else quiet_s + POLL_S
+        seen = rows
+        if quiet_s > SILENCE_S / min(1.0, run.speed):
+            raise CommandError(f"no shift within {quiet_s:.0f} s: the nodes do not hear each other")
+
+
+async def _end_nodes(nodes: Nodes, stop: asyncio.Event) -> None:
+    stop.set()
+    for node in nodes:
+        if isinstance(node, asyncio.Task):
+            continue
+        if node.returncode is None:
+            with suppress(ProcessLookupError):
+                node.terminate()
+    for node in nodes:
+        if isinstance(node, asyncio.Task):
+            await asyncio.wait([node], timeout=END_S)
+            continue
+        try:
+            await asyncio.wait_for(node.wait(), END_S)
+        except TimeoutError:
+            # It may have ended between the time-out and here.
+            with suppress(ProcessLookupError):
+                node.kill()
+            await node.wait()
+
+
+def uses_virtual(namespace: argparse.Namespace) -> bool:
+    """Whether the bus asked for ends at the process."""
+    return getattr(namespace, "interface", None) == "virtual"

@@ -1,0 +1,163 @@
+"""Shifts in virtual time: controller, rig and bench in one process, through encoded frames."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+
+from meshpoint.bus.core import Core
+from meshpoint.bus.settle import settle
+from meshpoint.controller.calibration.records import Calibration
+from meshpoint.controller.calibration_keeper import CalibrationKeeper, Keep
+from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.header import RunHeader, new_header
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.messages import ShiftOutcome
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.orders import ScheduledFault
+from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.testbench.loop.bench import BenchCore, plan_shifts
+from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs
+from meshpoint.testbench.loop.virtual_time import VirtualTime
+from meshpoint.testbench.provenance import product_version, provenance
+from meshpoint.testbench.results.monitor import Monitor
+from meshpoint.testbench.results.rows import ShiftRow, summarise
+
+LAYSHAFT_RAD_S: Final = 1400.0 * math.pi / 30.0
+"""Layshaft speed in the old gear: shifts from here shed 400 to 600 rpm, as in the thesis."""
+LIMIT_US_PER_SHIFT: Final = 30_000_000
+TICK_US: Final = 10_000
+
+
+@dataclass(frozen=True)
+class Setup:
+    """One simulated run."""
+
+    sheet: GearboxSheet
+    settings: ControllerSettings
+    preset: Preset = Preset.TRUCK
+    seed: int = 1
+    shifts: int = 20
+    pairs: Pairs = UPSHIFTS
+    as_built: Mapping[str, float] = field(default_factory=dict)
+    faults: tuple[ScheduledFault, ...] = ()
+    calibration: Calibration | None = None
+    """What the controller starts with."""
+
+    @property
+    def header(self) -> RunHeader:
+        """The controller's run header."""
+        return new_header(product_version(), self.sheet, self.settings, self.calibration)
+
+
+@dataclass
+class Result:
+    """What came of it."""
+
+    rows: list[ShiftRow]
+    estimation: dict[str, Any]
+    provenance: dict[str, Any]
+    simulated_s: float
+    bus_load: float
+    stuck: list[int] = field(default_factory=list)
+    as_built: dict[str, Any] | None = None
+    """What was drawn for the rig; None for the preset thesis."""
+    cold_start: bool = True
+    """The controller started without a calibration."""
+
+    def to_json(self, strategy: str) -> dict[str, Any]:
+        """As `simulate --json` prints it."""
+        return {
+            "shifts": [row.to_json() for row in self.rows],
+            "summary": summarise(strategy, self.rows).to_json(),
+            "estimation": self.estimation,
+            "simulated_s": self.simulated_s,
+            "bus_load": round(self.bus_load, 4),
+            "cold_start": self.cold_start,
+            "provenance": self.provenance,
+        } | ({} if self.as_built is None else {"as_built": self.as_built})
+
+
+def not_addressed_to(*nodes: Node) -> frozenset[int]:
+    """The acceptance filter of a node: identifiers of the DBC that it does not receive."""
+    specs = [codec.spec for codec in CODECS.values()]
+    return frozenset(spec.can_id for spec in specs if not spec.receivers & set(nodes))
+
+
+def tick_phases(seed: int) -> list[int]:
+    """First step times of controller, rig and bench: real nodes do not tick together."""
+    rng = np.random.Generator(np.random.PCG64([seed, 0x7_1C]))
+    return [int(phase) for phase in rng.integers(0, TICK_US, 3)]
+
+
+def _virtual_time(now_us: int) -> str:
+    return f"{now_us / 1e6:.2f} s of virtual time"
+
+
+def simulate(
+    setup: Setup,
+    on_frame: Callable[[int, Frame], None] | None = None,
+    on_row: Callable[[ShiftRow], None] | None = None,
+    on_event: Callable[[int, int, str], None] | None = None,
+    monitor: Monitor | None = None,
+    keep: Keep | None = None,
+) -> Result:
+    """Runs all shifts. A function of `setup`: same setup, same frames, same rows.
+
+    `monitor` is one of the caller's making that hears more; `keep` gets the calibration whenever
+    the controller knows more, and at the end."""
+    monitor = monitor or Monitor(setup.sheet, setup.settings)
+    plan = plan_shifts(setup.sheet, list(setup.pairs), setup.shifts, LAYSHAFT_RAD_S)
+    bench = BenchCore(plan)
+    rig_settings = RigSettings(
+        preset=setup.preset,
+        seed=setup.seed,
+        start_gear=plan[0].from_ if plan else UPSHIFTS[0][0],
+        main_speed_rpm=plan[0].main_rad_s * 30.0 / math.pi if plan else 600.0,
+        as_built=setup.as_built,
+        faults=setup.faults,
+    )
+    rig = RigCore(setup.sheet, rig_settings)
+    reported = 0
+
+    def take(time_us: int, frame: Frame) -> None:
+        nonlocal reported
+        message = monitor.take(frame)
+        if on_frame is not None:
+            on_frame(time_us, frame)
+        if on_row is not None and type(message) is ShiftOutcome:
+            for row in monitor.rows.rows[reported:]:
+                on_row(row)
+            reported = len(monitor.rows.rows)
+
+    core = ControllerCore(setup.header)
+    controller = core if keep is None else CalibrationKeeper(core, keep, _virtual_time)
+    cores: list[Core] = [controller, rig, bench]
+    filters = [
+        frozenset[int](),
+        not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
+        not_addressed_to(Node.BENCH),
+    ]
+    driver = VirtualTime(cores, tick_phases(setup.seed), take, on_event, filters)
+    settle()
+    if plan:
+        driver.run(lambda: bench.done, LIMIT_US_PER_SHIFT * len(plan))
+    controller.shutdown(driver.now_us)
+    return Result(
+        rows=monitor.rows.rows,
+        estimation=monitor.estimation.figures(),
+        provenance=provenance(setup.sheet, setup.seed, setup.preset),
+        simulated_s=driver.now_us / 1e6,
+        bus_load=driver.bus.busy_us / max(1, driver.now_us),
+        stuck=bench.gave_up,
+        as_built=rig.as_built,
+        cold_start=setup.calibration is None,
+    )

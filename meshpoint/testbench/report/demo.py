@@ -1,0 +1,53 @@
+"""The report of a demo: both strategies in one page, read back from their logs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from meshpoint.bus.logs.limits import LogError, read_log
+from meshpoint.dbc.frame import Frame
+from meshpoint.rig_sim.settings import RigSettings
+from meshpoint.testbench.logs.replay import Session
+from meshpoint.testbench.loop.live import LiveResult, LiveRun
+from meshpoint.testbench.report.run import Report
+from meshpoint.testbench.report.write import (
+    estimator_notes,
+    gather,
+    report_provenance,
+    write_report,
+)
+
+
+def write_demo_report(
+    path: Path,
+    lives: dict[str, LiveRun],
+    results: dict[str, LiveResult],
+    sessions: dict[str, Session],
+) -> None:
+    """Writes the page; all by strategy. CommandError where plotly is missing."""
+    runs, hashes = [], {}
+    for name, live in lives.items():
+        notes = [f"{name}: replay of the log is {sessions[name]}"]
+        notes += estimator_notes(name, results[name].monitor.estimation.figures())
+        runs.append(gather(name, _frames(live.log), live.header, notes))
+        hashes[f"run header, {name}"] = f"{live.header.run_hash:016x}"
+    first = next(iter(lives.values()))
+    rig: RigSettings = first.rig
+    report = Report(
+        title="meshpoint demo: today's strategy and phase aiming",
+        subtitle=f"Controller and rig on a CAN bus; the gearbox is simulated, preset {rig.preset}.",
+        sheet=first.header.sheet,
+        runs=runs,
+        provenance=report_provenance(
+            first.header.sheet, seed=rig.seed, preset=rig.preset, **hashes
+        ),
+    )
+    write_report(path, report)
+
+
+def _frames(log: Path) -> Iterator[Frame]:
+    """Our own log as far as it can be read; its verification tells of a defect."""
+    with suppress(LogError):
+        yield from (frame for _, frame in read_log(log))

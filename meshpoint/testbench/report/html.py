@@ -1,0 +1,72 @@
+"""One HTML page with everything inside it: nothing fetched, every text escaped."""
+
+from __future__ import annotations
+
+import json
+from html import escape
+from importlib import resources
+from typing import Any, Final
+
+POLICY: Final = (
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data: blob:"
+)
+"""The browser itself refuses whatever would come from elsewhere."""
+Cell = tuple[str, str]
+"""Text and class of a table's cell."""
+NUMBER: Final = "number"
+
+
+def document(
+    title: str, body: list[str], data: dict[str, Any], plotly_js: str, script: str, style: str = ""
+) -> str:
+    """The whole page: `data` is what the product's own script (a file's name) draws with Plotly."""
+    css = own_text("report.css") + (own_text(style) if style else "")
+    return "".join(
+        (
+            "<!doctype html>\n<html lang='en'>\n<head>\n<meta charset='utf-8'>\n",
+            f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n',
+            "<meta name='viewport' content='width=device-width, initial-scale=1'>\n",
+            f"<title>{escape(title)}</title>\n<style>\n{css}</style>\n",
+            "</head>\n<body>\n",
+            "\n".join(body),
+            f"\n<script type='application/json' id='data'>{json_text(data)}</script>\n",
+            f"<script>{plotly_js}</script>\n<script>\n{own_text(script)}</script>\n",
+            "</body>\n</html>\n",
+        )
+    )
+
+
+def own_text(name: str) -> str:
+    """A file of the product's own, such as a script."""
+    return (resources.files("meshpoint.testbench") / name).read_text(encoding="utf-8")
+
+
+def json_text(values: dict[str, Any]) -> str:
+    """JSON that cannot end the script element it stands in."""
+    text = json.dumps(values, separators=(",", ":"), allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def table(head: list[Cell], rows: list[str]) -> str:
+    """A table of rows that are HTML already."""
+    cells = "".join(f"<th{class_of(style)}>{escape(text)}</th>" for text, style in head)
+    return f"<table><thead><tr>{cells}</tr></thead><tbody>\n{''.join(rows)}</tbody></table>"
+
+
+def class_of(style: str) -> str:
+    """The class attribute, or nothing."""
+    return f' class="{style}"' if style else ""
+
+
+def table_row(cells: list[Cell]) -> str:
+    """The cells of a table's row."""
+    return "".join(f"<td{class_of(style)}>{escape(text)}</td>" for text, style in cells)
+
+
+def definitions(values: dict[str, str]) -> str:
+    """Names and values, as a page's provenance."""
+    items = "".join(
+        f"<dt>{escape(name)}</dt><dd><code>{escape(value)}</code></dd>\n"
+        for name, value in values.items()
+    )
+    return f"<dl>\n{items}</dl>"

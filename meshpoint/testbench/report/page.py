@@ -1,0 +1,139 @@
+"""A report as one HTML page: everything inside it, nothing fetched, every text escaped."""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Any, Final
+
+from meshpoint.testbench.report.html import NUMBER, Cell, definitions, document, table, table_row
+from meshpoint.testbench.report.overview import shift_key, wilson
+from meshpoint.testbench.report.run import Report, Run, account, figure, shift_title
+from meshpoint.testbench.results.rows import ShiftRow, Summary
+
+
+def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
+    """The whole page; `data` is what its script draws."""
+    shifts = sum(len(run.shifts) for run in report.runs)
+    body = [
+        f"<h1>{escape(report.title)}</h1>",
+        f"<p>{escape(report.subtitle)}</p>",
+        "<h2>Summary</h2>",
+        _summary(report.runs),
+        _notes(report.runs),
+    ]
+    if shifts:
+        body += [OVERVIEW, "<h2>Shifts</h2>", _shifts(report.runs), VIEWER]
+    else:
+        body.append("<p>No shift to draw.</p>")
+    body += ["<h2>Provenance</h2>", definitions(report.provenance)]
+    return document(report.title, body, data, plotly_js, "report.js")
+
+
+OVERVIEW: Final = """<div class="overview">
+<div><h3>Where the teeth met: one point a shift</h3><div id="contacts"></div></div>
+<div><h3>Prediction against outcome, reference known</h3><div id="predictions"></div></div>
+</div>"""
+VIEWER: Final = """<div class="bar"><h2 id="title"></h2>
+<button id="before">← previous</button><button id="after">next →</button></div>
+<table id="account"><thead><tr><th></th><th class="number">predicted when fired</th>
+<th class="number">seen by the controller</th><th class="number">rig's truth</th></tr></thead>
+<tbody></tbody></table>
+<div id="figure"></div>
+<p>Drag to zoom into a panel or along the time axis, double-click to see all. The arrow keys change
+the shift. Phase counts on over the pitches, so every gap that goes by is a band; truth is the rig's
+reference, which the controller never reads.</p>"""
+
+
+def _notes(runs: list[Run]) -> str:
+    items = "".join(f"<li>{escape(note)}</li>\n" for run in runs for note in run.notes)
+    return f"<ul>\n{items}</ul>" if items else ""
+
+
+def _number(value: float | None, digits: int, signed: bool = False) -> Cell:
+    if value is None:
+        return "–", NUMBER
+    return figure(value, digits, signed), NUMBER
+
+
+def _summary(runs: list[Run]) -> str:
+    head = [("strategy", "")] + [
+        (name, NUMBER)
+        for name in (
+            "shifts", "engaged", "reference known", "into the gap", "rate", "95 % interval",
+            "phase error RMS, deg", "mean duration, ms",
+        )
+    ]  # fmt: skip
+    return table(head, [f"<tr>{table_row(_summary_cells(run.summary))}</tr>\n" for run in runs])
+
+
+def _summary_cells(summary: Summary) -> list[Cell]:
+    aims = summary.strategy == "target_phase"
+    hits, shots = (summary.gap_known, summary.known) if aims else (summary.gap, summary.shifts)
+    low, high = wilson(hits, shots)
+    return [
+        (summary.strategy, ""),
+        (str(summary.shifts), NUMBER),
+        (str(summary.engaged), NUMBER),
+        (str(summary.known), NUMBER),
+        (f"{hits} of {shots}", NUMBER),
+        (f"{100 * hits / shots:.0f} %" if shots else "–", NUMBER),
+        (f"{100 * low:.0f} to {100 * high:.0f} %" if shots else "–", NUMBER),
+        _number(summary.phase_error_rms_deg if aims else None, 2),
+        _number(summary.mean_duration_ms, 0),
+    ]
+
+
+SHIFT_HEAD: Final = [
+    ("shift", ""), ("gears", ""), ("strategy", ""), ("reference", ""),
+    ("contact", ""), ("phase error, % of pitch", NUMBER), ("predicted ± sd, %", NUMBER),
+    ("slip, rpm", NUMBER), ("valve to contact, ms", NUMBER), ("duration, ms", NUMBER),
+    ("speed lost, km/h", NUMBER), ("attempts", NUMBER), ("result", ""),
+]  # fmt: skip
+
+
+def _shifts(runs: list[Run]) -> str:
+    rows = []
+    for r, run in enumerate(runs):
+        if len(runs) > 1:
+            span = len(SHIFT_HEAD)
+            rows.append(f'<tr class="run"><th colspan="{span}">{escape(run.name)}</th></tr>\n')
+        for s, shift in enumerate(run.shifts):
+            key = shift_key(r, s)
+            link = f'<td><a href="#{key}">{s + 1}</a></td>'
+            rows.append(f'<tr id="{key}">{link}{table_row(_shift_cells(shift.row))}</tr>\n')
+    return f'<div class="scroll">{table(SHIFT_HEAD, rows)}</div>'
+
+
+def _shift_cells(row: ShiftRow) -> list[Cell]:
+    to_pct = 100 / row.pitch_deg
+    predicted = "–"
+    if row.predicted_phase_deg is not None and row.attempts:
+        sd = to_pct * (row.predicted_phase_sd_deg or 0.0)
+        predicted = f"{figure(to_pct * row.predicted_phase_deg, 1, True)} ± {sd:.1f}"
+    result = row.result if row.fault == "none" else f"{row.result}: {row.fault}"
+    return [
+        (f"{row.from_} → {row.to}", ""),
+        (row.strategy, ""),
+        (row.reference, ""),
+        (row.contact or "–", row.contact or ""),
+        _number(row.phase_error_pct_of_pitch, 1, signed=True),
+        (predicted, NUMBER),
+        _number(row.slip_rpm, 1, signed=True),
+        _number(row.delay_ms, 1),
+        _number(row.duration_ms, 0),
+        _number(row.speed_lost_kmh, 1),
+        (str(row.attempts), NUMBER),
+        (result, ""),
+    ]
+
+
+def shift_words(report: Report) -> dict[str, dict[str, Any]]:
+    """Title and account of every shift by its key."""
+    return {
+        shift_key(r, s): {
+            "title": shift_title(run.name, s + 1, shift),
+            "account": account(shift),
+        }
+        for r, run in enumerate(report.runs)
+        for s, shift in enumerate(run.shifts)
+    }

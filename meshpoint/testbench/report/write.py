@@ -1,0 +1,122 @@
+"""`report.html`: a run as one file that opens anywhere, without a network and without meshpoint."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from meshpoint.controller.header import RunHeader
+from meshpoint.dbc import DBC_SHA256
+from meshpoint.dbc.frame import Frame
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.provenance import product_version
+from meshpoint.testbench.report.collect import ReportCollector
+from meshpoint.testbench.report.figures import shift_figure
+from meshpoint.testbench.report.layout import common_layout
+from meshpoint.testbench.report.overview import contacts_figure, predictions_figure, shift_key
+from meshpoint.testbench.report.page import page, shift_words
+from meshpoint.testbench.report.run import Report, Run
+from meshpoint.testbench.results.output import check_json, folder_for
+
+EXTRA = "a report needs the extra: pip install 'meshpoint[report]'"
+
+
+def has_plotly() -> bool:
+    """Whether the extra `report` is installed."""
+    try:
+        import plotly.offline  # noqa: F401
+    except ImportError:
+        return False
+    return True
+
+
+def check_report(path: Path | None) -> None:
+    """Finds out before a long run whether its report can be made. CommandError where it cannot."""
+    if path is None:
+        return
+    if not has_plotly():
+        raise CommandError(EXTRA)
+    check_json(str(path))
+
+
+def report_provenance(
+    sheet: GearboxSheet, *, seed: int | None = None, preset: str | None = None, **more: str
+) -> dict[str, str]:
+    """What is needed to make the report's figures again."""
+    values = {"seed": seed, "preset": preset}
+    known = {key: str(value) for key, value in values.items() if value is not None}
+    return {
+        **known,
+        "gearbox": sheet.name,
+        "gearbox sha256": sheet.sha256,
+        "DBC sha256": DBC_SHA256,
+        "version": product_version(),
+        **more,
+    }
+
+
+def gather(name: str, frames: Iterable[Frame], header: RunHeader, notes: list[str]) -> Run:
+    """A run from the frames of its bus."""
+    collector = ReportCollector(header.sheet, aim_rad(header))
+    for frame in frames:
+        collector.receive(frame)
+    return Run(name, collector.finish(), notes)
+
+
+def aim_rad(header: RunHeader) -> float:
+    """The phase that the controller of this header aims at."""
+    return header.settings.aim.target_rad_share * header.sheet.dog.backlash_rad / 2.0
+
+
+def estimator_notes(name: str, figures: dict[str, Any]) -> list[str]:
+    """What `EstimationScore.figures` says, in words."""
+    return [
+        f"{name}, estimator {estimator}: angle RMS {values['angle_rms_deg']:.3f} deg, speed RMS "
+        f"{values['speed_rms_rpm']:.2f} rpm at the layshaft, from neutral to contact"
+        for estimator, values in figures.items()
+        if values["samples"]
+    ]
+
+
+def write_report(path: Path, report: Report) -> None:
+    """Writes the page. CommandError where plotly is missing or the file cannot be written."""
+    try:
+        from plotly.offline import get_plotlyjs
+    except ImportError as error:
+        raise CommandError(EXTRA) from error
+    text = page(report, report_data(report), get_plotlyjs())
+    folder_for(path.parent)
+    try:
+        path.write_text(text, encoding="utf-8", newline="\n")
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def report_data(report: Report) -> dict[str, Any]:
+    """All figures, as the page's script draws them."""
+    words = shift_words(report)
+    figures = {
+        shift_key(r, s): shift_figure(shift, report.sheet)
+        for r, run in enumerate(report.runs)
+        for s, shift in enumerate(run.shifts)
+    }
+    aimed = (
+        shift_key(r, s)
+        for r, run in enumerate(report.runs)
+        for s, shift in enumerate(run.shifts)
+        if shift.row.reference == "known" and shift.row.strategy == "target_phase"
+    )
+    overview = {}
+    if figures:
+        overview = {
+            "contacts": contacts_figure(list(report.runs), report.sheet),
+            "predictions": predictions_figure(list(report.runs), report.sheet),
+        }
+    return {
+        "common": common_layout(report.sheet),
+        "overview": overview,
+        "shifts": {key: figure | words[key] for key, figure in figures.items()},
+        "first": next(aimed, next(iter(figures), "")),
+    }

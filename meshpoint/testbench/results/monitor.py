@@ -1,0 +1,82 @@
+"""Everything a bench reads off the bus while a run goes on: rows, estimation, traces, counts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.link import Receiver
+from meshpoint.dbc.messages import (
+    ControllerStatus,
+    EdgesInputFall,
+    EdgesInputRise,
+    EdgesLayshaftFall,
+    EdgesLayshaftRise,
+    GearboxSensors,
+    Message,
+    ReferenceEncoder,
+    ReferenceEngagement,
+    ReferencePhase,
+    ShiftOutcome,
+    SleevesAux,
+    SleevesMain,
+    ValveCommand,
+)
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.testbench.results.estimation import EstimationScore, Sample
+from meshpoint.testbench.results.rows import RowCollector
+
+READ_AT_REST: Final = (
+    EdgesLayshaftRise, EdgesLayshaftFall, SleevesMain, SleevesAux, GearboxSensors, ValveCommand,
+    ControllerStatus, ReferenceEngagement, ReferencePhase, ShiftOutcome,
+)  # fmt: skip
+"""What rows and estimation need: less than half of the bus; the rest stays undecoded. Edges are
+needed between shifts too, so that the tooth count goes on."""
+READ: Final = (*READ_AT_REST, ReferenceEncoder)
+READ_FUSED: Final = (EdgesInputRise, EdgesInputFall)
+"""And where the controller fuses the input shaft."""
+
+
+def identifiers(kinds: tuple[type[Message], ...]) -> frozenset[int]:
+    """The CAN identifiers of message types."""
+    return frozenset(CODECS[kind.__name__].spec.can_id for kind in kinds)
+
+
+class Monitor:
+    """Decodes the whole bus, truth included, and feeds the collectors."""
+
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        settings: ControllerSettings,
+        also: tuple[type[Message], ...] = (),
+        on_sample: Callable[[Sample], None] | None = None,
+    ) -> None:
+        """`also`: further messages that `take` should return; `on_sample` sees every instant at
+        which the estimators are scored."""
+        half_gap = sheet.dog.backlash_rad / 2.0
+        self.rows = RowCollector(sheet, settings.aim.target_rad_share * half_gap)
+        self.estimation = EstimationScore(sheet, settings, on_sample)
+        self.status: ControllerStatus | None = None
+        also += READ_FUSED if settings.crossing_filter.fuse_input else ()
+        self._read = identifiers(READ + also)
+        self._read_at_rest = identifiers(READ_AT_REST + also)
+        self._receiver = Receiver(*Node)
+
+    def take(self, frame: Frame) -> Message | None:
+        """One frame in bus order; returns the message where there is one."""
+        wanted = self._read if self.estimation.active else self._read_at_rest
+        if frame.can_id not in wanted:
+            return None
+        message = self._receiver.receive(frame).message
+        if message is None:
+            return None
+        if isinstance(message, ControllerStatus):
+            self.status = message
+        self.rows.take(message)
+        self.estimation.take(message)
+        return message

@@ -1,0 +1,138 @@
+"""What commands print: rows, summaries, JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.results.rows import ShiftRow, Summary
+
+WIDTH_WITHOUT_TERMINAL = 130
+COLUMNS = (
+    "from", "to", "strategy", "reference", "duration\nms", "slip\nrpm", "phase\nerror\ndeg",
+    "% of\npitch", "contact", "tries", "result",
+)  # fmt: skip
+
+
+def write_json(target: str, values: dict[str, Any]) -> None:
+    """Writes sorted JSON to a file, or to standard output for `-`."""
+    text = json.dumps(values, indent=1, sort_keys=True, allow_nan=False) + "\n"
+    if target == "-":
+        sys.stdout.write(text)
+        return
+    path = Path(target)
+    folder_for(path.parent)
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def complain(line: str) -> None:
+    """A line on standard error, where it does not get into anybody's results."""
+    sys.stderr.write(line + "\n")
+    sys.stderr.flush()
+
+
+def console(json_target: str | None = None) -> Console:
+    """Where people read: standard output, or standard error when JSON goes to standard output.
+
+    A pipe or a file has no width, so tables are never cut for one."""
+    out = Console(stderr=json_target == "-", highlight=False)
+    if not out.is_terminal:
+        out.width = max(out.width, WIDTH_WITHOUT_TERMINAL)
+    return out
+
+
+def folder_for(path: Path) -> Path:
+    """Makes the folder, so that a long run does not fail at its end; returns it."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be made a folder: {error.strerror or error}") from error
+    return path
+
+
+def check_json(target: str | None) -> None:
+    """Finds out before a long run whether its JSON can be written."""
+    if target is None or target == "-":
+        return
+    path = Path(target)
+    folder_for(path.parent)
+    try:
+        with path.open("a", encoding="utf-8"):
+            pass
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _number(value: float | None, digits: int, signed: bool = False) -> str:
+    if value is None:
+        return "-"
+    return f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
+
+
+def cells(row: ShiftRow) -> list[str]:
+    """A row as the table shows it."""
+    contact = {"gap": "[green]gap[/]", "tooth": "[red]tooth[/]", None: "-"}[row.contact]
+    return [
+        str(row.from_),
+        str(row.to),
+        row.strategy,
+        row.reference,
+        f"{row.duration_ms:.0f}",
+        _number(row.slip_rpm, 1, signed=True),
+        _number(row.phase_error_deg, 2, signed=True),
+        _number(row.phase_error_pct_of_pitch, 1, signed=True),
+        contact,
+        str(row.attempts),
+        row.result,
+    ]
+
+
+def rows_table(title: str, rows: list[ShiftRow]) -> Table:
+    """One row a shift, in a terminal of 80 columns too: a name too long for it is folded."""
+    table = Table(
+        title=title, title_justify="left", box=None, pad_edge=False, collapse_padding=True
+    )
+    for column in COLUMNS:
+        right = column not in ("strategy", "reference", "contact", "result")
+        table.add_column(
+            column,
+            justify="right" if right else "left",
+            no_wrap=column not in ("strategy", "result"),
+            overflow="fold",
+        )
+    for row in rows:
+        table.add_row(*cells(row))
+    return table
+
+
+def summary_table(summaries: list[Summary]) -> Table:
+    """Strategies side by side."""
+    table = Table(title="summary", title_justify="left", box=None, pad_edge=False)
+    for column in (
+        "strategy", "shifts", "reference known", "into the gap", "rate", "phase error RMS deg",
+        "mean duration ms",
+    ):  # fmt: skip
+        table.add_column(column, justify="left" if column == "strategy" else "right")
+    for summary in summaries:
+        aims = summary.strategy == "target_phase"
+        hits, shots = (summary.gap_known, summary.known) if aims else (summary.gap, summary.shifts)
+        rate = summary.gap_rate
+        table.add_row(
+            summary.strategy,
+            str(summary.shifts),
+            str(summary.known),
+            f"{hits} of {shots}",
+            "-" if rate is None else f"{100 * rate:.0f} %",
+            _number(summary.phase_error_rms_deg if aims else None, 2),
+            _number(summary.mean_duration_ms, 0),
+        )
+    return table

@@ -1,0 +1,235 @@
+"""Shift by shift: what the controller reported beside what the rig's truth says.
+
+Fed with messages in bus order, so simulate, demo and replay make the same rows of the same frames.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+from meshpoint.dbc.messages import (
+    EngagementEvent,
+    MainGear,
+    Message,
+    PhaseReference,
+    ReferenceEngagement,
+    ReferencePhase,
+    ShiftOutcome,
+    ShiftResult,
+)
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.testbench.results.road_speed import RoadSpeed, span_us
+
+DEG: Final = math.pi / 180.0
+RPM: Final = math.pi / 30.0
+CONTACTS: Final = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOTH_CONTACT: "tooth"}
+ENDS: Final = (EngagementEvent.LOCKED, EngagementEvent.GIVEN_UP)
+SOURCES: Final = ("measured", "restored", "narrowed")
+OFF_FACE: Final = (EngagementEvent.TOOTH_PASSED, EngagementEvent.GIVEN_UP)
+
+
+@dataclass(frozen=True)
+class ShiftRow:
+    """One shift. Phase error and slip are the rig's truth at first contact; else None."""
+
+    from_: int
+    to: int
+    strategy: str
+    reference: str
+    result: str
+    duration_ms: float
+    slip_rpm: float | None
+    phase_error_deg: float | None
+    pitch_deg: float
+    contact: str | None
+    attempts: int
+    predicted_phase_deg: float | None
+    predicted_phase_sd_deg: float | None
+    delay_ms: float | None
+    """From activation to contact, by the rig's truth."""
+    request_us: int
+    contact_us: int | None
+    end_us: int
+    fault: str
+    impact_j: float = 0.0
+    """Lost in flank impacts until the gear was locked, all attempts; 0 in the preset thesis."""
+    face_ms: float = 0.0
+    """Tooth on tooth, all attempts."""
+    ratchets: int = 0
+    """Times a flank threw the sleeve back."""
+    blocked: int = 0
+    """Attempts in which sleeve and gear stuck tooth on tooth."""
+    speed_lost_kmh: float | None = None
+    """Road speed at the request less that at the end, by the rig's truth (thesis 1.2); None in the
+    preset thesis, which has no vehicle."""
+    reference_source: str = "none"
+    """Where a known reference came from: measured, restored or narrowed."""
+
+    @property
+    def phase_error_pct_of_pitch(self) -> float | None:
+        """The phase error in per cent of a pitch."""
+        return None if self.phase_error_deg is None else 100 * self.phase_error_deg / self.pitch_deg
+
+    def to_json(self) -> dict[str, Any]:
+        """The row as the commands print it; times are the sensor clock's 32-bit microseconds."""
+        fields = {key.rstrip("_"): value for key, value in vars(self).items()}
+        fields["phase_error_pct_of_pitch"] = self.phase_error_pct_of_pitch
+        return {k: round(v, 6) if isinstance(v, float) else v for k, v in fields.items()}
+
+
+class RowCollector:
+    """Pairs each outcome with the first contact of the gear it went for."""
+
+    def __init__(self, sheet: GearboxSheet, target_phase_rad: float = 0.0) -> None:
+        self._pitch_deg = sheet.dog.pitch_rad / DEG
+        self._target_rad = target_phase_rad
+        self._contacts: list[ReferenceEngagement] = []
+        self._events: list[ReferenceEngagement] = []
+        self._road = RoadSpeed()
+        self.rows: list[ShiftRow] = []
+
+    def take(self, message: Message) -> None:
+        """One message in bus order."""
+        kind = type(message)
+        if isinstance(message, ReferencePhase):
+            self._road.take(message)
+            return
+        if kind is not ReferenceEngagement and kind is not ShiftOutcome:
+            return
+        if isinstance(message, ReferenceEngagement):
+            self._events.append(message)
+            if message.event is EngagementEvent.READY:
+                self._contacts.clear()
+                self._events.clear()
+            elif message.event in CONTACTS:
+                self._contacts.append(message)
+        elif isinstance(message, ShiftOutcome) and message.result is not ShiftResult.REFUSED:
+            self.rows.append(self._row(message))
+
+    def _row(self, outcome: ShiftOutcome) -> ShiftRow:
+        target = DRIVE_GEARS[outcome.to_gear].main
+        contact = next((c for c in self._contacts if c.gear == MainGear(target)), None)
+        cost = _cost([event for event in self._events if event.gear == MainGear(target)])
+        self._contacts.clear()
+        self._events.clear()
+        known = outcome.reference is PhaseReference.KNOWN
+        phase = slip = delay = None
+        lost_m_s = self._road.lost_m_s(outcome.request_time_us, outcome.end_time_us)
+        if contact is not None:
+            pitch = self._pitch_deg
+            phase = (contact.phase_rad - self._target_rad) / DEG
+            phase -= pitch * math.floor(phase / pitch + 0.5)
+            slip = contact.slip_rad_s / RPM
+            delay = span_us(contact.event_time_us, outcome.fire_time_us) / 1000
+        return ShiftRow(
+            from_=outcome.from_gear,
+            to=outcome.to_gear,
+            strategy=outcome.strategy.name.lower(),
+            reference=outcome.reference.name.lower(),
+            result=outcome.result.name.lower(),
+            duration_ms=span_us(outcome.end_time_us, outcome.request_time_us) / 1000,
+            slip_rpm=slip,
+            phase_error_deg=phase,
+            pitch_deg=self._pitch_deg,
+            contact=CONTACTS[contact.event] if contact else None,
+            attempts=outcome.attempts,
+            predicted_phase_deg=outcome.predicted_phase_rad / DEG if known else None,
+            predicted_phase_sd_deg=outcome.predicted_phase_sd_rad / DEG if known else None,
+            delay_ms=delay if outcome.attempts == 1 else None,
+            request_us=outcome.request_time_us,
+            contact_us=contact.event_time_us if contact else None,
+            end_us=outcome.end_time_us,
+            fault=outcome.fault.name.lower(),
+            impact_j=cost.impact_j,
+            face_ms=cost.face_us / 1000,
+            ratchets=cost.ratchets,
+            blocked=cost.blocked,
+            reference_source=outcome.reference_source.name.lower(),
+            speed_lost_kmh=None if lost_m_s is None else 3.6 * lost_m_s,
+        )
+
+
+class _Cost(NamedTuple):
+    impact_j: float
+    face_us: int
+    ratchets: int
+    blocked: int
+
+
+def _cost(events: list[ReferenceEngagement]) -> _Cost:
+    """What all attempts of a shift have cost, by the rig's tallies; time on the face also from the
+    events, since the preset thesis keeps no tally."""
+    ends = [event for event in events if event.event in ENDS]
+    on_face_us, since_us = 0, None
+    for event in events:
+        if event.event is EngagementEvent.TOOTH_CONTACT:
+            since_us = event.event_time_us
+        elif since_us is not None and event.event in OFF_FACE:
+            on_face_us += span_us(event.event_time_us, since_us)
+            since_us = None
+    return _Cost(
+        impact_j=sum(end.impact_energy_j for end in ends),
+        face_us=max(on_face_us, sum(end.face_time_us for end in ends)),
+        ratchets=sum(end.ratchets for end in ends),
+        blocked=sum(end.blocked for end in ends),
+    )
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a list of rows comes to, for one strategy as it was asked for."""
+
+    strategy: str
+    shifts: int
+    known: int
+    """Shifts with the phase reference known when the sleeve was fired."""
+    reference_sources: dict[str, int]
+    """Of them by where it came from: measured in mesh, restored with the tooth numbers, narrowed by
+    other gears in mesh."""
+    gap: int
+    gap_known: int
+    engaged: int
+    mean_duration_ms: float | None
+    phase_error_rms_deg: float | None
+    """Over the shifts with a known reference; None without any."""
+
+    @property
+    def gap_rate(self) -> float | None:
+        """Share of first contacts in a gap, over the shifts that could aim where it aims at all."""
+        if self.strategy == "target_phase":
+            return self.gap_known / self.known if self.known else None
+        return self.gap / self.shifts if self.shifts else None
+
+    @property
+    def reference_known(self) -> float | None:
+        """Share of the shifts whose phase reference was known when the sleeve was fired."""
+        return self.known / self.shifts if self.shifts else None
+
+    def to_json(self) -> dict[str, Any]:
+        """Counts and figures by name."""
+        return vars(self) | {"gap_rate": self.gap_rate, "reference_known": self.reference_known}
+
+
+def summarise(strategy: str, rows: list[ShiftRow]) -> Summary:
+    """The summary of the rows of one run with that strategy."""
+    known = [row for row in rows if row.reference == "known"]
+    errors = [row.phase_error_deg for row in known if row.phase_error_deg is not None]
+    durations = [row.duration_ms for row in rows if row.result == "engaged"]
+    return Summary(
+        strategy=strategy,
+        shifts=len(rows),
+        known=len(known),
+        reference_sources={
+            source: sum(row.reference_source == source for row in known) for source in SOURCES
+        },
+        gap=sum(row.contact == "gap" for row in rows),
+        gap_known=sum(row.contact == "gap" for row in known),
+        engaged=sum(row.result == "engaged" for row in rows),
+        mean_duration_ms=sum(durations) / len(durations) if durations else None,
+        phase_error_rms_deg=(
+            math.sqrt(sum(e * e for e in errors) / len(errors)) if errors else None
+        ),
+    )

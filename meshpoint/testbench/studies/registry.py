@@ -1,0 +1,69 @@
+"""All studies by name.
+
+How a study is added: a file `meshpoint/testbench/studies/NAME.py` with a frozen dataclass of its settings and
+a constant `STUDY: Study`; a table `[NAME]` in `studies.toml` with a value for every setting; its
+name in `NAMES`, at the place where it should stand on the page; a line in `docs/thesis.md`.
+What takes longer than a second goes into jobs (`jobs.py` has the closed loop), which run in
+parallel; `conclude` makes statements, figures, charts and tables of their results. Drawing, CSV,
+JSON and the page are the frame's.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import Any, Final
+
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.studies.record import Study
+
+NAMES: Final = (
+    "valve",
+    "torque",
+    "layshaft",
+    "delay",
+    "linear",
+    "euler",
+    "hold",
+    "parameters",
+    "start_angle",
+    "start_speed",
+    "delay_error",
+    "speed_estimate",
+    "angle_estimate",
+    "step",
+    "bound",
+    "shiftability",
+    "hardware",
+    "target",
+    "fusion",
+)
+"""In the order of the thesis, then what goes beyond it."""
+ALL: Final = "all"
+
+
+def load(name: str) -> Study[Any]:
+    """The study of this name. KeyError where there is none."""
+    if name not in NAMES:
+        raise KeyError(name)
+    study: Study[Any] = importlib.import_module(f"meshpoint.testbench.studies.{name}").STUDY
+    return study
+
+
+def chosen(words: list[str]) -> list[Study[Any]]:
+    """The studies asked for, each once, in the order of `NAMES`.
+
+    A word is a study's name, `all`, or what it reproduces (`6.8`, `figure 6.8`, `table 6.1`).
+    CommandError on anything else."""
+    studies = [load(name) for name in NAMES]
+    wanted: set[str] = set()
+    for word in words:
+        found = [study.name for study in studies if word == ALL or _answers(study, word)]
+        if not found:
+            raise CommandError(f"no study {word!r}; allowed are all, list, {', '.join(NAMES)}")
+        wanted.update(found)
+    return [study for study in studies if study.name in wanted]
+
+
+def _answers(study: Study[Any], word: str) -> bool:
+    numbers = {item.split()[-1] for item in study.of}
+    return word == study.name or word in study.of or word in numbers

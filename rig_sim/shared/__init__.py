@@ -1,0 +1,1 @@
+"""What both gearboxes have alike: valves, sleeves, the bench script, edge arrays."""

@@ -1,0 +1,216 @@
+"""Gear against sleeve: valve effects on the two main sleeves, the contact rule, locking.
+
+Phase is the angle of a gear tooth from the middle of the sleeve's gap; it grows with the slip, the
+gear's speed less the sleeve's. At contact |phase| < b/2 is a gap. Else the sleeve rests on the
+tooth until the slip, which may turn round meanwhile, has carried the tooth to a gap. In the gap the
+slip carries the tooth on to a flank, +b/2 or -b/2: there the gear locks and the layshaft follows
+the main shaft.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections import Counter
+from enum import IntEnum
+from typing import Final, Generic, NamedTuple, TypeVar
+
+from meshpoint.dbc.messages import EngagementEvent
+from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
+from meshpoint.gearbox.sheet import RPM, GearboxSheet
+from meshpoint.rig_sim.shared.rotation import Rotation
+from meshpoint.rig_sim.shared.sleeves import Sleeve as SleeveAxis
+from meshpoint.rig_sim.shared.sleeves import SleeveState
+from meshpoint.rig_sim.shared.valve_drivers import Valve
+
+MAIN_VALVES: Final[dict[Valve, MainGear]] = {
+    Valve.MAIN_FIRST: MainGear.FIRST,
+    Valve.MAIN_SECOND: MainGear.SECOND,
+    Valve.MAIN_CRAWL: MainGear.CRAWL,
+    Valve.MAIN_THIRD: MainGear.THIRD,
+}
+VALVE_OF_MAIN: Final = {gear: valve for valve, gear in MAIN_VALVES.items()}
+GEAR_AT: Final = {(where.sleeve, where.direction): gear for gear, where in SLEEVE_OF_MAIN.items()}
+
+
+class Violation(IntEnum):
+    """What a controller must never bring about."""
+
+    TWO_GEARS = 0  # a second gear at its sleeve while one is in mesh
+    BRAKE_IN_GEAR = 1  # brake valve on while a gear is locked
+    BOTH_VALVES = 2  # both valves of one sleeve on
+
+
+class Tally(NamedTuple):
+    """What an engagement has cost so far, since its sleeve was fired."""
+
+    impact_j: float = 0.0
+    face_us: int = 0
+    ratchets: int = 0
+    blocked: bool = False
+
+
+NO_TALLY: Final = Tally()
+
+
+class Engaged(NamedTuple):
+    """An event between gear and sleeve; slip before any impact. drive_gear: Ready only."""
+
+    event: EngagementEvent
+    gear: MainGear
+    time_us: float
+    phase_rad: float
+    slip_rad_s: float
+    drive_gear: int = 0
+    tally: Tally = NO_TALLY
+
+
+SleeveT = TypeVar("SleeveT", bound=SleeveAxis)
+
+
+class Engagement(ABC, Generic[SleeveT]):
+    """The two main sleeves, their valves, and the record of what happens; common to all presets."""
+
+    def __init__(
+        self, sheet: GearboxSheet, plant: Rotation, sleeves: dict[Sleeve, SleeveT]
+    ) -> None:
+        self._plant = plant
+        self._half_rad = sheet.dog.backlash_rad / 2.0
+        self._pitch_rad = sheet.dog.pitch_rad
+        self.sleeves = sleeves
+        self._energised: set[Valve] = set()
+        self._blocked: set[Sleeve] = set()
+        self.scripted = False
+        self.violations: Counter[Violation] = Counter()
+        self.records: list[Engaged] = []
+        self.lines: list[tuple[float, str]] = []
+
+    @property
+    def next_us(self) -> float:
+        """When a contact, the end of an overlap or an arrival in neutral is due."""
+        return min(sleeve.next_us for sleeve in self.sleeves.values())
+
+    def gear_at(self, name: Sleeve) -> MainGear:
+        """The gear a sleeve is at, or moves to or from."""
+        return GEAR_AT.get((name, self.sleeves[name].side), MainGear.NEUTRAL)
+
+    def switch(self, valve: Valve, on: bool, time_us: float) -> None:
+        """A main valve or the brake valve has been switched."""
+        (self._energised.add if on else self._energised.discard)(valve)
+        if valve is Valve.BRAKE:
+            self._count_brake_in_gear(time_us)
+            return
+        where = SLEEVE_OF_MAIN[MAIN_VALVES[valve]]
+        opposite = VALVE_OF_MAIN[GEAR_AT[where.sleeve, -where.direction]]
+        if on and opposite in self._energised:
+            self._violate(Violation.BOTH_VALVES, time_us, f"both valves of {where.sleeve.name} on")
+        if self.scripted:
+            if on:
+                self._say(time_us, f"valve {valve.name} ignored: the bench moves the sleeves")
+        elif not on:
+            self._valve_off(where.sleeve, where.direction, time_us)
+        elif opposite in self._energised:
+            self._valve_off(where.sleeve, -where.direction, time_us)
+        else:
+            self._valve_on(where.sleeve, where.direction, time_us)
+
+    def due(self, time_us: float) -> None:
+        """Do what is due now; the plant stands at this instant."""
+        for name, sleeve in self.sleeves.items():
+            if sleeve.contact_us <= time_us:
+                self._contact(name, time_us)
+            if sleeve.unmesh_us <= time_us:
+                self._unmesh(name)
+            if sleeve.neutral_us <= time_us:
+                sleeve.arrive(time_us)
+                self._blocked.discard(name)
+
+    def script_release(self, time_us: float, duration_s: float) -> None:
+        """The bench moves every main sleeve to neutral, within this time."""
+        for sleeve in self.sleeves.values():
+            if sleeve.state in (SleeveState.NEUTRAL, SleeveState.RETRACT):
+                continue  # neutral is there or near: nothing takes a sleeve longer than the script
+            if sleeve.stands(time_us):
+                sleeve.release(time_us, duration_s)
+            else:
+                sleeve.let_go(time_us)
+
+    def script_engage(self, gear: MainGear, time_us: float) -> None:
+        """The bench moves the sleeve of this gear in, with a delay drawn as ever."""
+        where = SLEEVE_OF_MAIN[gear]
+        delay_s = self._delay_s(where.sleeve, where.direction)
+        self.sleeves[where.sleeve].engage(time_us, where.direction, delay_s)
+
+    def ready(self, gear: MainGear, drive_gear: int) -> None:
+        """The bench's return to a gear has ended here."""
+        phase = self._plant.shafts.phase_rad(gear) if gear else 0.0
+        slip = self._plant.slip_rad_s(gear) if gear else 0.0
+        self._record(EngagementEvent.READY, gear, phase, slip, drive_gear)
+
+    def _valve_on(self, name: Sleeve, direction: int, time_us: float) -> None:
+        sleeve = self.sleeves[name]
+        if not sleeve.stands(time_us):
+            self._say(time_us, f"activation of {name.name} lost: {sleeve.state.name}")
+        elif sleeve.state is SleeveState.NEUTRAL:
+            sleeve.engage(time_us, direction, self._delay_s(name, direction))
+        elif sleeve.side == -direction:
+            sleeve.release(time_us, self._delay_s(name, direction))
+
+    def _valve_off(self, name: Sleeve, direction: int, time_us: float) -> None:
+        sleeve = self.sleeves[name]
+        if sleeve.side == direction:
+            under_way = sleeve.state in (SleeveState.APPROACH, SleeveState.FACE, SleeveState.ENTER)
+            if under_way and not sleeve.stands(time_us):
+                sleeve.let_go(time_us)
+        elif sleeve.state is SleeveState.RETRACT and sleeve.meshed:
+            sleeve.hold(time_us)
+
+    @abstractmethod
+    def _contact(self, name: Sleeve, time_us: float) -> None:
+        """The sleeve has reached the gear."""
+
+    @abstractmethod
+    def _unmesh(self, name: Sleeve) -> None:
+        """The teeth leave each other."""
+
+    @abstractmethod
+    def _delay_s(self, name: Sleeve, direction: int) -> float:
+        """Delay from the valve's activation to contact or neutral; direction of the movement."""
+
+    def _another_meshed(self, name: Sleeve) -> bool:
+        return any(sleeve.meshed for other, sleeve in self.sleeves.items() if other is not name)
+
+    def _block(self, name: Sleeve, time_us: float) -> None:
+        self._blocked.add(name)
+        gear = self.gear_at(name)
+        self._violate(Violation.TWO_GEARS, time_us, f"{gear.name} pushed while a gear is in mesh")
+
+    def _count_brake_in_gear(self, time_us: float) -> None:
+        lock = self._plant.shafts.lock
+        if lock is not None and Valve.BRAKE in self._energised:
+            self._violate(Violation.BRAKE_IN_GEAR, time_us, f"brake on in gear {lock.gear.name}")
+
+    def _violate(self, kind: Violation, time_us: float, text: str) -> None:
+        self.violations[kind] += 1
+        self._say(time_us, f"VIOLATION {kind.name}: {text}")
+
+    def _record(
+        self,
+        event: EngagementEvent,
+        gear: MainGear,
+        phase_rad: float,
+        slip_rad_s: float,
+        drive_gear: int = 0,
+        tally: Tally = NO_TALLY,
+    ) -> None:
+        time_us = self._plant.time_us
+        self.records.append(Engaged(event, gear, time_us, phase_rad, slip_rad_s, drive_gear, tally))
+        where = f" drive gear {drive_gear}" if event is EngagementEvent.READY else ""
+        self._say(
+            time_us,
+            f"{event.name} {gear.name}{where} phase {math.degrees(phase_rad):+.3f} deg"
+            f" slip {slip_rad_s / RPM:+.2f} rpm",
+        )
+
+    def _say(self, time_us: float, text: str) -> None:
+        self.lines.append((time_us, text))

@@ -1,0 +1,174 @@
+"""The scripted way back to a gear between two shifts, as the thesis re-initialises its model.
+
+    RELEASE   60 ms   the main sleeves go to neutral
+    RAMP      300 ms  constant acceleration of layshaft and main shaft; splitter and range change
+                      (or as long as is set)
+    ENGAGE            the layshaft keeps its speed, 20 rpm of slip, while the sleeve goes in by the
+                      contact rule; at full stroke and locked the bench says Ready
+
+Speeds change smoothly and no angle jumps. While the script runs, valves do not move the sleeves.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any, Final, Protocol
+
+from meshpoint.gearbox.gears import (
+    DRIVE_GEARS,
+    SLEEVE_OF_MAIN,
+    DriveGear,
+    MainGear,
+    Range,
+    Sleeve,
+    Split,
+)
+from meshpoint.gearbox.sheet import RPM, GearboxSheet
+from meshpoint.rig_sim.settings import RETURN_RAMP_S
+from meshpoint.rig_sim.shared.engagement import Engagement
+from meshpoint.rig_sim.shared.rotation import Rotation
+from meshpoint.rig_sim.shared.sleeves import NEVER_US, SECOND_US, ShiftingSleeve, SleeveState
+
+RELEASE_S: Final = 0.060
+SLIP_RAD_S: Final = 20.0 * RPM
+
+
+class DrawsDelays(Protocol):
+    """Where the delays of splitter and range come from."""
+
+    def draw_s(self) -> float:
+        """The next delay, s."""
+
+
+class ScriptPhase(IntEnum):
+    """Where the script stands."""
+
+    IDLE = 0
+    RELEASE = 1
+    RAMP = 2
+    ENGAGE = 3
+
+
+class BenchScript:
+    """Runs the script; the plant stands at the instant of every call."""
+
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        plant: Rotation,
+        engagement: Engagement[Any],
+        delays: DrawsDelays,
+        gear: DriveGear,
+    ) -> None:
+        self._sheet = sheet
+        self._plant = plant
+        self._engagement = engagement
+        self._delays = delays
+        self._gear: DriveGear | None = gear
+        self._main_rad_s = plant.main_rad_s
+        self._phase_end_us = NEVER_US
+        self.ramp_s = RETURN_RAMP_S
+        self.phase = ScriptPhase.IDLE
+        self.splitter = ShiftingSleeve(sheet.sleeve, 1 if gear.split is Split.HIGH else -1)
+        self.range_ = ShiftingSleeve(sheet.sleeve, 1 if gear.range_ is Range.HIGH else -1)
+
+    @property
+    def next_us(self) -> float:
+        """When something of the script is due."""
+        return min(self._phase_end_us, self.splitter.arrival_us, self.range_.arrival_us)
+
+    def step_sleeve(self, name: Sleeve) -> ShiftingSleeve | None:
+        """The splitter's or the range's sleeve, of which there is one each; None: a main sleeve."""
+        if name is Sleeve.SPLITTER:
+            return self.splitter
+        return self.range_ if name is Sleeve.RANGE else None
+
+    def start(self, gear_number: int, main_rad_s: float) -> None:
+        """Go to this drive gear, 0 for neutral, at this main shaft speed."""
+        self._gear = DRIVE_GEARS.get(gear_number)
+        self._main_rad_s = main_rad_s
+        self.phase = ScriptPhase.RELEASE
+        self._engagement.scripted = True
+        self._plant.script_main(0.0)
+        if self._plant.shafts.lock is None:
+            self._plant.coast()
+        self._engagement.script_release(self._plant.time_us, RELEASE_S)
+        self._phase_end_us = self._plant.time_us + RELEASE_S * SECOND_US
+
+    def due(self, time_us: float) -> None:
+        """Do what is due now."""
+        if min(self.splitter.arrival_us, self.range_.arrival_us) <= time_us:
+            self._change_steps(time_us)
+        if self._phase_end_us <= time_us:
+            {
+                ScriptPhase.RELEASE: self._ramp,
+                ScriptPhase.RAMP: self._engage,
+                ScriptPhase.ENGAGE: self._ready,
+            }[self.phase]()
+
+    def watch(self) -> None:
+        """After any event: once the gear is locked, wait for its sleeve's full stroke."""
+        if self.phase is ScriptPhase.ENGAGE and self._phase_end_us == NEVER_US:
+            sleeve = self._engagement.sleeves[self._name]
+            if sleeve.state is SleeveState.LOCKED:
+                self._phase_end_us = max(sleeve.stroke_end_us, self._plant.time_us)
+
+    @property
+    def _main_gear(self) -> MainGear:
+        return self._gear.main if self._gear is not None else MainGear.NEUTRAL
+
+    @property
+    def _name(self) -> Sleeve:
+        return SLEEVE_OF_MAIN[self._main_gear].sleeve
+
+    def _ramp(self) -> None:
+        plant, time_us = self._plant, self._plant.time_us
+        self.phase = ScriptPhase.RAMP
+        self._phase_end_us = time_us + self.ramp_s * SECOND_US
+        plant.script_main((self._main_rad_s - plant.main_rad_s) / self.ramp_s)
+        if self._gear is None:
+            return
+        ratio = self._sheet.main_mesh(self._gear.main).ratio
+        target_rad_s = (self._main_rad_s + SLIP_RAD_S) / ratio
+        plant.script_layshaft((target_rad_s - plant.layshaft_rad_s) / self.ramp_s)
+        for sleeve, is_high in (
+            (self.splitter, self._gear.split is Split.HIGH),
+            (self.range_, self._gear.range_ is Range.HIGH),
+        ):
+            side = 1 if is_high else -1
+            if sleeve.side != side:
+                sleeve.change_over(time_us, side, self._delays.draw_s())
+
+    def _engage(self) -> None:
+        self._plant.script_main(0.0)
+        if self._gear is None:
+            self._ready()
+            return
+        self._plant.script_layshaft(0.0)
+        self.phase = ScriptPhase.ENGAGE
+        self._phase_end_us = NEVER_US
+        self._engagement.script_engage(self._gear.main, self._plant.time_us)
+
+    def _ready(self) -> None:
+        self.phase = ScriptPhase.IDLE
+        self._phase_end_us = NEVER_US
+        self._engagement.scripted = False
+        number = self._gear.number if self._gear is not None else 0
+        self._engagement.ready(self._main_gear, number)
+
+    def _change_steps(self, time_us: float) -> None:
+        for sleeve in (self.splitter, self.range_):
+            if sleeve.arrival_us <= time_us:
+                sleeve.arrive()
+        shafts = self._plant.shafts
+        split, range_ = shafts.split, shafts.range_
+        if self.splitter.arrival_us == NEVER_US:
+            split = Split.HIGH if self.splitter.side > 0 else Split.LOW
+        if self.range_.arrival_us == NEVER_US:
+            range_ = Range.HIGH if self.range_.side > 0 else Range.LOW
+        moving = frozenset(
+            name
+            for name, sleeve in ((Sleeve.SPLITTER, self.splitter), (Sleeve.RANGE, self.range_))
+            if sleeve.arrival_us != NEVER_US
+        )
+        self._plant.set_steps(split, range_, moving)

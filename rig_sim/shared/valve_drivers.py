@@ -1,0 +1,165 @@
+"""The nine valve drivers: pending slots, activation times, expiry.
+
+Time here is the unwrapped sensor clock in integer microseconds; commands carry its low 32 bits.
+Rules (wire contract, ValveCommand):
+
+* OFF_NOW/ON_NOW switch at once and empty the valve's slot.
+* OFF_AT/ON_AT fill the slot, replacing what was there. The same activation again changes nothing,
+  whether it is still pending or has passed; one that has passed is never armed again.
+* An activation first received more than 2 ms late or more than 100 ms ahead is refused: counted,
+  once however often it is resent, the slot emptied, the valve left as it is.
+* 100 ms after the last command all valves switch off, all slots are emptied; counted.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+from meshpoint.dbc.messages import ValveAction
+
+MAX_LATE_US: Final = 2_000
+MAX_AHEAD_US: Final = 100_000
+EXPIRY_US: Final = 100_000
+CLOCK_MODULUS: Final = 1 << 32
+
+
+class Valve(IntEnum):
+    """The valves in the order of the wire contract."""
+
+    BRAKE = 0
+    SPLIT_LOW = 1
+    SPLIT_HIGH = 2
+    MAIN_FIRST = 3
+    MAIN_SECOND = 4
+    MAIN_CRAWL = 5
+    MAIN_THIRD = 6
+    RANGE_LOW = 7
+    RANGE_HIGH = 8
+
+
+class Order(NamedTuple):
+    """What a command says of one valve; time_us is the 32-bit clock, read only by OFF_AT, ON_AT."""
+
+    action: ValveAction
+    time_us: int = 0
+
+
+class Change(NamedTuple):
+    """A valve that has been switched."""
+
+    valve: Valve
+    on: bool
+    time_us: int
+
+
+class _Activation(NamedTuple):
+    on: bool
+    time_us: int
+
+
+class _Driver:
+    """One valve: its output, its slot, and the last activation that passed or was refused."""
+
+    def __init__(self) -> None:
+        self.energised = False
+        self.pending: _Activation | None = None
+        self.passed: _Activation | None = None
+        self.refused: _Activation | None = None
+
+    def order(self, order: Order, now_us: int) -> bool:
+        """Take an order; whether it was refused now."""
+        if order.action in (ValveAction.OFF_NOW, ValveAction.ON_NOW):
+            self.pending = None
+            self.energised = order.action is ValveAction.ON_NOW
+            return False
+        ahead = (order.time_us - now_us + CLOCK_MODULUS // 2) % CLOCK_MODULUS - CLOCK_MODULUS // 2
+        wanted = _Activation(order.action is ValveAction.ON_AT, now_us + ahead)
+        if wanted == self.pending:
+            return False
+        self.pending = None
+        if wanted in (self.passed, self.refused):
+            return False
+        if not -MAX_LATE_US <= ahead <= MAX_AHEAD_US:
+            self.refused = wanted
+            return True
+        if ahead <= 0:
+            self.energised, self.passed = wanted.on, wanted
+        else:
+            self.pending = wanted
+        return False
+
+    def run(self, now_us: int) -> None:
+        if self.pending is not None and self.pending.time_us <= now_us:
+            self.energised, self.passed = self.pending.on, self.pending
+            self.pending = None
+
+
+class ValveBank:
+    """All valves. Calls must come in the order of time; changes are returned, offs before ons."""
+
+    def __init__(self) -> None:
+        self._drivers = [_Driver() for _ in Valve]
+        self.energised: tuple[bool, ...] = (False,) * len(Valve)
+        """Which valves are driven, in the order of `Valve`."""
+        self.pending: tuple[bool, ...] = (False,) * len(Valve)
+        """Which valves have an activation waiting."""
+        self._expiry_us: int | None = None
+        self._pending_us: int | None = None
+        self.refused = 0
+        self.expired = 0
+
+    @property
+    def next_us(self) -> int | None:
+        """When the next activation or the expiry is due; None: nothing is."""
+        if self._pending_us is None or self._expiry_us is None:
+            return self._expiry_us
+        return min(self._pending_us, self._expiry_us)
+
+    def command(self, orders: tuple[Order, ...], now_us: int) -> list[Change]:
+        """A valid frame, consumed now: one order a valve."""
+        for driver, order in zip(self._drivers, orders, strict=True):
+            self.refused += driver.order(order, now_us)
+        self._expiry_us = now_us + EXPIRY_US
+        return self._changes(now_us)
+
+    def renew(self, now_us: int) -> bool:
+        """The orders of the command before, once more: nothing changes but the expiry.
+
+        False, and nothing done, after an expiry, which may have switched off what they ask for."""
+        if self._expiry_us is None:
+            return False
+        self._expiry_us = now_us + EXPIRY_US
+        return True
+
+    def run(self, now_us: int) -> list[Change]:
+        """Do what is due now (not later: call at `next_us`)."""
+        for driver in self._drivers:
+            driver.run(now_us)
+        if self._expiry_us is not None and self._expiry_us <= now_us:
+            self.expired += 1
+            self._clear()
+        return self._changes(now_us)
+
+    def all_off(self, now_us: int) -> list[Change]:
+        """Switch everything off and empty all slots, as at shutdown."""
+        self._clear()
+        return self._changes(now_us)
+
+    def _clear(self) -> None:
+        self._expiry_us = None
+        for driver in self._drivers:
+            driver.energised, driver.pending = False, None
+
+    def _changes(self, now_us: int) -> list[Change]:
+        before = self.energised
+        self.energised = tuple([driver.energised for driver in self._drivers])
+        self.pending = tuple([driver.pending is not None for driver in self._drivers])
+        times = [driver.pending.time_us for driver in self._drivers if driver.pending]
+        self._pending_us = min(times, default=None)
+        changed = [
+            Change(valve, after, now_us)
+            for valve, was, after in zip(Valve, before, self.energised, strict=True)
+            if was is not after
+        ]
+        return sorted(changed, key=lambda change: change.on)

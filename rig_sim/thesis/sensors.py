@@ -1,0 +1,112 @@
+"""The Hall sensors: exact edge times of the four wheels, and what a 10 ms read of them holds.
+
+Thesis 2.5 and 4.5: the signal sin(n theta) gives a rising edge where the wheel angle is a whole
+number of pitches and a falling one a duty later; the capture timer counts microseconds.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+
+import numpy as np
+
+from meshpoint.gearbox.sheet import Wheels
+from meshpoint.rig_sim.settings import SettingsError
+from meshpoint.rig_sim.shared.angle_kernels import TAU, settled
+from meshpoint.rig_sim.shared.angles import Angle
+from meshpoint.rig_sim.shared.edge_ring import (
+    ENCODER_MODULUS,
+    ENCODER_SAMPLES_S,
+    ENCODER_STEPS_PER_TURN,
+    RING,
+    EdgeRead,
+    RingReader,
+)
+from meshpoint.rig_sim.shared.sensor_clock import SensorClock
+from meshpoint.rig_sim.thesis.closed_form import capture_edges, motion_at
+from meshpoint.rig_sim.thesis.plant import US, Segment
+
+
+class Shaft(IntEnum):
+    """The shafts in the order of the wire contract."""
+
+    INPUT = 0
+    LAYSHAFT = 1
+    MAIN = 2
+    PROPELLER = 3
+
+
+class EdgeCapture:
+    """Eight capture channels: rising and falling edges of four wheels."""
+
+    def __init__(self, wheels: Wheels, angles: tuple[Angle, ...]) -> None:
+        order = (wheels.input_, wheels.layshaft, wheels.main, wheels.propeller)
+        if any(wheel.missing for wheel in order):
+            raise SettingsError("preset thesis: wheels.*.missing, allowed are whole wheels only")
+        channels = 2 * len(order)
+        self._teeth = np.array([wheel.teeth for wheel in order], dtype=np.int64)
+        self._offsets = np.array([offset for wheel in order for offset in (0.0, wheel.duty_share)])
+        self._seen = np.zeros((channels, 2), dtype=np.int64)
+        self._ring = np.zeros((channels, RING))
+        self._reader = RingReader(channels)
+        for channel in range(channels):
+            turns, rest = angles[channel // 2]
+            teeth = order[channel // 2].teeth
+            tooth = math.floor(rest * teeth / TAU - self._offsets[channel])
+            self._seen[channel, 0] = turns * teeth + tooth
+
+    def add(self, segment: Segment) -> None:
+        """Find all edges of a segment."""
+        capture_edges(
+            (segment.layshaft, segment.layshaft, segment.main, segment.main),
+            segment.start_us,
+            segment.duration_s,
+            segment.shares,
+            segment.before,
+            segment.after,
+            self._teeth,
+            self._offsets,
+            self._seen,
+            self._ring,
+        )
+
+    def read(self, now_us: int, clock: SensorClock) -> list[EdgeRead]:
+        """The read of all channels now, in the order of the wire contract."""
+        return self._reader.read(now_us, 0.0, clock, self._seen[:, 1], self._ring)
+
+
+class Encoder:
+    """The reference encoder: layshaft angle and speed at five instants before a read, exact."""
+
+    def __init__(self) -> None:
+        self._segments: list[Segment] = []
+
+    def add(self, segment: Segment) -> None:
+        """Remember a segment until the next read."""
+        self._segments.append(segment)
+
+    def read(self, now_us: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Angles (rad, modulo 256 turns, in encoder steps) and speeds (rad/s), newest first.
+
+        Instants before the first segment, at power-up, are continued backwards from it.
+        """
+        angles, speeds = [], []
+        for back_s in ENCODER_SAMPLES_S:
+            angle, speed = self._at(now_us - back_s / US)
+            steps = angle[0] * ENCODER_STEPS_PER_TURN + round(
+                angle[1] / TAU * ENCODER_STEPS_PER_TURN
+            )
+            angles.append(steps % ENCODER_MODULUS * (TAU / ENCODER_STEPS_PER_TURN))
+            speeds.append(speed)
+        del self._segments[:-1]
+        return tuple(angles), tuple(speeds)
+
+    def _at(self, time_us: float) -> tuple[Angle, float]:
+        index = len(self._segments) - 1
+        while index > 0 and time_us < self._segments[index].start_us:
+            index -= 1
+        segment = self._segments[index]
+        turns, rest = segment.before[Shaft.LAYSHAFT]
+        turned, speed = motion_at(segment.layshaft, (time_us - segment.start_us) * US)
+        return settled(turns, rest + turned), speed

@@ -1,0 +1,1 @@
+"""The preset `truck`: a gearbox that misbehaves like one (docs/gearbox.md)."""

@@ -1,0 +1,180 @@
+"""The gearbox as built: the data sheet plus a deviation of everything, drawn from the seed.
+
+`truck.toml` lists every parameter with default, deviation and range. A file given as `--as-built`
+fixes what it names (`[group]` tables of numbers, or the JSON a run has put out); the rest is drawn
+as ever, so the same seed and file give the same gearbox.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.gearbox.tables import TableError, load_toml
+
+STREAM: Final = 0xA5B
+"""Keeps the draws of the gearbox apart from those of the start and of the delays."""
+
+
+LATER: Final = ("driveline.",)
+"""Groups added since: drawn last, so that a seed's gearbox stays what it was."""
+
+
+class AsBuiltError(TableError):
+    """An as-built file that cannot be used; the message names file, key, found and allowed."""
+
+
+class Parameter(NamedTuple):
+    """A line of `truck.toml`, in its units."""
+
+    name: str
+    default: float
+    deviation: float
+    low: float
+    high: float
+    note: str
+
+
+@cache
+def parameters() -> dict[str, Parameter]:
+    """All of them by name, `group.key`, in the order of the file."""
+    source = resources.files("meshpoint.rig_sim") / "truck.toml"
+    with resources.as_file(source) as path:
+        tables = load_toml(path)
+    found = {}
+    for group, table in tables.items():
+        for key, (default, deviation, low, high, note) in table.items():
+            name = f"{group}.{key}"
+            found[name] = Parameter(name, default, deviation, low, high, note)
+    return found
+
+
+@dataclass(frozen=True)
+class AsBuilt:
+    """The values of one gearbox by name, in the units of `truck.toml`, and its teeth's seed."""
+
+    values: Mapping[str, float]
+    teeth_seed: int
+
+    def __getitem__(self, name: str) -> float:
+        """The value of a parameter. KeyError where there is none of that name."""
+        return self.values[name]
+
+    def to_json(self) -> dict[str, Any]:
+        """As a run puts it out, and as `--as-built` reads it: groups of numbers."""
+        tables: dict[str, Any] = {"teeth": {"seed": self.teeth_seed}}
+        for name, value in self.values.items():
+            group, _, key = name.partition(".")
+            tables.setdefault(group, {})[key] = value
+        return tables
+
+
+def draw_as_built(seed: int, fixed: Mapping[str, float] | None = None) -> AsBuilt:
+    """The gearbox of a seed. Everything is drawn, whatever is fixed, so runs stay comparable."""
+    rng = np.random.Generator(np.random.PCG64([seed, STREAM]))
+    known = parameters()
+    values = {name: _drawn(rng, known[name]) for name in known if not name.startswith(LATER)}
+    teeth_seed = int(rng.integers(1 << 31))
+    values |= {name: _drawn(rng, known[name]) for name in known if name.startswith(LATER)}
+    values = {name: values[name] for name in known}
+    fixed = dict(fixed or {})
+    teeth_seed = int(fixed.pop("teeth.seed", teeth_seed))
+    return AsBuilt(values | fixed, teeth_seed)
+
+
+def _drawn(rng: np.random.Generator, parameter: Parameter) -> float:
+    drawn = parameter.default + parameter.deviation * float(rng.uniform(-1.0, 1.0))
+    return float(f"{min(max(drawn, parameter.low), parameter.high):.6g}")
+
+
+def nominal() -> dict[str, float]:
+    """Every parameter at its default: a gearbox without deviations."""
+    return {name: float(parameter.default) for name, parameter in parameters().items()}
+
+
+def load_as_built(path: Path) -> dict[str, float]:
+    """The values a file fixes, TOML or a run's JSON. AsBuiltError names file, key and allowed."""
+    tables = _read(path)
+    fixed: dict[str, float] = {}
+    for group, table in tables.items():
+        if not isinstance(table, dict):
+            raise AsBuiltError(f"{path}: {group} = {table!r}, allowed is a table")
+        for key, value in table.items():
+            name = f"{group}.{key}"
+            fixed[name] = _checked(path, name, value)
+    return fixed
+
+
+def linear() -> dict[str, float]:
+    """What switches every non-linearity off (`linear.toml`)."""
+    with resources.as_file(resources.files("meshpoint.rig_sim") / "linear.toml") as path:
+        return load_as_built(path)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if path.suffix != ".json":
+        try:
+            return load_toml(path)
+        except TableError as error:
+            raise AsBuiltError(str(error)) from error
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        raise AsBuiltError(f"{path}: cannot be read as JSON: {error}") from error
+    found = values.get("as_built", values) if isinstance(values, dict) else None
+    if not isinstance(found, dict):
+        raise AsBuiltError(f"{path}: found no object of groups")
+    return found
+
+
+def _checked(path: Path, name: str, value: Any) -> float:
+    low, high = 0.0, float((1 << 31) - 1)
+    if name != "teeth.seed":
+        parameter = parameters().get(name)
+        if parameter is None:
+            groups = sorted({known.partition(".")[0] for known in parameters()})
+            raise AsBuiltError(
+                f"{path}: unknown key '{name}'; groups are {', '.join(groups)}, "
+                "their keys are in `meshpoint rig --describe`"
+            )
+        low, high = parameter.low, parameter.high
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    if not (is_number and math.isfinite(value) and low <= value <= high):
+        raise AsBuiltError(f"{path}: {name} = {value!r}, allowed is a number {low:g}..{high:g}")
+    return float(value)
+
+
+def as_built_sheet(sheet: GearboxSheet, built: AsBuilt) -> GearboxSheet:
+    """The data sheet with the factors of group `sheet`: what this gearbox really is."""
+    factor = {key.partition(".")[2]: v for key, v in built.values.items() if "sheet." in key}
+    shafts, brake, clutch, dog = sheet.shafts, sheet.brake, sheet.clutch, sheet.dog
+    return replace(
+        sheet,
+        shafts=replace(
+            shafts,
+            layshaft_inertia_kgm2=shafts.layshaft_inertia_kgm2 * factor["layshaft_inertia_factor"],
+            input_inertia_kgm2=shafts.input_inertia_kgm2 * factor["input_inertia_factor"],
+            friction_nms=shafts.friction_nms * factor["friction_factor"],
+        ),
+        brake=replace(
+            brake,
+            max_torque_nm=brake.max_torque_nm * factor["brake_torque_factor"],
+            valve_delay_s=brake.valve_delay_s * factor["brake_valve_delay_factor"],
+            time_constant_s=brake.time_constant_s * factor["brake_lag_factor"],
+        ),
+        clutch=replace(
+            clutch,
+            open_delay_s=clutch.open_delay_s * factor["clutch_open_factor"],
+            close_delay_s=clutch.close_delay_s * factor["clutch_close_factor"],
+        ),
+        dog=replace(dog, backlash_share=dog.backlash_share * factor["backlash_factor"]),
+    )

@@ -1,0 +1,158 @@
+"""The five bodies and their links: groups of rigidly linked bodies, and impacts between them.
+
+An impact at a link with ratio i (speed behind over speed before), slip s = i w_before - w_behind:
+
+    J_eq = 1 / (i^2 / J_before + 1 / J_behind)
+    impulse J_eq (1 + e) s,  loss J_eq s^2 (1 - e^2) / 2
+
+on the groups' inertias felt at the link. A body whose speed the bench gives has infinite inertia.
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from meshpoint.rig_sim.shared.angle_kernels import Floats
+from meshpoint.rig_sim.truck import layout as at
+
+UNLIMITED: Final = float("inf")
+
+
+class Chain:
+    """What is linked to what. Works in place on the state y and on the connections g."""
+
+    def __init__(self, p: Floats, y: Floats, g: Floats) -> None:
+        self._p, self._y, self._g = p, y, g
+        self._ratios: list[float | None] = [None] * at.LINKS
+        self._forced: dict[int, float] = {}
+        g[at.LOW : at.LOW + at.LINKS] = -UNLIMITED
+        g[at.HIGH : at.HIGH + at.LINKS] = UNLIMITED
+        self.rebuild()
+
+    def is_rigid(self, link: int) -> bool:
+        """Whether the bodies at both sides of a link move as one."""
+        return self._ratios[link] is not None
+
+    def is_forced(self, body: int) -> bool:
+        """Whether something gives this body's acceleration."""
+        return body in self._forced
+
+    def slip_rad_s(self, link: int, ratio: float) -> float:
+        """Speed before the link times the ratio, less the speed behind it."""
+        y = self._y
+        return float(ratio * y[at.SPEED + link] - y[at.SPEED + link + 1])
+
+    def is_driven(self, body: int) -> bool:
+        """Whether something gives the acceleration of the body's group."""
+        return any(k in self._forced for k in self.group(body))
+
+    def force(self, body: int, accel_rad_s2: float) -> None:
+        """From now on the body has this acceleration."""
+        self._forced[body] = accel_rad_s2
+        self.rebuild()
+
+    def free(self, body: int) -> None:
+        """Torques move the body again."""
+        self._forced.pop(body, None)
+        self.rebuild()
+
+    def open(self, link: int) -> None:
+        """The link carries nothing any more."""
+        self._ratios[link] = None
+        self._limit(link, -UNLIMITED, UNLIMITED)
+        self.rebuild()
+
+    def join(
+        self, link: int, ratio: float, low_nm: float = -UNLIMITED, high_nm: float = UNLIMITED
+    ) -> None:
+        """Link rigidly; an impact has brought both sides to one speed. The link's torque leaving
+        low..high is an event."""
+        self._ratios[link] = ratio
+        self._limit(link, low_nm, high_nm)
+        self.rebuild()
+
+    def place(self, link: int, ratio: float) -> None:
+        """Link rigidly as a bench does: the smaller side takes the other's speed, nothing is lost
+        to an impact."""
+        self._ratios[link] = ratio
+        self.rebuild()
+
+    def impact(self, link: int, ratio: float, restitution: float) -> float:
+        """Bodies meet at a link that is not rigid and leave each other again; the loss, J."""
+        slip = self.slip_rad_s(link, ratio)
+        before, behind = self._inverse_inertia(link), self._inverse_inertia(link + 1)
+        compliance = ratio**2 * before + behind
+        if compliance == 0.0 or slip == 0.0:
+            return 0.0
+        impulse = (1.0 + restitution) * slip / compliance
+        self._kick(link, -ratio * impulse * before)
+        self._kick(link + 1, impulse * behind)
+        return float(0.5 * slip * slip * (1.0 - restitution**2) / compliance)
+
+    def equivalent_kgm2(self, link: int, ratio: float) -> float:
+        """J_eq of both sides of a link, felt behind it; 0 where both sides are given."""
+        compliance = ratio**2 * self._inverse_inertia(link) + self._inverse_inertia(link + 1)
+        return 1.0 / compliance if compliance > 0.0 else 0.0
+
+    def group(self, body: int) -> range:
+        """The bodies that move with this one."""
+        first = last = body
+        while first > 0 and self._ratios[first - 1] is not None:
+            first -= 1
+        while last < at.LINKS and self._ratios[last] is not None:
+            last += 1
+        return range(first, last + 1)
+
+    def kinetic_j(self) -> float:
+        """Energy of everything that turns, vehicle included."""
+        speeds = self._y[at.SPEED : at.SPEED + at.BODIES]
+        return float(0.5 * (self._p[at.INERTIA : at.INERTIA + at.BODIES] * speeds**2).sum())
+
+    def rebuild(self) -> None:
+        """Groups, inertias and accelerations into g; speeds in a group brought in line."""
+        body = 0
+        while body < at.BODIES:
+            members = self.group(body)
+            self._lead(members)
+            body = members.stop
+        for link, ratio in enumerate(self._ratios):
+            self._g[at.CARRIED + link] = ratio or 0.0
+
+    def rates(self, members: range, lead: int) -> dict[int, float]:
+        """Speed of each member over that of the leader."""
+        found = {lead: 1.0}
+        for k in range(lead, members.stop - 1):
+            found[k + 1] = found[k] * (self._ratios[k] or 0.0)
+        for k in range(lead, members.start, -1):
+            found[k - 1] = found[k] / (self._ratios[k - 1] or 1.0)
+        return found
+
+    def _lead(self, members: range) -> None:
+        g, p, y = self._g, self._p, self._y
+        forced = [k for k in members if k in self._forced]
+        # the vehicle's side leads where both are given: a locked layshaft follows the main shaft
+        lead = forced[-1] if forced else members.start
+        if not forced and at.MAIN in members:
+            lead = at.MAIN
+        inertia = 0.0
+        for k, rate in self.rates(members, lead).items():
+            g[at.LEAD + k], g[at.RATE + k] = lead, rate
+            inertia += p[at.INERTIA + k] * rate**2
+            y[at.SPEED + k] = rate * y[at.SPEED + lead]
+        g[at.GROUP + lead] = inertia
+        g[at.FORCED + lead] = float(bool(forced))
+        g[at.ACCEL + lead] = self._forced[lead] if forced else 0.0
+
+    def _inverse_inertia(self, body: int) -> float:
+        members = self.group(body)
+        if self.is_driven(body):
+            return 0.0
+        rates = self.rates(members, body)
+        return float(1.0 / sum(self._p[at.INERTIA + k] * r**2 for k, r in rates.items()))
+
+    def _kick(self, body: int, change_rad_s: float) -> None:
+        for k, rate in self.rates(self.group(body), body).items():
+            self._y[at.SPEED + k] += rate * change_rad_s
+
+    def _limit(self, link: int, low_nm: float, high_nm: float) -> None:
+        self._g[at.LOW + link], self._g[at.HIGH + link] = low_nm, high_nm

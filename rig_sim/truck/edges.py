@@ -1,0 +1,141 @@
+"""The Hall sensors of the truck: wheels as they were made, and what a 10 ms read of them holds.
+
+The sensor's voltage is u = A sin(n theta') + 0, an edge where it passes the threshold u_0 (thesis
+4.5, 3.3): theta' = asin(u_0 / A) / n on the way up and (pi - asin(u_0 / A)) / n on the way down,
+less the duty's share. theta' is the angle on a wheel with pitch errors and an eccentricity e, which
+shifts tooth k by (e / R) sin(theta_k + eta) and its air gap by e cos(theta_k + eta); the amplitude
+falls exponentially with the gap and linearly with temperature. So a threshold off the middle moves
+both edges of a tooth apart or together, tooth by tooth. `analog.py` is the same without a formula.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from meshpoint.gearbox.sheet import GearboxSheet, Wheel
+from meshpoint.rig_sim.parts.drag import WARM_K
+from meshpoint.rig_sim.shared.angle_kernels import TAU, Floats, Integers
+from meshpoint.rig_sim.shared.edge_ring import (
+    ENCODER_MODULUS,
+    ENCODER_SAMPLES_S,
+    ENCODER_STEPS_PER_TURN,
+    EdgeRead,
+    RingReader,
+)
+from meshpoint.rig_sim.shared.sensor_clock import SensorClock
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.as_built import AsBuilt
+from meshpoint.rig_sim.truck.constants import CELSIUS
+
+WEAKEST: Final = 0.05
+CROSSING_LIMIT: Final = 0.98
+"""A threshold nearer to the peak than this would lose the edge; the sensor's own control holds."""
+
+
+class WheelAsMade:
+    """One sensor wheel: where its teeth are, and how strong each one's signal is."""
+
+    def __init__(self, rng: np.random.Generator, wheel: Wheel, built: AsBuilt) -> None:
+        n = wheel.teeth
+        self.pitches = n
+        self.present = np.array([k for k in range(n) if k not in wheel.missing])
+        self.teeth = len(self.present)
+        largest = math.radians(built["hall.pitch_error_deg"])
+        errors = largest * rng.uniform(-1.0, 1.0, n)
+        self.eccentric_rad = float(rng.uniform(0.0, TAU))
+        angles = TAU / n * np.arange(n)
+        ripple = built["hall.runout_mm"] / built["hall.wheel_radius_mm"]
+        self.errors_rad: Floats = errors + ripple * np.sin(angles + self.eccentric_rad)
+        self.gap_mm: Floats = built["hall.runout_mm"] * np.cos(angles + self.eccentric_rad)
+        self.duty = wheel.duty_share + built["hall.duty_percent"] / 100.0
+        warmer_k = built["oil.temperature_c"] + CELSIUS - WARM_K
+        weaker = max(1.0 - built["hall.weaker_per_k"] * warmer_k, WEAKEST)
+        self.amplitude: Floats = weaker * np.exp(-built["hall.weaker_per_mm"] * self.gap_mm)
+        self.threshold = built["hall.threshold_share"]
+
+    def edges_rad(self) -> tuple[Floats, Floats]:
+        """Wheel angles of the rising and the falling edge of each tooth that is there."""
+        n = self.pitches
+        share = np.clip(self.threshold / self.amplitude, -CROSSING_LIMIT, CROSSING_LIMIT)
+        later = np.arcsin(share) / n
+        middle = TAU / n * np.arange(n) + self.errors_rad
+        there = self.present
+        return (middle + later)[there], (middle + self.duty * TAU / n - later)[there]
+
+
+class TruckEdges:
+    """Eight capture channels and the reference encoder; `advance` fills the arrays in place."""
+
+    def __init__(self, sheet: GearboxSheet, built: AsBuilt, y: Floats, laps: Integers) -> None:
+        wheels = sheet.wheels
+        order = (wheels.input_, wheels.layshaft, wheels.main, wheels.propeller)
+        rng = np.random.Generator(np.random.PCG64(built.teeth_seed))
+        self.wheels = [WheelAsMade(rng, wheel, built) for wheel in order]
+        self.teeth = np.array([made.teeth for made in self.wheels], dtype=np.int64)
+        self.table: Floats = np.zeros((at.CHANNELS, int(self.teeth.max())))
+        for shaft, wheel in enumerate(self.wheels):
+            for row, edges in enumerate(wheel.edges_rad()):
+                self.table[2 * shaft + row, : wheel.teeth] = edges
+        self.first: Floats = np.zeros((at.CHANNELS, at.FIRST_EDGES))
+        wrong = int(built["hall.first_wrong_edges"])
+        largest = math.radians(built["hall.first_wrong_deg"])
+        self.first[:, :wrong] = largest * rng.uniform(-1.0, 1.0, (at.CHANNELS, wrong))
+        jitter = np.clip(rng.standard_normal(at.JITTERS), -4.0, 4.0)
+        self.jitter_s: Floats = jitter * built["hall.jitter_us"] * 1e-6
+        self.faults: Integers = np.zeros((at.CHANNELS, at.FAULTS), dtype=np.int64)
+        self.ring: Floats = np.zeros((at.CHANNELS, at.RING))
+        self.history: Floats = np.zeros((at.HISTORY, 3))
+        self.history[:] = (laps[at.LAYSHAFT], y[at.ANGLE + at.LAYSHAFT], 0.0)
+        self.pointers: Integers = np.zeros((at.CHANNELS, at.POINTER), dtype=np.int64)
+        self._reader = RingReader(at.CHANNELS)
+        self._on_us = 0.0
+        for channel in range(at.CHANNELS):
+            self._point(channel, y, laps)
+
+    def _point(self, channel: int, y: Floats, laps: Integers) -> None:
+        body = at.INPUT + channel // 2
+        teeth = int(self.teeth[channel // 2])
+        rest = float(y[at.ANGLE + body])
+        if body == at.INPUT:
+            rest += float(y[at.LASH])
+        pointer = self.pointers[channel]
+        pointer[at.LAP] = laps[body] - 1
+        while True:
+            angle = self.table[channel, pointer[at.TOOTH]] + self.first[channel, 0]
+            if angle + TAU * (pointer[at.LAP] - laps[body]) > rest:
+                return
+            pointer[at.TOOTH] += 1
+            if pointer[at.TOOTH] == teeth:
+                pointer[at.TOOTH] = 0
+                pointer[at.LAP] += 1
+
+    def read(self, now_us: int, clock: SensorClock) -> list[EdgeRead]:
+        """The read of all channels now, in the order of the wire contract. An extra edge that is
+        still to come is not in it."""
+        counts = self.pointers[:, at.COUNT]
+        return self._reader.read(now_us, self._on_us, clock, counts, self.ring)
+
+    def power_up(self, time_us: float) -> None:
+        """The sensors start anew: counts from zero, the first edges wrong again."""
+        self._on_us = time_us
+        self.pointers[:, at.COUNT] = 0
+
+    def encoder(
+        self, now_us: int, omega_rad_s: float
+    ) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Layshaft angles (rad modulo 256 turns, in encoder steps) and speeds, newest first."""
+        angles, speeds = [], []
+        for back_s in ENCODER_SAMPLES_S:
+            time_us = now_us - round(back_s * 1e6)
+            turns, rest, speed = self.history[time_us // at.HISTORY_US % at.HISTORY].tolist()
+            if time_us <= 0:
+                turns, rest, speed = self.history[0].tolist()
+                speed = omega_rad_s if now_us == 0 else speed
+                rest += speed * time_us * 1e-6
+            steps = int(turns) * ENCODER_STEPS_PER_TURN + round(rest / TAU * ENCODER_STEPS_PER_TURN)
+            angles.append(steps % ENCODER_MODULUS * (TAU / ENCODER_STEPS_PER_TURN))
+            speeds.append(speed)
+        return tuple(angles), tuple(speeds)

@@ -1,0 +1,317 @@
+"""Gear against sleeve in the truck: faces that rub, flanks that strike, sleeves that are blocked.
+
+At contact, and while it rests on a tooth, a sleeve pushed with force N is in FACE: it rubs with
+mu N r against the slip; at no slip it sticks (BLOCKED) while the torque stays below mu_s N r. It
+drops into the gap where |phi| < b/2, a chamfer c lets an approaching tooth in by c/r earlier. In
+ENTER a flank met before the teeth overlap by x_ov throws the sleeve back (a ratchet). After that
+the flank strikes with restitution e and the gear is LOCKED: it stays at its flank while the torque
+presses it there, and crosses the gap, mesh backlash included, when the torque turns. Loss of a
+strike: J_eq dw^2 (1 - e^2) / 2.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from meshpoint.dbc.messages import EngagementEvent
+from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
+from meshpoint.gearbox.sheet import MM, GearboxSheet
+from meshpoint.rig_sim.shared.engagement import GEAR_AT, Engagement, Tally
+from meshpoint.rig_sim.shared.sleeves import NEVER_US, SleeveState
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.as_built import AsBuilt
+from meshpoint.rig_sim.truck.delays import TruckDelays
+from meshpoint.rig_sim.truck.plant import TruckPlant
+from meshpoint.rig_sim.truck.sleeves import TruckSleeve, axial
+
+SETTLED_RAD_S: Final = 0.02
+"""A flank that would leave slower than this stays."""
+NAMES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
+ROWS: Final = {name: row for row, name in enumerate(NAMES)}
+
+
+class TruckEngagement(Engagement[TruckSleeve]):
+    """The two main sleeves and what they do to the plant."""
+
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        built: AsBuilt,
+        plant: TruckPlant,
+        delays: TruckDelays,
+        engaged: MainGear,
+    ) -> None:
+        axis = axial(built, sheet.dog.radius_m)
+        where = SLEEVE_OF_MAIN[engaged]
+        sleeves = {
+            name: TruckSleeve(sheet.sleeve, where.direction if name is where.sleeve else 0, axis)
+            for name in NAMES
+        }
+        super().__init__(sheet, plant, sleeves)
+        self._truck = plant
+        self._delays = delays
+        self._sheet = sheet
+        self._restitution = built["dog.restitution"]
+        self._free_play = built["dog.free_play"] >= 0.5
+        self._face_m = built["dog.face_friction"] * sheet.dog.radius_m
+        self._static_factor = built["dog.static_factor"]
+        self._chamfer_rad = built["dog.chamfer_mm"] * MM / sheet.dog.radius_m
+        self._flank_rad = self._half_rad + plant.p[at.LASH_MAIN_RAD]
+        self._tallies = dict.fromkeys(NAMES, Tally())
+        self._face_since_us: dict[Sleeve, float] = {}
+        self._stuck: Sleeve | None = None
+
+    def tally(self, name: Sleeve) -> Tally:
+        """What this sleeve's engagement has cost so far."""
+        tally = self._tallies[name]
+        since_us = self._face_since_us.get(name)
+        if since_us is None:
+            return tally
+        return tally._replace(face_us=tally.face_us + round(self._plant.time_us - since_us))
+
+    def due(self, time_us: float) -> None:
+        """Do what is due now; the plant stands at this instant."""
+        for name, sleeve in self.sleeves.items():
+            if sleeve.overlap_us <= time_us:
+                sleeve.overlapped()
+                self._watch_gap(name)
+            if sleeve.unload_us <= time_us:
+                self._unload(name, time_us)
+        super().due(time_us)
+
+    def left(self, row: int, side: int) -> None:
+        """The plant stands where the tooth leaves the face (to a gap) or the gap (to a flank)."""
+        name = NAMES[row]
+        sleeve, time_us = self.sleeves[name], self._plant.time_us
+        if sleeve.state is SleeveState.FACE:
+            if self._another_meshed(name):
+                self._truck.unwatch(row)
+                self._block(name, time_us)
+            else:
+                self._drop_in(name, -side)
+        elif sleeve.state is SleeveState.ENTER and sleeve.overlap_us < NEVER_US:
+            self._eject(name)
+        else:
+            self._strike(name, side)
+
+    def no_slip(self, slot: int) -> None:
+        """Face and tooth have the same speed: they stick if friction can hold them."""
+        name = NAMES[slot]
+        gear, truck = self.gear_at(name), self._truck
+        truck.smooth(slot)
+        if truck.chain.is_rigid(at.MAIN_BOX):
+            return
+        hold = self._static_factor * self._face_nm(name)
+        truck.join(at.MAIN_BOX, truck.ratio(gear), -hold, hold)
+        self._stuck = name
+        if abs(truck.main_box_nm()) > hold:
+            self.slips()
+        else:
+            self._tallies[name] = self._tallies[name]._replace(blocked=True)
+            self._record_now(EngagementEvent.BLOCKED, name)
+
+    def slips(self) -> None:
+        """The main box's rigid link carries more than it can, or pulls off its flank."""
+        truck = self._truck
+        torque = truck.link_nm(at.MAIN_BOX)
+        if self._stuck is not None:
+            name, self._stuck = self._stuck, None
+            truck.chain.open(at.MAIN_BOX)
+            self._rub(name, math.copysign(1.0, torque))
+            return
+        lock = truck.shafts.lock
+        if lock is not None:
+            truck.leave_flank(lock.gear)
+            self._watch_gap(SLEEVE_OF_MAIN[lock.gear].sleeve)
+
+    def can_release(self) -> None:
+        """The torque no longer holds a sleeve that waits to get out."""
+        self._truck.g[at.RELEASE_NM] = -1.0
+        for sleeve in self.sleeves.values():
+            if sleeve.waits:
+                sleeve.go(self._plant.time_us)
+
+    def script_release(self, time_us: float, duration_s: float) -> None:
+        """The bench moves every main sleeve to neutral, within this time."""
+        before = {name: sleeve.state for name, sleeve in self.sleeves.items()}
+        super().script_release(time_us, duration_s)
+        for name, was in before.items():
+            if was in (SleeveState.FACE, SleeveState.ENTER):
+                self._give_up(name, was)
+
+    def ready(self, gear: MainGear, drive_gear: int) -> None:
+        """The bench's return to a gear has ended here."""
+        super().ready(gear, drive_gear)
+        self._truck.end_script()
+
+    def _delay_s(self, name: Sleeve, direction: int) -> float:
+        side = self.sleeves[name].side
+        gear = GEAR_AT[name, side or direction]
+        self._tallies[name] = Tally()
+        share = self._delays.air_share()
+        delay_s = self._delays.draw_gear_s(gear, self._truck.supply_gauge_pa)
+        self.sleeves[name].force_n = self._delays.force_n(self._truck.supply_gauge_pa)
+        self._truck.take_air(share)
+        return delay_s
+
+    def _valve_on(self, name: Sleeve, direction: int, time_us: float) -> None:
+        sleeve = self.sleeves[name]
+        if sleeve.jammed:
+            self._say(time_us, f"activation of {name.name} lost: jammed")
+        elif sleeve.state is SleeveState.NEUTRAL and self._delays.has_cylinder:
+            self._tallies[name] = Tally()
+            supply_pa = self._truck.supply_gauge_pa
+            travel = self._delays.cylinder(time_us, supply_pa)
+            sleeve.force_n = travel.force_n
+            sleeve.approach(travel.stroke, direction, travel.speed_m_s)
+            self._truck.take_air(self._delays.air_share())
+        else:
+            was = sleeve.state
+            super()._valve_on(name, direction, time_us)
+            if was is SleeveState.ENTER and sleeve.state is SleeveState.RETRACT:
+                self._truck.unwatch(ROWS[name])
+
+    def _valve_off(self, name: Sleeve, direction: int, time_us: float) -> None:
+        sleeve = self.sleeves[name]
+        was = sleeve.state
+        if sleeve.jammed:
+            return
+        if sleeve.waits:
+            self._truck.g[at.RELEASE_NM] = -1.0
+        super()._valve_off(name, direction, time_us)
+        if sleeve.state is SleeveState.RETRACT and was is not SleeveState.RETRACT:
+            self._give_up(name, was)
+
+    def _contact(self, name: Sleeve, time_us: float) -> None:
+        gear, sleeve = self.gear_at(name), self.sleeves[name]
+        phase, slip = self._truck.shafts.phase_rad(gear), self._plant.slip_rad_s(gear)
+        blocked = self._another_meshed(name)
+        inward = phase * slip < 0.0
+        half = self._half_rad + (self._chamfer_rad if inward else 0.0)
+        if abs(phase) < half and not blocked:
+            sleeve.enter(time_us)
+            self._record(EngagementEvent.GAP_CONTACT, gear, phase, slip)
+            self._watch_gap(name)
+            return
+        sleeve.rest_on_tooth(time_us)
+        self._record(EngagementEvent.TOOTH_CONTACT, gear, phase, slip)
+        self._face(name)
+        if blocked:
+            self._truck.unwatch(ROWS[name])
+            self._block(name, time_us)
+
+    def _face(self, name: Sleeve, thrown_back: bool = False) -> None:
+        """Resting on a tooth: rub, and watch for the gap."""
+        self._face_since_us[name] = self._plant.time_us
+        gear = self.gear_at(name)
+        # A chamfer lets an approaching tooth in; one that has left the gap over it stays out.
+        ahead = 0.0 if self._plant.slip_rad_s(gear) < 0.0 else self._chamfer_rad
+        low = self._half_rad + self._chamfer_rad - ahead
+        high = self._pitch_rad - self._half_rad - ahead
+        if thrown_back:
+            # By either edge it has a chamfer's width to go in first. Friction on the face turns the
+            # backlash of its mesh over, and a tooth that hardly slips would go in and out for ever.
+            low, high = self._half_rad - self._chamfer_rad, high + ahead + self._chamfer_rad
+        self._truck.watch(ROWS[name], gear, (low, high), with_lash=True)
+        self._rub(name)
+
+    def _rub(self, name: Sleeve, sign: float = 0.0) -> None:
+        torque = self._face_nm(name)
+        if torque > 0.0:
+            ratio = self._truck.ratio(self.gear_at(name))
+            self._truck.rub(ROWS[name], at.MAIN_BOX, ratio, torque, sign)
+
+    def _face_nm(self, name: Sleeve) -> float:
+        return self._face_m * self.sleeves[name].net_force_n
+
+    def _leave_face(self, name: Sleeve) -> None:
+        since_us = self._face_since_us.pop(name, None)
+        if since_us is None:
+            return
+        tally = self._tallies[name]
+        spent_us = round(self._plant.time_us - since_us)
+        self._tallies[name] = tally._replace(face_us=tally.face_us + spent_us)
+        self._truck.smooth(ROWS[name])
+        self._truck.unwatch(ROWS[name])
+        if self._stuck is name:
+            self._stuck = None
+            self._truck.chain.open(at.MAIN_BOX)
+
+    def _drop_in(self, name: Sleeve, edge: int) -> None:
+        gear, time_us = self.gear_at(name), self._plant.time_us
+        slip = self._plant.slip_rad_s(gear)
+        phase = self._truck.shafts.phase_rad(gear) if self._chamfer_rad else edge * self._half_rad
+        self._leave_face(name)
+        self.sleeves[name].enter(time_us)
+        self._record(EngagementEvent.TOOTH_PASSED, gear, phase, slip)
+        self._watch_gap(name)
+
+    def _watch_gap(self, name: Sleeve) -> None:
+        gear, row = self.gear_at(name), ROWS[name]
+        if self._truck.chain.is_rigid(at.MAIN_BOX):
+            return
+        if self.sleeves[name].overlap_us < NEVER_US:
+            self._truck.watch(row, gear, (-self._half_rad, self._half_rad), with_lash=True)
+        else:
+            self._truck.watch(row, gear, (-self._flank_rad, self._flank_rad), with_lash=False)
+
+    def _eject(self, name: Sleeve) -> None:
+        time_us, sleeve = self._plant.time_us, self.sleeves[name]
+        sleeve.eject(time_us)
+        tally = self._tallies[name]
+        self._tallies[name] = tally._replace(ratchets=tally.ratchets + 1)
+        self._face(name, thrown_back=True)
+
+    def _strike(self, name: Sleeve, side: int) -> None:
+        gear, truck, sleeve = self.gear_at(name), self._truck, self.sleeves[name]
+        slip = self._plant.slip_rad_s(gear)
+        if sleeve.state is SleeveState.ENTER:
+            truck.free_layshaft()
+        bounce = self._restitution if abs(slip) * self._restitution > SETTLED_RAD_S else 0.0
+        ratio = truck.ratio(gear)
+        lost = truck.strike(at.MAIN_BOX, ratio, bounce)
+        if bounce == 0.0:
+            truck.unwatch(ROWS[name])
+            truck.engage(gear, side, self._free_play)
+        if sleeve.state is SleeveState.ENTER:
+            sleeve.lock()
+            tally = self._tallies[name]
+            self._tallies[name] = tally._replace(impact_j=tally.impact_j + lost)
+            if bounce:
+                truck.leave_flank(gear)
+            phase = side * self._half_rad
+            self._record(EngagementEvent.LOCKED, gear, phase, slip, tally=self._tallies[name])
+            self._count_brake_in_gear(self._plant.time_us)
+
+    def _unload(self, name: Sleeve, time_us: float) -> None:
+        sleeve, truck = self.sleeves[name], self._truck
+        limit_nm = math.inf
+        if sleeve.axis.hold_per_nm > 0.0:
+            limit_nm = sleeve.net_force_n / sleeve.axis.hold_per_nm
+        if self.scripted or abs(truck.main_box_nm()) <= limit_nm:
+            sleeve.go(time_us)
+        else:
+            sleeve.wait()
+            truck.g[at.RELEASE_NM] = limit_nm
+
+    def _unmesh(self, name: Sleeve) -> None:
+        gear = self.gear_at(name)
+        phase = self._truck.shafts.phase_rad(gear)
+        slip = self._plant.slip_rad_s(gear)
+        self._record(EngagementEvent.RELEASED, gear, phase, slip)
+        self.sleeves[name].unmesh()
+        self._truck.unwatch(ROWS[name])
+        self._truck.coast()
+
+    def _give_up(self, name: Sleeve, was: SleeveState) -> None:
+        """A sleeve goes back without having locked."""
+        self._leave_face(name)
+        self._truck.unwatch(ROWS[name])
+        if was is not SleeveState.APPROACH:
+            self._record_now(EngagementEvent.GIVEN_UP, name)
+
+    def _record_now(self, event: EngagementEvent, name: Sleeve) -> None:
+        gear = self.gear_at(name)
+        phase, slip = self._truck.shafts.phase_rad(gear), self._plant.slip_rad_s(gear)
+        self._record(event, gear, phase, slip, tally=self.tally(name))

@@ -1,0 +1,288 @@
+"""Faults that can be injected into the truck: by a scenario file, for a time, or by a bench frame.
+
+`KINDS` says of each what its target and value mean. A fault begins at an instant and ends after its
+duration, if it has one; NO_FAULT ends all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING, Final, Generic, NamedTuple, TypeVar
+
+from meshpoint.dbc.messages import RigFault
+from meshpoint.gearbox.gears import Sleeve
+from meshpoint.gearbox.sheet import BAR, MM, MS
+from meshpoint.rig_sim.orders import FaultOrder
+from meshpoint.rig_sim.shared.angle_kernels import Floats, Integers
+from meshpoint.rig_sim.shared.edge_ring import EdgeRead
+from meshpoint.rig_sim.shared.sleeves import SECOND_US
+from meshpoint.rig_sim.shared.valve_drivers import Valve
+from meshpoint.rig_sim.shared.world import SensorRead
+from meshpoint.rig_sim.truck import layout as at
+
+if TYPE_CHECKING:
+    from meshpoint.rig_sim.truck.world import TruckWorld
+
+T = TypeVar("T")
+CHANNELS: Final = "channel 0..7: input, layshaft, main, propeller, each rise then fall"
+VALVES: Final = "valve 0..8 in the order of ValveCommand"
+SLEEVES: Final = "sleeve 0 first/second, 1 crawl/third, 2 splitter, 3 range"
+MOST_PPM: Final = 1e4
+FOREVER_US: Final = 1 << 53
+
+
+class Kind(NamedTuple):
+    """A fault as people are told of it. targets: how many there are, 0 none."""
+
+    text: str
+    target: str
+    targets: int
+    value: str
+
+
+KINDS: Final[dict[RigFault, Kind]] = {
+    RigFault.NO_FAULT: Kind("ends all faults", "-", 0, "-"),
+    RigFault.HALL_DROPOUT: Kind("a Hall channel is silent", CHANNELS, 8, "-"),
+    RigFault.HALL_MISSING_TOOTH: Kind("a tooth gives no edge", CHANNELS, 8, "tooth, from 0"),
+    RigFault.HALL_DOUBLE_EDGE: Kind("each edge comes twice, 60 us apart", CHANNELS, 8, "-"),
+    RigFault.HALL_NOISE_BURST: Kind(
+        "each edge comes with a burst", CHANNELS, 8, "edges more, 1..8"
+    ),
+    RigFault.VALVE_STUCK: Kind("a valve stays as it is", VALVES, 9, "-"),
+    RigFault.VALVE_SLOW: Kind("a valve follows its coil late", VALVES, 9, "ms"),
+    RigFault.SUPPLY_DROP: Kind("the tank leaks down to a pressure", "-", 0, "bar, absolute"),
+    RigFault.SLEEVE_JAMMED: Kind("activations do not move a sleeve", SLEEVES, 4, "-"),
+    RigFault.POSITION_OFFSET: Kind("a position sensor lies by", SLEEVES, 4, "mm"),
+    RigFault.POSITION_FROZEN: Kind("a position sensor repeats itself", SLEEVES, 4, "-"),
+    RigFault.FROZEN_PAYLOAD: Kind("old content under a live counter", "0 edges, 1 slow", 2, "-"),
+    RigFault.BRAKE_FADE: Kind("the brake has this share of its torque", "-", 0, "%"),
+    RigFault.CLUTCH_STUCK: Kind("the clutch stays on its way", "-", 0, "-"),
+    RigFault.ENGINE_DEAF: Kind("the engine does not follow TSC1", "-", 0, "-"),
+    RigFault.CLOCK_DRIFT: Kind("the sensor clock runs fast", "-", 0, "ppm"),
+    RigFault.CLOCK_STEP: Kind("the sensor clock jumps ahead, at the end back", "-", 0, "us"),
+    RigFault.NODE_RESTART: Kind(
+        "the gearbox I/O is off the bus, valves off; then counters and clock from zero", "-", 0, "-"
+    ),
+    RigFault.NODE_STALLED: Kind(
+        "the rig's event loop hangs; what was due comes in one go afterwards", "-", 0, "-"
+    ),
+}
+
+
+class Freezer(Generic[T]):
+    """Passes on what it is given, or the last before it froze."""
+
+    def __init__(self) -> None:
+        self.frozen = False
+        self._last: T | None = None
+
+    def pass_on(self, value: T) -> T:
+        """The value to be sent."""
+        if self.frozen and self._last is not None:
+            return self._last
+        self._last = value
+        return value
+
+
+class FaultDesk:
+    """Switches faults of one world on and off, at the plant's present instant."""
+
+    def __init__(self, world: TruckWorld) -> None:
+        self._world = world
+        self.edges: Freezer[list[EdgeRead]] = Freezer()
+        self.slow: Freezer[SensorRead] = Freezer()
+        self._stuck: set[Valve] = set()
+        self._slow_us: dict[Valve, float] = {}
+        self._ends: dict[tuple[RigFault, int], Callable[[], None]] = {}
+        self._begun = 0
+        self._current: dict[tuple[RigFault, int], int] = {}
+
+    @property
+    def active(self) -> list[tuple[RigFault, int]]:
+        """Kind and target of everything that is wrong now."""
+        return list(self._ends)
+
+    def valve_delay_us(self, valve: Valve) -> float | None:
+        """How much later than its coil a valve switches; None: not at all."""
+        return None if valve in self._stuck else self._slow_us.get(valve, 0.0)
+
+    def begin(self, order: FaultOrder) -> None:
+        """A fault begins now. One that does not exist is said in the log and changes nothing."""
+        kinds = {int(kind): kind for kind in RigFault}
+        kind = kinds.get(order.kind)
+        lines, time_us = self._world.engagement.lines, self._world.plant.time_us
+        if kind is None or (KINDS[kind].targets and not 0 <= order.target < KINDS[kind].targets):
+            lines.append((time_us, f"fault {order.kind} at {order.target} refused: unknown"))
+            return
+        if kind is RigFault.NO_FAULT:
+            for key in list(self._ends):
+                self.end(*key)
+            return
+        self.end(kind, order.target)
+        lines.append((time_us, f"fault {kind.name} at {order.target} begins"))
+        key = (kind, order.target)
+        self._ends[key] = _STARTERS[kind](self._world, self, order)
+        self._begun += 1
+        self._current[key] = number = self._begun
+        if order.duration_us:
+            self._world.later(order.duration_us, partial(self._expire, key, number))
+
+    def end(self, kind: RigFault, target: int) -> None:
+        """A fault ends now, if it is on."""
+        undo = self._ends.pop((kind, target), None)
+        if undo is not None:
+            undo()
+            text = f"fault {kind.name} at {target} ends"
+            self._world.engagement.lines.append((self._world.plant.time_us, text))
+
+    def _expire(self, key: tuple[RigFault, int], number: int) -> None:
+        if self._current.get(key) == number:
+            self.end(*key)
+
+    def stick(self, valve: Valve) -> Callable[[], None]:
+        """The valve no longer follows its coil; then it follows again from the next change."""
+        self._stuck.add(valve)
+        return partial(self._loosen, valve)
+
+    def _loosen(self, valve: Valve) -> None:
+        self._stuck.discard(valve)
+
+    def slow_down(self, valve: Valve, delay_us: float) -> Callable[[], None]:
+        """The valve follows late."""
+        self._slow_us[valve] = delay_us
+        return partial(self._hurry, valve)
+
+    def _hurry(self, valve: Valve) -> None:
+        self._slow_us.pop(valve, None)
+
+
+Starter = Callable[["TruckWorld", FaultDesk, FaultOrder], Callable[[], None]]
+"""Begins a fault and returns what ends it: a partial, so that a copy of the world ends its own."""
+
+
+def _put(array: Floats | Integers, where: int | tuple[int, int], value: float) -> None:
+    array[where] = value
+
+
+def _channel(column: int, value: Callable[[FaultOrder], int]) -> Starter:
+    def start(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+        where = (order.target, column)
+        _put(world.plant.edges.faults, where, value(order))
+        return partial(_put, world.plant.edges.faults, where, 0)
+
+    return start
+
+
+def _freeze(_: TruckWorld, desk: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    freezer: Freezer[list[EdgeRead]] | Freezer[SensorRead]
+    freezer = desk.edges if order.target == 0 else desk.slow
+    freezer.frozen = True
+    return partial(setattr, freezer, "frozen", False)
+
+
+def _leak(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    g, y, p = world.plant.g, world.plant.y, world.plant.p
+    before = float(g[at.GOVERNED_PA])
+    g[at.GOVERNED_PA] = max(order.value * BAR, float(p[at.ATMOSPHERE_PA]))
+    y[at.SUPPLY_PA] = g[at.GOVERNED_PA]
+    return partial(_put, g, at.GOVERNED_PA, before)
+
+
+def _fade(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    p = world.plant.p
+    before = float(p[at.BRAKE_GAIN])
+    p[at.BRAKE_GAIN] = before * max(order.value, 0.0) / 100.0
+    return partial(_put, p, at.BRAKE_GAIN, before)
+
+
+def _jam(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    name = Sleeve(order.target)
+    sleeve = world.script.step_sleeve(name) or world.engagement.sleeves[name]
+    sleeve.jammed = True
+    return partial(setattr, sleeve, "jammed", False)
+
+
+def _lie(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    name = Sleeve(order.target)
+    world.positions.lie(name, order.value * MM)
+    return partial(world.positions.lie, name, 0.0)
+
+
+def _repeat(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    name = Sleeve(order.target)
+    world.positions.freeze(name, frozen=True)
+    return partial(world.positions.freeze, name, frozen=False)
+
+
+def _stick_clutch(world: TruckWorld, *_: object) -> Callable[[], None]:
+    world.clutch.stuck = True
+    return partial(setattr, world.clutch, "stuck", False)
+
+
+def _deafen(world: TruckWorld, *_: object) -> Callable[[], None]:
+    world.engine.deaf = True
+    return partial(setattr, world.engine, "deaf", False)
+
+
+def _drift(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    _run_fast(world, min(max(order.value, -MOST_PPM), MOST_PPM))
+    return partial(_run_fast, world, 0.0)
+
+
+def _run_fast(world: TruckWorld, ppm: float) -> None:
+    world.clock.drift(world.plant.time_us, ppm)
+
+
+def _jump(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    ahead_us = round(order.value)
+    _step_ahead(world, ahead_us)
+    return partial(_step_ahead, world, -ahead_us)
+
+
+def _step_ahead(world: TruckWorld, ahead_us: int) -> None:
+    world.clock.step(world.plant.time_us, ahead_us)
+
+
+def _restart(world: TruckWorld, *_: object) -> Callable[[], None]:
+    world.node.away = True
+    world.all_valves_off(world.plant.time_us)
+    return partial(_come_back, world)
+
+
+def _come_back(world: TruckWorld) -> None:
+    node, time_us = world.node, world.plant.time_us
+    node.away = False
+    node.restarts += 1
+    world.clock.restart(time_us)
+    world.plant.edges.power_up(time_us)
+
+
+def _stall(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    now_us = round(world.plant.time_us)
+    world.node.stalled_until_us = now_us + (order.duration_us or FOREVER_US)
+    return partial(setattr, world.node, "stalled_until_us", 0)
+
+
+_STARTERS: Final[dict[RigFault, Starter]] = {
+    RigFault.HALL_DROPOUT: _channel(at.SILENT, lambda _: 1),
+    RigFault.HALL_MISSING_TOOTH: _channel(at.MISSING, lambda order: int(order.value) + 1),
+    RigFault.HALL_DOUBLE_EDGE: _channel(at.EXTRA, lambda _: 1),
+    RigFault.HALL_NOISE_BURST: _channel(at.EXTRA, lambda order: min(max(int(order.value), 1), 8)),
+    RigFault.VALVE_STUCK: lambda _, desk, order: desk.stick(Valve(order.target)),
+    RigFault.VALVE_SLOW: lambda _, desk, order: desk.slow_down(
+        Valve(order.target), max(order.value, 0.0) * MS * SECOND_US
+    ),
+    RigFault.SUPPLY_DROP: _leak,
+    RigFault.SLEEVE_JAMMED: _jam,
+    RigFault.POSITION_OFFSET: _lie,
+    RigFault.POSITION_FROZEN: _repeat,
+    RigFault.FROZEN_PAYLOAD: _freeze,
+    RigFault.BRAKE_FADE: _fade,
+    RigFault.CLUTCH_STUCK: _stick_clutch,
+    RigFault.ENGINE_DEAF: _deafen,
+    RigFault.CLOCK_DRIFT: _drift,
+    RigFault.CLOCK_STEP: _jump,
+    RigFault.NODE_RESTART: _restart,
+    RigFault.NODE_STALLED: _stall,
+}

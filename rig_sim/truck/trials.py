@@ -1,0 +1,109 @@
+"""Engagements of a truck gearbox one after the other, each with a phase and a slip of its own.
+
+No frames, no controller: the sleeve is put back into neutral, the gear given phase and slip, the
+valve opened. For questions to the dog teeth themselves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from meshpoint.dbc.messages import EngagementEvent
+from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear
+from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.shared.engagement import VALVE_OF_MAIN, Engaged
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.engagement import ROWS
+from meshpoint.rig_sim.truck.plant import INDEX
+from meshpoint.rig_sim.truck.sleeves import TruckSleeve
+from meshpoint.rig_sim.truck.world import TruckWorld
+
+
+class Outcome(NamedTuple):
+    """What an engagement came to."""
+
+    contact: Engaged
+    passed: Engaged | None
+    locked: Engaged | None
+    blocked: bool
+    slip_after_rad_s: float
+
+    @property
+    def in_gap(self) -> bool:
+        """Whether the tooth got into a gap."""
+        return self.passed is not None or self.contact.event is EngagementEvent.GAP_CONTACT
+
+    @property
+    def clean(self) -> bool:
+        """Into a gap at first contact, and no flank before the overlap held."""
+        gap = self.contact.event is EngagementEvent.GAP_CONTACT
+        return gap and self.locked is not None and self.locked.tally.ratchets == 0
+
+
+class Trials:
+    """One gearbox in which engagements of one gear are tried."""
+
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        values: Mapping[str, float],
+        gear: MainGear = MainGear.SECOND,
+        seed: int = 1,
+    ) -> None:
+        settings = RigSettings(preset=Preset.TRUCK, seed=seed, as_built=values)
+        self.gear = gear
+        self.world = TruckWorld(sheet, settings)
+        self.engagement, self.plant = self.world.engagement, self.world.plant
+        self.sleeve = SLEEVE_OF_MAIN[gear].sleeve
+        self._axis = self.engagement.sleeves[self.sleeve].axis
+        self._actuator = self.world.sheet.sleeve
+        self.delay_s = self._actuator.delay_s
+        self.pitch_rad = self.world.sheet.dog.pitch_rad
+        self.backlash_rad = self.world.sheet.dog.backlash_rad
+        self.plant.script_layshaft(0.0)
+        self.plant.coast()
+
+    def engage(self, phase_rad: float, slip_rad_s: float, patience_us: float = 2e7) -> Outcome:
+        """With this phase and slip at contact, if the slip does not change on the way."""
+        self._reset(phase_rad - slip_rad_s * self.delay_s, slip_rad_s)
+        plant, engagement = self.plant, self.engagement
+        engagement.records.clear()
+        engagement.lines.clear()
+        start_us = plant.time_us
+        engagement.switch(VALVE_OF_MAIN[self.gear], True, start_us)
+        found: dict[EngagementEvent, Engaged] = {}
+        while plant.time_us < start_us + patience_us:
+            event = plant.advance(start_us + patience_us, engagement.next_us)
+            if event == at.REACHED:
+                break
+            self.world._handle(event)
+            for record in engagement.records:
+                found.setdefault(record.event, record)
+            if EngagementEvent.LOCKED in found or EngagementEvent.BLOCKED in found:
+                break
+        contact = found.get(EngagementEvent.GAP_CONTACT) or found[EngagementEvent.TOOTH_CONTACT]
+        return Outcome(
+            contact,
+            found.get(EngagementEvent.TOOTH_PASSED),
+            found.get(EngagementEvent.LOCKED),
+            EngagementEvent.BLOCKED in found,
+            plant.slip_rad_s(self.gear),
+        )
+
+    def _reset(self, phase_rad: float, slip_rad_s: float) -> None:
+        plant, engagement = self.plant, self.engagement
+        name = self.sleeve
+        engagement._leave_face(name)
+        engagement._energised.clear()
+        plant.unwatch(ROWS[name])
+        plant.coast()
+        engagement.sleeves[name] = TruckSleeve(self._actuator, 0, self._axis)
+        omega = (plant.main_rad_s + slip_rad_s) / plant.ratio(self.gear)
+        for body, rate in plant.chain.rates(plant.chain.group(at.LAYSHAFT), at.LAYSHAFT).items():
+            plant.y[at.SPEED + body] = omega * rate
+        half = self.pitch_rad / 2.0
+        plant.y[at.PHASE + INDEX[self.gear]] = (phase_rad + half) % self.pitch_rad - half
+        plant.y[at.LASH + 1 + INDEX[self.gear]] = 0.0
+        plant.y[at.SUPPLY_PA] = plant.g[at.GOVERNED_PA]

@@ -1,0 +1,65 @@
+"""What the truck knows of itself, for tests in the same process. Plain reads, no side effects."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from meshpoint.gearbox.gears import MainGear
+from meshpoint.rig_sim.shared.angles import Angle
+from meshpoint.rig_sim.shared.truth import CommonTruth
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.plant import Energy, TruckPlant
+
+if TYPE_CHECKING:
+    from meshpoint.rig_sim.truck.world import TruckWorld
+
+
+class TruckTruth(CommonTruth):
+    """The state at `time_us`, the last grid point or event up to the last step."""
+
+    def __init__(self, world: TruckWorld) -> None:
+        super().__init__(world)
+        self._world = world
+
+    @property
+    def angles(self) -> tuple[Angle, Angle, Angle, Angle]:
+        """Sensor wheels of input, layshaft, main and propeller shaft."""
+        angle = self._world.plant.angle
+        return (angle(at.INPUT), angle(at.LAYSHAFT), angle(at.MAIN), angle(at.PROPELLER))
+
+    @property
+    def speeds_rad_s(self) -> tuple[float, float, float, float]:
+        """Speeds of input, layshaft, main and propeller shaft."""
+        y = self._world.plant.y
+        return (
+            float(y[at.SPEED + at.INPUT]),
+            float(y[at.SPEED + at.LAYSHAFT]),
+            float(y[at.SPEED + at.MAIN]),
+            float(y[at.SPEED + at.PROPELLER]),
+        )
+
+    @property
+    def energy(self) -> Energy:
+        """The balance since power-up."""
+        return self._world.plant.energy
+
+    @property
+    def road_speed_m_s(self) -> float:
+        """Speed of the vehicle (`vehicle.py`)."""
+        return self._world.plant.road_speed_m_s
+
+    def delay_s(self, gear: MainGear) -> tuple[float, float]:
+        """From a sleeve valve's activation now to contact: mean and standard deviation."""
+        world = self._world
+        mean_s = world.delays.mean_gear_s(gear, world.plant.supply_gauge_pa)
+        return mean_s, world.delays.sd_s
+
+    @property
+    def brake_valve_delay_s(self) -> float:
+        """From the brake valve's activation to the first change of pressure."""
+        return self._world.sheet.brake.valve_delay_s
+
+    @property
+    def plant(self) -> TruckPlant:
+        """What turns and carries air; not to be touched, but to be copied."""
+        return self._world.plant

@@ -1,0 +1,314 @@
+"""The truck in its own time: plant, air, clutch, engine, sleeves, script, sensors and faults.
+
+The plant goes from event to event and never stops between them because somebody looks: a command
+that arrives at an instant is put in the queue for that instant, and the plant cuts a step there
+when it gets to it.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from meshpoint.gearbox.gears import Sleeve, drive_gear
+from meshpoint.gearbox.sheet import RPM, GearboxSheet
+from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
+from meshpoint.rig_sim.settings import RigSettings
+from meshpoint.rig_sim.shared.angles import Shafts
+from meshpoint.rig_sim.shared.edge_ring import EdgeRead
+from meshpoint.rig_sim.shared.engagement import MAIN_VALVES, Engaged
+from meshpoint.rig_sim.shared.node_state import NodeState
+from meshpoint.rig_sim.shared.script import BenchScript
+from meshpoint.rig_sim.shared.sensor_clock import SensorClock
+from meshpoint.rig_sim.shared.sleeves import NEVER_US
+from meshpoint.rig_sim.shared.start import draw_start, seeded
+from meshpoint.rig_sim.shared.valve_drivers import Change, Order, Valve, ValveBank
+from meshpoint.rig_sim.shared.world import EncoderRead, PhaseRead, SensorRead, Truth
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.as_built import AsBuilt, as_built_sheet, draw_as_built
+from meshpoint.rig_sim.truck.clutch import TruckClutch, TruckEngine
+from meshpoint.rig_sim.truck.delays import TruckDelays
+from meshpoint.rig_sim.truck.engagement import TruckEngagement
+from meshpoint.rig_sim.truck.faults import FaultDesk
+from meshpoint.rig_sim.truck.plant import TruckPlant
+from meshpoint.rig_sim.truck.position_sensors import PositionSensors
+from meshpoint.rig_sim.truck.truth import TruckTruth
+
+READ_US: Final = 10_000
+SECOND_US: Final = 1e6
+STEP_VALVES: Final[dict[Valve, tuple[Sleeve, int]]] = {
+    Valve.SPLIT_LOW: (Sleeve.SPLITTER, -1),
+    Valve.SPLIT_HIGH: (Sleeve.SPLITTER, 1),
+    Valve.RANGE_LOW: (Sleeve.RANGE, -1),
+    Valve.RANGE_HIGH: (Sleeve.RANGE, 1),
+}
+LINK_OF: Final = {Sleeve.SPLITTER: at.SPLITTER, Sleeve.RANGE: at.RANGE}
+
+
+MOST_EVENTS: Final = 100_000
+"""In 10 ms: a gearbox that has more stands still in time, and says so rather than hang."""
+
+
+class TruckWorld:
+    """Everything physical. See `rig_world.RigWorld`."""
+
+    def __init__(self, sheet: GearboxSheet, settings: RigSettings) -> None:
+        rng: np.random.Generator = seeded(settings.seed)
+        start = draw_start(rng, sheet, settings)
+        gear = drive_gear(settings.start_gear)
+        self.built: AsBuilt = draw_as_built(settings.seed, settings.as_built)
+        self.sheet = as_built_sheet(sheet, self.built)
+        self.clock_start_us = start.clock_us
+        self.clock = SensorClock(start.clock_us)
+        self.node = NodeState()
+        shafts = Shafts(self.sheet, start.angles, gear.split, gear.range_)
+        shafts.lock_gear(gear.main, start.flank * self.sheet.dog.backlash_rad / 2.0)
+        shafts.follow()
+        main_rad_s = settings.main_speed_rpm * RPM
+        self.plant = TruckPlant(self.sheet, self.built, shafts, gear.main, main_rad_s)
+        self.plant.engage(gear.main, start.flank, self.built["dog.free_play"] >= 0.5)
+        self.delays = TruckDelays(rng, self.sheet, self.built)
+        self.engagement = TruckEngagement(
+            self.sheet, self.built, self.plant, self.delays, gear.main
+        )
+        self.script = BenchScript(self.sheet, self.plant, self.engagement, self.delays, gear)
+        self.script.ramp_s = settings.return_ramp_s
+        self.valves = ValveBank()
+        self.clutch = TruckClutch(self.plant, self.sheet.clutch)
+        self.engine = TruckEngine(self.plant)
+        self.positions = PositionSensors(self.built)
+        self.faults = FaultDesk(self)
+        self._queue: list[tuple[float, int, Callable[[], None]]] = []
+        self._asked = 0
+        self._read_us = 0
+        self._due_us = self._next_due()
+        for scheduled in settings.faults:
+            self._at(float(scheduled.at_us), partial(self.faults.begin, scheduled.order))
+
+    def run_to(self, until_us: int) -> bool:
+        """Go on to this instant, or to the next 10 ms read if that comes first: then True."""
+        target_us = min(until_us, self._read_us)
+        events = 0
+        while not (self.plant.time_us == target_us < self._due_us):
+            # a fault may change the clock that the valves go by: they are never run ahead of it
+            self._run_valves(min(target_us, self._due_us))
+            event = self.plant.advance(target_us, self._due_us)
+            if event == at.REACHED:
+                break
+            events += 1
+            if events > MOST_EVENTS:
+                raise RuntimeError(f"over {MOST_EVENTS} events of the gearbox by {target_us} us")
+            self._handle(event)
+            self._due_us = self._next_due()
+        if self._read_us > until_us:
+            return False
+        self._read_us += READ_US
+        return True
+
+    def command_valves(self, orders: tuple[Order, ...], now_us: int) -> None:
+        """A valid valve command, consumed now."""
+        self._switched(self.valves.command(orders, self.clock.at(now_us)))
+
+    def renew_valves(self, now_us: int) -> bool:
+        """The same valve command once more; False where it has to be taken in full."""
+        return self.valves.renew(self.clock.at(now_us))
+
+    def all_valves_off(self, now_us: float) -> None:
+        """Shutdown: no valve is driven from now on."""
+        self._switched(self.valves.all_off(self.clock.at(now_us)))
+
+    def command_clutch(self, close: bool, now_us: int) -> None:
+        """A valid clutch command, consumed now."""
+        time_us = float(now_us)
+        if not self.clutch.renew(close, time_us):
+            self._at(time_us, partial(self.clutch.command, close, time_us))
+
+    def command_engine(self, request: EngineRequest, now_us: int) -> None:
+        """A TSC1 frame, consumed now."""
+        time_us = float(now_us)
+        self._at(time_us, partial(self.engine.request, request, time_us))
+
+    def return_to_gear(self, gear_number: int, main_rad_s: float, now_us: int) -> None:
+        """The bench asks for the script."""
+        self._at(float(now_us), partial(self.script.start, gear_number, main_rad_s))
+
+    def inject(self, order: FaultOrder, now_us: int) -> None:
+        """The bench asks for a fault."""
+        self._at(float(now_us), partial(self.faults.begin, order))
+
+    def later(self, delay_us: float, action: Callable[[], None]) -> None:
+        """Do something this much after the plant's present instant."""
+        self._at(self.plant.time_us + delay_us, action)
+
+    @property
+    def next_read_us(self) -> int:
+        """When the sensors are read next."""
+        return self._read_us
+
+    @property
+    def truth(self) -> Truth:
+        """The state, for tests."""
+        return TruckTruth(self)
+
+    @property
+    def as_built(self) -> dict[str, Any]:
+        """What was drawn for this gearbox."""
+        return self.built.to_json()
+
+    def edge_reads(self, now_us: int) -> list[EdgeRead]:
+        """The read of all edge channels now, in the order of the wire contract."""
+        read = self.plant.edges.read(now_us, self.clock)
+        return self.faults.edges.pass_on(read)
+
+    def sensors(self, now_us: int) -> SensorRead:  # noqa: ARG002
+        """The slow sensors now."""
+        y = self.plant.y
+        read = SensorRead(
+            float(y[at.BRAKE_PA]),
+            float(y[at.SUPPLY_PA]),
+            float(self.plant.p[at.OIL_K]),
+            min(max(float(y[at.POSITION]), 0.0), 1.0),
+            max(float(y[at.SPEED + at.ENGINE]), 0.0),
+        )
+        return self.faults.slow.pass_on(read)
+
+    def sleeve_samples_m(self, name: Sleeve, now_us: int) -> tuple[float, ...]:
+        """Ten positions, 1 ms apart, the newest first, as the sensor has them."""
+        moving = self.script.step_sleeve(name) or self.engagement.sleeves[name]
+        if moving.moves_after(now_us - READ_US):
+            true_m = tuple([moving.position_m(now_us - 1000.0 * back) for back in range(10)])
+        else:
+            true_m = (moving.position_m(now_us),) * 10
+        return self.positions.read(name, true_m, now_us)
+
+    def encoder_read(self, now_us: int) -> EncoderRead:
+        """The reference encoder now."""
+        return EncoderRead(*self.plant.edges.encoder(now_us, self.plant.layshaft_rad_s))
+
+    def phase_read(self) -> PhaseRead:
+        """Main shaft and phases now."""
+        plant = self.plant
+        return PhaseRead(plant.angle(at.MAIN), plant.main_rad_s, plant.shafts.phases_rad())
+
+    def take_records(self) -> list[Engaged]:
+        """What has happened between sleeves and gears since the last call."""
+        records, self.engagement.records = self.engagement.records, []
+        return records
+
+    def take_lines(self) -> list[tuple[float, str]]:
+        """Lines for the log since the last call, with their times."""
+        lines, self.engagement.lines = self.engagement.lines, []
+        return lines
+
+    def _at(self, time_us: float, action: Callable[[], None]) -> None:
+        self._asked += 1
+        heapq.heappush(self._queue, (time_us, self._asked, action))
+        self._due_us = min(self._due_us, time_us)
+
+    def _next_due(self) -> float:
+        return min(
+            self._queue[0][0] if self._queue else NEVER_US,
+            self.engagement.next_us,
+            self.script.next_us,
+            self.clutch.next_us,
+            self.engine.next_us,
+        )
+
+    def _handle(self, event: int) -> None:
+        time_us = self.plant.time_us
+        if event == at.DUE:
+            while self._queue and self._queue[0][0] <= time_us:
+                heapq.heappop(self._queue)[2]()
+            self.clutch.due(time_us)
+            self.engine.due(time_us)
+            self.engagement.due(time_us)
+            self.script.due(time_us)
+        elif event >= at.LINK_SLIPS:
+            self._torque_event(event)
+        elif event == at.STOPPED:
+            self.plant.stop()
+        elif event >= at.NO_SLIP:
+            self._no_slip(event - at.NO_SLIP)
+        elif event >= at.LEFT_BOTTOM:
+            self.engagement.left(event - at.LEFT_BOTTOM, -1)
+        else:
+            self.engagement.left(event - at.LEFT_TOP, 1)
+        if self.engagement.scripted:
+            # The bench moves the shafts: there is nothing left for the cones to do.
+            self.script.splitter.go_in(time_us)
+            self.script.range_.go_in(time_us)
+        self.script.watch()
+        self.engine.settle()
+
+    def _torque_event(self, event: int) -> None:
+        if event == at.LET_GO:
+            self.plant.let_go()
+        elif event == at.CAN_RELEASE:
+            self.engagement.can_release()
+        elif event == at.LINK_SLIPS + at.CLUTCH:
+            self.clutch.slips()
+        else:
+            self.engagement.slips()
+
+    def _no_slip(self, slot: int) -> None:
+        if slot == at.PLATE:
+            self.clutch.grips()
+        elif slot in (at.CONE_SPLITTER, at.CONE_RANGE):
+            self.plant.cone_holds(slot)
+            splits = slot == at.CONE_SPLITTER
+            sleeve = self.script.splitter if splits else self.script.range_
+            sleeve.go_in(self.plant.time_us)
+        else:
+            self.engagement.no_slip(slot)
+
+    def _run_valves(self, until_us: float) -> None:
+        """The valve drivers are logic alone: they may run ahead of the plant."""
+        while True:
+            clock_us = self.valves.next_us
+            if clock_us is None or self.clock.when(clock_us) > until_us:
+                return
+            self._switched(self.valves.run(clock_us))
+
+    def _switched(self, changes: list[Change]) -> None:
+        for change in changes:
+            time_us = self.clock.when(change.time_us)
+            self._at(time_us, partial(self._switch, change.valve, change.on))
+
+    def _switch(self, valve: Valve, on: bool) -> None:
+        """The valve's coil is switched now; what the air does comes later."""
+        extra_us = self.faults.valve_delay_us(valve)
+        if extra_us is None:
+            return
+        if extra_us > 0.0:
+            self.later(extra_us, partial(self._open, valve, on))
+        else:
+            self._open(valve, on)
+
+    def _open(self, valve: Valve, on: bool) -> None:
+        time_us = self.plant.time_us
+        if valve is Valve.BRAKE:
+            delay_us = self.sheet.brake.valve_delay_s * SECOND_US
+            self.later(delay_us, partial(self.plant.set_brake, float(on)))
+            self.engagement.switch(valve, on, time_us)
+        elif valve in MAIN_VALVES:
+            self.engagement.switch(valve, on, time_us)
+        elif on:
+            self._change_over(*STEP_VALVES[valve])
+
+    def _change_over(self, name: Sleeve, side: int) -> None:
+        """Splitter or range by its valve: out of the old step, then the cones, then in."""
+        sleeve = self.script.splitter if name is Sleeve.SPLITTER else self.script.range_
+        if sleeve.side == side or self.engagement.scripted:
+            return
+        if sleeve.jammed:
+            text = f"activation of {name.name} lost: jammed"
+            self.engagement.lines.append((self.plant.time_us, text))
+            return
+        delay_us = self.sheet.sleeve.valve_delay_s * SECOND_US
+        sleeve.change_over(self.plant.time_us, side, self.delays.draw_s(), baulked=True)
+        self.plant.take_air(self.delays.air_share())
+        self.later(delay_us, partial(self.plant.chain.open, LINK_OF[name]))
