@@ -21,8 +21,8 @@ FOLDER: Final = Path(__file__).parent
 
 def _digest() -> str:
     hashed = hashlib.sha256(Path(__file__).read_bytes())
-    others = [FOLDER / name for name in ("edge_gate.py", "edge_layout.py", "crossing_layout.py")]
-    for path in [*sorted(FOLDER.glob("*kernels.py")), *others]:
+    names = ("*kernels.py", "*layout.py")
+    for path in sorted(path for name in names for path in FOLDER.rglob(name)):
         hashed.update(path.read_bytes())
     return hashed.hexdigest()[:12]
 

@@ -28,7 +28,7 @@ and the counting, atomic as it is, took half of their time."""
 
 def _digest() -> int:
     hashed = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
         hashed.update(path.read_bytes())
     return int.from_bytes(hashed.digest()[:7])
 

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from meshpoint.rig_sim.orders import FaultOrder
-
 
 class EngineRequest(NamedTuple):
     """A TSC1 request: speed (rad/s) or torque (Nm share 0..1 of the highest); both None: none."""

@@ -6,12 +6,10 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from meshpoint.gearbox.gears import DRIVE_GEARS
-
-if TYPE_CHECKING:
-    from meshpoint.rig_sim.orders import ScheduledFault
+from meshpoint.rig_sim.orders import ScheduledFault
 
 CLOCK_MODULUS: Final = 1 << 32
 MAX_MAIN_SPEED_RPM: Final = 5000.0

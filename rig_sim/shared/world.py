@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from meshpoint.gearbox.gears import MainGear, Sleeve
 from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
@@ -15,9 +15,6 @@ from meshpoint.rig_sim.shared.rotation import Drive
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
 from meshpoint.rig_sim.shared.sleeves import SleeveState
 from meshpoint.rig_sim.shared.valve_drivers import Order, ValveBank
-
-if TYPE_CHECKING:
-    from meshpoint.rig_sim.truck.plant import TruckPlant
 
 
 class SensorRead(NamedTuple):
@@ -93,11 +90,6 @@ class Truth(Protocol):
     @property
     def brake_valve_delay_s(self) -> float:
         """From the brake valve's activation to the first change of pressure."""
-
-    @property
-    def plant(self) -> TruckPlant | None:
-        """What turns and carries air, to be copied and run ahead; None for the thesis's closed
-        form."""
 
     def sleeve_state(self, sleeve: Sleeve) -> SleeveState:
         """State of one of the two main sleeves. KeyError for splitter and range."""

@@ -2,21 +2,36 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 from meshpoint.gearbox.gears import MainGear
-from meshpoint.rig_sim.shared.angles import Angle
+from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.rig_sim.shared.angles import Angle, Shafts
+from meshpoint.rig_sim.shared.engagement import Engagement
+from meshpoint.rig_sim.shared.script import BenchScript
 from meshpoint.rig_sim.shared.truth import CommonTruth
+from meshpoint.rig_sim.thesis.plant import ThesisPlant
 
-if TYPE_CHECKING:
-    from meshpoint.rig_sim.thesis.world import World
+
+class ThesisParts(Protocol):
+    """What is read here of the thesis's world."""
+
+    sheet: GearboxSheet
+    clock_start_us: int
+    script: BenchScript
+    shafts: Shafts
+    plant: ThesisPlant
+
+    @property
+    def engagement(self) -> Engagement[Any]:
+        """The main sleeves."""
 
 
 class ThesisTruth(CommonTruth):
     """The state at `time_us`, the newest event up to the last step. Angles are whole turns and a
     rest in rad; speeds rad/s; phases rad; pressure Pa."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world: ThesisParts) -> None:
         super().__init__(world)
         self._world = world
 
@@ -51,8 +66,3 @@ class ThesisTruth(CommonTruth):
     def brake_valve_delay_s(self) -> float:
         """From the brake valve's activation to the first change of pressure."""
         return self._world.sheet.brake.valve_delay_s
-
-    @property
-    def plant(self) -> None:
-        """The controller's own model is this gearbox's: there is nothing to run ahead."""
-        return None

@@ -47,7 +47,7 @@ class Parameter(NamedTuple):
 @cache
 def parameters() -> dict[str, Parameter]:
     """All of them by name, `group.key`, in the order of the file."""
-    source = resources.files("meshpoint.rig_sim") / "truck.toml"
+    source = resources.files("meshpoint.rig_sim.truck") / "truck.toml"
     with resources.as_file(source) as path:
         tables = load_toml(path)
     found = {}
@@ -116,7 +116,7 @@ def load_as_built(path: Path) -> dict[str, float]:
 
 def linear() -> dict[str, float]:
     """What switches every non-linearity off (`linear.toml`)."""
-    with resources.as_file(resources.files("meshpoint.rig_sim") / "linear.toml") as path:
+    with resources.as_file(resources.files("meshpoint.rig_sim.truck") / "linear.toml") as path:
         return load_as_built(path)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Final, Generic, NamedTuple, TypeVar
+from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
 from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox.gears import Sleeve
@@ -16,13 +16,17 @@ from meshpoint.gearbox.sheet import BAR, MM, MS
 from meshpoint.rig_sim.orders import FaultOrder
 from meshpoint.rig_sim.shared.angle_kernels import Floats, Integers
 from meshpoint.rig_sim.shared.edge_ring import EdgeRead
+from meshpoint.rig_sim.shared.node_state import NodeState
+from meshpoint.rig_sim.shared.script import BenchScript
+from meshpoint.rig_sim.shared.sensor_clock import SensorClock
 from meshpoint.rig_sim.shared.sleeves import SECOND_US
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.rig_sim.shared.world import SensorRead
 from meshpoint.rig_sim.truck import layout as at
-
-if TYPE_CHECKING:
-    from meshpoint.rig_sim.truck.world import TruckWorld
+from meshpoint.rig_sim.truck.clutch import TruckClutch, TruckEngine
+from meshpoint.rig_sim.truck.engagement import TruckEngagement
+from meshpoint.rig_sim.truck.plant import TruckPlant
+from meshpoint.rig_sim.truck.position_sensors import PositionSensors
 
 T = TypeVar("T")
 CHANNELS: Final = "channel 0..7: input, layshaft, main, propeller, each rise then fall"
@@ -85,10 +89,29 @@ class Freezer(Generic[T]):
         return value
 
 
+class Faultable(Protocol):
+    """What faults may touch of a truck; `world.TruckWorld` has it."""
+
+    plant: TruckPlant
+    engagement: TruckEngagement
+    script: BenchScript
+    positions: PositionSensors
+    clutch: TruckClutch
+    engine: TruckEngine
+    clock: SensorClock
+    node: NodeState
+
+    def all_valves_off(self, now_us: float) -> None:
+        """No valve is driven from now on."""
+
+    def later(self, delay_us: float, action: Callable[[], None]) -> None:
+        """Does something this much after the plant's present instant."""
+
+
 class FaultDesk:
     """Switches faults of one world on and off, at the plant's present instant."""
 
-    def __init__(self, world: TruckWorld) -> None:
+    def __init__(self, world: Faultable) -> None:
         self._world = world
         self.edges: Freezer[list[EdgeRead]] = Freezer()
         self.slow: Freezer[SensorRead] = Freezer()
@@ -157,7 +180,7 @@ class FaultDesk:
         self._slow_us.pop(valve, None)
 
 
-Starter = Callable[["TruckWorld", FaultDesk, FaultOrder], Callable[[], None]]
+Starter = Callable[[Faultable, FaultDesk, FaultOrder], Callable[[], None]]
 """Begins a fault and returns what ends it: a partial, so that a copy of the world ends its own."""
 
 
@@ -166,7 +189,7 @@ def _put(array: Floats | Integers, where: int | tuple[int, int], value: float) -
 
 
 def _channel(column: int, value: Callable[[FaultOrder], int]) -> Starter:
-    def start(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    def start(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
         where = (order.target, column)
         _put(world.plant.edges.faults, where, value(order))
         return partial(_put, world.plant.edges.faults, where, 0)
@@ -174,14 +197,14 @@ def _channel(column: int, value: Callable[[FaultOrder], int]) -> Starter:
     return start
 
 
-def _freeze(_: TruckWorld, desk: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _freeze(_: Faultable, desk: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     freezer: Freezer[list[EdgeRead]] | Freezer[SensorRead]
     freezer = desk.edges if order.target == 0 else desk.slow
     freezer.frozen = True
     return partial(setattr, freezer, "frozen", False)
 
 
-def _leak(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _leak(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     g, y, p = world.plant.g, world.plant.y, world.plant.p
     before = float(g[at.GOVERNED_PA])
     g[at.GOVERNED_PA] = max(order.value * BAR, float(p[at.ATMOSPHERE_PA]))
@@ -189,68 +212,68 @@ def _leak(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], No
     return partial(_put, g, at.GOVERNED_PA, before)
 
 
-def _fade(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _fade(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     p = world.plant.p
     before = float(p[at.BRAKE_GAIN])
     p[at.BRAKE_GAIN] = before * max(order.value, 0.0) / 100.0
     return partial(_put, p, at.BRAKE_GAIN, before)
 
 
-def _jam(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _jam(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     name = Sleeve(order.target)
     sleeve = world.script.step_sleeve(name) or world.engagement.sleeves[name]
     sleeve.jammed = True
     return partial(setattr, sleeve, "jammed", False)
 
 
-def _lie(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _lie(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     name = Sleeve(order.target)
     world.positions.lie(name, order.value * MM)
     return partial(world.positions.lie, name, 0.0)
 
 
-def _repeat(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _repeat(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     name = Sleeve(order.target)
     world.positions.freeze(name, frozen=True)
     return partial(world.positions.freeze, name, frozen=False)
 
 
-def _stick_clutch(world: TruckWorld, *_: object) -> Callable[[], None]:
+def _stick_clutch(world: Faultable, *_: object) -> Callable[[], None]:
     world.clutch.stuck = True
     return partial(setattr, world.clutch, "stuck", False)
 
 
-def _deafen(world: TruckWorld, *_: object) -> Callable[[], None]:
+def _deafen(world: Faultable, *_: object) -> Callable[[], None]:
     world.engine.deaf = True
     return partial(setattr, world.engine, "deaf", False)
 
 
-def _drift(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _drift(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     _run_fast(world, min(max(order.value, -MOST_PPM), MOST_PPM))
     return partial(_run_fast, world, 0.0)
 
 
-def _run_fast(world: TruckWorld, ppm: float) -> None:
+def _run_fast(world: Faultable, ppm: float) -> None:
     world.clock.drift(world.plant.time_us, ppm)
 
 
-def _jump(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _jump(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     ahead_us = round(order.value)
     _step_ahead(world, ahead_us)
     return partial(_step_ahead, world, -ahead_us)
 
 
-def _step_ahead(world: TruckWorld, ahead_us: int) -> None:
+def _step_ahead(world: Faultable, ahead_us: int) -> None:
     world.clock.step(world.plant.time_us, ahead_us)
 
 
-def _restart(world: TruckWorld, *_: object) -> Callable[[], None]:
+def _restart(world: Faultable, *_: object) -> Callable[[], None]:
     world.node.away = True
     world.all_valves_off(world.plant.time_us)
     return partial(_come_back, world)
 
 
-def _come_back(world: TruckWorld) -> None:
+def _come_back(world: Faultable) -> None:
     node, time_us = world.node, world.plant.time_us
     node.away = False
     node.restarts += 1
@@ -258,7 +281,7 @@ def _come_back(world: TruckWorld) -> None:
     world.plant.edges.power_up(time_us)
 
 
-def _stall(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _stall(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     now_us = round(world.plant.time_us)
     world.node.stalled_until_us = now_us + (order.duration_us or FOREVER_US)
     return partial(setattr, world.node, "stalled_until_us", 0)

@@ -2,22 +2,37 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any, Protocol
 
 from meshpoint.gearbox.gears import MainGear
+from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.shared.angles import Angle
+from meshpoint.rig_sim.shared.engagement import Engagement
+from meshpoint.rig_sim.shared.script import BenchScript
 from meshpoint.rig_sim.shared.truth import CommonTruth
 from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.plant import Energy, TruckPlant
 
-if TYPE_CHECKING:
-    from meshpoint.rig_sim.truck.world import TruckWorld
+
+class TruckParts(Protocol):
+    """What is read here of the truck's world."""
+
+    sheet: GearboxSheet
+    clock_start_us: int
+    script: BenchScript
+    plant: TruckPlant
+    delays: TruckDelays
+
+    @property
+    def engagement(self) -> Engagement[Any]:
+        """The main sleeves."""
 
 
 class TruckTruth(CommonTruth):
     """The state at `time_us`, the last grid point or event up to the last step."""
 
-    def __init__(self, world: TruckWorld) -> None:
+    def __init__(self, world: TruckParts) -> None:
         super().__init__(world)
         self._world = world
 

@@ -31,7 +31,7 @@ from e2e import p05
 
 ROOT = Path(__file__).resolve().parents[2]
 DBC_FILE = ROOT / "dbc" / "meshpoint.dbc"
-THESIS_SHEET = ROOT / "gearbox" / "sheets" / "thesis.toml"
+THESIS_SHEET = ROOT / "meshpoint" / "gearbox" / "sheets" / "thesis.toml"
 COMMAND = (sys.executable, "-m", "meshpoint")
 
 # The thesis's sheet: 48 dog teeth, backlash a fifth of the pitch.

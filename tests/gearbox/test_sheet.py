@@ -17,7 +17,7 @@ from meshpoint.gearbox import GearboxSheet, MainGear, Range, SheetError, Split, 
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.sheet import Mesh, sheet_from_canonical
 
-TEXT = (Path(__file__).parents[2] / "gearbox" / "sheets" / "thesis.toml").read_text()
+TEXT = (Path(__file__).parents[2] / "meshpoint" / "gearbox" / "sheets" / "thesis.toml").read_text()
 
 
 def load_text(folder: Path, text: str) -> GearboxSheet:

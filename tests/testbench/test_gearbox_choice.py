@@ -11,7 +11,7 @@ from meshpoint.gearbox import drive_gear, load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.testbench.cli import main
 
-TRUCK12 = Path(__file__).parents[2] / "gearbox" / "sheets" / "truck12.toml"
+TRUCK12 = Path(__file__).parents[2] / "meshpoint" / "gearbox" / "sheets" / "truck12.toml"
 
 
 @pytest.mark.parametrize("name", SHEET_NAMES)

@@ -1,6 +1,5 @@
 """Connecting to the hub of a channel, and starting one when nobody listens."""
 
-import os
 import socket
 import subprocess
 import sys
@@ -11,7 +10,6 @@ from meshpoint.bus.local.channel import HubChannel
 from meshpoint.bus.local.dial import NoHubError, dial
 
 _RETRY_S = 0.01
-_SOURCE_ROOT = Path(__file__).resolve().parent.parent
 
 
 class HubStartError(OSError):
@@ -45,7 +43,6 @@ def start_hub(channel: HubChannel, timeout_s: float) -> None:
 
     Raises HubStartError.
     """
-    paths = [str(_SOURCE_ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     try:
         result = subprocess.run(  # noqa: S603 (our own module)
             [sys.executable, "-m", "meshpoint.bus.local.hub", str(channel), "--detach"],
@@ -54,8 +51,8 @@ def start_hub(channel: HubChannel, timeout_s: float) -> None:
             stderr=subprocess.PIPE,
             encoding="utf-8",
             errors="replace",
-            cwd=_SOURCE_ROOT.anchor,
-            env={**os.environ, "PYTHONPATH": os.pathsep.join(paths)},
+            # Not here: it outlives this process and must not hold the folder.
+            cwd=Path(sys.executable).anchor,
             timeout=timeout_s,
             check=False,
         )

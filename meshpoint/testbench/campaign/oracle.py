@@ -23,6 +23,7 @@ from meshpoint.rig_sim.shared.angles import Angle
 from meshpoint.rig_sim.shared.world import Truth
 from meshpoint.rig_sim.thesis.sensors import Shaft
 from meshpoint.rig_sim.truck.plant import TruckPlant
+from meshpoint.rig_sim.truck.truth import TruckTruth
 from meshpoint.testbench.campaign.forecast import Forecast
 
 TURN_RAD = 2.0 * math.pi
@@ -122,9 +123,10 @@ class Oracle:
         gear, switches = known.gear, known.brake.arrays()
         if forecast is not None and forecast.holds(gear, *switches, time_us, truth.phase_rad(gear)):
             return
-        live = truth.plant
-        if live is None:
+        if not isinstance(truth, TruckTruth):
+            # The controller's own model is the thesis's gearbox: there is nothing to run ahead.
             return
+        live = truth.plant
         if self._ahead is None:
             self._ahead = copy.deepcopy(live)
         pitch_rad, start_us = self._sheet.dog.pitch_rad, truth.clock_start_us

@@ -20,7 +20,7 @@ def document(
     title: str, body: list[str], data: dict[str, Any], plotly_js: str, script: str, style: str = ""
 ) -> str:
     """The whole page: `data` is what the product's own script (a file's name) draws with Plotly."""
-    css = own_text("report.css") + (own_text(style) if style else "")
+    css = own_text("report/report.css") + (own_text(style) if style else "")
     return "".join(
         (
             "<!doctype html>\n<html lang='en'>\n<head>\n<meta charset='utf-8'>\n",

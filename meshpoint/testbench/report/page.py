@@ -26,7 +26,7 @@ def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
     else:
         body.append("<p>No shift to draw.</p>")
     body += ["<h2>Provenance</h2>", definitions(report.provenance)]
-    return document(report.title, body, data, plotly_js, "report.js")
+    return document(report.title, body, data, plotly_js, "report/report.js")
 
 
 OVERVIEW: Final = """<div class="overview">

@@ -1,4 +1,4 @@
-"""`python -m testbench` is `meshpoint`."""
+"""`python -m meshpoint` is the command `meshpoint`."""
 
 import sys
 
