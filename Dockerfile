@@ -9,13 +9,11 @@ RUN apt-get update \
     && apt-get install -y --no-install-recommends python3 python3-venv \
     && rm -rf /var/lib/apt/lists/*
 WORKDIR /src
-COPY constraints.txt pyproject.toml README.md LICENSE ./
-COPY bus bus
+COPY constraints.txt pyproject.toml setup.py README.md LICENSE ./
 COPY controller controller
 COPY dbc dbc
-COPY gearbox gearbox
+COPY meshpoint meshpoint
 COPY rig_sim rig_sim
-COPY testbench testbench
 RUN python3 -m venv /opt/meshpoint \
     && /opt/meshpoint/bin/pip install --no-cache-dir -c constraints.txt .
 

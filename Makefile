@@ -6,12 +6,12 @@ BIN := $(VENV)/bin
 
 .PHONY: demo test acceptance vcan test-containers lint types contracts stubs bench clean
 
-$(VENV)/run.stamp: pyproject.toml constraints.txt
+$(VENV)/run.stamp: pyproject.toml setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[all]"
 	touch $@
 
-$(VENV)/test.stamp: pyproject.toml constraints.txt
+$(VENV)/test.stamp: pyproject.toml setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[all,test]"
 	touch $@ $(VENV)/run.stamp
@@ -39,11 +39,13 @@ lint: $(VENV)/test.stamp
 	$(BIN)/ruff format --check .
 
 types: $(VENV)/test.stamp
+	tools/linked-tree
 	$(BIN)/mypy
 	$(BIN)/python -m meshpoint.dbc.stubs --check
 
 contracts: $(VENV)/test.stamp
-	$(BIN)/lint-imports
+	tools/linked-tree
+	cd build/tree && $(CURDIR)/$(BIN)/lint-imports --config $(CURDIR)/pyproject.toml --cache-dir ../import_linter
 
 bench: $(VENV)/test.stamp
 	$(BIN)/python -m benchmarks

@@ -1,7 +1,8 @@
 """The gate in front of the DBC parser: refuses texts that would stall it or exhaust memory.
 
 The parser's work grows with the square of a message's length, and it takes signals of any size, so
-these limits are held against the text itself. What only a parsed file can tell is in `meshpoint.dbc.schema`.
+these limits are held against the text itself. What only a parsed file can tell is in
+`meshpoint.dbc.schema`.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The messages and enumerations of the DBC as Python classes in SI units, made at import.
 
-`messages.pyi`, written by `python -m meshpoint.dbc.stubs`, says what there is. Every field has the DBC's
-start value as its default, so `ValveCommand()` means "everything off now".
+`messages.pyi`, written by `python -m meshpoint.dbc.stubs`, says what there is. Every field has the
+DBC's start value as its default, so `ValveCommand()` means "everything off now".
 """
 
 from functools import reduce as _reduce

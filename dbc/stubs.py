@@ -1,7 +1,7 @@
 """Writes `messages.pyi`, which tells type checkers and people what `messages` makes from the DBC.
 
-`python -m meshpoint.dbc.stubs` writes the file; `python -m meshpoint.dbc.stubs --check` compares it with the DBC and
-ends with 1 if they differ.
+`python -m meshpoint.dbc.stubs` writes the file; `python -m meshpoint.dbc.stubs --check` compares it
+with the DBC and ends with 1 if they differ.
 """
 
 from __future__ import annotations

@@ -168,8 +168,8 @@ def keep_pace(path: Path, speed: float, ending: threading.Event) -> None:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """`python -m meshpoint.bus.pace FILE --speed X`: keeps pace until standard input ends, as it does when
-    the process that started this one is gone, however it went."""
+    """`python -m meshpoint.bus.pace FILE --speed X`: keeps pace until standard input ends, as it
+    does when the process that started this one is gone, however it went."""
     parser = argparse.ArgumentParser(description="Keeps the bus time of a paced run.")
     parser.add_argument("file", type=Path)
     parser.add_argument("--speed", type=float, default=1.0)

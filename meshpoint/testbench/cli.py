@@ -47,7 +47,8 @@ MODULES = {
     "captures": "captures",
     "study": "study",
 }
-"""The module of `meshpoint.testbench.commands` that holds each command, in the order of the help."""
+"""The module of `meshpoint.testbench.commands` that holds each command, in the order of the
+help."""
 
 
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:

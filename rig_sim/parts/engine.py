@@ -10,7 +10,9 @@ The clutch carries T_max (x - kiss) / (1 - kiss) at position x, and slips beyond
 from __future__ import annotations
 
 from meshpoint.rig_sim.jit import part
-from meshpoint.rig_sim.truck.layout import IDLE, TORQUE_CONTROL
+
+IDLE, SPEED_CONTROL, TORQUE_CONTROL, DRIVE = range(4)
+"""What the engine is asked for: idle, by TSC1 a speed or a torque, or in gear a speed held."""
 
 
 @part

@@ -13,6 +13,7 @@ from typing import Final
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.gearbox.sheet import Clutch
 from meshpoint.rig_sim.orders import EngineRequest
+from meshpoint.rig_sim.parts import engine
 from meshpoint.rig_sim.shared.sleeves import NEVER_US, SECOND_US
 from meshpoint.rig_sim.shared.valve_drivers import EXPIRY_US
 from meshpoint.rig_sim.truck import layout as at
@@ -134,16 +135,16 @@ class TruckEngine:
         through = all(map(plant.chain.is_rigid, (at.CLUTCH, at.SPLITTER, at.RANGE)))
         driving = through and plant.shafts.lock is not None
         if request.speed_rad_s is not None:
-            mode, target = at.SPEED_CONTROL, request.speed_rad_s
+            mode, target = engine.SPEED_CONTROL, request.speed_rad_s
         elif request.torque_share is not None:
-            mode = at.TORQUE_CONTROL
+            mode = engine.TORQUE_CONTROL
             target = request.torque_share * float(plant.p[at.ENGINE_MAX_NM])
         elif driving:
-            if plant.g[at.ENGINE_MODE] == at.DRIVE:
+            if plant.g[at.ENGINE_MODE] == engine.DRIVE:
                 return  # the driver holds the speed taken up before
-            mode, target = at.DRIVE, self._cruise_rad_s()
+            mode, target = engine.DRIVE, self._cruise_rad_s()
         else:
-            mode, target = at.IDLE, 0.0
+            mode, target = engine.IDLE, 0.0
         plant.g[at.ENGINE_MODE], plant.g[at.ENGINE_TARGET] = mode, target
 
     def _cruise_rad_s(self) -> float:

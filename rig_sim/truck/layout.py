@@ -124,9 +124,6 @@ PULL: Final = 14  # torque at the layshaft's group without the brake
 HOLD: Final = 15  # what the brake can hold, Nm
 AUX: Final = 16
 
-# --- engine modes -------------------------------------------------------------------------------
-IDLE, SPEED_CONTROL, TORQUE_CONTROL, DRIVE = range(4)
-
 # --- how `advance` ends -------------------------------------------------------------------------
 REACHED: Final = 0  # nothing happened up to `until`
 DUE: Final = 1  # the instant asked for by `stop`

@@ -26,7 +26,7 @@ from meshpoint.controller.calibration.records import (
 )
 from meshpoint.controller.calibration_keeper import CalibrationWriter
 from meshpoint.gearbox import load_sheet
-from meshpoint.testbench.tooth_parts import take_apart
+from meshpoint.testbench.results.tooth_parts import take_apart
 
 SHEET = load_sheet("thesis")
 DEG = math.pi / 180.0

@@ -23,6 +23,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.rig_sim import RigSettings
 from meshpoint.rig_sim.orders import EngineRequest, FaultOrder, ScheduledFault
+from meshpoint.rig_sim.parts import engine
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.rig_sim.shared.sleeves import SleeveState
 from meshpoint.rig_sim.shared.valve_drivers import Valve
@@ -178,7 +179,7 @@ def test_a_stuck_clutch_stays_and_a_deaf_engine_does_not_follow() -> None:
     run(deaf, 10_000)
     deaf.command_engine(EngineRequest(200.0, None), 10_000)
     run(deaf, 30_000)
-    assert deaf.plant.g[at.ENGINE_MODE] != at.SPEED_CONTROL
+    assert deaf.plant.g[at.ENGINE_MODE] != engine.SPEED_CONTROL
 
 
 def test_the_bench_injects_over_the_bus_and_ends_everything() -> None:

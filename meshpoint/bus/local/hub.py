@@ -156,7 +156,8 @@ async def serve(listener: socket.socket, linger_s: float = DEFAULT_LINGER_S) -> 
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """`python -m meshpoint.bus.local.hub`: returns 0 once done, or when another hub serves; 2 when impossible."""
+    """`python -m meshpoint.bus.local.hub`: returns 0 once done, or when another hub serves; 2 when
+    impossible."""
     parser = argparse.ArgumentParser(
         prog="python -m meshpoint.bus.local.hub",
         description="Passes CAN frames between the nodes of a local bus.",

@@ -37,8 +37,8 @@ _Writer = can.CanutilsLogWriter | can.ASCWriter | can.BLFWriter
 
 
 class LogWriter(Closing):
-    """Writes one log; its format is told by its ending (`meshpoint.bus.logs.limits.FORMATS`). A file that is there
-    is replaced.
+    """Writes one log; its format is told by its ending (`meshpoint.bus.logs.limits.FORMATS`). A
+    file that is there is replaced.
 
     channel: the name of the bus in the log.
     flush_every_s: flush when something is written so long after the last flush, so that a process
@@ -189,7 +189,8 @@ async def record_bus(
 ) -> None:
     """Writes every message of a bus to `log` until `stop` is set; the caller closes the log.
 
-    A bus that goes away is reported and opened again, as for any node (`meshpoint.bus.driver.run_node`).
+    A bus that goes away is reported and opened again, as for any node
+    (`meshpoint.bus.driver.run_node`).
     """
     await run_node(
         _Flushing(log),

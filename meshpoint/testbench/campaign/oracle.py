@@ -80,7 +80,8 @@ class ForecastOutlook(Outlook):
 
 
 class Oracle:
-    """Makes a true outlook of an estimated one (`meshpoint.controller.shift.sequence.OutlookSource`)."""
+    """Makes a true outlook of an estimated one
+    (`meshpoint.controller.shift.sequence.OutlookSource`)."""
 
     def __init__(self, sheet: GearboxSheet, truth: Truth) -> None:
         self._sheet = sheet

@@ -16,10 +16,10 @@ from meshpoint.controller.planning.sleeve_delay import PRIOR_SAMPLES
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.tables import to_table
-from meshpoint.testbench import arguments
+from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import console, write_json
-from meshpoint.testbench.tooth_parts import take_apart
+from meshpoint.testbench.results.tooth_parts import take_apart
 
 DEG: Final = math.pi / 180.0
 

@@ -13,7 +13,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench import arguments
 from meshpoint.testbench.campaign.draw import upshifts
 from meshpoint.testbench.campaign.report import write_report
 from meshpoint.testbench.campaign.result import Collected, to_json
@@ -23,6 +22,7 @@ from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 from meshpoint.testbench.campaign.store import Store
 from meshpoint.testbench.campaign.sweep import Point
 from meshpoint.testbench.campaign.table import print_tables, records_table
+from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.loop.schedules import pairs

@@ -8,7 +8,7 @@ from typing import Any
 
 from rich.table import Table
 
-from meshpoint.testbench import arguments
+from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.captures import AHEAD, CaptureRow, capture_rows

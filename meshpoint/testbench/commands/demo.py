@@ -22,7 +22,7 @@ from meshpoint.bus.options import add_bus_arguments, open_bus_from
 from meshpoint.controller.header import new_header
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset, RigSettings
-from meshpoint.testbench import arguments
+from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
 from meshpoint.testbench.loop.bench import PlannedShift, plan_shifts

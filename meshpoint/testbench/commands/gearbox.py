@@ -12,7 +12,7 @@ from rich.table import Table
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.derived import RPM, SheetFigures, sheet_figures
 from meshpoint.gearbox.sheet import SHEET_NAMES
-from meshpoint.testbench import arguments
+from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import console, write_json
 

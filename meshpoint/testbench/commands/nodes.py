@@ -22,8 +22,8 @@ from meshpoint.controller.node import run_controller
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.rig_sim.node import run_rig
 from meshpoint.rig_sim.settings import Preset, RigSettings
-from meshpoint.testbench import arguments
-from meshpoint.testbench.describe import describe_rig
+from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.commands.describe import describe_rig
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import recording, start_log

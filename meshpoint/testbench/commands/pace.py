@@ -10,7 +10,7 @@ from typing import Any
 
 from meshpoint.bus.pace import PaceFile, keep_pace
 from meshpoint.bus.signals import stop_on_signals
-from meshpoint.testbench import arguments
+from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 

@@ -18,7 +18,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ReferenceEngagement, ShiftOutcome
 from meshpoint.dbc.node import Node
-from meshpoint.testbench import arguments
+from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.counterfactual import Counterfactuals, counterfactual_table
 from meshpoint.testbench.logs.replay import LogReplay, Session, Verification

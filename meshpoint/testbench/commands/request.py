@@ -15,7 +15,7 @@ from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.dbc.messages import TC1, ControllerState, ControllerStatus, ShiftOutcome, ShiftResult
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.testbench import arguments
+from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 
 AGAIN_S = 0.2

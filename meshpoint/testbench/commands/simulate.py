@@ -13,7 +13,7 @@ from meshpoint.controller.calibration.records import Calibration
 from meshpoint.controller.calibration_keeper import CalibrationWriter, Keep
 from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench import arguments
+from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.simulate import Result, Setup, simulate

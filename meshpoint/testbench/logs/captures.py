@@ -43,7 +43,8 @@ DUTY_SHARE: Final = 0.5
 
 
 class ReadFrame(NamedTuple):
-    """What a capture unit sends of one polarity at a read (meshpoint.controller.sensing.wheel_edges.EdgeFrame)."""
+    """What a capture unit sends of one polarity at a read
+    (meshpoint.controller.sensing.wheel_edges.EdgeFrame)."""
 
     read_time_us: int
     newest_index: int

@@ -2,10 +2,10 @@
 
 Two observers hear the same frames at the controller's own steps, one of them with the input shaft's
 and the propeller shaft's edges fused; neither of them is the one that shifts. Scored is as for
-every estimator (`meshpoint/testbench/results/estimation.py`): the layshaft against its encoder, the main shaft
-against the rig's truth, from neutral to contact, the wait for the next read included. And what was
-predicted: the layshaft 45 ms ahead where the brake's commands have not changed since, the main
-shaft 35 to 45 ms ahead, as its truth comes.
+every estimator (`meshpoint/testbench/results/estimation.py`): the layshaft against its encoder, the
+main shaft against the rig's truth, from neutral to contact, the wait for the next read included.
+And what was predicted: the layshaft 45 ms ahead where the brake's commands have not changed since,
+the main shaft 35 to 45 ms ahead, as its truth comes.
 """
 
 from __future__ import annotations

@@ -176,7 +176,8 @@ class Study(Generic[S]):
     of: tuple[str, ...]
     """What of the thesis it reproduces, as `figure 6.1`, `table 6.1`, `section 7.2`."""
     settings: type[S]
-    """A frozen dataclass as `meshpoint.gearbox.tables` reads it; its values stand in studies.toml."""
+    """A frozen dataclass as `meshpoint.gearbox.tables` reads it; its values stand in
+    studies.toml."""
     conclude: Callable[[Given[S]], Finding]
     """From settings and the results of the jobs to the finding."""
     jobs: Callable[[Given[S]], tuple[Job, ...]] = no_jobs

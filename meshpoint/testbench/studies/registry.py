@@ -1,11 +1,11 @@
 """All studies by name.
 
-How a study is added: a file `meshpoint/testbench/studies/NAME.py` with a frozen dataclass of its settings and
-a constant `STUDY: Study`; a table `[NAME]` in `studies.toml` with a value for every setting; its
-name in `NAMES`, at the place where it should stand on the page; a line in `docs/thesis.md`.
-What takes longer than a second goes into jobs (`jobs.py` has the closed loop), which run in
-parallel; `conclude` makes statements, figures, charts and tables of their results. Drawing, CSV,
-JSON and the page are the frame's.
+How a study is added: a file `meshpoint/testbench/studies/NAME.py` with a frozen dataclass of its
+settings and a constant `STUDY: Study`; a table `[NAME]` in `studies.toml` with a value for every
+setting; its name in `NAMES`, at the place where it should stand on the page; a line in
+`docs/thesis.md`. What takes longer than a second goes into jobs (`jobs.py` has the closed loop),
+which run in parallel; `conclude` makes statements, figures, charts and tables of their results.
+Drawing, CSV, JSON and the page are the frame's.
 """
 
 from __future__ import annotations

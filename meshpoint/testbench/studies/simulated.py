@@ -1,7 +1,8 @@
 """The simulated value of thesis 6.3: a shift of the rig's linear plant, sampled.
 
-The rig's physics (`meshpoint.rig_sim.thesis.plant`, 4.1 to 4.16 in closed form) is written independently of the
-controller's predictor, so a prediction that equals it says more than that code equals itself.
+The rig's physics (`meshpoint.rig_sim.thesis.plant`, 4.1 to 4.16 in closed form) is written
+independently of the controller's predictor, so a prediction that equals it says more than that code
+equals itself.
 """
 
 from __future__ import annotations

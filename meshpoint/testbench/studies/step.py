@@ -212,7 +212,8 @@ def _storage_statement(own: Settings, costs: dict[str, Cost], storage: dict[str,
         Verdict.DIFFERS if sum(closed) <= sum(euler) else Verdict.AGREES,
         "difficult is taken as more operations than Euler's method at the wanted accuracy. The "
         "model's matrix is triangular, so its exponential has a closed form "
-        "(controller/motion/linear_kernels.py): nothing is difficult to work out live, and nothing is stored. "
+        "(controller/motion/linear_kernels.py): nothing is difficult to work out live, and "
+        "nothing is stored. "
         "The thesis computes it with c2d. At a fixed tick storing would be cheap as well; at the "
         "microsecond of our activation times it would indeed be excessive",
     )
