@@ -1,0 +1,51 @@
+"""The house: one name for everything, and every folder with code is part of the package."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PRODUCT = ("controller", "dbc", "meshpoint", "rig_sim")
+OLD_NAMES = {"bus", "controller", "dbc", "gearbox", "rig_sim", "testbench"}
+SOURCES = sorted(
+    path for folder in (*PRODUCT, "tests", "benchmarks") for path in (ROOT / folder).rglob("*.py")
+)
+
+
+def imported(path: Path) -> set[str]:
+    """First names of everything a file imports."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names.update(alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and node.level == 0 and node.module:
+            names.add(node.module.partition(".")[0])
+    return names
+
+
+@pytest.mark.parametrize("folder", [*PRODUCT, "tests", "benchmarks"])
+def test_everything_is_imported_under_the_one_name(folder: str) -> None:
+    paths = [path for path in SOURCES if path.relative_to(ROOT).parts[0] == folder]
+    assert paths
+    found = {str(path.relative_to(ROOT)): imported(path) & OLD_NAMES for path in paths}
+    assert not {path: names for path, names in found.items() if names}
+
+
+def test_every_folder_with_code_is_a_package_that_says_what_it_is() -> None:
+    folders = {path.parent for path in SOURCES if path.relative_to(ROOT).parts[0] in PRODUCT}
+    assert len(folders) > 25
+    for folder in sorted(folders):
+        start = folder / "__init__.py"
+        assert start.is_file(), f"{folder}: no __init__.py, so a wheel would lose it"
+        assert ast.get_docstring(ast.parse(start.read_text(encoding="utf-8"))), start
+
+
+def test_no_import_is_hidden_from_the_import_graph() -> None:
+    hidden = [
+        str(path.relative_to(ROOT))
+        for path in SOURCES
+        if path.relative_to(ROOT).parts[0] in ("controller", "rig_sim")
+        and "TYPE_CHECKING" in path.read_text(encoding="utf-8")
+    ]
+    assert hidden == []
