@@ -17,24 +17,24 @@ from meshpoint.controller.estimation.tooth_match import Memory
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.observer import Observer
-from meshpoint.controller.phase.recall import Kept
-from meshpoint.controller.shift.desk import ShiftDesk
+from meshpoint.controller.phase.recall import SavedReferences
+from meshpoint.controller.shift.desk import ShiftContext
 from meshpoint.gearbox.gears import MAIN_GEARS
 
 
-def restore(calibration: Calibration, observer: Observer, desk: ShiftDesk) -> None:
+def restore(calibration: Calibration, observer: Observer, context: ShiftContext) -> None:
     """Starts with what earlier runs learned. Teeth and phase references are memories until the
     wheels show which tooth is which; the baseline estimators take delays and drifts alone."""
-    desk.delays.restore(calibration.sleeves)
-    desk.drifts.restore(calibration.drifts)
-    recall = observer.recall
-    if recall is None:
+    context.delays.restore(calibration.sleeves)
+    context.drifts.restore(calibration.drifts)
+    recovery = observer.recovery
+    if recovery is None:
         return
     if calibration.brake is not None:
         observer.take_brake(calibration.brake)
     wheels = calibration.wheels
-    recall.restore(
-        Kept(
+    recovery.restore(
+        SavedReferences(
             _pattern(wheels.layshaft),
             _pattern(wheels.main),
             calibration.references.offsets_rad,
@@ -43,7 +43,7 @@ def restore(calibration: Calibration, observer: Observer, desk: ShiftDesk) -> No
 
 
 def collect(
-    header: RunHeader, observer: Observer, desk: ShiftDesk, shifts: int, written: str
+    header: RunHeader, observer: Observer, context: ShiftContext, shifts: int, written: str
 ) -> Calibration:
     """What is known now, at a time that the caller says in `written`.
 
@@ -53,15 +53,15 @@ def collect(
     provenance = Provenance(
         header.version, header.sheet.name, header.sheet.sha256, written, earlier + shifts
     )
-    recall = observer.recall
-    if recall is None:
+    recovery = observer.recovery
+    if recovery is None:
         wheels = before.wheels if before is not None else Wheels()
         references = before.references if before is not None else References()
         brake = before.brake if before is not None else None
     else:
-        kept = recall.kept()
-        wheels = Wheels(_record(kept.layshaft), _record(kept.main))
-        references = _references(kept, header.sheet.dog.pitch_rad)
+        saved = recovery.saved()
+        wheels = Wheels(_record(saved.layshaft), _record(saved.main))
+        references = _references(saved, header.sheet.dog.pitch_rad)
         brake = observer.brake.record()
     return Calibration(
         format_=FORMAT,
@@ -69,8 +69,8 @@ def collect(
         wheels=wheels,
         references=references,
         brake=brake,
-        sleeves=desk.delays.records(),
-        drifts=desk.drifts.records(),
+        sleeves=context.delays.records(),
+        drifts=context.drifts.records(),
         end=End(complete=True),
     )
 
@@ -88,8 +88,8 @@ def _record(pattern: Memory | None) -> WheelRecord | None:
     return WheelRecord(len(errors) // 2, pattern.edges, pattern.sd_rad, errors)
 
 
-def _references(kept: Kept, pitch_rad: float) -> References:
-    offsets = kept.offsets_rad
+def _references(saved: SavedReferences, pitch_rad: float) -> References:
+    offsets = saved.offsets_rad
     given = {
         f"{gear.name.lower()}_rad": wrap_to_pitch(offsets[gear], pitch_rad)
         for gear in MAIN_GEARS

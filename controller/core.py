@@ -30,8 +30,8 @@ from meshpoint.controller.sensing.clock_probe import ClockProbe
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.settings import ControllerSettings, ValveTiming
-from meshpoint.controller.shift.desk import OutlookSource
-from meshpoint.controller.shift.moment import Moment
+from meshpoint.controller.shift.desk import PredictorSource
+from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.dbc.frame import Frame
@@ -104,6 +104,8 @@ class ControllerCore:
         self._wake_us: int | None = None
         self.shifts = 0
         """How many shifts have ended since the start."""
+        self.strategy_errors: dict[str, int] = {}
+        """What was wrong with a user's strategy, and how many shifts ended of it."""
         if header.calibration is not None:
             restore(header.calibration, self._observer, self._sequence)
 
@@ -124,10 +126,10 @@ class ControllerCore:
         self._sequence.change_settings(settings)
         self._reporter.change_header(self.header)
 
-    def take_outlook_from(self, source: OutlookSource) -> None:
+    def take_predictor_from(self, source: PredictorSource) -> None:
         """Decisions are made on this source's predictions from now on, not on the estimates: how a
         study sees what a strategy would do that knew everything."""
-        self._sequence.outlook_source = source
+        self._sequence.predictor_source = source
 
     def receive(self, frame: Frame) -> None:
         """Keeps a frame for the next step."""
@@ -155,18 +157,18 @@ class ControllerCore:
             self._observer.clock.stamp(read_us, now_us)
         self._observer.take(inputs, now_us, events)
         self._speeds.take(inputs, self._observer.clock.now_us(now_us))
-        moment = self._moment(now_us)
-        self._decide(inputs.requested_gear, moment, events)
+        snapshot = self._snapshot(now_us)
+        self._decide(inputs.requested_gear, snapshot, events)
         self._observer.learn(events)
-        frames = self._commands(inputs, moment, events)
-        frames += self._reporter.frames(self._transmitter, moment)
+        frames = self._commands(inputs, snapshot, events)
+        frames += self._reporter.frames(self._transmitter, snapshot)
         status = self._reporter.status(
             now_us, lateness_us, consumed.frames, consumed.crc, self._receiver, self._guard.blocks
         )
         frames.append(self._transmitter.encode(status))
         # In the order in which they will win the bus; the status frame closes the step.
         frames.sort(key=_identifier)
-        self._plan_next_step(now_us, moment.now_us)
+        self._plan_next_step(now_us, snapshot.now_us)
         return Step(frames, events)
 
     def shutdown(self, now_us: int) -> Step:
@@ -203,12 +205,12 @@ class ControllerCore:
             self._dropped = 0
         return inputs, Consumed((len(consumed) // 2) & 0xFFFF, zlib.crc32(b"".join(consumed)))
 
-    def _moment(self, now_us: int) -> Moment:
+    def _snapshot(self, now_us: int) -> StepSnapshot:
         observer = self._observer
         sensor_us = observer.clock.now_us(now_us)
         valves = observer.valves
         brake = valves is not None and (valves.brake_energised or valves.brake_pending)
-        return Moment(
+        return StepSnapshot(
             sensor_us,
             sensor_us + self._settings.timing.lead_us,
             observer.view,
@@ -236,15 +238,19 @@ class ControllerCore:
             return FaultCode.SPEED_STALE
         return FaultCode.NONE if receiver.valid(ValveStatus) else FaultCode.VALVE_LINK_LOST
 
-    def _decide(self, requested: int | None, moment: Moment, events: list[str]) -> None:
+    def _decide(self, requested: int | None, snapshot: StepSnapshot, events: list[str]) -> None:
         sequence = self._sequence
         before = sequence.state
-        refusal = sequence.request(requested, moment) if requested is not None else None
+        refusal = sequence.request(requested, snapshot) if requested is not None else None
         if refusal is not None:
             events.append(refusal)
             return
-        sequence.step(moment)
-        self._say(moment, events)
+        sequence.step(snapshot)
+        self._log_decision(snapshot, events)
+        if sequence.strategy_error is not None:
+            line = sequence.strategy_error
+            self.strategy_errors[line] = self.strategy_errors.get(line, 0) + 1
+            events.append(f"own strategy: {line}")
         if sequence.state is not before:
             events.append(f"{before.name.lower()} -> {sequence.state.name.lower()}")
         if sequence.finished is not None:
@@ -255,23 +261,25 @@ class ControllerCore:
                 f", {shift.attempts} fired, fault {shift.fault.name.lower()}"
             )
 
-    def _say(self, moment: Moment, events: list[str]) -> None:
+    def _log_decision(self, snapshot: StepSnapshot, events: list[str]) -> None:
         """A line where the decision is another one than before."""
         plan = self._sequence.decision
         decided = ShiftDecision.NONE if plan is None else plan.decision
         if plan is not None and decided is not self._decided:
-            line = decision_line(plan, moment.now_us)
+            line = decision_line(plan, snapshot.now_us)
             events += [] if line is None else [line]
         self._decided = decided
 
-    def _commands(self, inputs: StepInputs, moment: Moment, events: list[str]) -> list[Frame]:
+    def _commands(
+        self, inputs: StepInputs, snapshot: StepSnapshot, events: list[str]
+    ) -> list[Frame]:
         """Valve, clutch and engine commands; the valve frame goes out only past the guard."""
         guard, sequence = self._guard, self._sequence
-        frame = self._transmitter.encode(self._board.message(moment.now_us + self._ahead_us))
-        seen = self._guard_view.take(inputs, self._receiver, moment.now_us)
+        frame = self._transmitter.encode(self._board.message(snapshot.now_us + self._ahead_us))
+        seen = self._guard_view.take(inputs, self._receiver, snapshot.now_us)
         if not guard.passes(frame.data, seen):
             events.append(f"guard blocked a valve command: row {guard.blocked_row}")
-            sequence.blocked(guard.blocked_row or 0, moment)
+            sequence.blocked(guard.blocked_row or 0, snapshot)
             frame = self._transmitter.encode(ValveCommand())
         clutch = self._transmitter.encode(ClutchCommand(action=sequence.clutch))
         return [frame, clutch, *self._engine_request()]

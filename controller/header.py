@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from meshpoint.controller.calibration.records import Calibration, read_calibration
 from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.sheet import sheet_from_canonical
@@ -47,9 +48,12 @@ class RunHeader:
             "architecture": self.architecture,
             "dbc_sha256": self.dbc_sha256,
             "sheet": json.loads(self.sheet.canonical()),
-            "settings": dataclasses.asdict(self.settings),
+            "settings": self.settings.values(),
             "calibration": self.calibration.to_text() if self.calibration is not None else None,
         }
+        file = self.settings.strategy_file
+        if file is not None:
+            fields["strategy_file"] = {"sha256": file.sha256, "aims": file.aims}
         return json.dumps(fields, sort_keys=True, separators=(",", ":"))
 
     @property
@@ -113,19 +117,24 @@ def _from_values(values: dict[str, Any]) -> RunHeader:
         values["architecture"],
         values["dbc_sha256"],
         sheet,
-        _settings_from(values["settings"]),
+        _settings_from(values["settings"], values.get("strategy_file")),
         None if calibration is None else read_calibration(calibration, "calibration", sheet),
     )
 
 
-def _settings_from(values: dict[str, Any]) -> ControllerSettings:
+def _settings_from(values: dict[str, Any], file: dict[str, Any] | None) -> ControllerSettings:
     defaults = ControllerSettings()
     fields: dict[str, Any] = {}
     for field in dataclasses.fields(ControllerSettings):
+        if field.name == "strategy_file":
+            continue
         value = values[field.name]
         default: Any = getattr(defaults, field.name)
         is_group = dataclasses.is_dataclass(default)
         fields[field.name] = type(default)(**value) if is_group else value
     if len(values) != len(fields):
         raise TableError("settings of another version")
-    return ControllerSettings(**fields)
+    if file is None:
+        return ControllerSettings(**fields)
+    own = StrategyFile(fields["strategy_name"], str(file["sha256"]), bool(file["aims"]))
+    return ControllerSettings(**fields, strategy_file=own)

@@ -12,13 +12,13 @@ from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.estimation.crossing_filter import Pressures
 from meshpoint.controller.estimation.crossing_tracker import CrossingTracker, MainTracker
 from meshpoint.controller.estimation.cruise import CruiseTracker, ShaftState
-from meshpoint.controller.estimation.further_wheel import FurtherWheel
+from meshpoint.controller.estimation.further_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels, LayshaftTracker
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kinematics import are_finite
 from meshpoint.controller.motion.linear import layshaft_model
 from meshpoint.controller.motion.models import LayshaftState, first_order_law, free_motion
-from meshpoint.controller.phase.recall import Recall
+from meshpoint.controller.phase.recall import ReferenceRecovery
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.sensor_clock import SensorClock
@@ -70,20 +70,20 @@ class Observer:
         self._split = Split.HIGH
         self._layshaft_wheel = WheelEdges.of(wheels.layshaft)
         self._main_wheel = WheelEdges.of(wheels.main, BRAKED_RAD_S2)
-        self._input_wheel: FurtherWheel | None = None
-        self._propeller_wheel: FurtherWheel | None = None
+        self._input_wheel: GearedWheel | None = None
+        self._propeller_wheel: GearedWheel | None = None
         self.brake = BrakeModel(sheet, tuning.gain_sd, tuning.drag_sd_nm)
         self._learns = estimator is Estimator.CROSSING
         """The baselines know the data sheet and nothing more."""
         self.layshaft: LayshaftTracker
         self._main: CruiseTracker | MainTracker
-        self.recall: Recall | None = None
+        self.recovery: ReferenceRecovery | None = None
         """What outlives lost tooth numbers; the baselines know no teeth by which to find them."""
         if self._learns:
             if tuning.fuse_input:
-                self._input_wheel = FurtherWheel("input shaft", wheels.input_, tuning)
+                self._input_wheel = GearedWheel("input shaft", wheels.input_, tuning)
             if tuning.fuse_propeller:
-                self._propeller_wheel = FurtherWheel(
+                self._propeller_wheel = GearedWheel(
                     "propeller shaft", wheels.propeller, tuning, BRAKED_RAD_S2
                 )
             layshaft = self.layshaft = CrossingTracker(
@@ -93,7 +93,7 @@ class Observer:
             main = self._main = MainTracker(
                 tuning, wheels.main.teeth, wheels.main.missing, self._propeller_wheel
             )
-            self.recall = Recall(sheet, self.references, layshaft.teeth, main.teeth)
+            self.recovery = ReferenceRecovery(sheet, self.references, layshaft.teeth, main.teeth)
         else:
             self.layshaft = BaselineTracker(estimator, settings, brake, wheels.layshaft.pitch_rad)
             self._main = CruiseTracker(settings.cruise_filter, wheels.main.pitch_rad)
@@ -143,8 +143,8 @@ class Observer:
             # No filter for a vehicle's motion follows cones that take 400 rpm in 20 ms.
             self._main.lose_speed()
         self.layshaft.edges(layshaft, pressures)
-        if self.recall is not None:
-            self.recall.look(events, self._layshaft_wheel.sensor.renumbered)
+        if self.recovery is not None:
+            self.recovery.look(events, self._layshaft_wheel.sensor.renumbered)
 
     def _read_further(self, inputs: StepInputs, now_us: int) -> None:
         """Input and propeller shaft, where they are fused."""
@@ -211,8 +211,8 @@ class Observer:
         _, layshaft, main = self._lost
         self._lost = (self.clock.jumps, self._layshaft_wheel.broken, self._main_wheel.broken)
         lost = (self._lost[1] != layshaft, self._lost[2] != main)
-        if self.recall is not None:
-            self.recall.lost(*lost)
+        if self.recovery is not None:
+            self.recovery.lost(*lost)
         self.references.lose_all()
         for tracker, numbers_lost in zip((self.layshaft, self._main), lost, strict=True):
             if numbers_lost:
@@ -258,8 +258,8 @@ class Observer:
         gear = self.view.main_gear
         if gear is None or gear is MainGear.NEUTRAL:
             floated = self.references.released()
-            if floated is not None and self.recall is not None:
-                self.recall.floated(floated, events)
+            if floated is not None and self.recovery is not None:
+                self.recovery.floated(floated, events)
             return
         if not self.references.watches(gear):
             return
@@ -274,8 +274,8 @@ class Observer:
         pulled = self._drag_pulls(gear, main)
         if self.references.watch(gear, layshaft.theta_rad, main.theta_rad, pulled):
             events.append(f"phase reference of {gear.name.lower()} learned")
-            if self.recall is not None:
-                self.recall.learned(gear, self._phase_sd_rad(gear, layshaft, main), events)
+            if self.recovery is not None:
+                self.recovery.learned(gear, self._phase_sd_rad(gear, layshaft, main), events)
 
     def _sees_flanks(self, gear: MainGear, layshaft: LayshaftState, main: ShaftState) -> bool:
         """Whether the angles are good enough to tell the gap's flanks apart."""

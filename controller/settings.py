@@ -9,6 +9,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
 
+from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.dbc.messages import Estimator, Strategy
 from meshpoint.gearbox.tables import (
     TableError,
@@ -25,11 +26,8 @@ RPM: Final = 2.0 * math.pi / 60.0
 DEG: Final = math.pi / 180.0
 MS_IN_US: Final = 1000
 
-STRATEGY_NAMES: Final = {
-    "speed_window": Strategy.SPEED_WINDOW,
-    "speed_window_anticipating": Strategy.SPEED_WINDOW_ANTICIPATING,
-    "target_phase": Strategy.TARGET_PHASE,
-}
+STRATEGY_NAMES: Final = {value.name.lower(): value for value in Strategy}
+"""What the bus can name; each has its class in `strategies.table`."""
 ESTIMATOR_NAMES: Final = {
     "window": Estimator.WINDOW,
     "thesis": Estimator.THESIS,
@@ -271,6 +269,8 @@ class ControllerSettings:
     crossing_filter: CrossingFilterTuning = group(
         CrossingFilterTuning, default=CrossingFilterTuning()
     )
+    strategy_file: StrategyFile | None = None
+    """A user's own strategy, which `strategy_name` names then; in no settings file."""
 
     def __post_init__(self) -> None:
         if self.window.fire_slip_rad_s > self.guard.slip_high_rad_s:
@@ -280,13 +280,33 @@ class ControllerSettings:
 
     @property
     def strategy(self) -> Strategy:
-        """The engagement strategy asked for."""
+        """The engagement strategy asked for, as the bus says it."""
+        if self.strategy_file is not None:
+            return self.strategy_file.wire
         return STRATEGY_NAMES[self.strategy_name]
+
+    def name_of(self, strategy: Strategy) -> str:
+        """The name of a strategy that acted under these settings, by its value on the bus."""
+        return self.strategy_name if strategy is self.strategy else strategy.name.lower()
+
+    def with_strategy(self, name: str, file: StrategyFile | None = None) -> ControllerSettings:
+        """The same with another strategy; `file` for a user's own."""
+        return dataclasses.replace(self, strategy_name=name, strategy_file=file)
+
+    def values(self) -> dict[str, Any]:
+        """All of them by attribute (SI), without the text of a user's strategy."""
+        return dataclasses.asdict(
+            dataclasses.replace(self, strategy_file=None), dict_factory=_plain
+        )
 
     @property
     def estimator(self) -> Estimator:
         """The layshaft estimator asked for."""
         return ESTIMATOR_NAMES[self.estimator_name]
+
+
+def _plain(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    return {key: value for key, value in pairs if key != "strategy_file"}
 
 
 def load_settings(path: Path | None, **overrides: Any) -> ControllerSettings:

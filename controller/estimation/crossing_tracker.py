@@ -15,7 +15,7 @@ from meshpoint.controller.estimation.brake_model import BrakeModel, Carried
 from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES, CrossingFilter, Pressures
 from meshpoint.controller.estimation.cruise import STALE_US, ShaftState, WindowSpeed
 from meshpoint.controller.estimation.free_run import FreeRun
-from meshpoint.controller.estimation.further_wheel import FurtherWheel
+from meshpoint.controller.estimation.further_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.motion.brake_input import BrakeInput
@@ -55,7 +55,7 @@ class _Shaft:
         teeth: int,
         missing: tuple[int, ...],
         start_rad_s2: float,
-        further: FurtherWheel | None,
+        further: GearedWheel | None,
     ) -> None:
         self._tuning = tuning
         self._start_rad_s2 = start_rad_s2
@@ -164,7 +164,7 @@ class CrossingTracker(_Shaft):
         known: BrakeModel,
         teeth: int,
         missing: tuple[int, ...] = (),
-        further: FurtherWheel | None = None,
+        further: GearedWheel | None = None,
     ) -> None:
         super().__init__(tuning, teeth, missing, tuning.follow_rad_s2, further)
         self._brake = brake
@@ -292,7 +292,7 @@ class MainTracker(_Shaft):
         tuning: CrossingFilterTuning,
         teeth: int,
         missing: tuple[int, ...] = (),
-        further: FurtherWheel | None = None,
+        further: GearedWheel | None = None,
     ) -> None:
         super().__init__(tuning, teeth, missing, tuning.main_rad_s2, further)
         self._model = following_motion(tuning.main_rad_s2, tuning.main_s, tuning.main_walk_rad_s2)

@@ -19,7 +19,7 @@ from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox.sheet import Wheel
 
 
-class FurtherWheel:
+class GearedWheel:
     """Its edges of this step, its teeth, and its ratio to the estimated shaft."""
 
     def __init__(

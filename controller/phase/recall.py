@@ -46,7 +46,7 @@ MOST_COUNTED: Final = 1000
 """Turns, of a layshaft that a sensor has counted."""
 
 
-class Kept(NamedTuple):
+class SavedReferences(NamedTuple):
     """Tooth patterns and the references in their numbering: what outlives a restart."""
 
     layshaft: Memory | None
@@ -66,11 +66,11 @@ class _Wheel:
     """The shift of the numbering that the wheel's own memory is in."""
 
     @property
-    def hopeless(self) -> bool:
+    def unrecoverable(self) -> bool:
         """Nothing is left by which its old numbers could be found."""
         return self.shift is None and self.teeth.memory is None and self.teeth.found is None
 
-    def kept(self) -> Memory | None:
+    def saved(self) -> Memory | None:
         """Its pattern in the remembered numbering."""
         teeth, memory = self.teeth, self.teeth.memory
         if self.shift is None and memory is not None:
@@ -81,7 +81,7 @@ class _Wheel:
         return Memory(turned, teeth.sd_rad, teeth.edges_seen)
 
 
-class Recall:
+class ReferenceRecovery:
     """The references of a numbering that was lost, and what is known of it by now."""
 
     def __init__(
@@ -107,12 +107,12 @@ class Recall:
         self._found = False
         """Both wheels are numbered as remembered, so that candidates can be told apart."""
 
-    def restore(self, kept: Kept) -> None:
+    def restore(self, saved: SavedReferences) -> None:
         """Patterns and references of an earlier run."""
-        self._remembered, self._same_turn = dict(kept.offsets_rad), False
+        self._remembered, self._same_turn = dict(saved.offsets_rad), False
         self._turns, self._found = all_turns({}), False
         self._counted_from = None
-        for wheel, memory in zip(self._wheels, (kept.layshaft, kept.main), strict=True):
+        for wheel, memory in zip(self._wheels, (saved.layshaft, saved.main), strict=True):
             wheel.teeth.memory = memory
             wheel.shift, wheel.base = None, 0
 
@@ -192,7 +192,7 @@ class Recall:
             events.append(f"{wheel.name} teeth found again: tooth 0 was {found.teeth}")
             if wheel.shift is None:
                 wheel.shift = wheel.base + found.teeth
-        if any(wheel.hopeless for wheel in self._wheels):
+        if any(wheel.unrecoverable for wheel in self._wheels):
             self._start({})
         elif waiting and not self._pending:
             self._begin(events)
@@ -300,16 +300,16 @@ class Recall:
         """How many phases of this gear are possible; 0 where nothing is remembered of it."""
         return 1 if self._references.known(gear) else len(self._turns_of(gear))
 
-    def kept(self) -> Kept:
+    def saved(self) -> SavedReferences:
         """What is worth keeping: the remembered numbering while it may still be found again, else
         the present one."""
         if not self._pending:
             both = all(wheel.teeth.learned for wheel in self._wheels)
             layshaft, main = (_now(wheel.teeth) for wheel in self._wheels)
-            return Kept(layshaft, main, self._in_present_numbering() if both else {})
-        layshaft, main = (wheel.kept() for wheel in self._wheels)
+            return SavedReferences(layshaft, main, self._in_present_numbering() if both else {})
+        layshaft, main = (wheel.saved() for wheel in self._wheels)
         whole = layshaft is not None and main is not None
-        return Kept(layshaft, main, self._without_waiting() if whole else {})
+        return SavedReferences(layshaft, main, self._without_waiting() if whole else {})
 
 
 _WHY: Final = {

@@ -1,4 +1,4 @@
-"""The outlook of a shift: slip and phase of the target gear at times to come.
+"""Slip and phase of the target gear at times to come, predicted from the estimates of one step.
 
 Layshaft by zero-order hold over the brake commands, main shaft with the acceleration it has.
 """
@@ -27,7 +27,7 @@ CLOSE_RAD_S = 1e-4
 """A root this near is found: some microseconds at the brake's full torque."""
 
 
-class Course(NamedTuple):
+class Trajectory(NamedTuple):
     """Phase (unwrapped) and slip at equal steps of time."""
 
     first_us: float
@@ -37,7 +37,7 @@ class Course(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Outlook:
+class GearPredictor:
     """Predictions for one target gear from the estimates of this step."""
 
     gear: MainGear
@@ -100,9 +100,9 @@ class Outlook:
         horizon_s = (time_us - self.main.time_us) * US
         return math.hypot(self.main.theta_sd_rad, self.main.omega_sd_rad_s * horizon_s)
 
-    def course(
+    def trajectory(
         self, first_us: float, step_us: float, count: int, release_us: float | None = None
-    ) -> Course:
+    ) -> Trajectory:
         """Phase and slip at `count` times from `first_us` on, the brake as commanded or released
         at `release_us`. KeyError while the reference is unknown."""
         main, state, brake = self.main, self.layshaft, self.brake
@@ -112,7 +112,7 @@ class Outlook:
         omega = main.omega_rad_s - self.drift_rad_s
         motion = (main.time_us, main.theta_rad, omega, main.acceleration_rad_s2)
         mesh = np.array([self.i_gear, offset, *motion])
-        found = Course(first_us, step_us, np.empty(count), np.empty(count))
+        found = Trajectory(first_us, step_us, np.empty(count), np.empty(count))
         model = self.model
         course(
             state.vector, state.time_us, first_us, step_us, *switches, model.motion, model.law,

@@ -17,7 +17,7 @@ from typing import Final
 
 from meshpoint.controller.calibration.records import DriftRecord, Drifts
 from meshpoint.controller.motion.kinematics import raw_phase_rad
-from meshpoint.controller.planning.outlook import Outlook
+from meshpoint.controller.planning.outlook import GearPredictor
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
 
@@ -62,8 +62,8 @@ class PhaseDrifts:
         """What phases scatter by, drift left out, over the filters' standard deviation."""
         return self._learned[gear].share
 
-    def learn(self, fired: Outlook, seen: Outlook, contact_us: float) -> None:
-        """An aimed contact was at `contact_us`: `fired` is the outlook when the sleeve was fired,
+    def learn(self, fired: GearPredictor, seen: GearPredictor, contact_us: float) -> None:
+        """An aimed contact was at `contact_us`: `fired` is the predictor when the sleeve was fired,
         `seen` the last one before it entered its gear."""
         passed_s = (contact_us - fired.main.time_us) * 1e-6
         if passed_s < LEAST_S:
@@ -117,7 +117,7 @@ class PhaseDrifts:
                 )
 
 
-def _undrifted_rad(outlook: Outlook, time_us: float) -> float:
+def _undrifted_rad(predictor: GearPredictor, time_us: float) -> float:
     """Phase by the model alone, but for the gear's constant."""
-    layshaft = outlook.layshaft_at(time_us, None)
-    return raw_phase_rad(outlook.i_gear, layshaft.theta_rad, outlook.main.theta_at(time_us))
+    layshaft = predictor.layshaft_at(time_us, None)
+    return raw_phase_rad(predictor.i_gear, layshaft.theta_rad, predictor.main.theta_at(time_us))

@@ -11,7 +11,7 @@ from meshpoint.dbc.messages import ShiftDecision
 RPM: Final = math.pi / 30.0
 DEG: Final = math.pi / 180.0
 MS_US: Final = 1000.0
-TELLING: Final = {
+LINES: Final = {
     ShiftDecision.BRAKE: "brake: contact planned in {contact:.0f} ms, at {slip:.1f} rpm",
     ShiftDecision.RELEASE: "release: contact in {contact:.0f} ms, at {slip:.1f} rpm",
     ShiftDecision.WAIT_FOR_SLIP: "wait: {slip:.1f} rpm at the earliest contact, too much yet",
@@ -25,8 +25,8 @@ def decision_line(plan: Plan, now_us: int) -> str | None:
     """What a plan decides and what it expects; None where there is nothing to say.
 
     `where`: phase beside the gap's middle with its standard deviation, and slip."""
-    telling = TELLING.get(plan.decision)
-    if telling is None:
+    line = LINES.get(plan.decision)
+    if line is None:
         return None
     slip = plan.slip_rad_s / RPM
     where = (
@@ -34,7 +34,7 @@ def decision_line(plan: Plan, now_us: int) -> str | None:
     )
     if plan.phase_sd_rad == 0.0:
         where = f"phase unknown or not asked for, {slip:.1f} rpm"
-    return telling.format(
+    return line.format(
         slip=slip,
         where=where,
         fire=(plan.fire_us - now_us) / MS_US,

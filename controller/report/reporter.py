@@ -11,7 +11,7 @@ from meshpoint.controller.motion.kinematics import slip_rad_s, wrap_to_pitch
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.controller.observer import Observer
 from meshpoint.controller.report.messages import estimates, etc1, etc2, outcome, prediction
-from meshpoint.controller.shift.moment import Moment
+from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver, Transmitter
@@ -47,7 +47,7 @@ class Reporter:
         self._header = header
         self._run_hash = header.run_hash
 
-    def frames(self, transmitter: Transmitter, moment: Moment) -> list[Frame]:
+    def frames(self, transmitter: Transmitter, snapshot: StepSnapshot) -> list[Frame]:
         """Estimates, J1939 messages, and this step's prediction and outcome where there are any."""
         sequence, sheet = self._sequence, self._header.sheet
         # As of the newest read: later, in gear, two estimates carried forward would drift apart.
@@ -63,7 +63,7 @@ class Reporter:
             messages.append(etc2(sheet, current, target.number if target else max(current, 0)))
         shift = sequence.shift or sequence.finished
         if sequence.decision is not None and shift is not None:
-            messages.append(prediction(moment.now_us, sequence.decision, shift))
+            messages.append(prediction(snapshot.now_us, sequence.decision, shift))
         if sequence.finished is not None:
             messages.append(outcome(sequence.finished, sheet.dog.pitch_rad))
         return [transmitter.encode(message) for message in messages]

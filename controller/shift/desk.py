@@ -8,12 +8,12 @@ from typing import Final
 
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.planning.outlook import Outlook
+from meshpoint.controller.planning.outlook import GearPredictor
 from meshpoint.controller.planning.phase_drift import PhaseDrifts
 from meshpoint.controller.planning.sleeve_delay import SleeveDelays
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.shift.moment import Moment
+from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
 from meshpoint.controller.shift.valve_board import Valve, ValveBoard
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
@@ -40,12 +40,12 @@ OPPOSITE: Final = {
 """The valve that pulls a gear out pushes toward the sleeve's other gear."""
 
 
-OutlookSource = Callable[[Outlook], Outlook]
-"""Makes another outlook of the one from the estimates; every reference then counts as known."""
+PredictorSource = Callable[[GearPredictor], GearPredictor]
+"""Makes another predictor of the one from the estimates; every reference then counts as known."""
 
 
-class ShiftDesk:
-    """The sequence's commands and memory; a phase is a function of it and the moment."""
+class ShiftContext:
+    """What the sequence commands and remembers; each phase is a function of it and the snapshot."""
 
     def __init__(
         self,
@@ -74,11 +74,13 @@ class ShiftDesk:
         self.decision: Plan | None = None
         """This step's decision, for the prediction frame."""
         self.fault = FaultCode.NONE
-        self.outlook_source: OutlookSource | None = None
-        self.free_outlook: Outlook | None = None
+        self.strategy_error: str | None = None
+        """What was wrong with a user's strategy in this step."""
+        self.predictor_source: PredictorSource | None = None
+        self.free_predictor: GearPredictor | None = None
         """The last one before the sleeve entered its gear."""
         self.free_us = 0
-        self.fired_outlook: Outlook | None = None
+        self.firing_predictor: GearPredictor | None = None
         """The one that the firing was decided by."""
 
     @property
@@ -93,81 +95,81 @@ class ShiftDesk:
         """The gear being shifted to."""
         return self.shift.target if self.shift else None
 
-    def enter(self, state: State, moment: Moment) -> None:
+    def enter(self, state: State, snapshot: StepSnapshot) -> None:
         """The next state begins."""
         self.state = state
-        self.since_us = moment.now_us
+        self.since_us = snapshot.now_us
 
-    def late(self, moment: Moment, limit_ms: int) -> bool:
+    def late(self, snapshot: StepSnapshot, limit_ms: int) -> bool:
         """Whether the state has lasted longer."""
-        return moment.now_us - self.since_us > limit_ms * MS
+        return snapshot.now_us - self.since_us > limit_ms * MS
 
-    def switch_brake(self, on: bool, time_us: int, moment: Moment) -> None:
+    def switch_brake(self, on: bool, time_us: int, snapshot: StepSnapshot) -> None:
         """The brake valve at a time, and what the filter is told of it."""
-        self.board.schedule(Valve.BRAKE, on, time_us, moment.now_us)
-        self.brake.schedule(time_us, on, moment.now_us)
+        self.board.schedule(Valve.BRAKE, on, time_us, snapshot.now_us)
+        self.brake.schedule(time_us, on, snapshot.now_us)
 
     def all_off(self, now_us: int) -> None:
         """No valve is driven any more, and the filter is told."""
         self.board.all_off()
         self.brake.schedule(now_us, False, now_us)
 
-    def end(self, moment: Moment, result: ShiftResult, fault: FaultCode) -> None:
+    def end(self, snapshot: StepSnapshot, result: ShiftResult, fault: FaultCode) -> None:
         """The shift is over."""
         shift = self.running
-        shift.result, shift.fault, shift.end_us = result, fault, moment.now_us
+        shift.result, shift.fault, shift.end_us = result, fault, snapshot.now_us
         self.fault = fault
         self.finished, self.shift = shift, None
         self.engine_rad_s = None
-        self.all_off(moment.now_us)
+        self.all_off(snapshot.now_us)
 
-    def give_up(self, moment: Moment, fault: FaultCode) -> Trigger:
+    def give_up(self, snapshot: StepSnapshot, fault: FaultCode) -> Trigger:
         """The shift ends where the box stands, with the fault declared."""
-        gear = moment.view.main_gear
+        gear = snapshot.view.main_gear
         if fault is FaultCode.POSITION_STALE or gear is None:
-            self.end(moment, ShiftResult.ENDED_BETWEEN_GEARS, fault)
+            self.end(snapshot, ShiftResult.ENDED_BETWEEN_GEARS, fault)
             return Trigger.GEAR_UNKNOWN
         neutral = gear is MainGear.NEUTRAL
         result = ShiftResult.ENDED_IN_NEUTRAL if neutral else ShiftResult.ENDED_IN_OLD_GEAR
-        self.end(moment, result, fault)
+        self.end(snapshot, result, fault)
         return Trigger.GAVE_UP
 
-    def outlook(self, gear: MainGear, moment: Moment) -> Outlook | None:
+    def predictor(self, gear: MainGear, snapshot: StepSnapshot) -> GearPredictor | None:
         """Predictions for a gear; None while a speed is missing or the model does not hold."""
-        if moment.main is None or not moment.layshaft.free:
+        if snapshot.main is None or not snapshot.layshaft.free:
             return None
-        if math.isfinite(moment.supply_pa):
-            self.delays.supply_pa = moment.supply_pa - self.sheet.air.atmosphere_pa
-        layshaft = moment.layshaft.latest()
+        if math.isfinite(snapshot.supply_pa):
+            self.delays.supply_pa = snapshot.supply_pa - self.sheet.air.atmosphere_pa
+        layshaft = snapshot.layshaft.latest()
         if not layshaft.is_finite:
             return None
-        outlook = Outlook(
+        predictor = GearPredictor(
             gear,
             self.sheet.main_mesh(gear).ratio,
             layshaft,
-            moment.main,
+            snapshot.main,
             self.brake,
-            moment.layshaft.model,
+            snapshot.layshaft.model,
             self.references,
             self.delays.delay_us(gear),
             self.delays.delay_sd_s(gear),
             self.drifts.rad_s(gear),
             self.drifts.spread_share(gear),
         )
-        return outlook if self.outlook_source is None else self.outlook_source(outlook)
+        return predictor if self.predictor_source is None else self.predictor_source(predictor)
 
     def reference_known(self, gear: MainGear) -> bool:
         """Whether a gear's phase can be told."""
-        return self.outlook_source is not None or self.references.known(gear)
+        return self.predictor_source is not None or self.references.known(gear)
 
     def change_settings(self, settings: ControllerSettings) -> None:
         """Other settings from the next decision on."""
         self.settings = settings
         self.strategist = Strategist(self.sheet, settings)
 
-    def ask_engine(self, gear: DriveGear, slip_rad_s: float, moment: Moment) -> None:
+    def ask_engine(self, gear: DriveGear, slip_rad_s: float, snapshot: StepSnapshot) -> None:
         """Asks for the speed at which the gear has this slip; for none that an engine cannot do."""
-        main = moment.speeds.main
+        main = snapshot.speeds.main
         if main is None:
             self.engine_rad_s = None
             return

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.controller.sensing.gearbox_view import ENTERED_M
-from meshpoint.controller.shift.desk import FALL_US, MS, OPPOSITE, SLEEVE_VALVE, ShiftDesk
+from meshpoint.controller.shift.desk import FALL_US, MS, OPPOSITE, SLEEVE_VALVE, ShiftContext
 from meshpoint.controller.shift.disengage import pull_out
-from meshpoint.controller.shift.moment import Moment
+from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.dbc.messages import FaultCode, ShiftDecision, ShiftResult, Strategy
+from meshpoint.dbc.messages import FaultCode, ShiftDecision, ShiftResult
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 
@@ -23,88 +23,89 @@ SEEN_US: Final = 28 * MS
 """A gear is in so long before it is seen to be, at most."""
 
 
-def engage(desk: ShiftDesk, moment: Moment) -> Trigger | None:
+def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Until the gear is in, or rests on a tooth for too long."""
-    shift = desk.running
+    shift = context.running
     gear = shift.target.main
-    outlook = desk.outlook(gear, moment)
-    if outlook is not None:
-        desk.free_outlook, desk.free_us = outlook, moment.now_us
+    predictor = context.predictor(gear, snapshot)
+    if predictor is not None:
+        context.free_predictor, context.free_us = predictor, snapshot.now_us
     if shift.measured_contact_us is None:
-        _look_for_contact(desk, moment)
-    if moment.view.main_gear is gear:
+        _look_for_contact(context, snapshot)
+    if snapshot.view.main_gear is gear:
         contact_us = shift.measured_contact_us
-        straight = contact_us is not None and moment.now_us - contact_us < STRAIGHT_US
-        struck_us = desk.free_us if straight else moment.now_us - SEEN_US
-        desk.references.locked(gear, _flank_slip_rad_s(desk, struck_us), straight)
-        desk.end(moment, ShiftResult.ENGAGED, FaultCode.NONE)
+        straight = contact_us is not None and snapshot.now_us - contact_us < STRAIGHT_US
+        struck_us = context.free_us if straight else snapshot.now_us - SEEN_US
+        context.references.locked(gear, _flank_slip_rad_s(context, struck_us), straight)
+        context.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE)
         return Trigger.ENGAGED
-    if _rests_on_a_tooth(desk, moment) or desk.late(moment, desk.settings.limits.engage_ms):
-        desk.board.off(SLEEVE_VALVE[gear])
+    if _is_tooth_on_tooth(context, snapshot) or context.late(
+        snapshot, context.settings.limits.engage_ms
+    ):
+        context.board.off(SLEEVE_VALVE[gear])
         return Trigger.BLOCKED
     return None
 
 
-def _look_for_contact(desk: ShiftDesk, moment: Moment) -> None:
-    shift = desk.running
+def _look_for_contact(context: ShiftContext, snapshot: StepSnapshot) -> None:
+    shift = context.running
     side = SLEEVE_OF_MAIN[shift.target.main]
-    crossing = moment.view.contact_us(side.sleeve, side.direction)
+    crossing = snapshot.view.contact_us(side.sleeve, side.direction)
     if crossing is None:
         return
     shift.measured_contact_us = round(crossing)
     if shift.plan is not None:
-        desk.delays.learn(shift.target.main, crossing - shift.plan.fire_us)
-    fired, free = desk.fired_outlook, desk.free_outlook
-    aimed = shift.strategy is Strategy.TARGET_PHASE
-    if aimed and fired is not None and free is not None:
-        desk.drifts.learn(fired, free, crossing)
-    if free is not None and desk.reference_known(shift.target.main):
-        shift.estimated_phase_rad = desk.strategist.plan_at(
+        context.delays.learn(shift.target.main, crossing - shift.plan.fire_us)
+    fired, free = context.firing_predictor, context.free_predictor
+    if shift.aimed and fired is not None and free is not None:
+        context.drifts.learn(fired, free, crossing)
+    if free is not None and context.reference_known(shift.target.main):
+        shift.estimated_phase_rad = context.strategist.plan_at(
             free, round(crossing), ShiftDecision.NONE
         ).phase_rad
 
 
-def _rests_on_a_tooth(desk: ShiftDesk, moment: Moment) -> bool:
+def _is_tooth_on_tooth(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     """Contact was long ago, and the sleeve has not entered."""
-    shift = desk.running
+    shift = context.running
     if shift.measured_contact_us is None:
         return False
     side = SLEEVE_OF_MAIN[shift.target.main]
-    way_m = moment.view.position_m(side.sleeve) * side.direction
-    rested_us = moment.now_us - shift.measured_contact_us
-    entered = way_m > desk.sheet.sleeve.to_contact_m + 2.0 * ENTERED_M
-    return not entered and rested_us > desk.settings.limits.face_ms * MS
+    way_m = snapshot.view.position_m(side.sleeve) * side.direction
+    rested_us = snapshot.now_us - shift.measured_contact_us
+    entered = way_m > context.sheet.sleeve.to_contact_m + 2.0 * ENTERED_M
+    return not entered and rested_us > context.settings.limits.face_ms * MS
 
 
-def _flank_slip_rad_s(desk: ShiftDesk, struck_us: int) -> float:
+def _flank_slip_rad_s(context: ShiftContext, struck_us: int) -> float:
     """The slip that carried the tooth to its flank; 0 where its sign cannot be told.
 
     Slip falls while the layshaft is free. A positive one that is too small to cross the whole
     gap before it reverses may have left the tooth on either flank."""
-    outlook = desk.free_outlook
-    if outlook is None:
+    predictor = context.free_predictor
+    if predictor is None:
         return 0.0
-    slip = outlook.slip_rad_s(struck_us)
-    later = outlook.slip_rad_s(struck_us + FALL_US)
+    slip = predictor.slip_rad_s(struck_us)
+    later = predictor.slip_rad_s(struck_us + FALL_US)
     if slip <= 0.0:
         return later
     fall_rad_s2 = (slip - later) / (FALL_US * 1e-6)
-    crosses = slip * slip > 2.0 * desk.sheet.dog.backlash_rad * fall_rad_s2
+    crosses = slip * slip > 2.0 * context.sheet.dog.backlash_rad * fall_rad_s2
     return slip if crosses else 0.0
 
 
-def retract(desk: ShiftDesk, moment: Moment) -> Trigger | None:
+def retract(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Back to neutral: by itself, or pulled; then once more, a bounded number of times."""
-    shift, gear = desk.running, moment.view.main_gear
-    desk.board.off(SLEEVE_VALVE[shift.target.main])
+    shift, gear = context.running, snapshot.view.main_gear
+    context.board.off(SLEEVE_VALVE[shift.target.main])
     shift.plan = None
     if gear is MainGear.NEUTRAL:
-        desk.board.off(OPPOSITE[shift.target.main])
-        if shift.attempts >= desk.settings.limits.attempts:
-            return desk.give_up(moment, FaultCode.ENGAGE_FAILED)
+        context.board.off(OPPOSITE[shift.target.main])
+        if shift.attempts >= context.settings.limits.attempts:
+            return context.give_up(snapshot, FaultCode.ENGAGE_FAILED)
         return Trigger.RETRACTED
-    if desk.late(moment, desk.settings.limits.disengage_ms):
-        return desk.give_up(moment, FaultCode.ENGAGE_FAILED)
-    if moment.now_us - desk.since_us > LET_GO_US:
-        pull_out(desk, moment, shift.target.main, drive=True)
+    if context.late(snapshot, context.settings.limits.disengage_ms):
+        return context.give_up(snapshot, FaultCode.ENGAGE_FAILED)
+    if snapshot.now_us - context.since_us > LET_GO_US:
+        pull_out(context, snapshot, shift.target.main, drive=True)
     return None

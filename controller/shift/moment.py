@@ -12,7 +12,7 @@ from meshpoint.dbc.messages import FaultCode
 
 
 @dataclass(frozen=True)
-class Moment:
+class StepSnapshot:
     """What the sequence sees at one step, all in the sensor clock."""
 
     now_us: int

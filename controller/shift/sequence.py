@@ -12,30 +12,26 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.sensing.gearbox_view import GearboxView
-from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.shift.desk import ShiftDesk
+from meshpoint.controller.shift.desk import ShiftContext
 from meshpoint.controller.shift.disengage import disengage, open_clutch
 from meshpoint.controller.shift.engage import engage, retract
-from meshpoint.controller.shift.moment import Moment
-from meshpoint.controller.shift.rest import close_clutch, find_gear, stand_faulted, stay
+from meshpoint.controller.shift.moment import StepSnapshot
+from meshpoint.controller.shift.rest import close_clutch, find_gear, wait_for_position, watch_gear
 from meshpoint.controller.shift.speed_up import part_clutch, raise_speed
 from meshpoint.controller.shift.steps import change_splitter, change_steps
 from meshpoint.controller.shift.synchronise import coast, synchronise
 from meshpoint.controller.shift.table import TRANSITIONS, ShiftRecord, Trigger
-from meshpoint.controller.shift.valve_board import ValveBoard
+from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import FaultCode, ShiftResult
-from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 
-Handler = Callable[[ShiftDesk, Moment], Trigger | None]
+Handler = Callable[[ShiftContext, StepSnapshot], Trigger | None]
 HANDLERS: Final[dict[State, Handler]] = {
     State.STARTING: find_gear,
-    State.IN_GEAR: stay,
-    State.NEUTRAL: stay,
+    State.IN_GEAR: watch_gear,
+    State.NEUTRAL: watch_gear,
     State.CLUTCH_OPENING: open_clutch,
     State.DISENGAGING: disengage,
     State.SPLITTER_CHANGING: change_splitter,
@@ -47,7 +43,7 @@ HANDLERS: Final[dict[State, Handler]] = {
     State.ENGAGING: engage,
     State.RETRACTING: retract,
     State.CLUTCH_CLOSING: close_clutch,
-    State.FAULTED: stand_faulted,
+    State.FAULTED: wait_for_position,
 }
 FAULT_OF_ROW: Final = {
     6: FaultCode.BRAKE_LIMIT,
@@ -58,37 +54,34 @@ FAULT_OF_ROW: Final = {
 """What a row of the guard's table means for a shift; every other is GUARD_BLOCKED."""
 
 
-class ShiftSequence(ShiftDesk):
+class ShiftSequence(ShiftContext):
     """Decides; the valve board, clutch and engine requests and the record are what it decides."""
 
-    def __init__(
-        self,
-        sheet: GearboxSheet,
-        settings: ControllerSettings,
-        board: ValveBoard,
-        brake: BrakeInput,
-        references: PhaseReferences,
-    ) -> None:
-        super().__init__(sheet, settings, board, brake, references)
-
-    def step(self, moment: Moment) -> None:
+    def step(self, snapshot: StepSnapshot) -> None:
         """One decision. Goes on through states that have nothing to wait for."""
-        self.finished = self.decision = None
-        if self.shift is not None and moment.lost is not FaultCode.NONE:
-            self._go(self.give_up(moment, moment.lost), moment)
+        self.finished = self.decision = self.strategy_error = None
+        if self.shift is not None and snapshot.lost is not FaultCode.NONE:
+            self._go(self.give_up(snapshot, snapshot.lost), snapshot)
         for _ in range(len(State)):
-            trigger = HANDLERS[self.state](self, moment)
+            trigger = self._handle(snapshot)
             if trigger is None:
                 return
-            self._go(trigger, moment)
+            self._go(trigger, snapshot)
 
-    def _go(self, trigger: Trigger, moment: Moment) -> None:
-        self.enter(TRANSITIONS[self.state, trigger], moment)
+    def _handle(self, snapshot: StepSnapshot) -> Trigger | None:
+        try:
+            return HANDLERS[self.state](self, snapshot)
+        except StrategyError as error:
+            self.strategy_error, self.decision = str(error), None
+            return self.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
 
-    def blocked(self, row: int, moment: Moment) -> None:
+    def _go(self, trigger: Trigger, snapshot: StepSnapshot) -> None:
+        self.enter(TRANSITIONS[self.state, trigger], snapshot)
+
+    def blocked(self, row: int, snapshot: StepSnapshot) -> None:
         """The guard has blocked this step's valve command, and nothing is driven any more. The
         phase tries again from where it stands, until it has been told so too often."""
-        self.all_off(moment.now_us)
+        self.all_off(snapshot.now_us)
         if self.shift is None:
             return
         self.shift.blocks += 1
@@ -97,45 +90,45 @@ class ShiftSequence(ShiftDesk):
             self.shift.pulses = max(0, self.shift.pulses - 1)
         if self.shift.blocks >= self.settings.limits.blocks:
             fault = FAULT_OF_ROW.get(row, FaultCode.GUARD_BLOCKED)
-            self._go(self.give_up(moment, fault), moment)
+            self._go(self.give_up(snapshot, fault), snapshot)
         elif self.state is State.ENGAGING:
-            self._go(Trigger.BLOCKED, moment)
+            self._go(Trigger.BLOCKED, snapshot)
 
-    def request(self, number: int, moment: Moment) -> str | None:
+    def request(self, number: int, snapshot: StepSnapshot) -> str | None:
         """A gear is asked for. Returns a line for the log where it is refused."""
         if self.state not in (State.IN_GEAR, State.NEUTRAL):
             return None
-        current = moment.view.gear_number
+        current = snapshot.view.gear_number
         if number == current:
             return None
         record = ShiftRecord(
             current,
             number if number in DRIVE_GEARS else -1,
             DRIVE_GEARS.get(number, DRIVE_GEARS[1]),
-            moment.now_us,
+            snapshot.now_us,
             self.settings.strategy,
         )
-        refusal = self._impossible(moment, number)
+        refusal = self._impossible(snapshot, number)
         if refusal is not None:
             record.result, (record.fault, reason) = ShiftResult.REFUSED, refusal
-            record.end_us = moment.now_us
+            record.end_us = snapshot.now_us
             self.finished, self.fault = record, record.fault
             return f"request for gear {number} refused: {reason}"
         self.shift, self.fault = record, FaultCode.NONE
-        self._go(Trigger.REQUESTED, moment)
+        self._go(Trigger.REQUESTED, snapshot)
         return None
 
-    def _impossible(self, moment: Moment, number: int) -> tuple[FaultCode, str] | None:
+    def _impossible(self, snapshot: StepSnapshot, number: int) -> tuple[FaultCode, str] | None:
         """Why a shift is not begun; None where it is."""
         if number not in DRIVE_GEARS:
             return FaultCode.REQUEST_IMPOSSIBLE, "gears are 1 to 14"
-        if not _knows_the_gear(moment.view):
+        if not _knows_the_gear(snapshot.view):
             return FaultCode.REQUEST_IMPOSSIBLE, "a sleeve stands between two gears"
-        if moment.lost is not FaultCode.NONE:
-            return moment.lost, f"{moment.lost.name.lower()} before it began"
-        if moment.supply_pa < self.settings.limits.supply_low_pa:
-            return FaultCode.LOW_SUPPLY, f"supply at {moment.supply_pa / 1e5:.1f} bar"
-        propeller = moment.speeds.propeller
+        if snapshot.lost is not FaultCode.NONE:
+            return snapshot.lost, f"{snapshot.lost.name.lower()} before it began"
+        if snapshot.supply_pa < self.settings.limits.supply_low_pa:
+            return FaultCode.LOW_SUPPLY, f"supply at {snapshot.supply_pa / 1e5:.1f} bar"
+        propeller = snapshot.speeds.propeller
         top = self.sheet.limits.input_max_rad_s
         if propeller is not None:
             input_rad_s = propeller * self.sheet.overall_ratio(DRIVE_GEARS[number])

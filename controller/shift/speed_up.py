@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.shift.desk import CLUTCH_CLOSED_SHARE, CLUTCH_OPEN_SHARE, MS, ShiftDesk
+from meshpoint.controller.shift.desk import CLUTCH_CLOSED_SHARE, CLUTCH_OPEN_SHARE, MS, ShiftContext
 from meshpoint.controller.shift.desk import FALL_US as SEEN_LATE_US
-from meshpoint.controller.shift.moment import Moment
+from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.shift.valve_board import Valve
 from meshpoint.dbc.messages import ClutchAction, FaultCode
@@ -21,51 +21,53 @@ OVER_RAD_S: Final = 3.0
 """so much more: the brake takes it off again."""
 
 
-def too_slow(desk: ShiftDesk, moment: Moment) -> Trigger:
+def too_slow(context: ShiftContext, snapshot: StepSnapshot) -> Trigger:
     """The gear is slower than its sleeve: up with the engine, a bounded number of times."""
-    shift = desk.running
-    if shift.raises >= desk.settings.limits.raises:
-        return desk.give_up(moment, FaultCode.SYNCHRONISE_FAILED)
+    shift = context.running
+    if shift.raises >= context.settings.limits.raises:
+        return context.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
     shift.raises += 1
     shift.plan = shift.release_us = None
-    desk.all_off(moment.now_us)
+    context.all_off(snapshot.now_us)
     return Trigger.TOO_SLOW
 
 
-def raise_speed(desk: ShiftDesk, moment: Moment) -> Trigger | None:
+def raise_speed(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Clutch closing and engine asked, until the gear has the slip wanted."""
-    shift = desk.running
-    desk.clutch = ClutchAction.CLOSE
-    wanted = _raised_slip(desk, moment)
-    desk.ask_engine(shift.target, wanted, moment)
-    slip = moment.speeds.slip_rad_s(shift.target.main)
-    closed = (moment.view.clutch_closed or 0.0) >= CLUTCH_CLOSED_SHARE
+    shift = context.running
+    context.clutch = ClutchAction.CLOSE
+    wanted = _raised_slip(context, snapshot)
+    context.ask_engine(shift.target, wanted, snapshot)
+    slip = snapshot.speeds.slip_rad_s(shift.target.main)
+    closed = (snapshot.view.clutch_closed or 0.0) >= CLUTCH_CLOSED_SHARE
     if closed and slip is not None and -SHORT_RAD_S <= slip - wanted <= OVER_RAD_S:
         return Trigger.RAISED
-    if desk.late(moment, desk.settings.limits.raise_ms):
-        return desk.give_up(moment, FaultCode.ENGINE_FAILED if closed else FaultCode.CLUTCH_STUCK)
+    if context.late(snapshot, context.settings.limits.raise_ms):
+        return context.give_up(
+            snapshot, FaultCode.ENGINE_FAILED if closed else FaultCode.CLUTCH_STUCK
+        )
     return None
 
 
-def part_clutch(desk: ShiftDesk, moment: Moment) -> Trigger | None:
+def part_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """The engine holds the speed until the plates are apart."""
-    desk.clutch = ClutchAction.OPEN
-    desk.ask_engine(desk.running.target, _raised_slip(desk, moment), moment)
-    if (moment.view.clutch_closed or 0.0) <= CLUTCH_OPEN_SHARE:
-        desk.engine_rad_s = None
-        desk.board.off(Valve.BRAKE)
+    context.clutch = ClutchAction.OPEN
+    context.ask_engine(context.running.target, _raised_slip(context, snapshot), snapshot)
+    if (snapshot.view.clutch_closed or 0.0) <= CLUTCH_OPEN_SHARE:
+        context.engine_rad_s = None
+        context.board.off(Valve.BRAKE)
         return Trigger.CLUTCH_OPEN
-    if desk.late(moment, desk.settings.limits.clutch_ms):
-        return desk.give_up(moment, FaultCode.CLUTCH_STUCK)
+    if context.late(snapshot, context.settings.limits.clutch_ms):
+        return context.give_up(snapshot, FaultCode.CLUTCH_STUCK)
     return None
 
 
-def _raised_slip(desk: ShiftDesk, moment: Moment) -> float:
+def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
     """What is wanted when the clutch is seen open, and what drag takes until then: the plates part
     on half of the clutch's way, and it is seen open a read and a tick later."""
-    sheet, target = desk.sheet, desk.running.target
+    sheet, target = context.sheet, context.running.target
     ratio = sheet.main_mesh(target.main).ratio
-    layshaft = moment.speeds.layshaft or 0.0
+    layshaft = snapshot.speeds.layshaft or 0.0
     drag_rad_s2 = layshaft * sheet.shafts.friction_nms / sheet.inertia_kgm2(target.split)
     fall_s = 0.5 * sheet.clutch.open_delay_s + SEEN_LATE_US / (1000.0 * MS)
-    return desk.settings.window.raised_rad_s + ratio * drag_rad_s2 * fall_s
+    return context.settings.window.raised_rad_s + ratio * drag_rad_s2 * fall_s

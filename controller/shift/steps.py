@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from meshpoint.controller.sensing.gearbox_view import GearboxView
-from meshpoint.controller.shift.desk import MS, ShiftDesk
-from meshpoint.controller.shift.moment import Moment
+from meshpoint.controller.shift.desk import MS, ShiftContext
+from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.shift.valve_board import Valve
 from meshpoint.dbc.messages import FaultCode, ShiftResult
@@ -39,57 +39,57 @@ class Step(NamedTuple):
         return self.in_mesh and self.together
 
 
-def change_splitter(desk: ShiftDesk, moment: Moment) -> Trigger | None:
+def change_splitter(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """The splitter alone, the main box staying in its gear: that is the whole shift."""
-    missing = _push_steps(desk, moment)
+    missing = _push_steps(context, snapshot)
     if missing is None:
-        desk.end(moment, ShiftResult.ENGAGED, FaultCode.NONE)
+        context.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE)
         return Trigger.ENGAGED
-    if desk.late(moment, desk.settings.limits.steps_ms):
-        return desk.give_up(moment, missing)
+    if context.late(snapshot, context.settings.limits.steps_ms):
+        return context.give_up(snapshot, missing)
     return None
 
 
-def change_steps(desk: ShiftDesk, moment: Moment) -> Trigger | None:
+def change_steps(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Brings splitter and range to where the new gear wants them, the main box in neutral."""
-    missing = _push_steps(desk, moment)
-    if missing is None and _tracked(moment):
+    missing = _push_steps(context, snapshot)
+    if missing is None and _tracked(snapshot):
         return Trigger.STEPS_IN
-    if desk.late(moment, desk.settings.limits.steps_ms):
-        return desk.give_up(moment, missing or FaultCode.SPEED_STALE)
+    if context.late(snapshot, context.settings.limits.steps_ms):
+        return context.give_up(snapshot, missing or FaultCode.SPEED_STALE)
     return None
 
 
-def _push_steps(desk: ShiftDesk, moment: Moment) -> FaultCode | None:
+def _push_steps(context: ShiftContext, snapshot: StepSnapshot) -> FaultCode | None:
     """Drives what is not in yet. The fault that it would be, of the first that is not done."""
-    steps = _steps(desk, moment)
+    steps = _steps(context, snapshot)
     for step in steps:
         if step.in_mesh:
-            desk.board.off(step.valve)
+            context.board.off(step.valve)
         else:
-            _push(desk, step.valve, moment)
+            _push(context, step.valve, snapshot)
     return next((step.fault for step in steps if not step.done), None)
 
 
-def _tracked(moment: Moment) -> bool:
+def _tracked(snapshot: StepSnapshot) -> bool:
     """Whether the estimators have followed what the synchronisers did."""
-    layshaft, main = moment.layshaft.at(moment.now_us), moment.main
+    layshaft, main = snapshot.layshaft.at(snapshot.now_us), snapshot.main
     if layshaft is None or main is None:
         return False
     for estimate, seen in (
-        (layshaft.omega_rad_s, moment.speeds.layshaft),
-        (main.omega_rad_s, moment.speeds.main),
+        (layshaft.omega_rad_s, snapshot.speeds.layshaft),
+        (main.omega_rad_s, snapshot.speeds.main),
     ):
         if seen is None or abs(estimate - seen) > 0.05 * seen:
             return False
     return True
 
 
-def _steps(desk: ShiftDesk, moment: Moment) -> list[Step]:
+def _steps(context: ShiftContext, snapshot: StepSnapshot) -> list[Step]:
     """The steps that stand elsewhere than the new gear wants, or did when this began. In neutral
     a step that stood right is not looked at: there is nothing to wait for."""
-    target, view, speeds = desk.running.target, moment.view, moment.speeds
-    from_ = _stood(view, desk)
+    target, view, speeds = context.running.target, snapshot.view, snapshot.speeds
+    from_ = _stood(view, context)
     steps = []
     if from_[0] is not target.split:
         steps.append(
@@ -112,17 +112,17 @@ def _steps(desk: ShiftDesk, moment: Moment) -> list[Step]:
     return steps
 
 
-def _stood(view: GearboxView, desk: ShiftDesk) -> tuple[Split | None, Range | None]:
+def _stood(view: GearboxView, context: ShiftContext) -> tuple[Split | None, Range | None]:
     """Where splitter and range stood when the shift began."""
-    shift = desk.running
+    shift = context.running
     if shift.steps_before is None:
         shift.steps_before = (view.split, view.range_)
     return shift.steps_before
 
 
-def _push(desk: ShiftDesk, valve: Valve, moment: Moment) -> None:
-    command = desk.board.command(valve)
+def _push(context: ShiftContext, valve: Valve, snapshot: StepSnapshot) -> None:
+    command = context.board.command(valve)
     if not command.on:
-        desk.board.schedule(valve, True, moment.earliest_us, moment.now_us)
-    elif moment.now_us - command.time_us > PUSH_US:
-        desk.board.off(valve)
+        context.board.schedule(valve, True, snapshot.earliest_us, snapshot.now_us)
+    elif snapshot.now_us - command.time_us > PUSH_US:
+        context.board.off(valve)

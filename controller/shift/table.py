@@ -100,6 +100,8 @@ class ShiftRecord:
     request_us: int
     strategy: Strategy
     """The strategy that acts: the fallback while the reference is unknown."""
+    aimed: bool = False
+    """It aims at a phase, and so shows by how far the gear ran away from its prediction."""
     reference_known: bool = False
     reference_source: ReferenceSource = ReferenceSource.NONE
     attempts: int = 0

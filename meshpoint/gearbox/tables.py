@@ -107,11 +107,12 @@ def read_group(cls: type[T], table: Any, where: str) -> T:
 
     `where` names file and table for errors (`truck.toml [brake]`). A field without a rule is a
     group of its own, read from the sub-table of its name. TableError on an unknown or missing key,
-    a wrong type, or a value out of range.
+    a wrong type, or a value out of range. A field without metadata is no key of the file.
     """
     if not isinstance(table, dict):
         raise TableError(f"{where}: found {table!r}, allowed is a table")
-    fields = {key_of(field): field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
+    all_fields = dataclasses.fields(cls)  # type: ignore[arg-type]
+    fields = {key_of(field): field for field in all_fields if field.metadata}
     unknown = sorted(set(table) - set(fields))
     if unknown:
         raise TableError(f"{where}: unknown key '{unknown[0]}', allowed are {', '.join(fields)}")

@@ -19,7 +19,7 @@ from loop_bench import Loop
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ControllerSettings, Limits
-from meshpoint.controller.shift.moment import Moment
+from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.valve_board import Valve
 from meshpoint.dbc.messages import (
     ClutchAction,
@@ -64,16 +64,16 @@ class MadCore(ControllerCore):
             self.rows.append(self._guard.blocked_row)
         return passes or not self._is_guarded
 
-    def _decide(self, requested: int | None, moment: Moment, events: list[str]) -> None:
+    def _decide(self, requested: int | None, snapshot: StepSnapshot, events: list[str]) -> None:
         if not self.is_mad:
-            super()._decide(requested, moment, events)
+            super()._decide(requested, snapshot, events)
             return
         self._sequence.finished = self._sequence.decision = None
         self._sequence.clutch = self.deed.clutch
         for valve in self.deed.valves:
             command = self._board.command(valve)
-            if not command.on or moment.now_us - command.time_us > AGAIN_US:
-                self._board.schedule(valve, True, moment.earliest_us, moment.now_us)
+            if not command.on or snapshot.now_us - command.time_us > AGAIN_US:
+                self._board.schedule(valve, True, snapshot.earliest_us, snapshot.now_us)
 
 
 @dataclass

@@ -18,7 +18,7 @@ from wheel import READ_US, Wheel
 
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, FurtherEdges, Pressures
 from meshpoint.controller.estimation.crossing_tracker import MainTracker
-from meshpoint.controller.estimation.further_wheel import FurtherWheel
+from meshpoint.controller.estimation.further_wheel import GearedWheel
 from meshpoint.controller.motion.models import MotionModel, diagonal, free_motion
 from meshpoint.controller.sensing.sensor_clock import SensorClock
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
@@ -189,11 +189,11 @@ def test_fused_errors_are_as_large_as_is_claimed(tight: Followed) -> None:
     assert count > 700 * RUNS
     low, high = band(count)
     assert low < total / count < high
-    for moment in (0, 6, 12, 17):
+    for snapshot in (0, 6, 12, 17):
         low, high = band(6 * RUNS)
-        assert low < np.mean(tight.squares[:, moment]) / 6 < high
+        assert low < np.mean(tight.squares[:, snapshot]) / 6 < high
         low, high = band(RUNS)
-        assert low < np.mean(tight.offset[:, moment] ** 2) < high
+        assert low < np.mean(tight.offset[:, snapshot] ** 2) < high
 
 
 def test_backlash_that_turns_over_makes_fusion_hurt(bench: Bench, alone: Followed) -> None:
@@ -258,7 +258,7 @@ def test_a_further_wheel_does_not_stand_in_for_a_dead_sensor() -> None:
     since_us = np.arange(1, 2000) * half_pitch / omega / ratio / US
     times_us = START_US + np.round(since_us).astype(int)
     wheel = Wheel(1, times_us[0::2].tolist(), times_us[1::2].tolist())
-    further, clock = FurtherWheel("propeller shaft", sheet_wheel, TUNING), SensorClock()
+    further, clock = GearedWheel("propeller shaft", sheet_wheel, TUNING), SensorClock()
     main = MainTracker(TUNING, 45, (), further)
     further.set_ratio(1.0 / ratio, dragged=False)
     own_us = START_US + np.arange(1.0, 430.0) * half_pitch / omega / US

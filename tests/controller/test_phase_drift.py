@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from meshpoint.controller.calibration.records import Drifts
-from meshpoint.controller.planning.outlook import Outlook
+from meshpoint.controller.planning.outlook import GearPredictor
 from meshpoint.controller.planning.phase_drift import FAR_RAD_S, LEAST_SHARE, PhaseDrifts
 from meshpoint.gearbox import MainGear
-from tests.controller.test_strategy import GEAR, MAIN, outlook_at
+from tests.controller.test_strategy import GEAR, MAIN, predictor_at
 
 DEG = math.pi / 180.0
 FIRED_US, SEEN_US, CONTACT_US = 0.0, 52_000.0, 58_000.0
@@ -23,7 +23,7 @@ FIRED_US, SEEN_US, CONTACT_US = 0.0, 52_000.0, 58_000.0
 def contact(drifts: PhaseDrifts, drift_rad_s: float, off_rad: float = 0.0) -> float:
     """One aimed contact of a gear that drifts from its model; the error of its prediction."""
     fired = replace(
-        outlook_at(18.0),
+        predictor_at(18.0),
         drift_rad_s=drifts.rad_s(GEAR),
         spread_share=drifts.spread_share(GEAR),
     )
@@ -34,8 +34,8 @@ def contact(drifts: PhaseDrifts, drift_rad_s: float, off_rad: float = 0.0) -> fl
     return undrifted + moved - predicted
 
 
-def _seen(fired: Outlook, moved_rad: float) -> Outlook:
-    """The outlook just before contact, when the gear had moved so much more than its model."""
+def _seen(fired: GearPredictor, moved_rad: float) -> GearPredictor:
+    """The predictor just before contact, when the gear had moved so much more than its model."""
     state = fired.layshaft_at(SEEN_US, None)
     theta = state.theta_rad + moved_rad / fired.i_gear
     main = MAIN._replace(time_us=SEEN_US, theta_rad=MAIN.theta_at(SEEN_US))
@@ -57,7 +57,7 @@ def test_a_steady_drift_is_known_after_some_contacts(drift_deg_s: float) -> None
 def test_phases_are_foretold_to_scatter_by_what_they_have_scattered_by(share: float) -> None:
     """Contacts that scatter by a share of what the filters claim; 400 of them, seed 1."""
     drifts = PhaseDrifts()
-    claimed = math.sqrt(outlook_at(18.0).estimate_variance(CONTACT_US))
+    claimed = math.sqrt(predictor_at(18.0).estimate_variance(CONTACT_US))
     scatter = np.random.default_rng(1).normal(0.0, share * claimed, 400)
     shares = []
     for off_rad in scatter.tolist():

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from meshpoint.controller.estimation.teeth import Found, WheelTeeth
 from meshpoint.controller.estimation.tooth_match import Memory, Seen, compare, turned
 from meshpoint.controller.motion.kinematics import raw_phase_rad, wrap_to_pitch
-from meshpoint.controller.phase.recall import Kept, Recall
+from meshpoint.controller.phase.recall import ReferenceRecovery, SavedReferences
 from meshpoint.controller.phase.reference import Floated, PhaseReferences
 from meshpoint.controller.phase.turn_candidates import turn_candidates
 from meshpoint.controller.sensing.sensor_count import Renumbered
@@ -138,7 +138,7 @@ class Box:
 
 
 class Bench:
-    """A recall with its wheels; the box is counted anew when a wheel's numbers are lost."""
+    """A reference recovery with its wheels; a wheel whose numbers are lost is counted anew."""
 
     def __init__(self, sheet: GearboxSheet) -> None:
         self.sheet, self.box = sheet, Box(sheet)
@@ -151,21 +151,21 @@ class Bench:
         self.events: list[str] = []
         self.power_up(None)
 
-    def power_up(self, kept: Kept | None) -> None:
+    def power_up(self, saved: SavedReferences | None) -> None:
         """Another controller, with what an earlier one has left."""
         tuning, (layshaft, main) = CrossingFilterTuning(), self._sizes
         self.references = PhaseReferences(self.sheet)
         self.layshaft, self.main = WheelTeeth(layshaft, tuning), WheelTeeth(main, tuning)
-        self.recall = Recall(self.sheet, self.references, self.layshaft, self.main)
+        self.recovery = ReferenceRecovery(self.sheet, self.references, self.layshaft, self.main)
         self.renumbered = Renumbered()
-        if kept is not None:
-            self.recall.restore(kept)
+        if saved is not None:
+            self.recovery.restore(saved)
 
     def restore(self, *gears: MainGear) -> None:
         """As after a restart: all of these were known."""
         memory = [Memory(pattern, 1e-4, 1) for pattern in self.patterns]
         offsets = {gear: self.box.offset(gear) for gear in gears}
-        self.recall.restore(Kept(memory[0], memory[1], offsets))
+        self.recovery.restore(SavedReferences(memory[0], memory[1], offsets))
 
     @property
     def _sizes(self) -> tuple[int, int]:
@@ -182,7 +182,7 @@ class Bench:
 
     def lose(self, layshaft: int | None, main: int | None, turns: int = 0) -> None:
         """Wheels that are counted from another tooth on; None: counted on."""
-        self.recall.lost(layshaft is not None, main is not None)
+        self.recovery.lost(layshaft is not None, main is not None)
         for teeth, moved in ((self.layshaft, layshaft), (self.main, main)):
             if moved is not None:
                 teeth.lose_numbers()
@@ -206,11 +206,11 @@ class Bench:
                 found = [j for j in range(size) if (turned(memory.error_rad, j) == present).all()]
                 teeth.found, teeth.memory = Found(found[0], 99.0), None
             teeth.error_rad, teeth.learned = present, True
-        self.recall.look(self.events, self.renumbered)
+        self.recovery.look(self.events, self.renumbered)
 
     def learn(self, gear: MainGear, error_rad: float = 0.0, sd_rad: float = 0.0) -> None:
         self.references.adopt(gear, self.box.offset(gear) + error_rad, ReferenceSource.MEASURED)
-        self.recall.learned(gear, sd_rad, self.events)
+        self.recovery.learned(gear, sd_rad, self.events)
 
     def known(self, within_rad: float = 1e-9) -> set[MainGear]:
         """The known gears; each of them must be right."""
@@ -250,11 +250,11 @@ def test_first_tells_second_where_their_turns_have_a_common_factor(
     bench.count_from(*at)
     bench.find()
     assert bench.known() == set()
-    assert bench.recall.candidates(MainGear.SECOND) == 5
+    assert bench.recovery.candidates(MainGear.SECOND) == 5
     bench.learn(MainGear.SECOND)
     assert bench.known() == {MainGear.SECOND}
-    assert bench.recall.candidates(MainGear.FIRST) == 5
-    assert bench.recall.candidates(MainGear.THIRD) == 31
+    assert bench.recovery.candidates(MainGear.FIRST) == 5
+    assert bench.recovery.candidates(MainGear.THIRD) == 31
     # 25 candidates are closer than two learnings agree, but those left are not.
     bench.learn(MainGear.FIRST)
     assert bench.known() == {MainGear.FIRST, MainGear.SECOND}
@@ -315,7 +315,7 @@ def test_a_wheel_that_was_exchanged_ends_the_wait_for_its_references() -> None:
     bench.restore(*MAIN_GEARS)
     bench.find(main=False)
     bench.main.forget()
-    bench.recall.look(bench.events, bench.renumbered)
+    bench.recovery.look(bench.events, bench.renumbered)
     bench.main.memory = Memory(bench.patterns[1], 1e-4, 1)
     bench.find()
     assert bench.known() == set()
@@ -325,14 +325,14 @@ def test_what_was_not_found_yet_is_kept_as_it_was() -> None:
     """A run too short to find the teeth must not cost what earlier ones have learned."""
     bench = Bench(THESIS)
     bench.restore(*MAIN_GEARS)
-    offsets = dict(bench.recall.kept().offsets_rad)
+    offsets = dict(bench.recovery.saved().offsets_rad)
     assert set(offsets) == set(MAIN_GEARS)
     bench.count_from(7, 3)
     bench.find(main=False)
-    kept = bench.recall.kept()
-    assert kept.offsets_rad == offsets
-    assert kept.layshaft is not None
-    assert (kept.layshaft.error_rad == bench.patterns[0]).all(), "in the remembered numbering"
+    saved = bench.recovery.saved()
+    assert saved.offsets_rad == offsets
+    assert saved.layshaft is not None
+    assert (saved.layshaft.error_rad == bench.patterns[0]).all(), "in the remembered numbering"
 
 
 def test_a_found_numbering_that_nothing_was_learned_in_is_kept_too() -> None:
@@ -343,7 +343,7 @@ def test_a_found_numbering_that_nothing_was_learned_in_is_kept_too() -> None:
         bench.count_from(*at)
         bench.find()
         assert bench.known() == set()
-        bench.power_up(bench.recall.kept())
+        bench.power_up(bench.recovery.saved())
     bench.find()
     bench.learn(MainGear.FIRST)
     assert {MainGear.CRAWL, MainGear.SECOND} < bench.known()
@@ -359,10 +359,10 @@ def test_where_all_turns_count_alike_one_gear_tells_the_others(
     bench.restore(*MAIN_GEARS)
     bench.count_from(*at)
     bench.find()
-    assert [bench.recall.candidates(gear) for gear in MAIN_GEARS] == [7, 7, 7, 35]
+    assert [bench.recovery.candidates(gear) for gear in MAIN_GEARS] == [7, 7, 7, 35]
     bench.learn(first)
     assert bench.known() == set(MAIN_GEARS[:3])
-    assert bench.recall.candidates(MainGear.THIRD) == 5
+    assert bench.recovery.candidates(MainGear.THIRD) == 5
     sources = [bench.references.source(gear) for gear in MAIN_GEARS[:3]]
     assert sources.count(ReferenceSource.MEASURED) == 1
     assert sources.count(ReferenceSource.NARROWED) == 2
@@ -371,7 +371,7 @@ def test_where_all_turns_count_alike_one_gear_tells_the_others(
     bench.find()
     assert bench.known() == set(MAIN_GEARS[:3])
     assert bench.references.source(first) is ReferenceSource.RESTORED
-    assert bench.recall.candidates(MainGear.THIRD) == 5
+    assert bench.recovery.candidates(MainGear.THIRD) == 5
 
 
 @settings(max_examples=30, deadline=None)
@@ -392,7 +392,7 @@ def test_a_layshaft_that_stood_costs_one_engagement_where_its_sensor_has_counted
     bench.sensor_says(before, behind)
     bench.find()
     possible = before // 43 + behind // 43 + 1
-    assert {bench.recall.candidates(gear) for gear in MAIN_GEARS} == {possible}
+    assert {bench.recovery.candidates(gear) for gear in MAIN_GEARS} == {possible}
     assert bench.known() == (set(MAIN_GEARS) if possible == 1 else set())
     bench.learn(first)
     assert bench.known() == set(MAIN_GEARS)
@@ -406,7 +406,7 @@ def test_a_count_that_was_in_doubt_meanwhile_tells_nothing() -> None:
     bench.sensor_says(1, 1)
     bench.renumbered = bench.renumbered._replace(uncounted=1)
     bench.find()
-    assert bench.recall.candidates(MainGear.THIRD) == 35
+    assert bench.recovery.candidates(MainGear.THIRD) == 35
 
 
 def test_a_wrong_count_is_noticed_when_gears_in_mesh_contradict_it() -> None:
@@ -465,7 +465,7 @@ def test_a_gear_that_waits_for_earlier_turns_is_not_told_by_later_ones(
     if main_first:
         bench.lose(None, 9)
     if how == "restarted":
-        bench.power_up(bench.recall.kept())
+        bench.power_up(bench.recovery.saved())
         bench.count_from(*at)
     else:
         lose_as_drawn(bench, *at, before=3 if how == "counted" else -1, behind=3)
@@ -507,11 +507,11 @@ def test_a_gear_that_was_in_mesh_unlearned_leaves_the_phases_at_which_it_can_be_
     bench.restore(*MAIN_GEARS)
     bench.count_from(*at)
     bench.find()
-    n, dog = bench.recall.candidates(gear), TRUCK12.dog
+    n, dog = bench.recovery.candidates(gear), TRUCK12.dog
     seen = sorted(bench.box.offset(gear) + share * dog.backlash_rad for share in (low, high))
-    bench.recall.floated(Floated(gear, *seen), bench.events)
+    bench.recovery.floated(Floated(gear, *seen), bench.events)
     least = (dog.backlash_rad - (seen[1] - seen[0])) / dog.pitch_rad * n - 1.0
-    assert least <= bench.recall.candidates(gear) <= 0.37 * n + 1.0
+    assert least <= bench.recovery.candidates(gear) <= 0.37 * n + 1.0
     bench.learn(gear)
     assert bench.known() == {gear}
     assert not bench.events[2:]
@@ -544,7 +544,7 @@ def test_whatever_is_lost_and_learned_in_whatever_order_what_is_known_is_true(
         elif what == "find":
             bench.find(*values)
         else:
-            bench.power_up(bench.recall.kept())
+            bench.power_up(bench.recovery.saved())
             bench.count_from(11, 22, 33)
         bench.known(within_rad=0.2 * DEG)
     assert not any("agree" in line for line in bench.events)
@@ -558,7 +558,7 @@ def left(sheet: GearboxSheet, *in_mesh: MainGear) -> str:
     bench.find()
     for gear in in_mesh:
         bench.learn(gear)
-    return ", ".join(str(bench.recall.candidates(gear)) for gear in MAIN_GEARS)
+    return ", ".join(str(bench.recovery.candidates(gear)) for gear in MAIN_GEARS)
 
 
 @pytest.mark.parametrize(

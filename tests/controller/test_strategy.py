@@ -16,10 +16,11 @@ from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.linear import layshaft_model
 from meshpoint.controller.motion.models import LayshaftState, first_order_law, free_motion
 from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.planning.outlook import Outlook
-from meshpoint.controller.planning.strategist import Strategist
-from meshpoint.controller.settings import Aim, ControllerSettings, Window
-from meshpoint.dbc.messages import ShiftDecision, Strategy
+from meshpoint.controller.planning.outlook import GearPredictor
+from meshpoint.controller.planning.strategies.table import STRATEGIES, make_strategy
+from meshpoint.controller.planning.strategist import Plan, Strategist
+from meshpoint.controller.settings import STRATEGY_NAMES, Aim, ControllerSettings, Window
+from meshpoint.dbc.messages import ShiftDecision
 from meshpoint.gearbox import MainGear, Split, load_sheet
 
 SHEET = load_sheet("thesis")
@@ -47,29 +48,31 @@ def learned(phase_at_zero: float) -> PhaseReferences:
     return references
 
 
-def outlook_at(
+def predictor_at(
     slip_rpm: float,
     pressure_pa: float = 0.0,
     brake: BrakeInput | None = None,
     references: PhaseReferences | None = None,
-) -> Outlook:
+) -> GearPredictor:
     omega = (MAIN.omega_rad_s + slip_rpm * RPM) / RATIO
     layshaft = LayshaftState(0.0, 1.0, omega, pressure_pa, 1e-3, 0.05, 1e3)
     brake = brake or BrakeInput(VALVE_US)
     sleeve = SHEET.sleeve
     delay_us = round(sleeve.delay_s * 1e6)
-    return Outlook(
+    return GearPredictor(
         GEAR, RATIO, layshaft, MAIN, brake, MOTION, references or learned(0.0), delay_us,
         sleeve.delay_sd_s, 0.0, 1.0,
     )  # fmt: skip
 
 
 def truth(
-    outlook: Outlook, time_us: np.ndarray, u_of_us: tuple[float, float] = (math.inf, math.inf)
+    predictor: GearPredictor,
+    time_us: np.ndarray,
+    u_of_us: tuple[float, float] = (math.inf, math.inf),
 ) -> tuple[np.ndarray, np.ndarray]:
     """Phase (with 0 at zero angles) and slip at rising times; pressure is fed between two times."""
     a, b, g, supply = MODEL
-    ls = outlook.layshaft
+    ls = predictor.layshaft
     on, off = u_of_us
     cuts = sorted({0.0, float(time_us[-1]), *[t for t in u_of_us if 0.0 < t < time_us[-1]]})
     y, phases, slips = np.array([ls.theta_rad, ls.omega_rad_s, ls.pressure_pa]), [], []
@@ -93,6 +96,30 @@ def truth(
     return np.array(phases), np.array(slips)
 
 
+def planned(
+    name: str, chosen: ControllerSettings, predictor: GearPredictor, now_us: int = NOW_US
+) -> Plan | None:
+    """What a strategy chooses, and what is expected of that contact."""
+    chosen = chosen.with_strategy(name)
+    contact_us = make_strategy(SHEET, chosen).contact(predictor, now_us, EARLIEST_US)
+    if contact_us is None:
+        return None
+    return Strategist(SHEET, chosen).plan_at(predictor, contact_us, ShiftDecision.FIRE)
+
+
+def test_every_strategy_that_the_bus_can_name_has_its_file() -> None:
+    assert set(STRATEGIES) == set(STRATEGY_NAMES)
+    for name, made in STRATEGIES.items():
+        assert made.__module__ == f"meshpoint.controller.planning.strategies.{name}"
+        strategist = Strategist(SHEET, ControllerSettings(strategy_name=name))
+        acting = strategist.acting(reference_known=True)
+        assert type(acting) is made
+        assert strategist.wire(acting) is STRATEGY_NAMES[name]
+        unaimed = strategist.acting(reference_known=False)
+        assert not unaimed.aims
+        assert (unaimed is acting) is not acting.aims
+
+
 @settings(deadline=None, max_examples=40)
 @given(
     slip_rpm=st.floats(-5.0, 60.0),
@@ -105,9 +132,10 @@ def test_what_is_planned_of_a_contact_is_what_the_equations_of_motion_give(
 ) -> None:
     """A free layshaft, its brake dying away, at any slip and any angle."""
     chosen = ControllerSettings(aim=Aim(share))
-    outlook = outlook_at(slip_rpm, pressure_pa, references=learned(at_zero))
-    plan = Strategist(SHEET, chosen).target_phase(outlook, NOW_US, EARLIEST_US)
-    (phase,), (slip,) = truth(outlook, np.array([float(plan.contact_us)]))
+    predictor = predictor_at(slip_rpm, pressure_pa, references=learned(at_zero))
+    plan = planned("target_phase", chosen, predictor)
+    assert plan is not None
+    (phase,), (slip,) = truth(predictor, np.array([float(plan.contact_us)]))
     # A microsecond at 60 rpm is 4e-4 degrees.
     assert abs(math.remainder(phase + at_zero - plan.phase_rad, PITCH)) < 1e-5
     assert plan.slip_rad_s == pytest.approx(slip, abs=1e-5)
@@ -120,21 +148,21 @@ def test_a_gap_that_comes_by_with_a_slip_allowed_is_met() -> None:
     """From 30 rpm the slip falls through zero, and from most angles a gap comes by before."""
     window, met = ControllerSettings().window, 0
     for at_zero in np.linspace(0.0, PITCH, 8, endpoint=False):
-        outlook = outlook_at(30.0, references=learned(float(at_zero)))
-        plan = Strategist(SHEET, ControllerSettings()).target_phase(outlook, NOW_US, EARLIEST_US)
+        predictor = predictor_at(30.0, references=learned(float(at_zero)))
+        plan = planned("target_phase", ControllerSettings(), predictor)
+        assert plan is not None
         met += abs(plan.phase_rad) < 0.8 * HALF_GAP
         assert window.contact_low_rad_s <= plan.slip_rad_s <= window.contact_high_rad_s
     assert met >= 6
 
 
 def test_an_unknown_phase_cannot_be_aimed_at() -> None:
-    outlook = outlook_at(15.0, references=PhaseReferences(SHEET))
-    strategist = Strategist(SHEET, ControllerSettings())
+    predictor = predictor_at(15.0, references=PhaseReferences(SHEET))
     with pytest.raises(KeyError):
-        strategist.target_phase(outlook, NOW_US, EARLIEST_US)
-    plan = strategist.plan_at(outlook, 100_000, ShiftDecision.FIRE)
+        planned("target_phase", ControllerSettings(), predictor)
+    plan = Strategist(SHEET, ControllerSettings()).plan_at(predictor, 100_000, ShiftDecision.FIRE)
     assert plan.phase_rad == plan.phase_sd_rad == 0.0
-    _, (slip,) = truth(outlook, np.array([1e5]))
+    _, (slip,) = truth(predictor, np.array([1e5]))
     assert plan.slip_rad_s == pytest.approx(slip, abs=1e-6)
 
 
@@ -143,8 +171,8 @@ def test_speed_window_fires_at_once_when_the_slip_is_small_enough(
     slip_rpm: float, fires: bool
 ) -> None:
     """50 rpm, whatever the phase."""
-    outlook = outlook_at(slip_rpm, references=PhaseReferences(SHEET))
-    plan = Strategist(SHEET, ControllerSettings()).speed_window(outlook, 0, EARLIEST_US)
+    predictor = predictor_at(slip_rpm, references=PhaseReferences(SHEET))
+    plan = planned("speed_window", ControllerSettings(), predictor, 0)
     assert (plan is not None) is fires
     if plan is not None:
         assert plan.fire_us == EARLIEST_US
@@ -165,19 +193,19 @@ def test_the_release_leaves_the_slip_asked_for(
     brake.schedule(0, True, -1)
     if planned:
         brake.schedule(80_000, False, 1)
-    outlook = outlook_at(slip_rpm, brake=brake)
-    release_us = outlook.release_time_us(EARLIEST_US, 1_000_000, left_rpm * RPM, settle_us)
+    predictor = predictor_at(slip_rpm, brake=brake)
+    release_us = predictor.release_time_us(EARLIEST_US, 1_000_000, left_rpm * RPM, settle_us)
     assert EARLIEST_US < release_us < 1_000_000
     fed = (VALVE_US, release_us + VALVE_US)
-    _, (slip,) = truth(outlook, np.array([release_us + settle_us]), fed)
+    _, (slip,) = truth(predictor, np.array([release_us + settle_us]), fed)
     assert slip == pytest.approx(left_rpm * RPM, abs=1e-3)
 
 
 def test_a_release_that_is_late_already_is_made_at_once() -> None:
     brake = BrakeInput(VALVE_US)
     brake.schedule(0, True, -1)
-    outlook = outlook_at(20.0, pressure_pa=8e5, brake=brake)
-    assert outlook.release_time_us(EARLIEST_US, 10**6, 5.0, 1e5) == EARLIEST_US
+    predictor = predictor_at(20.0, pressure_pa=8e5, brake=brake)
+    assert predictor.release_time_us(EARLIEST_US, 10**6, 5.0, 1e5) == EARLIEST_US
 
 
 @settings(deadline=None, max_examples=25)
@@ -187,14 +215,13 @@ def test_release_and_contact_planned_together_meet_the_gap(slip_rpm: float, at_z
     with the slip inside its window."""
     brake, chosen = BrakeInput(VALVE_US), ControllerSettings()
     brake.schedule(0, True, -1)
-    outlook = outlook_at(slip_rpm, 7e5, brake=brake, references=learned(at_zero))
-    release_us, contact_us = Strategist(SHEET, chosen).release(
-        outlook, NOW_US, EARLIEST_US, Strategy.TARGET_PHASE
-    )
+    predictor = predictor_at(slip_rpm, 7e5, brake=brake, references=learned(at_zero))
+    aimed = make_strategy(SHEET, chosen.with_strategy("target_phase"))
+    release_us, contact_us = aimed.release(predictor, NOW_US, EARLIEST_US)
     assert release_us >= EARLIEST_US
     assert contact_us - DELAY_US >= EARLIEST_US
     (phase,), (slip,) = truth(
-        outlook, np.array([float(contact_us)]), (VALVE_US, release_us + VALVE_US)
+        predictor, np.array([float(contact_us)]), (VALVE_US, release_us + VALVE_US)
     )
     if release_us < EARLIEST_US + 50_000:
         assert abs(math.remainder(phase + at_zero, PITCH)) < HALF_GAP
@@ -208,11 +235,14 @@ def test_anticipating_meets_the_gear_at_the_slip_asked_for(
 ) -> None:
     """The brake dying away, whatever the phase; a slip already too small is met at once."""
     chosen = ControllerSettings(window=Window(anticipate_slip_rad_s=contact_rpm * RPM))
-    outlook = outlook_at(slip_rpm, 2e5, references=PhaseReferences(SHEET))
-    plan = Strategist(SHEET, chosen).anticipating(outlook, EARLIEST_US)
+    predictor = predictor_at(slip_rpm, 2e5, references=PhaseReferences(SHEET))
+    plan = planned("speed_window_anticipating", chosen, predictor)
+    assert plan is not None
     first_us = EARLIEST_US + DELAY_US
     assert plan.fire_us == plan.contact_us - DELAY_US >= EARLIEST_US
-    _, (at_first, at_contact) = truth(outlook, np.array([float(first_us), float(plan.contact_us)]))
+    _, (at_first, at_contact) = truth(
+        predictor, np.array([float(first_us), float(plan.contact_us)])
+    )
     if at_first < contact_rpm * RPM:
         assert plan.contact_us == first_us
     else:

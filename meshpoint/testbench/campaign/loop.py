@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import copy
 import math
+from collections import Counter
 from collections.abc import Callable
 from typing import Final
 
@@ -102,6 +103,11 @@ class ClosedLoop:
         """What was drawn for the rig; nothing for the preset thesis."""
         return self._rig.as_built or {}
 
+    @property
+    def strategy_errors(self) -> Counter[str]:
+        """What was wrong with a user's own strategy, and how many shifts ended of it."""
+        return Counter(self._controller.strategy_errors)
+
     def prepare(self) -> None:
         """Up to the request for the next shift, which no strategy has a say in."""
         bench, made = self._bench, self._made
@@ -136,4 +142,4 @@ class ClosedLoop:
         """Other engagement settings from here on; `knows_all`: by the rig's truth."""
         self._controller.change_settings(settings)
         if knows_all:
-            self._controller.take_outlook_from(Oracle(self._sheet, self._rig.truth))
+            self._controller.take_predictor_from(Oracle(self._sheet, self._rig.truth))

@@ -17,7 +17,7 @@ from meshpoint.controller.estimation.cruise import ShaftState
 from meshpoint.controller.motion.kinematics import raw_phase_rad
 from meshpoint.controller.motion.models import LayshaftState, first_order_law
 from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.planning.outlook import Course, Outlook
+from meshpoint.controller.planning.outlook import GearPredictor, Trajectory
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.rig_sim.shared.angles import Angle
 from meshpoint.rig_sim.shared.world import Truth
@@ -48,7 +48,7 @@ class TrueReferences(PhaseReferences):
 
 
 @dataclass(frozen=True)
-class ForecastOutlook(Outlook):
+class ForecastPredictor(GearPredictor):
     """Predictions from the plant itself instead of from the controller's model."""
 
     forecast: Forecast
@@ -62,15 +62,17 @@ class ForecastOutlook(Outlook):
             phase, slip = self.forecast.after_release(*self.brake.with_release(release_us), time_us)
         return self._layshaft(time_us, phase, slip)
 
-    def course(
+    def trajectory(
         self, first_us: float, step_us: float, count: int, release_us: float | None = None
-    ) -> Course:
+    ) -> Trajectory:
         """Phase and slip at `count` times from `first_us` on."""
         is_released = release_us is not None
         brake = self.brake
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
         times_us = first_us + step_us * np.arange(count, dtype=np.float64)
-        return Course(first_us, step_us, *self.forecast.course(*switches, times_us, is_released))
+        return Trajectory(
+            first_us, step_us, *self.forecast.course(*switches, times_us, is_released)
+        )
 
     def _layshaft(self, time_us: float, phase_rad: float, slip_rad_s: float) -> LayshaftState:
         zero = self.references.phase_rad(self.gear, 0.0, 0.0)
@@ -80,8 +82,8 @@ class ForecastOutlook(Outlook):
 
 
 class Oracle:
-    """Makes a true outlook of an estimated one
-    (`meshpoint.controller.shift.sequence.OutlookSource`)."""
+    """Makes a true predictor of an estimated one
+    (`meshpoint.controller.shift.sequence.PredictorSource`)."""
 
     def __init__(self, sheet: GearboxSheet, truth: Truth) -> None:
         self._sheet = sheet
@@ -91,22 +93,22 @@ class Oracle:
         self._ahead: TruckPlant | None = None
         """A copy of the plant that is run ahead."""
 
-    def __call__(self, outlook: Outlook) -> Outlook:
-        """The outlook with the truth of this instant in place of the estimates."""
-        truth, gear = self._truth, outlook.gear
+    def __call__(self, predictor: GearPredictor) -> GearPredictor:
+        """The predictor with the truth of this instant in place of the estimates."""
+        truth, gear = self._truth, predictor.gear
         time_us = truth.time_us + truth.clock_start_us
         theta, omega = truth.angles, truth.speeds_rad_s
         layshaft_rad, main_rad = _angle_rad(theta[Shaft.LAYSHAFT]), _angle_rad(theta[Shaft.MAIN])
-        offset = raw_phase_rad(outlook.i_gear, layshaft_rad, main_rad) - truth.phase_rad(gear)
+        offset = raw_phase_rad(predictor.i_gear, layshaft_rad, main_rad) - truth.phase_rad(gear)
         mean_s, sd_s = truth.delay_s(gear)
         known = replace(
-            outlook,
+            predictor,
             layshaft=LayshaftState(
                 time_us, layshaft_rad, omega[Shaft.LAYSHAFT], truth.brake_gauge_pa
             ),
             main=ShaftState(time_us, main_rad, omega[Shaft.MAIN], 0.0, 0.0),
-            brake=outlook.brake.seen_through(round(truth.brake_valve_delay_s * 1e6)),
-            model=outlook.model._replace(law=self._law),
+            brake=predictor.brake.seen_through(round(truth.brake_valve_delay_s * 1e6)),
+            model=predictor.model._replace(law=self._law),
             references=TrueReferences(self._sheet, offset),
             delay_us=round(mean_s * 1e6),
             delay_sd_s=sd_s,
@@ -115,9 +117,9 @@ class Oracle:
         self._renew(known, time_us)
         if self._forecast is None:
             return known
-        return ForecastOutlook(**vars(known), forecast=self._forecast)
+        return ForecastPredictor(**vars(known), forecast=self._forecast)
 
-    def _renew(self, known: Outlook, time_us: float) -> None:
+    def _renew(self, known: GearPredictor, time_us: float) -> None:
         """A forecast holds until the gearbox does something else than was forecast."""
         truth = self._truth
         forecast = self._forecast

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Any
 
 from meshpoint.testbench.campaign.record import Record
@@ -26,6 +27,8 @@ class Collected:
         self._failed: dict[Job, RunResult] = {}
         self.shifts = 0
         self.cpu_s = 0.0
+        self.strategy_errors: Counter[str] = Counter()
+        """What was wrong with a user's own strategy, in the runs made here."""
 
     @property
     def done(self) -> set[Job]:
@@ -61,6 +64,7 @@ class Collected:
                 self._failed[result.job] = result
             self.shifts += result.shifts
             self.cpu_s += result.cpu_s
+            self.strategy_errors += result.strategy_errors
 
     def at(self, point: Point) -> list[Record]:
         """The records of one point of the sweep."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 import itertools
 import time
 import traceback
-from dataclasses import dataclass, field
+from collections import Counter
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 from meshpoint.bus.settle import settle
@@ -26,6 +27,8 @@ class RunResult:
     """Made in closed loop, the learning ones included."""
     cpu_s: float = 0.0
     error: str | None = None
+    strategy_errors: Counter[str] = field(default_factory=Counter)
+    """What was wrong with a user's own strategy, and how many shifts ended of it."""
 
     @property
     def reason(self) -> str:
@@ -38,10 +41,10 @@ def run_one(spec: CampaignSpec, job: Job) -> RunResult:
     result of the run, not of the campaign."""
     began_s = time.process_time()
     try:
-        records, shifts = _shifts(spec.at(job.point), job)
+        result = _shifts(spec.at(job.point), job)
     except Exception:  # noqa: BLE001  # whatever it is, it is reported with the run's seed
         return RunResult(job, error=traceback.format_exc())
-    return RunResult(job, records, shifts, time.process_time() - began_s)
+    return replace(result, cpu_s=time.process_time() - began_s)
 
 
 def run_many(spec: CampaignSpec, jobs: list[Job]) -> list[RunResult]:
@@ -55,7 +58,7 @@ def _settle_once() -> None:
     settle()
 
 
-def _shifts(spec: CampaignSpec, job: Job) -> tuple[list[Record], int]:
+def _shifts(spec: CampaignSpec, job: Job) -> RunResult:
     drawn = draw(
         job.seed, spec.sheet, spec.preset, spec.pairs, spec.learn + spec.judged, spec.as_built
     )
@@ -64,21 +67,23 @@ def _shifts(spec: CampaignSpec, job: Job) -> tuple[list[Record], int]:
         bench.shift()
     conditions = Conditions(spec.sheet, bench.as_built)
     records: dict[str, list[Record]] = {name: [] for name in spec.names}
-    made = spec.learn
+    made, errors = spec.learn, Counter[str]()
     for k, planned in enumerate(drawn.plan[spec.learn :]):
         if k > 0 and spec.own not in spec.names:
             bench.shift()
             made += 1
         bench.prepare()
-        for name, row in _judged(spec, bench).items():
+        for name, row in _judged(spec, bench, errors).items():
             key = {"sweep": job.point.name, "sweep_value": job.point.value, "seed": job.seed}
             record = conditions.record(planned, row, **key, shift=k, strategy=name)
             records[name].append(record)
     rows = list(itertools.chain.from_iterable(records.values()))
-    return rows, made + len(rows)
+    return RunResult(job, rows, made + len(rows), strategy_errors=errors)
 
 
-def _judged(spec: CampaignSpec, bench: ClosedLoop) -> dict[str, ShiftRow | None]:
+def _judged(
+    spec: CampaignSpec, bench: ClosedLoop, errors: Counter[str]
+) -> dict[str, ShiftRow | None]:
     """One shift by every strategy: each on a copy of the bench, which itself goes on by its own."""
     rows: dict[str, ShiftRow | None] = {}
     for name in spec.names:
@@ -86,6 +91,7 @@ def _judged(spec: CampaignSpec, bench: ClosedLoop) -> dict[str, ShiftRow | None]
             copy = bench.fork()
             copy.use(spec.engagement(name), knows_all=name == ORACLE)
             rows[name] = copy.shift()
+            errors += copy.strategy_errors
     if spec.own in spec.names:
         rows[spec.own] = bench.shift()
     return rows

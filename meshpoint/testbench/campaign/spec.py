@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset
@@ -46,6 +47,8 @@ class CampaignSpec:
     seed: int
     as_built: Mapping[str, float] = field(default_factory=dict)
     sweep: tuple[Point, ...] = ()
+    strategy_files: Mapping[str, StrategyFile] = field(default_factory=dict)
+    """The users' own among `strategies`, by name."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -71,16 +74,17 @@ class CampaignSpec:
     def engagement(self, name: str) -> ControllerSettings:
         """The controller's settings for a strategy or the oracle."""
         strategy = ORACLE_STRATEGY if name == ORACLE else name
-        return dataclasses.replace(self.settings, strategy_name=strategy)
+        return self.settings.with_strategy(strategy, self.strategy_files.get(strategy))
 
     def to_json(self) -> dict[str, Any]:
         """Everything but what the hashes of the provenance say."""
-        return {
+        files = {name: file.sha256 for name, file in self.strategy_files.items()}
+        return ({"strategy_files": files} if files else {}) | {
             "strategies": list(self.names),
             "pairs": [list(pair) for pair in self.pairs],
             "learning_shifts": self.learn,
             "judged_shifts": self.judged,
-            "settings": dataclasses.asdict(self.settings),
+            "settings": self.settings.values(),
             "as_built": dict(self.as_built),
             "sweep": [str(point) for point in self.sweep],
             "provenance": provenance(self.sheet, self.seed, self.preset.value),

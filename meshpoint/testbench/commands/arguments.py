@@ -13,12 +13,14 @@ from meshpoint.bus.logs.limits import MAX_LOG_BYTES
 from meshpoint.controller.calibration.file import load
 from meshpoint.controller.calibration.records import Calibration
 from meshpoint.controller.calibration_keeper import CalibrationWriter
+from meshpoint.controller.planning.strategies.own import read_strategy
 from meshpoint.controller.settings import (
     ESTIMATOR_NAMES,
     STRATEGY_NAMES,
     ControllerSettings,
     load_settings,
 )
+from meshpoint.controller.strategy_file import FORM, StrategyFile, is_file_name
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.orders import ScheduledFault
@@ -83,6 +85,20 @@ def size_bytes(text: str) -> int:
     return int(size)
 
 
+def strategy_name(text: str) -> str:
+    """An argparse type: the name of a strategy, or FILE.py:CLASS."""
+    if text not in STRATEGY_NAMES and not is_file_name(text):
+        allowed = ", ".join(STRATEGY_NAMES)
+        raise argparse.ArgumentTypeError(f"{text!r}, allowed are {allowed}, or {FORM}")
+    return text
+
+
+def strategy_file(name: str) -> StrategyFile | None:
+    """The user's file, where the name is one of FILE.py:CLASS; TableError or StrategyError where
+    it cannot be used."""
+    return read_strategy(name) if is_file_name(name) else None
+
+
 def add_gearbox(parser: argparse.ArgumentParser) -> None:
     """--gearbox."""
     parser.add_argument(
@@ -105,10 +121,12 @@ def add_controller(parser: argparse.ArgumentParser, strategy: bool = True) -> No
     if strategy:
         parser.add_argument(
             "--strategy",
-            choices=tuple(STRATEGY_NAMES),
+            type=strategy_name,
+            metavar="NAME|FILE.py:CLASS",
             help="speed_window: fire when the slip is inside its window, as is done today; "
             "speed_window_anticipating: fire ahead, so that the slip is small at contact; "
-            "target_phase: fire so that tooth meets gap (default)",
+            "target_phase: fire so that tooth meets gap (default); or a class of your own in a "
+            "Python file (docs/strategy.md)",
         )
 
 
@@ -243,9 +261,11 @@ def pairs_of(namespace: argparse.Namespace, sheet: GearboxSheet, preset: Preset)
 
 def settings_of(namespace: argparse.Namespace, strategy: str | None = None) -> ControllerSettings:
     """The controller settings asked for; `strategy` wins over the namespace's."""
+    name = strategy or getattr(namespace, "strategy", None)
     return load_settings(
         namespace.settings,
-        strategy_name=strategy or getattr(namespace, "strategy", None),
+        strategy_name=name,
+        strategy_file=None if name is None else strategy_file(name),
         estimator_name=namespace.estimator,
     )
 

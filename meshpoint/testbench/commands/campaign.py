@@ -11,7 +11,9 @@ from typing import Any, Final
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from meshpoint.controller.planning.strategies.table import make_strategy
 from meshpoint.controller.settings import STRATEGY_NAMES
+from meshpoint.controller.strategy_file import FORM, StrategyFile
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.campaign.draw import upshifts
 from meshpoint.testbench.campaign.report import write_report
@@ -27,7 +29,7 @@ from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.loop.schedules import pairs
 from meshpoint.testbench.report.write import has_plotly
-from meshpoint.testbench.results.output import check_json, console, write_json
+from meshpoint.testbench.results.output import check_json, complain_of_strategy, console, write_json
 
 MOST_RUNS: Final = 1_000_000
 DESCRIPTION: Final = """\
@@ -59,7 +61,8 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--strategy", dest="strategies", type=_strategies, default=tuple(STRATEGY_NAMES),
         metavar="A,B,...",
-        help=f"strategies to compare, of {', '.join(STRATEGY_NAMES)} (default: all)",
+        help=f"strategies to compare, of {', '.join(STRATEGY_NAMES)}, and your own as {FORM} "
+        "(default: all of ours)",
     )  # fmt: skip
     parser.add_argument(
         "--oracle", action="store_true",
@@ -120,7 +123,10 @@ def run(namespace: argparse.Namespace) -> int:
         seed=namespace.seed,
         as_built=arguments.as_built_of(namespace),
         sweep=tuple(point for points in namespace.sweep for point in points),
+        strategy_files=_strategy_files(namespace.strategies),
     )
+    for name in spec.strategy_files:
+        make_strategy(spec.sheet, spec.engagement(name))
     for point in spec.sweep:
         spec.at(point)  # a name or value that cannot be used is found before a long run
     out = console(namespace.json)
@@ -136,11 +142,12 @@ def _only(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> in
     if result.error is not None:
         print(result.error, file=sys.stderr)
         return Exit.FAILED
+    complain_of_strategy(result.strategy_errors)
     if namespace.json is not None:
         write_json(namespace.json, {"shifts": [vars(record) for record in result.records]})
     if namespace.json != "-":
         out.print(records_table(f"run {namespace.only}", result.records))
-    return Exit.DONE
+    return Exit.FAILED if result.strategy_errors else Exit.DONE
 
 
 def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int:
@@ -172,7 +179,8 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
             f"(again alone: --only {failed.job.seed})",
             file=sys.stderr,
         )
-    return Exit.FAILED if collected.failed else Exit.DONE
+    complain_of_strategy(collected.strategy_errors)
+    return Exit.FAILED if collected.failed or collected.strategy_errors else Exit.DONE
 
 
 def _make(
@@ -205,13 +213,13 @@ def _say_interrupted(namespace: argparse.Namespace, collected: Collected) -> Non
     print(f"interrupted: {kept}{more}", file=sys.stderr)
 
 
+def _strategy_files(names: tuple[str, ...]) -> dict[str, StrategyFile]:
+    files = {name: arguments.strategy_file(name) for name in names}
+    return {name: file for name, file in files.items() if file is not None}
+
+
 def _strategies(text: str) -> tuple[str, ...]:
-    names = tuple(dict.fromkeys(text.split(",")))
-    for name in names:
-        if name not in STRATEGY_NAMES:
-            allowed = ", ".join(STRATEGY_NAMES)
-            raise argparse.ArgumentTypeError(f"{name!r}, allowed are {allowed}")
-    return names
+    return tuple(dict.fromkeys(arguments.strategy_name(name) for name in text.split(",")))
 
 
 def _sweep(text: str) -> tuple[Point, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from rich.progress import Progress, SpinnerColumn, TextColumn
 from meshpoint.bus.logs.files import log_files, read_logs
 from meshpoint.bus.logs.limits import LogError
 from meshpoint.controller.header import RunHeader
-from meshpoint.controller.settings import STRATEGY_NAMES
+from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ReferenceEngagement, ShiftOutcome
@@ -22,10 +22,11 @@ from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.counterfactual import Counterfactuals, counterfactual_table
 from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
+from meshpoint.testbench.logs.replay_strategy import Chosen, header_for
 from meshpoint.testbench.report.collect import MADE, ReportCollector
 from meshpoint.testbench.report.run import Report, Run
 from meshpoint.testbench.report.write import aim_rad, check_report, report_provenance, write_report
-from meshpoint.testbench.results.output import console, rows_table, write_json
+from meshpoint.testbench.results.output import complain_of_strategy, console, rows_table, write_json
 from meshpoint.testbench.results.rows import RowCollector, ShiftRow
 
 TELL_FRAMES = 500
@@ -59,9 +60,11 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument(
         "--strategy",
-        choices=tuple(STRATEGY_NAMES),
+        type=arguments.strategy_name,
+        metavar="NAME|FILE.py:CLASS",
         help="what another strategy would have commanded on the same frames: when it fires, and "
-        "the phase it then expects, beside what was recorded",
+        "the phase it then expects, beside what was recorded; a log that a strategy of your own "
+        "has made is repeated with that same file",
     )
     parser.add_argument("--header-dir", type=Path, metavar="DIR", help="where the run headers are")
     arguments.add_json(parser)
@@ -103,6 +106,8 @@ class _Rows:
         self._logged = Receiver(*Node)
         self._made = Receiver(Node.BENCH)
         self._collector: RowCollector | None = None
+        self._settings = self._logged_settings = ControllerSettings()
+        """Of the replayed controller and of the recorded one, which name their strategies."""
         self._truth: list[ReferenceEngagement] = []
         self.report: ReportCollector | None = None
         self.header: RunHeader | None = None
@@ -113,21 +118,22 @@ class _Rows:
         message = self._logged.receive(frame).message
         if self.counterfactuals is not None:
             if isinstance(message, ShiftOutcome):
-                self.counterfactuals.recorded(message)
+                self.counterfactuals.recorded(message, self._logged_settings)
         elif isinstance(message, ReferenceEngagement):
             self._truth.append(message)
         if self.report is not None and message is not None and not isinstance(message, MADE):
             self.report.take(message)
 
-    def start(self, header: RunHeader) -> None:
-        """A session's data sheet is known."""
+    def start(self, header: RunHeader, settings: ControllerSettings) -> None:
+        """A session's data sheet is known, and the settings that it is replayed with."""
+        self._logged_settings, self._settings = header.settings, settings
         if self.report is not None:
             self.report.restart()
         if self._collector is None:
             self.header = header
-            self._collector = RowCollector(header.sheet, aim_rad(header))
+            self._collector = RowCollector(header.sheet, aim_rad(header), settings)
             if self._for_report:
-                self.report = ReportCollector(header.sheet, aim_rad(header))
+                self.report = ReportCollector(header.sheet, aim_rad(header), settings)
 
     def made(self, frame: Frame) -> None:
         """A frame the replayed controller sent."""
@@ -138,7 +144,7 @@ class _Rows:
             self._truth.clear()
             self._collector.take(message)
             if self.counterfactuals is not None:
-                self.counterfactuals.made(message)
+                self.counterfactuals.made(message, self._settings)
         if self.report is not None and isinstance(message, MADE):
             self.report.take(message)
 
@@ -151,24 +157,21 @@ class _Rows:
 def run(namespace: argparse.Namespace) -> int:
     """Replays, and verifies where asked."""
     other = namespace.strategy
+    chosen = None if other is None else Chosen(other, arguments.strategy_file(other))
     files = log_files(namespace.log)
     check_report(namespace.report)
     rows = _Rows(namespace.report is not None, other is not None)
 
     def change(header: RunHeader) -> RunHeader:
-        rows.start(header)
-        if other is None:
-            return header
-        return dataclasses.replace(
-            header, settings=dataclasses.replace(header.settings, strategy_name=other)
-        )
+        changed = header_for(header, chosen, namespace.verify)
+        rows.start(header, changed.settings)
+        return changed
 
     out = console(namespace.json)
     events: list[tuple[int, str]] = []
-    verify = namespace.verify and other is None
     replay = LogReplay(
         namespace.header_dir or files[0].parent,
-        verify,
+        namespace.verify,
         change,
         rows.made,
         lambda time_us, line: events.append((time_us, line)),
@@ -187,7 +190,11 @@ def run(namespace: argparse.Namespace) -> int:
     _show(namespace, out, files, sessions, rows, events)
     if namespace.report is not None:
         _report(namespace, out, files, sessions, rows)
-    return _exit_code(sessions, namespace.verify)
+    errors: Counter[str] = Counter()
+    for session in sessions:
+        errors += Counter(session.strategy_errors)
+    complain_of_strategy(errors)
+    return _exit_code(sessions, namespace.verify) or (Exit.FAILED if errors else Exit.DONE)
 
 
 def _end_early(session: Session, defect: LogError) -> None:

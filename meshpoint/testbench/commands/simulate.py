@@ -29,6 +29,7 @@ from meshpoint.testbench.report.write import (
 from meshpoint.testbench.results.output import (
     check_json,
     complain,
+    complain_of_strategy,
     console,
     rows_table,
     summary_table,
@@ -79,7 +80,7 @@ def run(namespace: argparse.Namespace) -> int:
     check_report(namespace.report)
     collector = None
     if namespace.report is not None:
-        collector = ReportCollector(setup.sheet, aim_rad(setup.header))
+        collector = ReportCollector(setup.sheet, aim_rad(setup.header), setup.settings)
     with ExitStack() as stack:
         log = start_log(namespace, setup.header, channel=LOG_CHANNEL, by_frame_time=True)
         if log is not None:
@@ -113,7 +114,9 @@ def run(namespace: argparse.Namespace) -> int:
         out.print(f"log {written(log)}", markup=False)
     if namespace.json != "-":
         _show(out, setup, result)
-    return Exit.DONE if not (result.stuck or unwritten) else Exit.FAILED
+    complain_of_strategy(result.strategy_errors)
+    failed = result.stuck or unwritten or result.strategy_errors
+    return Exit.FAILED if failed else Exit.DONE
 
 
 def _show(out: Console, setup: Setup, result: Result) -> None:

@@ -11,13 +11,14 @@ from typing import Any
 
 from rich.table import Table
 
+from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import PhaseReference, ShiftOutcome, ShiftResult
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.testbench.results.rows import DEG
 
 
 @dataclass(frozen=True)
-class Command:
+class Firing:
     """The last firing of a shift."""
 
     strategy: str
@@ -34,8 +35,8 @@ class Counterfactual:
 
     from_: int
     to: int
-    other: Command
-    recorded: Command | None
+    other: Firing
+    recorded: Firing | None
 
     def to_json(self) -> dict[str, Any]:
         """By name, as `replay --strategy --json` writes it."""
@@ -47,28 +48,29 @@ class Counterfactuals:
     """Pairs outcomes of the replayed controller with those of the log, by the time of request."""
 
     def __init__(self) -> None:
-        self._made: list[ShiftOutcome] = []
-        self._recorded: dict[int, ShiftOutcome] = {}
+        self._made: list[tuple[ShiftOutcome, Firing]] = []
+        self._recorded: dict[int, Firing] = {}
 
-    def made(self, outcome: ShiftOutcome) -> None:
-        """An outcome of the replayed controller."""
+    def made(self, outcome: ShiftOutcome, settings: ControllerSettings) -> None:
+        """An outcome of the replayed controller, and the settings that name its strategy."""
         if outcome.result is not ShiftResult.REFUSED:
-            self._made.append(outcome)
+            self._made.append((outcome, _firing(outcome, settings)))
 
-    def recorded(self, outcome: ShiftOutcome) -> None:
-        """An outcome in the log."""
-        self._recorded[outcome.request_time_us] = outcome
+    def recorded(self, outcome: ShiftOutcome, settings: ControllerSettings) -> None:
+        """An outcome in the log, and the settings of the recorded controller."""
+        self._recorded[outcome.request_time_us] = _firing(outcome, settings)
 
     def pairs(self) -> list[Counterfactual]:
         """In the order of the replay."""
-        pairs = []
-        for outcome in self._made:
-            was = self._recorded.get(outcome.request_time_us)
-            recorded = None if was is None else _command(was)
-            pairs.append(
-                Counterfactual(outcome.from_gear, outcome.to_gear, _command(outcome), recorded)
+        return [
+            Counterfactual(
+                outcome.from_gear,
+                outcome.to_gear,
+                firing,
+                self._recorded.get(outcome.request_time_us),
             )
-        return pairs
+            for outcome, firing in self._made
+        ]
 
 
 def counterfactual_table(title: str, pairs: list[Counterfactual]) -> Table:
@@ -83,32 +85,32 @@ def counterfactual_table(title: str, pairs: list[Counterfactual]) -> Table:
         table.add_column(f"{side}fired\nms", justify="right")
         table.add_column(f"{side}predicted\ndeg", justify="right")
     for pair in pairs:
-        sides = [text for command in (pair.other, pair.recorded) for text in _cells(command)]
+        sides = [text for firing in (pair.other, pair.recorded) for text in _cells(firing)]
         table.add_row(str(pair.from_), str(pair.to), *sides)
     return table
 
 
-def _command(outcome: ShiftOutcome) -> Command:
+def _firing(outcome: ShiftOutcome, settings: ControllerSettings) -> Firing:
     known = outcome.reference is PhaseReference.KNOWN and outcome.attempts > 0
     fired_us = span_us(outcome.fire_time_us, outcome.request_time_us)
-    return Command(
-        strategy=outcome.strategy.name.lower(),
+    return Firing(
+        strategy=settings.name_of(outcome.strategy),
         reference=outcome.reference.name.lower(),
         fired_ms=fired_us / 1000 if outcome.attempts else None,
         predicted_phase_deg=outcome.predicted_phase_rad / DEG if known else None,
     )
 
 
-def _cells(command: Command | None) -> list[str]:
-    if command is None:
+def _cells(firing: Firing | None) -> list[str]:
+    if firing is None:
         return ["-", "-", "-"]
-    fired, phase = command.fired_ms, command.predicted_phase_deg
+    fired, phase = firing.fired_ms, firing.predicted_phase_deg
     return [
-        command.strategy,
+        firing.strategy,
         "-" if fired is None else f"{fired:.1f}",
         "-" if phase is None else f"{phase:+.2f}",
     ]
 
 
-def _rounded(command: Command) -> dict[str, Any]:
-    return {k: round(v, 6) if isinstance(v, float) else v for k, v in vars(command).items()}
+def _rounded(firing: Firing) -> dict[str, Any]:
+    return {k: round(v, 6) if isinstance(v, float) else v for k, v in vars(firing).items()}

@@ -54,6 +54,8 @@ class Session:
     step: int | None = None
     """The step at which it differs or stops being verifiable."""
     reason: str = ""
+    strategy_errors: dict[str, int] = field(default_factory=dict)
+    """What was wrong with a user's own strategy, and how many shifts ended of it."""
 
     def __str__(self) -> str:
         if self.verdict is Verification.IDENTICAL:
@@ -81,7 +83,8 @@ class _Recorded:
 class LogReplay:
     """Feeds a log's frames to controllers, one for each session that the log holds.
 
-    `settings_of(header)` may change the header (another strategy); then nothing is compared.
+    `change(header)` may give another header to build the controller from (another strategy); it
+    raises NotVerifiableError where a run cannot be repeated.
     """
 
     def __init__(
@@ -160,6 +163,7 @@ class LogReplay:
         if self._verify:
             _check_same_product(header)
         self._core = ControllerCore(self._change(header) if self._change else header)
+        session.strategy_errors = self._core.strategy_errors
 
     def _repeat(self, session: Session, step: _Recorded) -> None:
         core, status = self._core, step.status

@@ -72,9 +72,13 @@ class Result:
     """What was drawn for the rig; None for the preset thesis."""
     cold_start: bool = True
     """The controller started without a calibration."""
+    strategy_errors: Mapping[str, int] = field(default_factory=dict)
+    """What was wrong with a user's own strategy, and how many shifts ended of it."""
 
     def to_json(self, strategy: str) -> dict[str, Any]:
         """As `simulate --json` prints it."""
+        errors = {"strategy_errors": dict(self.strategy_errors)} if self.strategy_errors else {}
+        more = errors | ({} if self.as_built is None else {"as_built": self.as_built})
         return {
             "shifts": [row.to_json() for row in self.rows],
             "summary": summarise(strategy, self.rows).to_json(),
@@ -83,7 +87,7 @@ class Result:
             "bus_load": round(self.bus_load, 4),
             "cold_start": self.cold_start,
             "provenance": self.provenance,
-        } | ({} if self.as_built is None else {"as_built": self.as_built})
+        } | more
 
 
 def not_addressed_to(*nodes: Node) -> frozenset[int]:
@@ -160,4 +164,5 @@ def simulate(
         stuck=bench.gave_up,
         as_built=rig.as_built,
         cold_start=setup.calibration is None,
+        strategy_errors=core.strategy_errors,
     )

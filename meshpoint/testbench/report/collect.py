@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from meshpoint.controller.sensing.sensor_clock import unwrap
+from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver
@@ -123,9 +124,15 @@ class _ReportTraces(Traces):
 class ReportCollector:
     """Makes a `ReportShift` of every shift on a bus."""
 
-    def __init__(self, sheet: GearboxSheet, target_rad: float = 0.0) -> None:
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        target_rad: float = 0.0,
+        settings: ControllerSettings | None = None,
+    ) -> None:
+        """`settings`: of the controller, which name a user's own strategy."""
         self._target_rad = target_rad
-        self._rows = RowCollector(sheet, target_rad)
+        self._rows = RowCollector(sheet, target_rad, settings)
         self._receiver = Receiver(*Node)
         self._traces = _ReportTraces()
         self._ended: list[tuple[ShiftRow, ShiftOutcome, float]] = []

@@ -67,7 +67,7 @@ def _summary(runs: list[Run]) -> str:
 
 
 def _summary_cells(summary: Summary) -> list[Cell]:
-    aims = summary.strategy == "target_phase"
+    aims = summary.aims
     hits, shots = (summary.gap_known, summary.known) if aims else (summary.gap, summary.shifts)
     low, high = wilson(hits, shots)
     return [

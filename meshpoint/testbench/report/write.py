@@ -19,6 +19,7 @@ from meshpoint.testbench.report.overview import contacts_figure, predictions_fig
 from meshpoint.testbench.report.page import page, shift_words
 from meshpoint.testbench.report.run import Report, Run
 from meshpoint.testbench.results.output import check_json, folder_for
+from meshpoint.testbench.results.rows import is_aimed
 
 EXTRA = "a report needs the extra: pip install 'meshpoint[report]'"
 
@@ -59,7 +60,7 @@ def report_provenance(
 
 def gather(name: str, frames: Iterable[Frame], header: RunHeader, notes: list[str]) -> Run:
     """A run from the frames of its bus."""
-    collector = ReportCollector(header.sheet, aim_rad(header))
+    collector = ReportCollector(header.sheet, aim_rad(header), header.settings)
     for frame in frames:
         collector.receive(frame)
     return Run(name, collector.finish(), notes)
@@ -106,7 +107,7 @@ def report_data(report: Report) -> dict[str, Any]:
         shift_key(r, s)
         for r, run in enumerate(report.runs)
         for s, shift in enumerate(run.shifts)
-        if shift.row.reference == "known" and shift.row.strategy == "target_phase"
+        if is_aimed(shift.row)
     )
     overview = {}
     if figures:

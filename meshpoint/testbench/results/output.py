@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,12 @@ def complain(line: str) -> None:
     """A line on standard error, where it does not get into anybody's results."""
     sys.stderr.write(line + "\n")
     sys.stderr.flush()
+
+
+def complain_of_strategy(errors: Mapping[str, int]) -> None:
+    """What was wrong with a user's own strategy, and how many shifts it ended."""
+    for line, shifts in errors.items():
+        complain(f"own strategy: {line} ({shifts} shift{'s' if shifts > 1 else ''} ended of it)")
 
 
 def console(json_target: str | None = None) -> Console:
@@ -123,7 +130,7 @@ def summary_table(summaries: list[Summary]) -> Table:
     ):  # fmt: skip
         table.add_column(column, justify="left" if column == "strategy" else "right")
     for summary in summaries:
-        aims = summary.strategy == "target_phase"
+        aims = summary.aims
         hits, shots = (summary.gap_known, summary.known) if aims else (summary.gap, summary.shifts)
         rate = summary.gap_rate
         table.add_row(

@@ -9,6 +9,9 @@ import math
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
+from meshpoint.controller.planning.strategies.table import AIMING
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.strategy_file import is_file_name
 from meshpoint.dbc.messages import (
     EngagementEvent,
     MainGear,
@@ -83,7 +86,14 @@ class ShiftRow:
 class RowCollector:
     """Pairs each outcome with the first contact of the gear it went for."""
 
-    def __init__(self, sheet: GearboxSheet, target_phase_rad: float = 0.0) -> None:
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        target_phase_rad: float = 0.0,
+        settings: ControllerSettings | None = None,
+    ) -> None:
+        """`settings`: of the controller, which name a user's own strategy."""
+        self._settings = settings or ControllerSettings()
         self._pitch_deg = sheet.dog.pitch_rad / DEG
         self._target_rad = target_phase_rad
         self._contacts: list[ReferenceEngagement] = []
@@ -127,7 +137,7 @@ class RowCollector:
         return ShiftRow(
             from_=outcome.from_gear,
             to=outcome.to_gear,
-            strategy=outcome.strategy.name.lower(),
+            strategy=self._settings.name_of(outcome.strategy),
             reference=outcome.reference.name.lower(),
             result=outcome.result.name.lower(),
             duration_ms=span_us(outcome.end_time_us, outcome.request_time_us) / 1000,
@@ -195,11 +205,13 @@ class Summary:
     mean_duration_ms: float | None
     phase_error_rms_deg: float | None
     """Over the shifts with a known reference; None without any."""
+    aims: bool
+    """It aims at a phase; then only shifts with a known reference say how well."""
 
     @property
     def gap_rate(self) -> float | None:
         """Share of first contacts in a gap, over the shifts that could aim where it aims at all."""
-        if self.strategy == "target_phase":
+        if self.aims:
             return self.gap_known / self.known if self.known else None
         return self.gap / self.shifts if self.shifts else None
 
@@ -210,7 +222,14 @@ class Summary:
 
     def to_json(self) -> dict[str, Any]:
         """Counts and figures by name."""
-        return vars(self) | {"gap_rate": self.gap_rate, "reference_known": self.reference_known}
+        figures = {key: value for key, value in vars(self).items() if key != "aims"}
+        return figures | {"gap_rate": self.gap_rate, "reference_known": self.reference_known}
+
+
+def is_aimed(row: ShiftRow) -> bool:
+    """Whether its contact was aimed at, so that its phase error says how well."""
+    chosen = row.strategy in AIMING or is_file_name(row.strategy)
+    return chosen and row.reference == "known"
 
 
 def summarise(strategy: str, rows: list[ShiftRow]) -> Summary:
@@ -232,4 +251,6 @@ def summarise(strategy: str, rows: list[ShiftRow]) -> Summary:
         phase_error_rms_deg=(
             math.sqrt(sum(e * e for e in errors) / len(errors)) if errors else None
         ),
+        # Only for one that aims does another one ever stand in.
+        aims=strategy in AIMING or any(row.strategy != strategy for row in rows),
     )

@@ -1,0 +1,33 @@
+"""What is done today: fire as soon as the slip is inside a window. Tooth meets gap by luck."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from meshpoint.controller.planning.outlook import GearPredictor
+from meshpoint.controller.planning.strategies.base import Release, release_for_slip, settle_time_us
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox import GearboxSheet
+
+
+class SpeedWindow:
+    """`window.release_slip_rpm` is left by the brake; fired below `window.fire_slip_rpm`."""
+
+    aims: Final = False
+
+    def __init__(self, sheet: GearboxSheet, settings: ControllerSettings) -> None:
+        window = settings.window
+        self.fire_slip_rad_s = window.fire_slip_rad_s
+        self._left_rad_s = window.release_slip_rad_s
+        self._settle_us = settle_time_us(sheet, window.settle_time_constants)
+
+    def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> Release:  # noqa: ARG002
+        """The set slip is left when the brake has died away."""
+        at_us = release_for_slip(predictor, earliest_us, self._left_rad_s, self._settle_us)
+        return Release(at_us, at_us + round(self._settle_us))
+
+    def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
+        """At once when the slip is inside the window; None while it is above."""
+        if predictor.slip_rad_s(now_us) > self.fire_slip_rad_s:
+            return None
+        return earliest_us + predictor.delay_us

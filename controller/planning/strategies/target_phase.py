@@ -1,0 +1,160 @@
+"""Aim: ask where the teeth will be when the sleeve arrives (thesis 6.2).
+
+Release and contact are those of least expected cost: time, the price of a miss, the energy of the
+flanks, over the spread of the predicted phase (docs/strategy.md).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from meshpoint.controller.motion.kernels import BRAKE_G, Vector
+from meshpoint.controller.planning.outlook import GearPredictor, Trajectory
+from meshpoint.controller.planning.plan_kernels import (
+    AIM,
+    BLOCK,
+    BLOCK_SLIP,
+    DELAY_SD,
+    ENERGY,
+    HALF_GAP,
+    MISS,
+    OVERLAP,
+    PITCH,
+    SLIP_HIGH,
+    SLIP_LOW,
+    TARGET,
+    TERMS,
+    cheapest,
+    expected_least,
+)
+from meshpoint.controller.planning.strategies.base import (
+    US_PER_S,
+    Release,
+    release_for_slip,
+    settle_time_us,
+)
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox import GearboxSheet
+
+COARSE_US: Final = 2_000.0
+COARSE_STEPS: Final = 150
+"""Contacts looked at: 0.3 s, in which the slip falls out of its window; 2 ms are a quarter of a
+degree at 20 rpm."""
+FINE_US: Final = 100.0
+FINE_STEPS: Final = 41
+"""Around the best of these."""
+GROWTH_US: Final = 100_000.0
+"""Over this the growth of the phase's variance is taken."""
+NEAR_US: Final = 50_000
+"""A release further ahead is not aimed yet: the plan is made anew at every tick."""
+EARLIER_US: Final = 6_000
+LATER_US: Final = 8_000
+RELEASE_STEP_US: Final = 1_000
+RELEASE_FINE_US: Final = 200
+"""Releases looked at around the unaimed one: 14 ms move the phase at contact by more than a pitch.
+"""
+EARLIEST_US: Final = -35_000
+"""The earliest firing, after the release: the sleeve is on its way for longer than that, and meets
+the gear when the brake has been let go."""
+SETTLED_SHARE: Final = 0.1
+"""What is left at firing of the variance that the phase has at the release."""
+REFERENCE_SD_RAD: Final = math.radians(0.1)
+"""Of a learned phase reference."""
+
+
+class TargetPhase:
+    """Fires so that tooth meets gap."""
+
+    aims: Final = True
+
+    def __init__(self, sheet: GearboxSheet, settings: ControllerSettings) -> None:
+        window = settings.window
+        self.fire_slip_rad_s = window.contact_high_rad_s
+        self._dog = sheet.dog
+        self._window, self._prices = window, settings.prices
+        self._brake_nm_per_pa = sheet.brake_nm_per_pa
+        self._speed_m_s = sheet.sleeve.speed_m_s
+        self._reference_variance = REFERENCE_SD_RAD**2
+        self._target_rad = settings.aim.target_rad_share * (sheet.dog.backlash_rad / 2.0)
+        self._settle_us = settle_time_us(sheet, window.aim_time_constants)
+
+    def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
+        """The contact of least expected cost that a sleeve not yet fired can still make."""
+        first_us = float(earliest_us + predictor.delay_us)
+        coarse = predictor.trajectory(first_us, COARSE_US, COARSE_STEPS)
+        around_us = max(first_us, self._cheapest(predictor, now_us, coarse) - COARSE_US)
+        fine = predictor.trajectory(around_us, FINE_US, FINE_STEPS)
+        return round(self._cheapest(predictor, now_us, fine))
+
+    def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> Release:
+        """Release and contact planned together: of the releases around the one that leaves
+        `window.aim_slip_rpm`, the one of least expected cost."""
+        slip, settle_us = self._window.aim_slip_rad_s, self._settle_us
+        release_us = release_for_slip(predictor, earliest_us, slip, settle_us)
+        if release_us > earliest_us + NEAR_US:
+            return Release(release_us, release_us + round(settle_us))
+        first_us = max(earliest_us, release_us - EARLIER_US)
+        steps = range(first_us, release_us + LATER_US + 1, RELEASE_STEP_US)
+        best = self._best_release(predictor, now_us, earliest_us, steps).release_us
+        around = range(
+            max(earliest_us, best - RELEASE_STEP_US), best + RELEASE_STEP_US + 1, RELEASE_FINE_US
+        )
+        return self._best_release(predictor, now_us, earliest_us, around)
+
+    def _best_release(
+        self, predictor: GearPredictor, now_us: int, earliest_us: int, releases_us: range
+    ) -> Release:
+        """The release of least expected cost, and the contact that goes with it."""
+        terms = self._terms(predictor)
+        least, best = math.inf, Release(releases_us[0], releases_us[0])
+        for release_us in releases_us:
+            fire_us = max(release_us + EARLIEST_US, earliest_us)
+            first_us = float(fire_us + predictor.delay_us)
+            trajectory = predictor.trajectory(first_us, COARSE_US, COARSE_STEPS, release_us)
+            if release_us == releases_us[0]:
+                variance, growth = self._variance(predictor, trajectory)
+            index, cost = expected_least(
+                (first_us - now_us) / US_PER_S, COARSE_US / US_PER_S, trajectory.phase_rad,
+                trajectory.slip_rad_s, math.sqrt(variance), SETTLED_SHARE * variance, growth,
+                terms,
+            )  # fmt: skip
+            if cost < least:
+                least = cost
+                best = Release(release_us, round(first_us + index * COARSE_US))
+        return best
+
+    def _cheapest(self, predictor: GearPredictor, now_us: int, trajectory: Trajectory) -> float:
+        """Time of a trajectory's cheapest contact."""
+        phase, slip = trajectory.phase_rad, trajectory.slip_rad_s
+        variance, growth = self._variance(predictor, trajectory)
+        wait_s = (trajectory.first_us - now_us) / US_PER_S
+        best, _ = cheapest(
+            wait_s, trajectory.step_us / US_PER_S, phase, slip, 0.0, variance, growth,
+            self._terms(predictor),
+        )  # fmt: skip
+        return trajectory.first_us + best * trajectory.step_us
+
+    def _variance(self, predictor: GearPredictor, trajectory: Trajectory) -> tuple[float, float]:
+        """Variance of the phase at the trajectory's first time, and its growth a second."""
+        now = predictor.estimate_variance(trajectory.first_us)
+        later = predictor.estimate_variance(trajectory.first_us + GROWTH_US)
+        return now + self._reference_variance, (later - now) / GROWTH_US * US_PER_S
+
+    def _terms(self, predictor: GearPredictor) -> Vector:
+        """The terms of `plan_kernels` for this gear."""
+        window, prices, dog = self._window, self._prices, self._dog
+        inertia = self._brake_nm_per_pa / predictor.model.motion[BRAKE_G]
+        terms = np.empty(TERMS)
+        terms[PITCH], terms[HALF_GAP] = dog.pitch_rad, dog.backlash_rad / 2.0
+        terms[TARGET] = self._target_rad
+        terms[OVERLAP] = prices.overlap_m / self._speed_m_s
+        terms[DELAY_SD] = predictor.delay_sd_s
+        terms[MISS], terms[BLOCK] = prices.miss_s, prices.block_s
+        terms[BLOCK_SLIP] = prices.block_slip_rad_s
+        terms[ENERGY] = prices.energy_s_per_j * 0.5 * inertia / predictor.i_gear**2
+        terms[AIM] = prices.aim_s
+        terms[SLIP_LOW], terms[SLIP_HIGH] = window.contact_low_rad_s, window.contact_high_rad_s
+        return terms
