@@ -13,28 +13,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
-from meshpoint.controller.motion.kernels import BRAKE_G, Vector
 from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.planning.outlook import Course, Outlook
-from meshpoint.controller.planning.plan_kernels import (
-    AIM,
-    BLOCK,
-    BLOCK_SLIP,
-    DELAY_SD,
-    ENERGY,
-    HALF_GAP,
-    MISS,
-    OVERLAP,
-    PITCH,
-    SLIP_HIGH,
-    SLIP_LOW,
-    TARGET,
-    TERMS,
-    cheapest,
-    expected_least,
-)
+from meshpoint.controller.planning.plan_kernels import CONTACTS, TERMS, cheapest, expected_least
+from meshpoint.controller.records import Vector, filled
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import ShiftDecision, Strategy
 from meshpoint.gearbox import GearboxSheet
@@ -126,13 +108,9 @@ class Strategist:
 
     def _cheapest(self, outlook: Outlook, now_us: int, course: Course) -> float:
         """Time of a course's cheapest contact."""
+        contacts = _contacts(course, now_us, *self._variance(outlook, course))
         phase, slip = course.phase_rad, course.slip_rad_s
-        variance, growth = self._variance(outlook, course)
-        wait_s = (course.first_us - now_us) / US_PER_S
-        best, _ = cheapest(
-            wait_s, course.step_us / US_PER_S, phase, slip, 0.0, variance, growth,
-            self._terms(outlook),
-        )  # fmt: skip
+        best, _ = cheapest(phase, slip, contacts, self._terms(outlook), 0.0)
         return course.first_us + best * course.step_us
 
     def _variance(self, outlook: Outlook, course: Course) -> tuple[float, float]:
@@ -144,18 +122,22 @@ class Strategist:
     def _terms(self, outlook: Outlook) -> Vector:
         """The terms of `plan_kernels` for this gear."""
         window, prices, dog = self._window, self._prices, self._dog
-        inertia = self._brake_nm_per_pa / outlook.model.motion[BRAKE_G]
-        terms = np.empty(TERMS)
-        terms[PITCH], terms[HALF_GAP] = dog.pitch_rad, dog.backlash_rad / 2.0
-        terms[TARGET] = self._target_rad
-        terms[OVERLAP] = prices.overlap_m / self._speed_m_s
-        terms[DELAY_SD] = outlook.delay_sd_s
-        terms[MISS], terms[BLOCK] = prices.miss_s, prices.block_s
-        terms[BLOCK_SLIP] = prices.block_slip_rad_s
-        terms[ENERGY] = prices.energy_s_per_j * 0.5 * inertia / outlook.i_gear**2
-        terms[AIM] = prices.aim_s
-        terms[SLIP_LOW], terms[SLIP_HIGH] = window.contact_low_rad_s, window.contact_high_rad_s
-        return terms
+        inertia = self._brake_nm_per_pa / outlook.model.brake_rad_s2_pa
+        return filled(
+            TERMS,
+            pitch_rad=dog.pitch_rad,
+            half_gap_rad=dog.backlash_rad / 2.0,
+            target_rad=self._target_rad,
+            overlap_s=prices.overlap_m / self._speed_m_s,
+            delay_sd_s=outlook.delay_sd_s,
+            miss_s=prices.miss_s,
+            block_s=prices.block_s,
+            block_slip_rad_s=prices.block_slip_rad_s,
+            energy_s3_rad2=prices.energy_s_per_j * 0.5 * inertia / outlook.i_gear**2,
+            aim_s=prices.aim_s,
+            slip_low_rad_s=window.contact_low_rad_s,
+            slip_high_rad_s=window.contact_high_rad_s,
+        )
 
     def release(
         self, outlook: Outlook, now_us: int, earliest_us: int, strategy: Strategy
@@ -190,10 +172,11 @@ class Strategist:
             course = outlook.course(first_us, COARSE_US, COURSE_STEPS, release_us)
             if release_us == releases_us[0]:
                 variance, growth = self._variance(outlook, course)
+            contacts = _contacts(course, now_us, SETTLED_SHARE * variance, growth)
+            spread = math.sqrt(variance)
             index, cost = expected_least(
-                (first_us - now_us) / US_PER_S, COARSE_US / US_PER_S, course.phase_rad,
-                course.slip_rad_s, math.sqrt(variance), SETTLED_SHARE * variance, growth, terms,
-            )  # fmt: skip
+                course.phase_rad, course.slip_rad_s, contacts, terms, spread
+            )
             if cost < least:
                 least = cost
                 best = release_us, round(first_us + index * COARSE_US)
@@ -209,3 +192,14 @@ class Strategist:
             phase, phase_sd, slip = 0.0, 0.0, outlook.slip_rad_s(contact_us)
         fire_us = contact_us - outlook.delay_us
         return Plan(decision, fire_us, contact_us, phase, phase_sd, slip)
+
+
+def _contacts(course: Course, now_us: int, variance_rad2: float, growth_rad2_s: float) -> Vector:
+    """The contacts of a course for `plan_kernels`."""
+    return filled(
+        CONTACTS,
+        wait_s=(course.first_us - now_us) / US_PER_S,
+        step_s=course.step_us / US_PER_S,
+        variance_rad2=variance_rad2,
+        growth_rad2_s=growth_rad2_s,
+    )
