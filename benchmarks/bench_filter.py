@@ -26,8 +26,9 @@ from scipy.signal import cont2discrete
 
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.motion.linear import layshaft_model
-from meshpoint.controller.motion.linear_kernels import thesis_filter
+from meshpoint.controller.motion.linear_kernels import THESIS_FILTER, thesis_filter
 from meshpoint.controller.motion.models import diagonal, first_order_law, free_motion
+from meshpoint.controller.records import Memory
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import Split, load_sheet
 
@@ -53,21 +54,28 @@ def start() -> tuple[np.ndarray, np.ndarray]:
     return np.array([0.0, 146.6, 0.0]), np.diag([1e-6, 1.0, 4e8])
 
 
-def ours(model: np.ndarray, times: np.ndarray, angles: np.ndarray) -> np.ndarray:
+class Thesis:
     """The product's kernel, in batches as the bus delivers them."""
-    x, p = start()
-    none, time_us = np.empty(0), 0.0
-    for i in range(0, EDGES, BATCH):
-        time_us = thesis_filter(
-            x, p, time_us, times[i : i + BATCH], angles[i : i + BATCH], none, none, model, W, R
-        )
-    return x
+
+    def __init__(self, model: np.ndarray) -> None:
+        self._memory = memory = Memory(THESIS_FILTER)
+        memory.part("model")[:], memory.part("w")[:], memory.part("r_rad2")[0] = model, W, R
+        self._time_us, self._x, self._p = (memory.part(name) for name in ("time_us", "x", "p"))
+        self._switches = np.empty((2, 0))
+
+    def __call__(self, _model: np.ndarray, times: np.ndarray, angles: np.ndarray) -> np.ndarray:
+        self._time_us[0] = 0.0
+        self._x[:], self._p[:] = start()
+        flat = self._memory.flat
+        for i in range(0, EDGES, BATCH):
+            thesis_filter(flat, times[i : i + BATCH], angles[i : i + BATCH], self._switches)
+        return self._x
 
 
 class Crossing:
     """The node's own filter, in the same batches."""
 
-    def __init__(self) -> None:
+    def __init__(self, times: np.ndarray, angles: np.ndarray) -> None:
         sheet, tuning = load_sheet("thesis"), CrossingFilterTuning()
         law = first_order_law(1.0 / sheet.brake.time_constant_s, sheet.air.supply_gauge_pa)
         self._model = free_motion(sheet, Split.HIGH, law, tuning)
@@ -75,15 +83,15 @@ class Crossing:
         self._x = np.array([0.0, 146.6, 0.0, 0.0, 1.0, 0.0])
         self._p = diagonal(1e-3, 1.0, 2e4, 3.0, 0.1, 15.0)
         none = np.empty(0)
-        self._pressures, self._switches = Pressures(none, none), (none, none)
+        self._batches = [
+            np.array((times[i : i + BATCH], angles[i : i + BATCH])) for i in range(0, EDGES, BATCH)
+        ]
+        self._pressures, self._switches = Pressures(none, none), np.empty((2, 0))
 
-    def __call__(self, _model: np.ndarray, times: np.ndarray, angles: np.ndarray) -> np.ndarray:
+    def __call__(self, *_arguments: np.ndarray) -> np.ndarray:
         self._filter.begin(0.0, self._x, self._p)
-        for i in range(0, EDGES, BATCH):
-            self._filter.take(
-                times[i : i + BATCH], angles[i : i + BATCH], 1e-4, self._pressures,
-                self._switches, self._model,
-            )  # fmt: skip
+        for edges in self._batches:
+            self._filter.take(edges, 1e-4, self._pressures, self._switches, self._model)
         return self._filter.x
 
 
@@ -122,12 +130,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     namespace = parser.parse_args(argv)
     model = layshaft_model(load_sheet("thesis"), Split.HIGH)
     times, angles = edges(model)
+    ours = Thesis(model)
     # Angle, speed and pressure each in its own scale; the peer rounds differently, no more.
     gap = np.abs(ours(model, times, angles) - peer(model, times, angles)) / [1e-3, 1.0, 1e5]
     if gap.max() > 1e-5:
         print(f"the two filters disagree: {gap}", file=sys.stderr)
         return 1
-    crossing = Crossing()
+    crossing = Crossing(times, angles)
     found = crossing(model, times, angles)
     if abs(found[0] - angles[-1]) > 1e-3 or abs(found[1] - ours(model, times, angles)[1]) > 0.5:
         print(f"the crossing-time filter is elsewhere: {found}", file=sys.stderr)

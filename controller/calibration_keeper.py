@@ -13,7 +13,7 @@ from typing import Final
 
 from meshpoint.bus.core import Step
 from meshpoint.controller.calibration.file import save
-from meshpoint.controller.calibration.records import Calibration, CalibrationError, read_calibration
+from meshpoint.controller.calibration.learned import Calibration, CalibrationError, read_calibration
 from meshpoint.controller.core import ControllerCore
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshpoint.controller.calibration.records import (
+from meshpoint.controller.calibration.learned import (
     FORMAT,
     Calibration,
     End,

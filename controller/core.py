@@ -16,7 +16,7 @@ from operator import itemgetter
 from typing import Final, NamedTuple
 
 from meshpoint.bus.core import Step
-from meshpoint.controller.calibration.records import Calibration
+from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.carry_over import collect, restore
 from meshpoint.controller.guard.limits import guard_limits
 from meshpoint.controller.guard.rules import Guard

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from meshpoint.controller.calibration.records import Calibration, read_calibration
+from meshpoint.controller.calibration.learned import Calibration, read_calibration
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.dbc import DBC_SHA256

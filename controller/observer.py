@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from meshpoint.controller.calibration.records import BrakeRecord
+from meshpoint.controller.calibration.learned import BrakeRecord
 from meshpoint.controller.estimation.baseline_tracker import BaselineTracker
 from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.estimation.crossing_filter import Pressures

@@ -7,9 +7,17 @@ import numpy as np
 from meshpoint.controller.estimation.brake_kernels import pressure_course
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.motion.kernels import STATES
-from meshpoint.controller.motion.linear_kernels import cruise_filter, propagate, thesis_filter
+from meshpoint.controller.motion.linear_kernels import (
+    CRUISE_FILTER,
+    LINEAR,
+    THESIS_FILTER,
+    cruise_filter,
+    propagate,
+    thesis_filter,
+)
 from meshpoint.controller.motion.models import first_order_law, following_motion, predict
 from meshpoint.controller.planning import plan_kernels
+from meshpoint.controller.records import Memory, filled
 from meshpoint.controller.sensing import chain_kernels as edge_kernels
 from meshpoint.controller.sensing import gate_kernels as edge_gate
 from meshpoint.controller.settings import CrossingFilterTuning
@@ -20,22 +28,29 @@ def warm_up() -> None:
     edge_kernels.warm_up()
     edge_gate.warm_up()
     plan_kernels.warm_up()
-    x, p, model = np.zeros(3), np.eye(3), np.array([0.1, 10.0, 0.0, 1.0])
-    edges, switches = np.array([1.0]), np.array([0.5])
-    propagate(x, 0.0, 1.0, switches, switches, model)
-    thesis_filter(x, p, 0.0, edges, edges, switches, switches, model, np.zeros(3), 1.0)
+    _warm_up_baselines()
     _warm_up_crossing()
-    cruise_filter(np.zeros(2), np.eye(2), 0.0, edges, edges, 1.0, 1e-6)
+
+
+def _warm_up_baselines() -> None:
+    model = filled(LINEAR, friction_per_s=0.1, brake_per_s=10.0, brake_rad_s2_pa=0.0, supply_pa=1.0)
+    edges, switches = np.array([1.0]), np.array([[0.5], [0.5]])
+    propagate(np.zeros(3), 0.0, 1.0, switches, model)
+    thesis = Memory(THESIS_FILTER)
+    thesis.part("model")[:], thesis.part("r_rad2")[0] = model, 1.0
+    thesis_filter(thesis.flat, edges, edges, switches)
+    cruise = Memory(CRUISE_FILTER)
+    cruise.part("edge_time_s")[0] = 1e-6
+    cruise_filter(cruise.flat, edges, edges)
 
 
 def _warm_up_crossing() -> None:
     tuning, none = CrossingFilterTuning(), np.empty(0)
-    model = following_motion(1.0, 1.0, 1.0)._replace(law=first_order_law(1.0, 1.0))
+    switches = np.empty((2, 0))
+    model = following_motion(1.0, 1.0, 1.0).with_law(first_order_law(1.0, 1.0))
     shaft = CrossingFilter(tuning)
     shaft.begin(0.0, np.ones(STATES), np.eye(STATES))
-    shaft.take(np.array([1e3]), np.array([0.1]), 0.1, Pressures(none, none), (none, none), model)
-    state = shaft.at(2e3, (none, none), model)
-    predict(state, 3e3, (none, none), model)
-    pressure_course(
-        np.ones(STATES), np.array([1e3]), none, none, model.motion, model.law, np.empty(1)
-    )
+    shaft.take(np.array([[1e3], [0.1]]), 0.1, Pressures(none, none), switches, model)
+    state = shaft.at(2e3, switches, model)
+    predict(state, 3e3, switches, model)
+    pressure_course(np.ones(STATES), np.array([1e3]), switches, model.flat, np.empty(1))

@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from meshpoint.controller.calibration.records import Calibration, CalibrationError, read_calibration
+from meshpoint.controller.calibration.learned import Calibration, CalibrationError, read_calibration
 from meshpoint.gearbox import GearboxSheet
 
 SIZE_LIMIT_BYTES: Final = 256 * 1024

@@ -16,14 +16,23 @@ from meshpoint.controller.estimation.crossing_filter import Pressures
 from meshpoint.controller.estimation.cruise import STALE_US, CruiseTracker, WindowSpeed
 from meshpoint.controller.estimation.layshaft import LayshaftModels
 from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.linear_kernels import propagate, thesis_filter
+from meshpoint.controller.motion.linear_kernels import THESIS_FILTER, propagate, thesis_filter
 from meshpoint.controller.motion.models import LayshaftState, MotionModel, predict
+from meshpoint.controller.records import Memory
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
 
 START_SD_PRESSURE_PA = 2e4
 """How far the filter trusts the pressure when it starts: the valve has been off, not for ever."""
+
+
+class _ThesisMemory(Memory):
+    """State and parameters of the thesis's filter; the window speed keeps its state there too."""
+
+    def _name_parts(self) -> None:
+        self.time_us, self.x, self.p = self.part("time_us"), self.part("x"), self.part("p")
+        self.model = self.part("model")
 
 
 class BaselineTracker:
@@ -38,17 +47,14 @@ class BaselineTracker:
     ) -> None:
         self._estimator = estimator
         tuning = settings.thesis_filter
-        self._w = np.array([tuning.w_angle_rad_s, tuning.w_speed_rad_s2, tuning.w_pressure_pa_s])
-        self._r = tuning.r_angle_rad**2
+        self._filter = memory = _ThesisMemory(THESIS_FILTER)
+        memory.part("w")[:] = tuning.w_angle_rad_s, tuning.w_speed_rad_s2, tuning.w_pressure_pa_s
+        memory.part("r_rad2")[0] = tuning.r_angle_rad**2
         self._brake = brake
         self._cruise = CruiseTracker(settings.cruise_filter, pitch_rad)
         self._window = WindowSpeed()
-        self._thesis = np.zeros(4)
         self._model: MotionModel | None = None
         self._free = False
-        self._x = np.zeros(3)
-        self._p = np.zeros((3, 3))
-        self._time_us = 0.0
 
     @property
     def free(self) -> bool:
@@ -64,7 +70,8 @@ class BaselineTracker:
 
     def set_models(self, models: LayshaftModels) -> None:
         """The splitter's step is known."""
-        self._model, self._thesis = models.motion, models.thesis
+        self._model = models.motion
+        self._filter.model[:] = models.thesis
 
     def set_free(self, free: bool, time_us: float, events: list[str]) -> None:  # noqa: ARG002
         """The model begins or ceases to hold. It begins once there is a speed to begin with."""
@@ -91,19 +98,8 @@ class BaselineTracker:
         if not self._free:
             self._cruise.edges(batch)
         elif self._estimator is Estimator.THESIS and batch.time_us.size:
-            switch_us, switch_u = self._brake.arrays()
-            self._time_us = thesis_filter(
-                self._x,
-                self._p,
-                self._time_us,
-                batch.time_us,
-                batch.theta_rad,
-                switch_us,
-                switch_u,
-                self._thesis,
-                self._w,
-                self._r,
-            )
+            switches = self._brake.arrays()
+            thesis_filter(self._filter.flat, batch.time_us, batch.theta_rad, switches)
         elif self._estimator is Estimator.WINDOW:
             self._hold_window()
 
@@ -111,19 +107,20 @@ class BaselineTracker:
         """The state at a time; None without a speed, or without an edge for 60 ms."""
         if not self._free:
             return self._cruising(time_us)
-        if time_us - self._time_us > STALE_US:
+        if time_us - self._filter.time_us.item() > STALE_US:
             return None
         state = self.latest()
-        if self._estimator is Estimator.WINDOW and time_us > self._time_us:
+        if self._estimator is Estimator.WINDOW and time_us > state.time_us:
             return self._held(state, time_us)
         return predict(state, time_us, self._brake.arrays(), self.model)
 
     def latest(self) -> LayshaftState:
         """The state at the newest edge; where a prediction starts. Valid only while `free`."""
-        theta, omega, pressure = self._x.tolist()
-        (p00, _, _), (_, p11, _), (_, _, p22) = self._p.tolist()
+        memory = self._filter
+        theta, omega, pressure = memory.x.tolist()
+        (p00, _, _), (_, p11, _), (_, _, p22) = memory.p.tolist()
         return LayshaftState(
-            self._time_us,
+            memory.time_us.item(),
             theta,
             omega,
             pressure,
@@ -150,22 +147,23 @@ class BaselineTracker:
         shaft = self._cruise.at(time_us)
         if shaft is None:
             return False
-        self._time_us = time_us
-        self._x[:] = shaft.theta_rad, shaft.omega_rad_s, 0.0
+        memory = self._filter
+        memory.time_us[0] = time_us
+        memory.x[:] = shaft.theta_rad, shaft.omega_rad_s, 0.0
         variances = shaft.theta_sd_rad**2, shaft.omega_sd_rad_s**2, START_SD_PRESSURE_PA**2
-        self._p[:] = np.diag(variances)
+        memory.p[:] = np.diag(variances)
         return True
 
     def _hold_window(self) -> None:
         """Production baseline: last edge's angle, window speed, pressure from commands alone."""
-        newest = self._window.newest
-        if newest is None or self._window.omega_rad_s is None or newest[0] <= self._time_us:
+        newest, memory = self._window.newest, self._filter
+        before_us = memory.time_us.item()
+        if newest is None or self._window.omega_rad_s is None or newest[0] <= before_us:
             return
-        switch_us, switch_u = self._brake.arrays()
-        x = np.array([0.0, 0.0, self._x[2]])
-        propagate(x, self._time_us, newest[0], switch_us, switch_u, self._thesis)
-        self._time_us = newest[0]
-        self._x[:] = newest[1], self._window.omega_rad_s, x[2]
+        x = np.array([0.0, 0.0, memory.x[2]])
+        propagate(x, before_us, newest[0], self._brake.arrays(), memory.model)
+        memory.time_us[0] = newest[0]
+        memory.x[:] = newest[1], self._window.omega_rad_s, x[2]
 
     def _held(self, state: LayshaftState, time_us: float) -> LayshaftState:
         """Between edges the production speed is held, not predicted."""

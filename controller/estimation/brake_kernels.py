@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from meshpoint.controller.jit import compiled
-from meshpoint.controller.motion.kernels import PRESSURE, Vector, travel
+from meshpoint.controller.motion.kernels import STATE, travel
+from meshpoint.controller.records import Vector
 
 
 @compiled
 def pressure_course(
-    x: Vector, sample_us: Vector, switch_us: Vector, switch_u: Vector, still: Vector, law: Vector,
-    pressure_pa: Vector,
-) -> None:  # fmt: skip
-    """Pressure at ascending times, the first of which is that of the state x (six states, moved).
+    x: Vector, sample_us: Vector, switches: Vector, model: Vector, pressure_pa: Vector
+) -> None:
+    """Pressure at ascending times, the first of which is that of the state x (moved).
 
-    still: the motion's parameters of a shaft that nothing moves; the rest as for `travel`."""
-    pressure_pa[0] = x[PRESSURE]
+    switches and model as for `travel`, the model of a shaft that nothing moves."""
+    state = x.view(STATE)[0]
+    pressure_pa[0] = state.pressure_pa
     for k in range(1, sample_us.shape[0]):
-        travel(x, sample_us[k - 1], sample_us[k], switch_us, switch_u, still, law)
-        pressure_pa[k] = x[PRESSURE]
+        travel(x, sample_us[k - 1], sample_us[k], switches, model)
+        pressure_pa[k] = state.pressure_pa

@@ -18,9 +18,11 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.calibration.records import BrakeRecord
+from meshpoint.controller.calibration.learned import BrakeRecord
 from meshpoint.controller.estimation.brake_kernels import pressure_course
-from meshpoint.controller.motion.kernels import PRESSURE, SEGMENTS, STATES, US, Vector
+from meshpoint.controller.motion.kernels import PRESSURE, SEGMENTS, STATES, US
+from meshpoint.controller.motion.models import MotionModel
+from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet
 
 EMPTYING: Final = (0.0, 0.08, 0.28, 0.6, 1.0)
@@ -46,7 +48,9 @@ LEAST_B: Final = 1e-3
 LEAST_SD: Final = 1e-4
 LEAST_SD_S: Final = 1e-6
 """What comes from a file is never certain: a covariance has an inverse."""
-
+STILL: Final = np.array([0.0, 0.0, 1.0])
+QUIET: Final = np.zeros(4)
+"""Rates and noise of a shaft that nothing moves."""
 
 TOUCH_SD_PA: Final = 0.15e5
 MOST_TOUCH_PA: Final = 1.0e5
@@ -204,10 +208,10 @@ class BrakeModel:
     ) -> Vector:
         """The pressure at the samples, by the law with these parameters."""
         delays = parameters[[OFF_DELAY, ON_DELAY]][command_u.astype(np.int64)]
-        switch_us = np.maximum.accumulate(command_us + delays / US)
-        law, still = self._law(parameters), np.array([0.0, 0.0, 1.0])
+        switches = np.array((np.maximum.accumulate(command_us + delays / US), command_u))
+        model = MotionModel(STILL, self._law(parameters), QUIET)
         x = np.zeros(STATES)
         x[PRESSURE] = start_pa
         pressure = np.empty(sample_us.size)
-        pressure_course(x, sample_us, switch_us, command_u, still, law, pressure)
+        pressure_course(x, sample_us, switches, model.flat, pressure)
         return pressure

@@ -19,38 +19,15 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.estimation.crossing_layout import (
-    AGREEMENT,
     DONE,
-    FURTHER,
-    GATE,
-    GATED,
-    HELD,
-    HISTORY,
-    IN_A_ROW,
-    KALMAN,
+    FILTER,
     KEPT,
     LATE,
-    LAW,
-    MESH,
-    MOMENT,
-    MOTION,
-    NEXT,
-    NOISE,
+    MOMENT_WORDS,
     NORMAL,
-    OFFSET_VAR,
     RIGHT,
     ROW,
-    SCALE,
-    SENSOR,
-    SIGMA_ANGLE,
-    SIGMA_PRESSURE,
-    SIGMA_TIME,
-    STEP,
-    TAKEN,
-    TIME,
-    Integers,
-    P,
-    X,
+    Filter,
 )
 from meshpoint.controller.estimation.fusion_kernels import (
     MOST_IN_A_ROW,
@@ -61,15 +38,13 @@ from meshpoint.controller.estimation.fusion_kernels import (
 from meshpoint.controller.jit import bare, compiled, inlined
 from meshpoint.controller.motion.kernels import (
     DRAG,
-    GAIN,
     LONGEST_S,
     OMEGA,
     PRESSURE,
-    SEGMENTS,
     STATES,
     THETA,
     US,
-    Vector,
+    Step,
     input_at,
     longest_in_segment,
     measure,
@@ -77,6 +52,7 @@ from meshpoint.controller.motion.kernels import (
     spread_over,
     transition,
 )
+from meshpoint.controller.records import Vector
 
 LEAST_GAIN: Final = 0.2
 SHORT_S: Final = 2e-3
@@ -89,58 +65,50 @@ LED_RAD_S2: Final = 100.0
 
 @bare
 def crossing_filter(
-    floats: Vector, integers: Integers, edge_us: Vector, edge_rad: Vector,
-    pressure_us: Vector, pressure_pa: Vector, switch_us: Vector, switch_u: Vector,
-    teeth: Vector, place: Integers,
+    memory: Vector, edges: Vector, pressure_us: Vector, pressure_pa: Vector, switches: Vector,
+    teeth: Vector,
 ) -> int:  # fmt: skip
     """The filter over a batch of edges and pressure samples, both rising in time, in place.
 
-    floats and integers as `crossing_layout` has them; edge_rad the angle each edge stands for, the
-    last integers[FURTHER] of them those of a further wheel (`fusion_kernels`), rising by
-    themselves; brake switches as in `travel`. To learn teeth: teeth as `TeethArrays` has it, place
-    (n,) which of the wheel's N edges each edge is; N = 0 otherwise. Says LATE and takes
-    nothing where the batch begins before the state and a moment is held; what is not later than
-    the state is skipped where none is. Else keeps the moment before the batch."""
-    count, n, m = edge_us.shape[0], edge_us.shape[0] - integers[FURTHER], pressure_us.shape[0]
-    if integers[HELD] > 0 and begins_before(floats[TIME], edge_us, n):
+    memory: a `Filter`; edges (2, n): times and the angles they stand for, the last `further` of
+    them those of a further wheel (`fusion_kernels`), rising by themselves; switches as in `travel`.
+    To learn teeth: teeth as `TeethArrays` has it, and edges with a third row, which of the wheel's
+    N edges each is; N = 0 otherwise. Says LATE and takes nothing where the batch begins before the
+    state and a moment is held; what is not later than the state is skipped where none is. Else
+    keeps the moment before the batch."""
+    f = memory.view(FILTER)[0]
+    edge_us, edge_rad = edges[0], edges[1]
+    count, n, m = edge_us.shape[0], edge_us.shape[0] - f.further, pressure_us.shape[0]
+    if f.held > 0 and begins_before(f.time_us, edge_us, n):
         return LATE
-    keep(floats, integers)
-    x, p = floats[X : X + STATES], floats[P : P + STATES * STATES].reshape(STATES, STATES)
-    gain, size, t_us = floats[KALMAN : KALMAN + STATES], teeth.shape[1], floats[TIME]
-    by_tooth, right, row, normal = teeth[:RIGHT], teeth[RIGHT], teeth[ROW], teeth[NORMAL:]
-    f, motion = floats[STEP:KALMAN].reshape(3, STATES), floats[MOTION:NOISE]
-    noise, law = floats[NOISE:LAW], floats[LAW:MESH].reshape(2, SEGMENTS, 3)
-    i, j, k, further = input_at(t_us, switch_us), 0, 0, n
+    keep(f)
+    i, j, k, further = input_at(f.time_us, switches[0]), 0, 0, n
     while k < n or further < count or j < m:
         own = k < n and not (further < count and edge_us[further] < edge_us[k])
         edge = k if own else further
         pressure_is_next = j < m and (edge == count or pressure_us[j] < edge_us[edge])
         when_us = pressure_us[j] if pressure_is_next else edge_us[edge]
-        late = when_us <= t_us
+        late = when_us <= f.time_us
         if not late:
-            i = move(
-                floats, x, p, t_us, when_us, i, switch_us, switch_u, motion, law, noise, f, by_tooth
-            )
-            t_us = when_us
+            i = move(f, when_us, i, switches, teeth)
         if pressure_is_next:
             if not late:
-                take_pressure(floats, x, p, pressure_pa[j], gain, by_tooth, row)
+                take_pressure(f, pressure_pa[j], teeth)
             j += 1
         elif own:
             if not late:
-                innovation = edge_rad[k] - x[THETA]
-                s = take_edge(floats, integers, x, p, innovation, gain)
-                if size > 0 and s > 0.0:
-                    learn(by_tooth, place[k], floats[SCALE], innovation, s, normal, right, row)
-                    follow(by_tooth, gain, row)
+                innovation = edge_rad[k] - f.state.theta_rad
+                s = take_edge(f, innovation)
+                if teeth.shape[1] > 0 and s > 0.0:
+                    learn(teeth, int(edges[2, k]), f.scale, innovation, s)
+                    follow(teeth, f.gain)
             k += 1
         else:
             if not late:
-                take_further(floats, integers, x, p, edge_rad[further], gain)
+                take_further(f, edge_rad[further])
             further += 1
-        x[GAIN] = max(x[GAIN], LEAST_GAIN)
-    mirror(p)
-    floats[TIME] = t_us
+        f.state.gain = max(f.state.gain, LEAST_GAIN)
+    mirror(f.p)
     return DONE
 
 
@@ -153,23 +121,19 @@ def begins_before(t_us: float, edge_us: Vector, n: int) -> bool:
 
 
 @inlined
-def keep(floats: Vector, integers: Integers) -> None:
+def keep(f: Filter) -> None:
     """The present moment into the ring."""
-    at = HISTORY + integers[NEXT] * MOMENT
-    for k in range(MOMENT):
-        floats[at + k] = floats[k]
-    integers[NEXT] = (integers[NEXT] + 1) % KEPT
-    integers[HELD] = min(integers[HELD] + 1, KEPT)
+    for k in range(MOMENT_WORDS):
+        f.moments[f.next, k] = f.moment[k]
+    f.next = (f.next + 1) % KEPT
+    f.held = min(f.held + 1, KEPT)
 
 
 @inlined
-def move(
-    floats: Vector, x: Vector, p: Vector, t_us: float, to_us: float, i: int, switch_us: Vector,
-    switch_u: Vector, motion: Vector, law: Vector, noise: Vector, f: Vector, by_tooth: Vector,
-) -> int:  # fmt: skip
-    """State, covariance and tooth derivatives to a time; returns the number of switches passed.
-
-    Views of two dimensions are handed down: to make one anew for every edge costs a quarter."""
+def move(f: Filter, to_us: float, i: int, switches: Vector, teeth: Vector) -> int:
+    """State, covariance and tooth derivatives to a time; returns the number of switches passed."""
+    t_us, state, model, step = f.time_us, f.state, f.model, f.step
+    switch_us, switch_u = switches[0], switches[1]
     while t_us < to_us:
         u = int(switch_u[i - 1]) if i > 0 else 0
         until_us = to_us
@@ -178,102 +142,94 @@ def move(
         dt = (until_us - t_us) * US
         part = dt
         if dt > SHORT_S:
-            part = min(longest_in_segment(law, u, x[PRESSURE], dt), LONGEST_S)
-        transition(x, part, u, motion, law, f)
-        spread_over(p, part, f, motion, noise, x)
-        if by_tooth.shape[1] > 0:
-            carry(by_tooth, f)
-        if floats[OFFSET_VAR] > 0.0:
-            carry_offset(floats, f, part, i > 0 and t_us - switch_us[i - 1] < floats[MESH + 2])
+            part = min(longest_in_segment(model, u, state.pressure_pa, dt), LONGEST_S)
+        transition(state, part, u, model, step)
+        spread_over(f.p, part, step, model, state.gain)
+        if teeth.shape[1] > 0:
+            carry(teeth, step)
+        if f.offset_rad2 > 0.0:
+            carry_offset(f, part, i > 0 and t_us - switch_us[i - 1] < f.loose_us)
         if part < dt:
             t_us += part / US
         else:
             t_us = until_us
             if i < switch_us.shape[0] and switch_us[i] <= until_us:
                 i += 1
+    f.time_us = to_us
     return i
 
 
 @inlined
-def take_pressure(
-    floats: Vector, x: Vector, p: Vector, pressure_pa: float, gain: Vector, by_tooth: Vector,
-    row: Vector,
-) -> None:  # fmt: skip
+def take_pressure(f: Filter, pressure_pa: float, teeth: Vector) -> None:
     """One sample of the measured pressure into the filter."""
-    r = floats[SENSOR + SIGMA_PRESSURE] * floats[SENSOR + SIGMA_PRESSURE]
-    innovation = pressure_pa - x[PRESSURE]
-    s = measure(x, p, PRESSURE, innovation, r, gain)
-    for c in range(row.shape[0]):
-        row[c] = -by_tooth[PRESSURE, c]
-    follow(by_tooth, gain, row)
-    if floats[OFFSET_VAR] > 0.0:
-        follow_offset(floats, PRESSURE, innovation, s, gain)
+    r = f.pressure_sd_pa * f.pressure_sd_pa
+    innovation = pressure_pa - f.state.pressure_pa
+    s = measure(f.x, f.p, PRESSURE, innovation, r, f.gain)
+    for c in range(teeth.shape[1]):
+        teeth[ROW, c] = -teeth[PRESSURE, c]
+    follow(teeth, f.gain)
+    if f.offset_rad2 > 0.0:
+        follow_offset(f, PRESSURE, innovation, s)
 
 
 @inlined
-def take_edge(
-    floats: Vector, integers: Integers, x: Vector, p: Vector, innovation: float, gain: Vector
-) -> float:
+def take_edge(f: Filter, innovation: float) -> float:
     """One edge into the filter; returns the innovation's variance, 0 where the gate refused it."""
-    sigma = x[OMEGA] * floats[SENSOR + SIGMA_TIME]
-    r = sigma * sigma + floats[SENSOR + SIGMA_ANGLE] * floats[SENSOR + SIGMA_ANGLE]
+    p, omega = f.p, f.state.omega_rad_s
+    sigma = omega * f.edge_time_s
+    r = sigma * sigma + f.tooth_rad * f.tooth_rad
     square = innovation * innovation / (p[THETA, THETA] + r)
-    if square > floats[SENSOR + GATE] * floats[SENSOR + GATE]:
-        integers[GATED] += 1
-        integers[IN_A_ROW] += 1
-        if integers[IN_A_ROW] < MOST_IN_A_ROW:
+    if square > f.gate_sd * f.gate_sd:
+        f.gated_in_a_row += 1
+        if f.gated_in_a_row < MOST_IN_A_ROW:
             return 0.0
         # Eight in a row: what the filter believes is wrong; let it be led.
         p[THETA, THETA] += innovation * innovation
-        p[OMEGA, OMEGA] += (LED_SHARE * x[OMEGA]) ** 2
+        p[OMEGA, OMEGA] += (LED_SHARE * omega) ** 2
         p[DRAG, DRAG] += LED_RAD_S2 * LED_RAD_S2
     else:
-        floats[AGREEMENT] += square
-        floats[AGREEMENT + 1] += 1.0
-    integers[IN_A_ROW] = 0
-    integers[TAKEN] += 1
-    s = measure(x, p, THETA, innovation, r, gain)
-    if floats[OFFSET_VAR] > 0.0:
-        follow_offset(floats, THETA, innovation, s, gain)
+        f.squares += square
+        f.count += 1.0
+    f.gated_in_a_row = 0
+    s = measure(f.x, p, THETA, innovation, r, f.gain)
+    if f.offset_rad2 > 0.0:
+        follow_offset(f, THETA, innovation, s)
     return s
 
 
 @inlined
-def learn(
-    by_tooth: Vector, place: int, scale: float, innovation: float, s: float, normal: Vector,
-    right: Vector, row: Vector,
-) -> None:  # fmt: skip
-    """Adds one innovation to the teeth's normal equations; row (N,) becomes its m."""
-    size = row.shape[0]
+def learn(teeth: Vector, place: int, scale: float, innovation: float, s: float) -> None:
+    """Adds one innovation to the teeth's normal equations; ROW becomes its m."""
+    size = teeth.shape[1]
     for c in range(size):
-        row[c] = -by_tooth[THETA, c]
-    row[place] += scale
+        teeth[ROW, c] = -teeth[THETA, c]
+    teeth[ROW, place] += scale
     for c in range(size):
-        weighted = row[c] / s
-        right[c] -= weighted * innovation
+        weighted = teeth[ROW, c] / s
+        teeth[RIGHT, c] -= weighted * innovation
         for d in range(c, size):
-            normal[c, d] += weighted * row[d]
+            teeth[NORMAL + c, d] += weighted * teeth[ROW, d]
 
 
 @inlined
-def follow(by_tooth: Vector, gain: Vector, row: Vector) -> None:
+def follow(teeth: Vector, gain: Vector) -> None:
     """The derivatives by the tooth errors after an update."""
     for state in range(STATES):
-        for c in range(row.shape[0]):
-            by_tooth[state, c] += gain[state] * row[c]
+        for c in range(teeth.shape[1]):
+            teeth[state, c] += gain[state] * teeth[ROW, c]
 
 
 @inlined
-def carry(by_tooth: Vector, f: Vector) -> None:
+def carry(teeth: Vector, step: Step) -> None:
     """The derivatives by the tooth errors after a step."""
-    for c in range(by_tooth.shape[1]):
-        theta, omega = by_tooth[0, c], 0.0
+    for c in range(teeth.shape[1]):
+        theta, omega = teeth[0, c], 0.0
         for k in range(1, STATES):
-            theta += f[0, k] * by_tooth[k, c]
-            omega += f[1, k] * by_tooth[k, c]
-        by_tooth[0, c], by_tooth[1, c] = theta, omega
-        by_tooth[2, c] *= f[2, 2]
-        by_tooth[3, c] *= f[2, 3]
+            theta += step.theta_by[k] * teeth[k, c]
+            omega += step.omega_by[k] * teeth[k, c]
+        teeth[0, c], teeth[1, c] = theta, omega
+        teeth[2, c] *= step.pressure_left
+        teeth[3, c] *= step.disturbance_left
 
 
 @compiled

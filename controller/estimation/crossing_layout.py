@@ -1,81 +1,95 @@
-"""Where everything stands in the arrays of a crossing-time filter, shared by kernel and callers.
-
-A filter is two arrays, floats (FLOATS,) and integers (INTEGERS,): the kernel is handed a few arrays
-whole, because each further one costs as much as half an edge. A third holds what a wheel's teeth
-are learned by. `FilterArrays` and `TeethArrays` name their parts as views.
-"""
+"""The record of a crossing-time filter, and the arrays a wheel's teeth are learned by."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from meshpoint.controller.motion.kernels import SEGMENTS, STATES, Vector
-
-Integers = NDArray[np.int64]
+from meshpoint.controller.motion.kernels import STATES, Model, State, Step
+from meshpoint.controller.records import WORD, Memory, Over, Records, Vector, layout_of
 
 KEPT: Final = 4
 """Batches that can be taken back: 40 ms, more than two lost frames."""
 
-# --- floats: what is kept of a moment to go back to -------------------------------------------
-TIME: Final = 0
-"""Time of the state, us."""
-X: Final = 1
-"""State (6,)."""
-P: Final = X + STATES
-"""Covariance (6, 6)."""
-OFFSET: Final = P + STATES * STATES
-"""Angle of a further wheel, by the exact ratio, less that of the shaft, rad."""
-OFFSET_VAR: Final = OFFSET + 1
-"""Its variance; 0 while it is not known."""
-CROSS: Final = OFFSET_VAR + 1
-"""Its covariances with the state (6,)."""
-MOMENT: Final = CROSS + STATES
-"""So many floats are a moment."""
 
-# --- floats: what it is told ----------------------------------------------------------------------
-SENSOR: Final = MOMENT
-"""Sensor vector (5,); indices below."""
-MOTION: Final = SENSOR + 5
-"""[a, g, b_d] (3,) of `motion_kernels`."""
-NOISE: Final = MOTION + 3
-"""Densities of the driving noises (4,)."""
-LAW: Final = NOISE + 4
-"""Pressure law (2, SEGMENTS, 3)."""
-MESH: Final = LAW + 2 * SEGMENTS * 3
-"""How the offset moves (3,): its density while the mesh lies at one flank and while it may change
-to the other, rad2/s, and how long after a switch of the brake it may, us."""
-SCALE: Final = MESH + 3
-"""Angle of the shaft over that of the wheel whose teeth are learned."""
+class Moment:
+    """What is kept of a moment to go back to."""
 
-# --- floats: what it says and works with --------------------------------------------------------
-AGREEMENT: Final = SCALE + 1
-"""Sum and number of normalised squared innovations (NIS) (2,)."""
-STEP: Final = AGREEMENT + 2
-"""Derivatives f (3, 6) of `transition`."""
-KALMAN: Final = STEP + 3 * STATES
-"""The last Kalman gain (6,)."""
-HISTORY: Final = KALMAN + STATES
-"""Moments (KEPT, MOMENT) before each of the last batches, a ring."""
-FLOATS: Final = HISTORY + KEPT * MOMENT
+    time_us: float
+    """Of the state."""
+    state: State
+    p: Annotated[Vector, STATES, STATES]
+    """Its covariance."""
+    offset_rad: float
+    """Angle of a further wheel, by the exact ratio, less that of the shaft."""
+    offset_rad2: float
+    """Its variance; 0 while it is not known."""
+    offset_by: Annotated[Vector, STATES]
+    """Its covariances with the state."""
 
-# --- integers ------------------------------------------------------------------------------------
-TAKEN: Final = 0
-GATED: Final = 1
-IN_A_ROW: Final = 2
-"""Edges used, edges refused, edges refused in a row."""
-HELD: Final = 3
-"""How many moments of HISTORY may be gone back to."""
-NEXT: Final = 4
-"""Where in the ring the next one goes."""
-FURTHER: Final = 5
-"""How many of the edges, at their end, are those of a further wheel."""
-ASTRAY: Final = 6
-"""Edges of the further wheel refused in a row."""
-INTEGERS: Final = 7
+
+MOMENT_WORDS: Final = layout_of(Moment).itemsize // WORD
+
+
+class Filter:
+    """A crossing-time filter; the fields of `Moment` come first."""
+
+    time_us: float
+    state: State
+    p: Annotated[Vector, STATES, STATES]
+    offset_rad: float
+    offset_rad2: float
+    offset_by: Annotated[Vector, STATES]
+
+    # What it is told.
+    edge_time_s: float
+    tooth_rad: float
+    pressure_sd_pa: float
+    """sd of an edge's time, of its angle, of the measured pressure."""
+    gate_sd: float
+    """How many sd an innovation may have."""
+    further_tooth_rad: float
+    """sd of a further wheel's edge, as an angle of the shaft."""
+    model: Model
+    at_flank_rad2_s: float
+    loose_rad2_s: float
+    loose_us: float
+    """How the offset moves: its density while the mesh lies at one flank and while it may change to
+    the other, and how long after a switch of the brake it may."""
+    scale: float
+    """Angle of the shaft over that of the wheel whose teeth are learned."""
+    further: int
+    """How many of a batch's edges, at their end, are those of a further wheel."""
+
+    # What it says and works with.
+    squares: float
+    """Sum of normalised squared innovations (NIS)."""
+    count: float
+    """Their number."""
+    gated_in_a_row: int
+    """Edges refused in a row."""
+    astray_in_a_row: int
+    """The same of the further wheel."""
+    held: int
+    """How many moments of the ring may be gone back to."""
+    next: int
+    """Where in the ring the next one goes."""
+    step: Step
+    gain: Annotated[Vector, STATES]
+    """The last Kalman gain."""
+    ring: Annotated[Records[Moment], KEPT]
+    """Moments before each of the last batches."""
+
+    x: Annotated[Vector, Over("state"), STATES]
+    motion: Annotated[Vector, Over("model"), layout_of(Model).itemsize // WORD]
+    mesh: Annotated[Vector, Over("at_flank_rad2_s"), 3]
+    agreement: Annotated[Vector, Over("squares"), 2]
+    moment: Annotated[Vector, Over("time_us"), MOMENT_WORDS]
+    moments: Annotated[Vector, Over("ring"), KEPT, MOMENT_WORDS]
+
+
+FILTER: Final = layout_of(Filter)
 
 # --- rows of what teeth are learned by, of N columns ------------------------------------------
 RIGHT: Final = STATES
@@ -86,108 +100,64 @@ ROW: Final = RIGHT + 1
 NORMAL: Final = ROW + 1
 """From here on the matrix of the normal equations (N, N), its upper half."""
 
-# --- the sensor vector ---------------------------------------------------------------------------
-SIGMA_TIME: Final = 0
-SIGMA_ANGLE: Final = 1
-SIGMA_PRESSURE: Final = 2
-GATE: Final = 3
-SIGMA_FURTHER: Final = 4
-"""sd of an edge's time (s), of its angle (rad), of the measured pressure (Pa); how many sd an
-innovation may have; sd of a further wheel's edge, as an angle of the shaft."""
-
 # --- what the kernel answers ---------------------------------------------------------------------
 DONE: Final = 0
 LATE: Final = 1
 """Nothing was taken: the batch begins before the state, and there is a moment to go back to."""
 
 
-class _Views(ABC):
-    """Arrays whose parts are views: copied (a campaign copies whole controllers) as arrays alone,
-    for copies of views would be arrays of their own."""
-
-    def __getstate__(self) -> dict[str, object]:
-        return {name: array for name, array in vars(self).items() if array.base is None}
-
-    def __setstate__(self, arrays: dict[str, object]) -> None:
-        vars(self).update(arrays)
-        self._name_parts()
-
-    @abstractmethod
-    def _name_parts(self) -> None:
-        """Makes the views anew."""
-
-
-class FilterArrays(_Views):
-    """A filter's two arrays and their parts; all parts are views."""
-
-    x: Vector
-    p: Vector
-    cross: Vector
-    sensor: Vector
-    motion: Vector
-    noise: Vector
-    law: Vector
-    mesh: Vector
-    agreement: Vector
-    moment: Vector
-    history: Vector
+class FilterMemory(Memory):
+    """A filter's record, and those of its parts that are asked for often; all are views."""
 
     def __init__(self) -> None:
-        self.floats: Vector = np.zeros(FLOATS)
-        self.integers: Integers = np.zeros(INTEGERS, np.int64)
-        self.floats[SCALE] = 1.0
-        self._name_parts()
+        super().__init__(FILTER)
+        self.part("scale")[0] = 1.0
 
     def _name_parts(self) -> None:
-        floats = self.floats
-        self.x = floats[X:P]
-        self.p = floats[P:OFFSET].reshape(STATES, STATES)
-        self.cross = floats[CROSS:MOMENT]
-        self.sensor = floats[SENSOR:MOTION]
-        self.motion = floats[MOTION:NOISE]
-        self.noise = floats[NOISE:LAW]
-        self.law = floats[LAW:MESH].reshape(2, SEGMENTS, 3)
-        self.mesh = floats[MESH:SCALE]
-        self.agreement = floats[AGREEMENT:STEP]
-        self.moment = floats[:MOMENT]
-        self.history = floats[HISTORY:].reshape(KEPT, MOMENT)
+        self.time_us, self.x, self.p = self.part("time_us"), self.part("x"), self.part("p")
+        self.offset_rad, self.offset_rad2 = self.part("offset_rad"), self.part("offset_rad2")
+        self.tooth_rad, self.model = self.part("tooth_rad"), self.part("motion")
+        self.further, self.agreement = self.part("further"), self.part("agreement")
+        self.held = self.part("held")
 
-    @property
-    def time_us(self) -> float:
-        """Time of the state."""
-        return float(self.floats[TIME])
-
-    @time_us.setter
-    def time_us(self, time_us: float) -> None:
-        self.floats[TIME] = time_us
-
-    def set_model(self, motion: Vector, law: Vector, noise: Vector) -> None:
-        """The model that holds from here on."""
-        self.motion[:], self.law[:], self.noise[:] = motion, law, noise
+    def set_sensor(
+        self, edge_time_s: float, tooth_rad: float, pressure_sd_pa: float, gate_sd: float
+    ) -> None:
+        """What is unknown of edges and pressures, and how far off they may be (`Filter`)."""
+        values = {
+            "edge_time_s": edge_time_s,
+            "tooth_rad": tooth_rad,
+            "pressure_sd_pa": pressure_sd_pa,
+            "gate_sd": gate_sd,
+        }
+        for name, value in values.items():
+            self.part(name)[0] = value
 
     def forget_past(self) -> None:
         """No moment can be gone back to."""
-        self.integers[HELD] = 0
+        self.held[0] = 0
 
     def go_back(self) -> None:
         """To the moment before the newest batch that is still held. There must be one."""
-        integers = self.integers
-        integers[NEXT] = (integers[NEXT] - 1) % KEPT
-        integers[HELD] -= 1
-        self.moment[:] = self.history[integers[NEXT]]
+        following = self.part("next")
+        following[0] = (following[0] - 1) % KEPT
+        self.held[0] -= 1
+        self.part("moment")[:] = self.part("moments")[following[0]]
 
 
-class TeethArrays(_Views):
-    """What the teeth of a wheel with N edges are learned by, rows of one array; all parts are
-    views."""
-
-    right: Vector
-    normal: Vector
+class TeethArrays:
+    """What the teeth of a wheel with N edges are learned by, rows of one array."""
 
     def __init__(self, edges: int) -> None:
-        self.floats: Vector = np.zeros((NORMAL + edges, edges))
-        self._name_parts()
+        self.flat: Vector = np.zeros((NORMAL + edges, edges))
 
-    def _name_parts(self) -> None:
-        self.right = self.floats[RIGHT]
-        self.normal = self.floats[NORMAL:]
+    @property
+    def right(self) -> Vector:
+        """Right side of the normal equations, a view."""
+        right: Vector = self.flat[RIGHT]
+        return right
+
+    @property
+    def normal(self) -> Vector:
+        """Their matrix, its upper half; a view."""
+        return self.flat[NORMAL:]

@@ -38,7 +38,7 @@ from meshpoint.controller.motion.models import (
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 
-NO_SWITCHES: Final = (np.empty(0), np.empty(0))
+NO_SWITCHES: Final = np.empty((2, 0))
 LEAST_FREE_EDGES: Final = 100
 """With fewer edges of free motion brake and drag were not really seen."""
 
@@ -103,7 +103,7 @@ class _Shaft:
         self,
         batch: EdgeBatch,
         pressures: Pressures,
-        switches: tuple[Vector, Vector],
+        switches: Vector,
         model: MotionModel,
     ) -> None:
         if not self._running:
@@ -116,8 +116,8 @@ class _Shaft:
         if not batch.time_us.size and not pressures.time_us.size and further is None:
             return
         teeth, place = self.teeth, self.teeth.place(batch)
-        angles = teeth.angles(batch, place)
-        self._filter.take(batch.time_us, angles, teeth.sd_rad, pressures, switches, model, further)
+        edges = teeth.edges(batch, place)
+        self._filter.take(edges, teeth.sd_rad, pressures, switches, model, further)
         if teeth.learner.running:
             if wheel is not None:
                 wheel.learn(self._filter, self._start_p, pressures, switches, model)
@@ -129,9 +129,6 @@ class _Shaft:
         """From here on edges stand for other angles, by as much as an unlearned tooth was wrong."""
         self._filter.forget_past()
         self._filter.p[THETA, THETA] += self._tuning.tooth_error_rad**2
-
-    def _angles(self, batch: EdgeBatch) -> Vector:
-        return self.teeth.angles(batch, self.teeth.place(batch))
 
     def _start(self, batch: EdgeBatch) -> None:
         self._seed.edges(batch)
@@ -212,7 +209,7 @@ class CrossingTracker(_Shaft):
         if not self._free:
             self._take(batch, NO_PRESSURES, switches, self._following)
             return
-        self._run.add(batch.time_us, self._angles(batch), pressures)
+        self._run.add(self.teeth.edges(batch, self.teeth.place(batch)), pressures)
         touch_pa = self._known.touch_pa.value
         above = Pressures(pressures.time_us, np.maximum(pressures.pressure_pa - touch_pa, 0.0))
         self._take(batch, above, switches, self.model)

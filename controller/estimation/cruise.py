@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.motion.linear_kernels import US, cruise_filter
+from meshpoint.controller.motion.linear_kernels import CRUISE_FILTER, US, cruise_filter
+from meshpoint.controller.records import Memory
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CruiseFilter
 
@@ -72,15 +73,22 @@ class WindowSpeed:
         return (self._times[-1], self._angles[-1]) if self._times else None
 
 
+class _CruiseMemory(Memory):
+    """State and parameters of the filter."""
+
+    def _name_parts(self) -> None:
+        self.time_us, self.x, self.p = self.part("time_us"), self.part("x"), self.part("p")
+
+
 class CruiseTracker:
     """Angle and speed of a shaft whose speed changes little, by a Kalman filter on its edges."""
 
     def __init__(self, tuning: CruiseFilter, pitch_rad: float) -> None:
         self._tuning = tuning
         self._pitch_rad = pitch_rad
-        self._x = np.zeros(2)
-        self._p = np.zeros((2, 2))
-        self._time_us = 0.0
+        self._filter = _CruiseMemory(CRUISE_FILTER)
+        self._filter.part("acceleration_rad_s2")[0] = tuning.acceleration_rad_s2
+        self._filter.part("edge_time_s")[0] = tuning.edge_time_us * US
         self._seed = WindowSpeed()
         self._running = False
 
@@ -100,35 +108,29 @@ class CruiseTracker:
         if not self._running:
             self._start(batch)
             return
-        tuning = self._tuning
-        self._time_us = cruise_filter(
-            self._x,
-            self._p,
-            self._time_us,
-            batch.time_us,
-            batch.theta_rad,
-            tuning.acceleration_rad_s2,
-            tuning.edge_time_us * US,
-        )
+        cruise_filter(self._filter.flat, batch.time_us, batch.theta_rad)
 
     def _start(self, batch: EdgeBatch) -> None:
         self._seed.edges(batch)
         newest = self._seed.newest
         if self._seed.omega_rad_s is None or newest is None:
             return
-        self._time_us = newest[0]
-        self._x[:] = newest[1], self._seed.omega_rad_s
+        memory = self._filter
+        memory.time_us[0] = newest[0]
+        memory.x[:] = newest[1], self._seed.omega_rad_s
         speed_sd = 0.05 * abs(self._seed.omega_rad_s) + 1.0
-        self._p[:] = np.diag([(0.1 * self._pitch_rad) ** 2, speed_sd**2])
+        memory.p[:] = np.diag([(0.1 * self._pitch_rad) ** 2, speed_sd**2])
         self._running = True
 
     def at(self, time_us: float) -> ShaftState | None:
         """The state at a time, speed held; None before enough edges, or without any for 60 ms."""
-        if not self._running or time_us - self._time_us > STALE_US:
+        memory = self._filter
+        newest_us = memory.time_us.item()
+        if not self._running or time_us - newest_us > STALE_US:
             return None
-        dt = (time_us - self._time_us) * US
-        theta, omega = self._x.tolist()
-        (p00, p01), (_, p11) = self._p.tolist()
+        dt = (time_us - newest_us) * US
+        theta, omega = memory.x.tolist()
+        (p00, p01), (_, p11) = memory.p.tolist()
         q = self._tuning.acceleration_rad_s2 * dt
         theta_var = p00 + dt * (2.0 * p01 + dt * p11) + 0.25 * (q * dt) ** 2
         return ShaftState(

@@ -30,21 +30,19 @@ class FreeRun:
         self._tuning = tuning
         self._time_us = 0.0
         self._x, self._p = np.zeros(0), np.zeros((0, 0))
-        self._edge_us: list[Vector] = []
-        self._edge_rad: list[Vector] = []
+        self._edges: list[Vector] = []
         self._pressure_us: list[Vector] = []
         self._pressure_pa: list[Vector] = []
 
     def begin(self, time_us: float, x: Vector, p: Vector) -> None:
         """The layshaft is free from here on."""
         self._time_us, self._x, self._p = time_us, x.copy(), p.copy()
-        for kept in (self._edge_us, self._edge_rad, self._pressure_us, self._pressure_pa):
+        for kept in (self._edges, self._pressure_us, self._pressure_pa):
             kept.clear()
 
-    def add(self, edge_us: Vector, edge_rad: Vector, pressures: Pressures) -> None:
+    def add(self, edges: Vector, pressures: Pressures) -> None:
         """What the filter takes; pressures are those measured, gauge."""
-        self._edge_us.append(edge_us)
-        self._edge_rad.append(edge_rad)
+        self._edges.append(edges)
         self._pressure_us.append(pressures.time_us)
         self._pressure_pa.append(pressures.pressure_pa)
 
@@ -54,7 +52,7 @@ class FreeRun:
         return Pressures(np.concatenate(self._pressure_us), np.concatenate(self._pressure_pa))
 
     def learn_touch(
-        self, brake: BrakeModel, sd_rad: float, switches: tuple[Vector, Vector], model: MotionModel
+        self, brake: BrakeModel, sd_rad: float, switches: Vector, model: MotionModel
     ) -> None:
         """Moves what is known of the brake's touch pressure toward what fits this run best."""
         known = brake.touch_pa
@@ -79,19 +77,13 @@ class FreeRun:
         brake: BrakeModel,
         touch_pa: float,
         sd_rad: float,
-        switches: tuple[Vector, Vector],
+        switches: Vector,
         model: MotionModel,
     ) -> float:
         run = CrossingFilter(self._tuning)
         run.begin(self._time_us, self._x, self._p)
         measured = self.pressures
         above = Pressures(measured.time_us, np.maximum(measured.pressure_pa - touch_pa, 0.0))
-        run.take(
-            np.concatenate(self._edge_us),
-            np.concatenate(self._edge_rad),
-            sd_rad,
-            above,
-            switches,
-            model._replace(law=brake.law(touch_pa)),
-        )
+        edges = np.concatenate(self._edges, axis=1)
+        run.take(edges, sd_rad, above, switches, model.with_law(brake.law(touch_pa)))
         return float(run.agreement[0])

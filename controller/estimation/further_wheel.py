@@ -11,8 +11,9 @@ from collections.abc import Sequence
 
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, FurtherEdges, Pressures
 from meshpoint.controller.estimation.teeth import WheelTeeth
-from meshpoint.controller.motion.kernels import THETA, Vector
+from meshpoint.controller.motion.kernels import THETA
 from meshpoint.controller.motion.models import MotionModel
+from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.sensor_clock import SensorClock
 from meshpoint.controller.sensing.wheel_edges import MOST_RAD_S2, NO_EDGES, EdgeFrame, WheelEdges
 from meshpoint.controller.settings import CrossingFilterTuning
@@ -70,15 +71,16 @@ class GearedWheel:
         batch, scale, teeth = self._batch, self._scale, self.teeth
         if scale is None or not batch.time_us.size:
             return None
-        angles = teeth.angles(batch, teeth.place(batch))
-        return FurtherEdges(batch.time_us, scale * angles, scale * teeth.sd_rad)
+        edges = teeth.edges(batch, teeth.place(batch))
+        edges[1] *= scale
+        return FurtherEdges(edges, scale * teeth.sd_rad)
 
     def learn(
         self,
         shaft: CrossingFilter,
         start_p: Vector,
         pressures: Pressures,
-        switches: tuple[Vector, Vector],
+        switches: Vector,
         model: MotionModel,
     ) -> None:
         """New edges to the teeth's window; one begins when it is known how the wheels stand, with

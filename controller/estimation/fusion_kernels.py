@@ -12,92 +12,77 @@ from its variance and K c_i from c; an edge of the further wheel has H = [1 0 0 
 is not known, the first edge gives it: o = y - theta, c = -P e_theta, variance p_theta + R, which
 is the limit of a prior without bounds.
 
-Pieces of `crossing_filter`; floats and integers as `crossing_layout` has them.
+Pieces of `crossing_filter`, on its `Filter`.
 """
 
 from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.estimation.crossing_layout import (
-    AGREEMENT,
-    ASTRAY,
-    CROSS,
-    GATE,
-    GATED,
-    MESH,
-    OFFSET,
-    OFFSET_VAR,
-    SENSOR,
-    SIGMA_FURTHER,
-    SIGMA_TIME,
-    TAKEN,
-    Integers,
-)
+from meshpoint.controller.estimation.crossing_layout import Filter
 from meshpoint.controller.jit import inlined
-from meshpoint.controller.motion.kernels import OMEGA, STATES, THETA, Vector
+from meshpoint.controller.motion.kernels import DISTURBANCE, OMEGA, PRESSURE, STATES, THETA
 
 MOST_IN_A_ROW: Final = 8
 """So many refused edges in a row mean that the filter is wrong, not the edges."""
 
 
 @inlined
-def carry_offset(floats: Vector, f: Vector, dt: float, loose: bool) -> None:
-    """The offset over a step; f of `transition`; loose: the mesh may change its flank."""
-    theta, omega = floats[CROSS], 0.0
+def carry_offset(f: Filter, dt: float, loose: bool) -> None:
+    """The offset over a step of the shaft; loose: the mesh may change its flank."""
+    by, step = f.offset_by, f.step
+    theta, omega = by[THETA], 0.0
     for k in range(1, STATES):
-        theta += f[0, k] * floats[CROSS + k]
-        omega += f[1, k] * floats[CROSS + k]
-    floats[CROSS], floats[CROSS + 1] = theta, omega
-    floats[CROSS + 2] *= f[2, 2]
-    floats[CROSS + 3] *= f[2, 3]
-    floats[OFFSET_VAR] += dt * (floats[MESH + 1] if loose else floats[MESH])
+        theta += step.theta_by[k] * by[k]
+        omega += step.omega_by[k] * by[k]
+    by[THETA], by[OMEGA] = theta, omega
+    by[PRESSURE] *= step.pressure_left
+    by[DISTURBANCE] *= step.disturbance_left
+    f.offset_rad2 += dt * (f.loose_rad2_s if loose else f.at_flank_rad2_s)
 
 
 @inlined
-def follow_offset(floats: Vector, i: int, innovation: float, s: float, gain: Vector) -> None:
-    """The offset after the i-th state was measured: innovation, its variance, the gain used."""
-    shared = floats[CROSS + i]
-    floats[OFFSET] += shared / s * innovation
-    floats[OFFSET_VAR] -= shared / s * shared
+def follow_offset(f: Filter, i: int, innovation: float, s: float) -> None:
+    """The offset after the i-th state was measured: innovation and its variance."""
+    by = f.offset_by
+    shared = by[i]
+    f.offset_rad += shared / s * innovation
+    f.offset_rad2 -= shared / s * shared
     for k in range(STATES):
-        floats[CROSS + k] -= gain[k] * shared
+        by[k] -= f.gain[k] * shared
 
 
 @inlined
-def take_further(
-    floats: Vector, integers: Integers, x: Vector, p: Vector, angle: float, gain: Vector
-) -> None:
+def take_further(f: Filter, angle_rad: float) -> None:
     """One edge of the further wheel, as an angle of the shaft, into the filter."""
-    sigma, tooth = x[OMEGA] * floats[SENSOR + SIGMA_TIME], floats[SENSOR + SIGMA_FURTHER]
+    p, by, x, gain = f.p, f.offset_by, f.x, f.gain
+    sigma, tooth = f.state.omega_rad_s * f.edge_time_s, f.further_tooth_rad
     r = sigma * sigma + tooth * tooth
-    if floats[OFFSET_VAR] <= 0.0:
-        floats[OFFSET] = angle - x[THETA]
-        floats[OFFSET_VAR] = p[THETA, THETA] + r
+    if f.offset_rad2 <= 0.0:
+        f.offset_rad = angle_rad - f.state.theta_rad
+        f.offset_rad2 = p[THETA, THETA] + r
         for k in range(STATES):
-            floats[CROSS + k] = -p[THETA, k]
+            by[k] = -p[THETA, k]
         return
-    innovation = angle - x[THETA] - floats[OFFSET]
-    own = floats[CROSS] + floats[OFFSET_VAR]
-    s = p[THETA, THETA] + floats[CROSS] + own + r
+    innovation = angle_rad - f.state.theta_rad - f.offset_rad
+    own = by[THETA] + f.offset_rad2
+    s = p[THETA, THETA] + by[THETA] + own + r
     square = innovation * innovation / s
-    if square > floats[SENSOR + GATE] * floats[SENSOR + GATE]:
-        integers[GATED] += 1
-        integers[ASTRAY] += 1
-        if integers[ASTRAY] >= MOST_IN_A_ROW:
+    if square > f.gate_sd * f.gate_sd:
+        f.astray_in_a_row += 1
+        if f.astray_in_a_row >= MOST_IN_A_ROW:
             # The wheels stand otherwise to each other than before.
-            floats[OFFSET_VAR], integers[ASTRAY] = 0.0, 0
+            f.offset_rad2, f.astray_in_a_row = 0.0, 0
         return
-    integers[ASTRAY] = 0
-    integers[TAKEN] += 1
-    floats[AGREEMENT] += square
-    floats[AGREEMENT + 1] += 1.0
+    f.astray_in_a_row = 0
+    f.squares += square
+    f.count += 1.0
     for k in range(STATES):
-        gain[k] = (p[THETA, k] + floats[CROSS + k]) / s
+        gain[k] = (p[THETA, k] + by[k]) / s
     for j in range(STATES):
         x[j] += gain[j] * innovation
         for k in range(j, STATES):
             p[j, k] -= gain[j] * s * gain[k]
-        floats[CROSS + j] -= gain[j] * own
-    floats[OFFSET] += own / s * innovation
-    floats[OFFSET_VAR] -= own / s * own
+        by[j] -= gain[j] * own
+    f.offset_rad += own / s * innovation
+    f.offset_rad2 -= own / s * own

@@ -15,7 +15,7 @@ class LayshaftModels(NamedTuple):
 
     motion: MotionModel
     thesis: Vector
-    """[a, b, g, K] of `kernels`: the thesis's linear model with the data sheet's values."""
+    """A `kernels.Linear`: the thesis's linear model with the data sheet's values."""
     inertia_kgm2: float
 
 

@@ -14,15 +14,10 @@ import numpy as np
 
 from meshpoint.controller.estimation.crossing_filter import Pressures
 from meshpoint.controller.estimation.crossing_kernels import crossing_filter, inverse_of_positive
-from meshpoint.controller.estimation.crossing_layout import (
-    SCALE,
-    FilterArrays,
-    Integers,
-    TeethArrays,
-)
+from meshpoint.controller.estimation.crossing_layout import FilterMemory, TeethArrays
 from meshpoint.controller.estimation.tooth_match import Memory, Seen, Verdict, compare, turned
-from meshpoint.controller.motion.kernels import Vector
 from meshpoint.controller.motion.models import MotionModel
+from meshpoint.controller.records import Integers, Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 
@@ -45,17 +40,17 @@ class TeethLearner:
     """The normal equations of one wheel over one window of free motion."""
 
     def __init__(self, tuning: CrossingFilterTuning, edges: int) -> None:
-        self._arrays, self._teeth = FilterArrays(), TeethArrays(edges)
-        self._arrays.sensor[:] = tuning.edge_time_s, 1e-9, tuning.pressure_sd_pa, NEVER_GATED, 0.0
+        self._memory, self._teeth = FilterMemory(), TeethArrays(edges)
+        self._memory.set_sensor(tuning.edge_time_s, 1e-9, tuning.pressure_sd_pa, NEVER_GATED)
         self._model: MotionModel | None = None
         self.running = False
 
     def begin(self, time_us: float, x: Vector, p: Vector) -> None:
         """A window begins with the shaft in this state."""
-        arrays = self._arrays
-        arrays.time_us = time_us
-        arrays.x[:], arrays.p[:], arrays.agreement[:] = x, p, 0.0
-        self._teeth.floats[:] = 0.0
+        memory = self._memory
+        memory.time_us[0] = time_us
+        memory.x[:], memory.p[:], memory.agreement[:] = x, p, 0.0
+        self._teeth.flat[:] = 0.0
         self.running = True
 
     def take(
@@ -63,27 +58,27 @@ class TeethLearner:
         batch: EdgeBatch,
         place: Integers,
         pressures: Pressures,
-        switches: tuple[Vector, Vector],
+        switches: Vector,
         model: MotionModel,
         scale: float = 1.0,
     ) -> None:
         """New edges of the window, nominal angles; scale: angle of the model's shaft over that of
         the wheel."""
-        arrays = self._arrays
-        arrays.floats[SCALE] = scale
+        memory = self._memory
+        memory.part("scale")[0] = scale
         if model is not self._model:
             self._model = model
-            arrays.set_model(*model)
-        arrays.forget_past()
-        crossing_filter(
-            arrays.floats, arrays.integers, batch.time_us, scale * batch.theta_rad, *pressures,
-            *switches, self._teeth.floats, place,
-        )  # fmt: skip
+            memory.model[:] = model.flat
+        memory.forget_past()
+        edges = np.empty((3, place.size))
+        edges[0], edges[2] = batch.time_us, place
+        np.multiply(scale, batch.theta_rad, out=edges[1])
+        crossing_filter(memory.flat, edges, *pressures, switches, self._teeth.flat)
 
     @property
     def edges(self) -> float:
         """How many edges the window has so far."""
-        return float(self._arrays.agreement[1]) if self.running else 0.0
+        return float(self._memory.agreement[1]) if self.running else 0.0
 
     def end(self) -> Seen | None:
         """The window ends; its equations, None where it was too short."""
@@ -93,7 +88,7 @@ class TeethLearner:
 
     def so_far(self) -> Seen:
         """The window's equations up to now."""
-        squares, count = self._arrays.agreement.tolist()
+        squares, count = self._memory.agreement.tolist()
         upper = np.triu(self._teeth.normal)
         return Seen(upper + np.triu(upper, 1).T, self._teeth.right.copy(), squares, count)
 
@@ -147,9 +142,16 @@ class WheelTeeth:
         places: Integers = (2 * batch.tooth + batch.falling) % self._edges
         return places
 
-    def angles(self, batch: EdgeBatch, place: Integers) -> Vector:
-        """The angle each edge stands for, as far as its tooth is known."""
-        return batch.theta_rad + self.error_rad[place] if self.learned else batch.theta_rad
+    def edges(self, batch: EdgeBatch, place: Integers) -> Vector:
+        """Times (us) and the angles (rad) that edges stand for as far as their teeth are known, the
+        two rows of a `crossing_filter`'s edges."""
+        edges = np.empty((2, batch.time_us.size))
+        edges[0] = batch.time_us
+        if self.learned:
+            np.add(batch.theta_rad, self.error_rad[place], out=edges[1])
+        else:
+            edges[1] = batch.theta_rad
+        return edges
 
     def end_window(self) -> str | None:
         """A window has ended: learns from it, or forgets. Returns a line for the log."""

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.motion.linear_kernels import Vector
+from meshpoint.controller.records import Vector
 
 KEPT: Final = 16
 """Switches kept: a shift makes a handful, and pressure forgets within ten time constants."""
@@ -29,7 +29,7 @@ class BrakeInput:
     def __init__(self, valve_delay_us: int) -> None:
         self._delays_us = (valve_delay_us, valve_delay_us)
         self._switches: list[Switch] = []
-        self._arrays: tuple[Vector, Vector] | None = None
+        self._arrays: Vector | None = None
 
     def schedule(self, time_us: int, on: bool, now_us: int) -> None:
         """The valve will be `on` from `time_us`; replaces what was planned after `now_us`."""
@@ -57,23 +57,18 @@ class BrakeInput:
         times = np.array([switch.time_us for switch in self._switches], dtype=np.float64)
         return times, np.array([float(switch.on) for switch in self._switches])
 
-    def cancel_pending(self, now_us: int) -> None:
-        """Nothing is planned any more."""
-        kept = [switch for switch in self._switches if switch.time_us <= now_us]
-        if kept != self._switches:
-            self._switches, self._arrays = kept, None
-
-    def arrays(self) -> tuple[Vector, Vector]:
-        """Times at which pressure starts to react, and u from then on (for `kernels.propagate`)."""
+    def arrays(self) -> Vector:
+        """Times at which pressure starts to react, and u from then on: two rows, the switches of
+        the kernels."""
         if self._arrays is None:
             self._arrays = self._with(None)
         return self._arrays
 
-    def with_release(self, release_us: float) -> tuple[Vector, Vector]:
+    def with_release(self, release_us: float) -> Vector:
         """The same if the brake were released at `release_us` instead, and left so."""
         return self._with(release_us)
 
-    def _with(self, release_us: float | None) -> tuple[Vector, Vector]:
+    def _with(self, release_us: float | None) -> Vector:
         times: list[float] = [switch.time_us for switch in self._switches]
         states = [float(switch.on) for switch in self._switches]
         if release_us is not None:
@@ -85,4 +80,4 @@ class BrakeInput:
             states.append(0.0)
         off_us, on_us = self._delays_us
         times = [t + (on_us if u else off_us) for t, u in zip(times, states, strict=True)]
-        return np.array(times, dtype=np.float64), np.array(states)
+        return np.array((times, states), dtype=np.float64)

@@ -19,14 +19,12 @@ same code runs as plain Python. State is updated in place.
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshpoint.controller.jit import compiled, inlined
-
-Vector = NDArray[np.float64]
+from meshpoint.controller.records import WORD, Over, Records, Vector, layout_of
 
 STATES: Final = 6
 THETA: Final = 0
@@ -35,24 +33,70 @@ PRESSURE: Final = 2
 DISTURBANCE: Final = 3
 GAIN: Final = 4
 DRAG: Final = 5
-"""Indices into the state."""
-
-RATE_A: Final = 0
-BRAKE_G: Final = 1
-RATE_D: Final = 2
-"""Indices into the motion vector [a, g, b_d]."""
-
-LAW_ABOVE: Final = 0
-LAW_B: Final = 1
-LAW_R: Final = 2
+"""Rows of the covariance: the fields of `State` in their order."""
 SEGMENTS: Final = 6
-"""law[u, i] = (lowest pressure of the segment, b, r), rising; unused ones begin at infinity."""
 
-Q_DISTURBANCE: Final = 0
-Q_PRESSURE: Final = 1
-Q_GAIN: Final = 2
-Q_DRAG: Final = 3
-"""Indices into the noise vector: densities of the white noises that drive the four states."""
+
+class State:
+    """The six states of a shaft."""
+
+    theta_rad: float
+    omega_rad_s: float
+    pressure_pa: float
+    """Brake pressure, gauge, above the touch."""
+    disturbance_rad_s2: float
+    """Acceleration by torques of short memory."""
+    gain: float
+    """Brake torque over that of the data sheet."""
+    drag_rad_s2: float
+    """Steady acceleration beside the viscous friction."""
+    x: Annotated[Vector, Over("theta_rad"), STATES]
+    """All six."""
+
+
+class Segment:
+    """A stretch of the pressure law: p' = r - b p."""
+
+    above_pa: float
+    """Its lowest pressure; infinite where it is not used."""
+    b_per_s: float
+    r_pa_s: float
+
+
+class Model:
+    """How a shaft is taken to move."""
+
+    friction_per_s: float
+    """a: viscous friction over inertia."""
+    brake_rad_s2_pa: float
+    """g: deceleration by the brake's pressure."""
+    fading_per_s: float
+    """b_d: rate at which a disturbance is forgotten."""
+    law: Annotated[Records[Segment], 2, SEGMENTS]
+    """[u, i]: the i-th segment with the valve off (u = 0) or on, rising in pressure."""
+    disturbance_rad2_s5: float
+    pressure_pa2_s: float
+    gain_per_s: float
+    drag_rad2_s5: float
+    """Densities of the white noises that drive four of the states."""
+    segments: Annotated[Vector, Over("law"), 2, SEGMENTS, 3]
+    """The law as numbers."""
+
+
+class Step:
+    """Derivatives of the state after a step by the state before; gain and drag stay."""
+
+    theta_by: Annotated[Vector, STATES]
+    omega_by: Annotated[Vector, STATES]
+    pressure_left: float
+    disturbance_left: float
+    """By themselves alone."""
+
+
+STATE: Final = layout_of(State)
+MODEL: Final = layout_of(Model)
+STEP: Final = layout_of(Step)
+STEP_WORDS: Final = STEP.itemsize // WORD
 
 US: Final = 1e-6
 LONGEST_S: Final = 5e-3
@@ -61,43 +105,40 @@ CLOSE: Final = 1e-6
 
 
 @inlined
-def segment(law: Vector, u: int, pressure: float) -> int:
+def segment(model: Model, u: int, pressure_pa: float) -> int:
     """Which segment of the law holds at a pressure."""
     i = 0
-    while i + 1 < SEGMENTS and pressure >= law[u, i + 1, LAW_ABOVE]:
+    while i + 1 < SEGMENTS and pressure_pa >= model.law[u, i + 1].above_pa:
         i += 1
     return i
 
 
 @inlined
-def longest_in_segment(law: Vector, u: int, pressure: float, dt: float) -> float:
+def longest_in_segment(model: Model, u: int, pressure_pa: float, dt: float) -> float:
     """How much of `dt` passes before the pressure leaves its segment."""
-    i = segment(law, u, pressure)
-    b, r = law[u, i, LAW_B], law[u, i, LAW_R]
-    after = pressure * math.exp(-b * dt) - r * math.expm1(-b * dt) / b
+    i = segment(model, u, pressure_pa)
+    b, r = model.law[u, i].b_per_s, model.law[u, i].r_pa_s
+    after = pressure_pa * math.exp(-b * dt) - r * math.expm1(-b * dt) / b
     edge = 0.0
-    if i + 1 < SEGMENTS and after >= law[u, i + 1, LAW_ABOVE]:
-        edge = law[u, i + 1, LAW_ABOVE]
-    elif i > 0 and after < law[u, i, LAW_ABOVE]:
+    if i + 1 < SEGMENTS and after >= model.law[u, i + 1].above_pa:
+        edge = model.law[u, i + 1].above_pa
+    elif i > 0 and after < model.law[u, i].above_pa:
         # A hair below, so that the next step begins in the lower segment.
-        edge = law[u, i, LAW_ABOVE] - 1e-3
+        edge = model.law[u, i].above_pa - 1e-3
     else:
         return dt
-    share = (edge - r / b) / (pressure - r / b)
+    share = (edge - r / b) / (pressure_pa - r / b)
     if share <= 0.0:
         return dt
     return float(min(dt, max(1e-7, -math.log(share) / b)))
 
 
 @inlined
-def transition(x: Vector, dt: float, u: int, motion: Vector, law: Vector, f: Vector) -> None:
-    """Derivatives of the state after `dt` by the state now, f (2, 6) for theta and omega and
-    f[2, 2..3] for pressure and disturbance; moves the state there, in place.
-
-    f has shape (3, 6); the rows of pressure, disturbance, gain and drag are diagonal."""
-    i = segment(law, u, x[PRESSURE])
-    a, g, b_d = motion[RATE_A], motion[BRAKE_G], motion[RATE_D]
-    b, r = law[u, i, LAW_B], law[u, i, LAW_R]
+def transition(state: State, dt: float, u: int, model: Model, step: Step) -> None:
+    """Moves the state on by `dt` seconds, in place; its derivatives are written to `step`."""
+    i = segment(model, u, state.pressure_pa)
+    a, g, b_d = model.friction_per_s, model.brake_rad_s2_pa, model.fading_per_s
+    b, r = model.law[u, i].b_per_s, model.law[u, i].r_pa_s
     if abs(b - a) < CLOSE * (abs(b) + a):
         # Equal rates are a removable singularity; a part in a million of tau is below any data.
         b = a + 2.0 * CLOSE * (abs(b) + a)
@@ -116,30 +157,40 @@ def transition(x: Vector, dt: float, u: int, motion: Vector, law: Vector, f: Vec
     phi_d = -math.expm1(-b_d * dt) / b_d
     e_d = 1.0 - b_d * phi_d
     h, big_h = (e_a - e_b) / (b - a), (phi_a - phi_b) / (b - a)
-    f[0, 1], f[1, 1] = phi_a, e_a
-    f[0, 3], f[1, 3] = (phi_a - phi_d) / (b_d - a), (e_a - e_d) / (b_d - a)
-    f[0, 4] = -g * (big_h * x[2] + r * (rest - big_h) / b)
-    f[1, 4] = -g * (h * x[2] + r * (phi_a - h) / b)
-    f[0, 2], f[1, 2] = -g * x[4] * big_h, -g * x[4] * h
-    f[0, 5], f[1, 5] = rest, phi_a
-    f[2, 2], f[2, 3] = e_b, e_d
-    x[0] += phi_a * x[1] + f[0, 4] * x[4] + f[0, 3] * x[3] + rest * x[5]
-    x[1] = e_a * x[1] + f[1, 4] * x[4] + f[1, 3] * x[3] + phi_a * x[5]
-    x[2] = e_b * x[2] + phi_b * r
-    x[3] *= e_d
+    omega, pressure, disturbance = state.omega_rad_s, state.pressure_pa, state.disturbance_rad_s2
+    gain, drag = state.gain, state.drag_rad_s2
+    theta_by, omega_by = step.theta_by, step.omega_by
+    theta_by[OMEGA], omega_by[OMEGA] = phi_a, e_a
+    theta_by[DISTURBANCE] = (phi_a - phi_d) / (b_d - a)
+    omega_by[DISTURBANCE] = (e_a - e_d) / (b_d - a)
+    theta_by[GAIN] = -g * (big_h * pressure + r * (rest - big_h) / b)
+    omega_by[GAIN] = -g * (h * pressure + r * (phi_a - h) / b)
+    theta_by[PRESSURE], omega_by[PRESSURE] = -g * gain * big_h, -g * gain * h
+    theta_by[DRAG], omega_by[DRAG] = rest, phi_a
+    step.pressure_left, step.disturbance_left = e_b, e_d
+    state.theta_rad += (
+        phi_a * omega + theta_by[GAIN] * gain + theta_by[DISTURBANCE] * disturbance + rest * drag
+    )
+    state.omega_rad_s = (
+        e_a * omega + omega_by[GAIN] * gain + omega_by[DISTURBANCE] * disturbance + phi_a * drag
+    )
+    state.pressure_pa = e_b * pressure + phi_b * r
+    state.disturbance_rad_s2 *= e_d
 
 
 @inlined
-def spread_over(p: Vector, dt: float, f: Vector, motion: Vector, noise: Vector, x: Vector) -> None:
-    """Covariance prediction P = F P F' + Q, in place; p (6, 6), its upper half; f of `transition`.
+def spread_over(p: Vector, dt: float, step: Step, model: Model, gain: float) -> None:
+    """Covariance prediction P = F P F' + Q, in place; p (6, 6), its upper half; step: that of
+    `transition` over the same time; gain: that of the brake.
 
     Q is Van Loan's integral with the fading of pressure and disturbance in it: with e = e^(-b dt)
     and phi = (1 - e) / b the variance phi (1 + e) / 2, that with omega phi^2 / 2, that of omega
     dt phi (phi + dt) / 6, and so on; standard deviations within 2 % up to 5 ms. Written out: a loop
     over six states costs twice as much."""
-    a1, a2, a3, a4, a5 = f[0, 1], f[0, 2], f[0, 3], f[0, 4], f[0, 5]
-    b1, b2, b3, b4, b5 = f[1, 1], f[1, 2], f[1, 3], f[1, 4], f[1, 5]
-    e_p, e_d = f[2, 2], f[2, 3]
+    theta_by, omega_by = step.theta_by, step.omega_by
+    a1, a2, a3, a4, a5 = theta_by[1], theta_by[2], theta_by[3], theta_by[4], theta_by[5]
+    b1, b2, b3, b4, b5 = omega_by[1], omega_by[2], omega_by[3], omega_by[4], omega_by[5]
+    e_p, e_d = step.pressure_left, step.disturbance_left
     p01, p02, p03, p04, p05 = p[0, 1], p[0, 2], p[0, 3], p[0, 4], p[0, 5]
     p11, p12, p13, p14, p15 = p[1, 1], p[1, 2], p[1, 3], p[1, 4], p[1, 5]
     p22, p23, p24, p25 = p[2, 2], p[2, 3], p[2, 4], p[2, 5]
@@ -156,11 +207,11 @@ def spread_over(p: Vector, dt: float, f: Vector, motion: Vector, noise: Vector, 
     v3 = b1 * p13 + b2 * p23 + b3 * p33 + b4 * p34 + b5 * p35
     v4 = b1 * p14 + b2 * p24 + b3 * p34 + b4 * p44 + b5 * p45
     v5 = b1 * p15 + b2 * p25 + b3 * p35 + b4 * p45 + b5 * p55
-    q_d, q_p, q_s = noise[Q_DISTURBANCE], noise[Q_PRESSURE], noise[Q_DRAG]
+    q_d, q_p, q_s = model.disturbance_rad2_s5, model.pressure_pa2_s, model.drag_rad2_s5
     # What a kick at the step's start has made of theta (a2, a3, a5) and omega (b2, b3, b5) by its
     # end, integrated over the step; a kick of pressure fades to e_p, one of disturbance to e_d.
     theta = q_d * a3 * a3 + q_p * a2 * a2 + q_s * a5 * a5
-    braked = motion[BRAKE_G] * x[GAIN] * dt
+    braked = model.brake_rad_s2_pa * gain * dt
     omega = q_d * b3 * (b3 + dt) + q_p * b2 * (b2 - braked) + q_s * b5 * (b5 + dt)
     phi_p, third = 0.5 * dt * (1.0 + e_p), 1.0 / 3.0
     p[0, 0] = u0 + a1 * u1 + a2 * u2 + a3 * u3 + a4 * u4 + a5 * u5 + 0.2 * dt * theta
@@ -176,7 +227,7 @@ def spread_over(p: Vector, dt: float, f: Vector, motion: Vector, noise: Vector, 
     p[2, 3], p[2, 4], p[2, 5] = e_p * e_d * p23, e_p * p24, e_p * p25
     p[3, 3] = e_d * e_d * p33 + q_d * b3 * (1.0 + e_d) * 0.5
     p[3, 4], p[3, 5] = e_d * p34, e_d * p35
-    p[4, 4] = p44 + noise[Q_GAIN] * dt
+    p[4, 4] = p44 + model.gain_per_s * dt
     p[5, 5] = p55 + q_s * dt
 
 
@@ -213,14 +264,14 @@ def input_at(t_us: float, switch_us: Vector) -> int:
 
 
 @compiled
-def travel(
-    x: Vector, t_us: float, to_us: float, switch_us: Vector, switch_u: Vector,
-    motion: Vector, law: Vector,
-) -> None:  # fmt: skip
-    """Moves the state from `t_us` to `to_us` through every brake switch and segment, in place.
+def travel(x: Vector, t_us: float, to_us: float, switches: Vector, model: Vector) -> None:
+    """Moves a state from `t_us` to `to_us` through every brake switch and segment, in place.
 
-    switch_us must rise; switch_u[i] holds from switch_us[i] on; before the first one u = 0."""
-    f = np.zeros((3, STATES))
+    x: a `State`; switches (2, n): rising times, and the u that holds from each on, before the first
+    one 0; model: a `Model`."""
+    state, motion = x.view(STATE)[0], model.view(MODEL)[0]
+    step = np.zeros(STEP_WORDS).view(STEP)[0]
+    switch_us, switch_u = switches[0], switches[1]
     i = input_at(t_us, switch_us)
     while t_us < to_us:
         u = int(switch_u[i - 1]) if i > 0 else 0
@@ -228,8 +279,8 @@ def travel(
         if i < switch_us.shape[0] and switch_us[i] < to_us:
             until_us = switch_us[i]
         dt = (until_us - t_us) * US
-        part = longest_in_segment(law, u, x[PRESSURE], dt)
-        transition(x, part, u, motion, law, f)
+        part = longest_in_segment(motion, u, state.pressure_pa, dt)
+        transition(state, part, u, motion, step)
         if part < dt:
             t_us += part / US
         else:
@@ -238,16 +289,17 @@ def travel(
     if to_us < t_us:
         # A moment ago: nothing switched since, to the accuracy of a step back.
         u = int(switch_u[i - 1]) if i > 0 else 0
-        transition(x, (to_us - t_us) * US, u, motion, law, f)
+        transition(state, (to_us - t_us) * US, u, motion, step)
 
 
 @compiled
 def forecast(
-    x: Vector, p: Vector, t_us: float, to_us: float, switch_us: Vector, switch_u: Vector,
-    motion: Vector, law: Vector, noise: Vector,
-) -> None:  # fmt: skip
-    """As `travel`, the covariance with it."""
-    f = np.zeros((3, STATES))
+    x: Vector, p: Vector, t_us: float, to_us: float, switches: Vector, model: Vector
+) -> None:
+    """As `travel`, with the state's covariance p (6, 6)."""
+    state, motion = x.view(STATE)[0], model.view(MODEL)[0]
+    step = np.zeros(STEP_WORDS).view(STEP)[0]
+    switch_us, switch_u = switches[0], switches[1]
     i = input_at(t_us, switch_us)
     while t_us < to_us:
         u = int(switch_u[i - 1]) if i > 0 else 0
@@ -255,9 +307,9 @@ def forecast(
         if i < switch_us.shape[0] and switch_us[i] < to_us:
             until_us = switch_us[i]
         dt = (until_us - t_us) * US
-        part = min(longest_in_segment(law, u, x[PRESSURE], dt), LONGEST_S)
-        transition(x, part, u, motion, law, f)
-        spread_over(p, part, f, motion, noise, x)
+        part = min(longest_in_segment(motion, u, state.pressure_pa, dt), LONGEST_S)
+        transition(state, part, u, motion, step)
+        spread_over(p, part, step, motion, state.gain)
         if part < dt:
             t_us += part / US
         else:

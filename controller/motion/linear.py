@@ -9,36 +9,30 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshpoint.controller.motion.linear_kernels import (
-    BRAKE_G,
-    RATE_A,
-    RATE_B,
-    SUPPLY_K,
-    US,
-    Vector,
-    propagate,
-)
+from meshpoint.controller.motion.linear_kernels import LINEAR, US, Vector, propagate
 from meshpoint.controller.motion.models import LayshaftState
+from meshpoint.controller.records import filled
 from meshpoint.gearbox import GearboxSheet, Split
 
 
 def layshaft_model(sheet: GearboxSheet, split: Split) -> Vector:
-    """The model vector [a, b, g, K] of `kernels` from the data sheet (4.4, 4.13, 4.15)."""
+    """The `kernels.Linear` model [a, b, g, K] from the data sheet (4.4, 4.13, 4.15)."""
     inertia = sheet.inertia_kgm2(split)
-    model = np.zeros(4)
-    model[RATE_A] = sheet.shafts.friction_nms / inertia
-    model[RATE_B] = 1.0 / sheet.brake.time_constant_s
-    model[BRAKE_G] = sheet.brake_nm_per_pa / inertia
-    model[SUPPLY_K] = sheet.air.supply_gauge_pa
-    return model
+    return filled(
+        LINEAR,
+        friction_per_s=sheet.shafts.friction_nms / inertia,
+        brake_per_s=1.0 / sheet.brake.time_constant_s,
+        brake_rad_s2_pa=sheet.brake_nm_per_pa / inertia,
+        supply_pa=sheet.air.supply_gauge_pa,
+    )
 
 
 def predict_hold(
-    state: LayshaftState, to_us: float, switches: tuple[Vector, Vector], model: Vector
+    state: LayshaftState, to_us: float, switches: Vector, model: Vector
 ) -> LayshaftState:
     """Zero-order hold through every brake switch (5.16-5.18)."""
     x = np.array([state.theta_rad, state.omega_rad_s, state.pressure_pa])
-    propagate(x, state.time_us, to_us, switches[0], switches[1], model)
+    propagate(x, state.time_us, to_us, switches, model)
     theta, omega, pressure = x.tolist()
     return LayshaftState(to_us, theta, omega, pressure, *state[4:7])
 

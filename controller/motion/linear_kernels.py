@@ -17,28 +17,89 @@ form, with phi_x = (1 - e^(-x D))/x, h = (e^(-aD) - e^(-bD))/(b - a), H = (phi_a
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshpoint.controller import records
 from meshpoint.controller.jit import compiled
+from meshpoint.controller.records import WORD, layout_of
 
-Vector = NDArray[np.float64]
+Vector = records.Vector
 
-RATE_A: Final = 0
-"""Indices into the model vector [a, b, g, K]."""
-RATE_B: Final = 1
-BRAKE_G: Final = 2
-SUPPLY_K: Final = 3
 US: Final = 1e-6
 
 
+class Linear:
+    """The model's parameters."""
+
+    friction_per_s: float
+    """a."""
+    brake_per_s: float
+    """b: one over the brake's time constant."""
+    brake_rad_s2_pa: float
+    """g."""
+    supply_pa: float
+    """K."""
+
+
+class Hold:
+    """The elements of Phi and Gamma that are not 0 or 1; u: the valve's input."""
+
+    theta_by_omega: float
+    theta_by_pressure: float
+    omega_by_omega: float
+    omega_by_pressure: float
+    pressure_by_pressure: float
+    theta_by_u: float
+    omega_by_u: float
+    pressure_by_u: float
+
+
+class ThesisFilter:
+    """State and parameters of `thesis_filter`."""
+
+    time_us: float
+    """Of the state."""
+    x: Annotated[Vector, 3]
+    """Angle (rad), speed (rad/s), brake pressure (Pa, gauge)."""
+    p: Annotated[Vector, 3, 3]
+    """Its covariance."""
+    model: Annotated[Vector, 4]
+    """A `Linear`."""
+    w: Annotated[Vector, 3]
+    """Process noise of the state, a second."""
+    r_rad2: float
+    """Variance of an edge's angle."""
+
+
+class CruiseFilter:
+    """State and parameters of `cruise_filter`."""
+
+    time_us: float
+    """Of the state."""
+    x: Annotated[Vector, 2]
+    """Angle (rad), speed (rad/s)."""
+    p: Annotated[Vector, 2, 2]
+    """Its covariance."""
+    acceleration_rad_s2: float
+    """sd of the acceleration that drives it."""
+    edge_time_s: float
+    """sd of an edge's time."""
+
+
+LINEAR: Final = layout_of(Linear)
+HOLD: Final = layout_of(Hold)
+HOLD_WORDS: Final = HOLD.itemsize // WORD
+THESIS_FILTER: Final = layout_of(ThesisFilter)
+CRUISE_FILTER: Final = layout_of(CruiseFilter)
+
+
 @compiled
-def hold(dt: float, model: Vector, phi: Vector, gamma: Vector) -> None:
-    """Phi and Gamma over `dt` seconds. phi[0..5]: the six elements of Phi that are not 0 or 1,
-    (0,1) (0,2) (1,1) (1,2) (2,2); gamma[0..2]. Written in place."""
-    a, b, g = model[0], model[1], model[2]
+def hold(dt: float, model: Vector, found: Vector) -> None:
+    """The `Hold` over `dt` seconds of a `Linear` model, written to `found`."""
+    linear, held = model.view(LINEAR)[0], found.view(HOLD)[0]
+    a, b, g = linear.friction_per_s, linear.brake_per_s, linear.brake_rad_s2_pa
     if abs(b - a) < 1e-6 * b:
         # Equal rates are a removable singularity; a part in a million of tau is below any data.
         b = a + 1e-6 * b
@@ -52,44 +113,50 @@ def hold(dt: float, model: Vector, phi: Vector, gamma: Vector) -> None:
     phi_b = -math.expm1(-b * dt) / b
     h = (e_a - e_b) / (b - a)
     big_h = (phi_a - phi_b) / (b - a)
-    phi[0], phi[1], phi[2], phi[3], phi[4] = phi_a, -g * big_h, e_a, -g * h, e_b
-    gamma[0] = -g * (rest - big_h) * model[3]
-    gamma[1] = -g * (phi_a - h) * model[3]
-    gamma[2] = b * phi_b * model[3]
+    held.theta_by_omega, held.theta_by_pressure = phi_a, -g * big_h
+    held.omega_by_omega, held.omega_by_pressure = e_a, -g * h
+    held.pressure_by_pressure = e_b
+    held.theta_by_u = -g * (rest - big_h) * linear.supply_pa
+    held.omega_by_u = -g * (phi_a - h) * linear.supply_pa
+    held.pressure_by_u = b * phi_b * linear.supply_pa
 
 
 @compiled
-def advance(x: Vector, dt: float, u: float, model: Vector, phi: Vector, gamma: Vector) -> None:
-    """One zero-order-hold step of the state, in place (thesis 5.17)."""
-    hold(dt, model, phi, gamma)
-    x[0] += phi[0] * x[1] + phi[1] * x[2] + gamma[0] * u
-    x[1] = phi[2] * x[1] + phi[3] * x[2] + gamma[1] * u
-    x[2] = phi[4] * x[2] + gamma[2] * u
+def advance(x: Vector, dt: float, u: float, model: Vector, found: Vector) -> None:
+    """One zero-order-hold step of the state (3,), in place (thesis 5.17); its `Hold` is found."""
+    hold(dt, model, found)
+    held = found.view(HOLD)[0]
+    x[0] += held.theta_by_omega * x[1] + held.theta_by_pressure * x[2] + held.theta_by_u * u
+    x[1] = held.omega_by_omega * x[1] + held.omega_by_pressure * x[2] + held.omega_by_u * u
+    x[2] = held.pressure_by_pressure * x[2] + held.pressure_by_u * u
 
 
 @compiled
-def propagate(
-    x: Vector, t_us: float, to_us: float, switch_us: Vector, switch_u: Vector, model: Vector
-) -> None:
+def propagate(x: Vector, t_us: float, to_us: float, switches: Vector, model: Vector) -> None:
     """Moves the state from `t_us` to `to_us` through every brake switch between, in place.
 
-    switch_us must rise; switch_u[i] holds from switch_us[i] on; before the first one u = 0."""
-    phi, gamma = np.empty(5), np.empty(3)
+    switches (2, n): rising times, and the u that holds from each on; before the first one u = 0.
+    model: a `Linear`."""
+    switch_us, switch_u = switches[0], switches[1]
+    found = np.empty(HOLD_WORDS)
     u, i, n = 0.0, 0, switch_us.shape[0]
     while i < n and switch_us[i] <= t_us:
         u = switch_u[i]
         i += 1
     while i < n and switch_us[i] < to_us:
-        advance(x, (switch_us[i] - t_us) * US, u, model, phi, gamma)
+        advance(x, (switch_us[i] - t_us) * US, u, model, found)
         t_us, u = switch_us[i], switch_u[i]
         i += 1
-    advance(x, (to_us - t_us) * US, u, model, phi, gamma)
+    advance(x, (to_us - t_us) * US, u, model, found)
 
 
 @compiled
-def spread(p: Vector, dt: float, phi: Vector, w: Vector) -> None:
-    """Covariance prediction P = Phi P Phi' + Q (5.3) with Q = (w dt)(w dt)' (5.8), in place."""
-    f01, f02, f11, f12, f22 = phi[0], phi[1], phi[2], phi[3], phi[4]
+def spread(p: Vector, dt: float, found: Vector, w: Vector) -> None:
+    """Covariance prediction P = Phi P Phi' + Q (5.3) with Q = (w dt)(w dt)' (5.8), in place; found:
+    the `Hold` over the same time."""
+    held = found.view(HOLD)[0]
+    f01, f02, f11 = held.theta_by_omega, held.theta_by_pressure, held.omega_by_omega
+    f12, f22 = held.omega_by_pressure, held.pressure_by_pressure
     p00, p01, p02 = p[0, 0], p[0, 1], p[0, 2]
     p11, p12, p22 = p[1, 1], p[1, 2], p[2, 2]
     r00 = p00 + f01 * p01 + f02 * p02
@@ -122,24 +189,16 @@ def correct(x: Vector, p: Vector, y: float, r: float) -> None:
 
 
 @compiled
-def thesis_filter(
-    x: Vector,
-    p: Vector,
-    t_us: float,
-    edge_us: Vector,
-    edge_rad: Vector,
-    switch_us: Vector,
-    switch_u: Vector,
-    model: Vector,
-    w: Vector,
-    r: float,
-) -> float:
+def thesis_filter(memory: Vector, edge_us: Vector, edge_rad: Vector, switches: Vector) -> None:
     """The thesis's event-driven Kalman filter (5.1-5.9) over a batch of edges, in place.
 
-    x (3,), p (3, 3) at time `t_us`; edge_us rising, edge_rad the angle each edge stands for (5.9);
-    brake switches as in `propagate`. Returns the time of the new state. Edges not later than the
-    state are skipped: they were used before."""
-    phi, gamma = np.empty(5), np.empty(3)
+    memory: a `ThesisFilter`; edge_us rising, edge_rad the angle each edge stands for (5.9);
+    switches as in `propagate`. Edges not later than the state are skipped: they were used before.
+    """
+    f = memory.view(THESIS_FILTER)[0]
+    x, p, model, w, t_us = f.x, f.p, f.model, f.w, f.time_us
+    switch_us, switch_u = switches[0], switches[1]
+    found = np.empty(HOLD_WORDS)
     u, i, n = 0.0, 0, switch_us.shape[0]
     for k in range(edge_us.shape[0]):
         if edge_us[k] <= t_us:
@@ -149,44 +208,36 @@ def thesis_filter(
             i += 1
         while i < n and switch_us[i] < edge_us[k]:
             dt = (switch_us[i] - t_us) * US
-            advance(x, dt, u, model, phi, gamma)
-            spread(p, dt, phi, w)
+            advance(x, dt, u, model, found)
+            spread(p, dt, found, w)
             t_us, u = switch_us[i], switch_u[i]
             i += 1
         dt = (edge_us[k] - t_us) * US
-        advance(x, dt, u, model, phi, gamma)
-        spread(p, dt, phi, w)
+        advance(x, dt, u, model, found)
+        spread(p, dt, found, w)
         t_us = edge_us[k]
-        correct(x, p, edge_rad[k], r)
-    return t_us
+        correct(x, p, edge_rad[k], f.r_rad2)
+    f.time_us = t_us
 
 
 @compiled
-def cruise_filter(
-    x: Vector,
-    p: Vector,
-    t_us: float,
-    edge_us: Vector,
-    edge_rad: Vector,
-    acceleration_rad_s2: float,
-    edge_time_s: float,
-) -> float:
-    """Constant-speed Kalman filter over a batch of edges, x = [theta, omega], in place.
+def cruise_filter(memory: Vector, edge_us: Vector, edge_rad: Vector) -> None:
+    """Constant-speed Kalman filter over a batch of edges, in place; memory: a `CruiseFilter`.
 
     Process noise is a random acceleration held over each interval; the measurement's variance is
-    (omega sigma_t)^2, since the angle of an edge is exact and its time is not. Returns the time of
-    the new state."""
+    (omega sigma_t)^2, since the angle of an edge is exact and its time is not."""
+    f = memory.view(CRUISE_FILTER)[0]
+    x, p = f.x, f.p
     for k in range(edge_us.shape[0]):
-        if edge_us[k] <= t_us:
+        if edge_us[k] <= f.time_us:
             continue
-        dt = (edge_us[k] - t_us) * US
-        q = acceleration_rad_s2 * dt
+        dt = (edge_us[k] - f.time_us) * US
+        q = f.acceleration_rad_s2 * dt
         x[0] += x[1] * dt
         p[0, 0] += dt * (p[0, 1] + p[1, 0] + dt * p[1, 1]) + 0.25 * q * q * dt * dt
         p[0, 1] += dt * p[1, 1] + 0.5 * q * q * dt
         p[1, 0] = p[0, 1]
         p[1, 1] += q * q
-        t_us = edge_us[k]
-        sigma = x[1] * edge_time_s
+        f.time_us = edge_us[k]
+        sigma = x[1] * f.edge_time_s
         correct(x, p, edge_rad[k], sigma * sigma + 1e-12)
-    return t_us

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from meshpoint.controller.motion.kernels import (
+    MODEL,
     OMEGA,
     PRESSURE,
     SEGMENTS,
     STATES,
     THETA,
-    Vector,
     forecast,
     travel,
 )
 from meshpoint.controller.motion.kinematics import are_finite
+from meshpoint.controller.records import Memory, Vector
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
 
@@ -57,15 +59,25 @@ class LayshaftState(NamedTuple):
         return np.array([*self[1:4], *self[7:10]])
 
 
-class MotionModel(NamedTuple):
-    """The three parameter arrays of `motion_kernels`."""
+class MotionModel(Memory):
+    """A `motion_kernels.Model`. It is not changed once it is made."""
 
-    motion: Vector
-    """[a, g, b_d] (3,)."""
-    law: Vector
-    """Pressure law (2, SEGMENTS, 3)."""
-    noise: Vector
-    """Densities of the driving noises (4,)."""
+    def __init__(self, rates: Vector, law: Vector, noise: Vector) -> None:
+        """Rates a, g and b_d (3,); pressure law (2, SEGMENTS, 3); densities of the driving noises
+        (4,), in the order of `Model`."""
+        super().__init__(MODEL)
+        self.flat[:] = np.concatenate((rates, law.ravel(), noise))
+
+    @property
+    def brake_rad_s2_pa(self) -> float:
+        """Deceleration by the brake's pressure."""
+        return float(self.part("brake_rad_s2_pa")[0])
+
+    def with_law(self, law: Vector) -> MotionModel:
+        """The same motion with another pressure law."""
+        other = copy.deepcopy(self)
+        other.part("segments")[:] = law
+        return other
 
 
 def first_order_law(rate: float, supply_pa: float) -> Vector:
@@ -84,7 +96,7 @@ def free_motion(
     inertia = sheet.inertia_kgm2(split)
     rate = 1.0 / tuning.disturbance_s
     sigma = tuning.torque_disturbance_nm / inertia
-    motion = np.array([sheet.shafts.friction_nms / inertia, sheet.brake_nm_per_pa / inertia, rate])
+    rates = np.array([sheet.shafts.friction_nms / inertia, sheet.brake_nm_per_pa / inertia, rate])
     noise = np.array(
         [
             2.0 * sigma * sigma * rate,
@@ -93,7 +105,7 @@ def free_motion(
             (tuning.drag_walk_nm / inertia) ** 2,
         ]
     )
-    return MotionModel(motion, law, noise)
+    return MotionModel(rates, law, noise)
 
 
 def following_motion(
@@ -106,11 +118,11 @@ def following_motion(
 
 
 def predict(
-    state: LayshaftState, to_us: float, switches: tuple[Vector, Vector], model: MotionModel
+    state: LayshaftState, to_us: float, switches: Vector, model: MotionModel
 ) -> LayshaftState:
     """The state at another time through every brake switch; standard deviations are kept."""
     x = state.vector
-    travel(x, state.time_us, to_us, switches[0], switches[1], model.motion, model.law)
+    travel(x, state.time_us, to_us, switches, model.flat)
     theta, omega, pressure, disturbance, gain, drag = x.tolist()
     return _new(
         LayshaftState,
@@ -119,7 +131,7 @@ def predict(
 
 
 def predict_spread(
-    state: LayshaftState, to_us: float, switches: tuple[Vector, Vector], model: MotionModel
+    state: LayshaftState, to_us: float, switches: Vector, model: MotionModel
 ) -> LayshaftState:
     """As `predict`, with the covariance grown to then. The state must have one."""
     if state.covariance is None:
@@ -132,12 +144,12 @@ def ahead(
     p: Vector,
     time_us: float,
     to_us: float,
-    switches: tuple[Vector, Vector],
+    switches: Vector,
     model: MotionModel,
 ) -> LayshaftState:
     """The record of a filter's state and covariance at a time, gone on with to another."""
     x, p = x.copy(), p.copy()
-    forecast(x, p, time_us, to_us, switches[0], switches[1], model.motion, model.law, model.noise)
+    forecast(x, p, time_us, to_us, switches, model.flat)
     return state_of(x, p, to_us)
 
 

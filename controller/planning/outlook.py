@@ -18,7 +18,8 @@ from meshpoint.controller.motion.kinematics import slip_rad_s
 from meshpoint.controller.motion.linear_kernels import US, Vector
 from meshpoint.controller.motion.models import LayshaftState, MotionModel, predict, predict_spread
 from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.planning.plan_kernels import course
+from meshpoint.controller.planning.plan_kernels import MEETING, course
+from meshpoint.controller.records import filled
 from meshpoint.gearbox import MainGear
 
 MOST_STEPS = 40
@@ -110,15 +111,21 @@ class GearPredictor:
         offset = -self.references.phase_rad(self.gear, 0.0, 0.0)
         # Against a main shaft slower by the drift, phase and slip drift as they were seen to.
         omega = main.omega_rad_s - self.drift_rad_s
-        motion = (main.time_us, main.theta_rad, omega, main.acceleration_rad_s2)
-        mesh = np.array([self.i_gear, offset, *motion])
-        found = Trajectory(first_us, step_us, np.empty(count), np.empty(count))
-        model = self.model
-        course(
-            state.vector, state.time_us, first_us, step_us, *switches, model.motion, model.law,
-            mesh, found.phase_rad, found.slip_rad_s,
-        )  # fmt: skip
-        return found
+        meeting = filled(
+            MEETING,
+            layshaft_us=state.time_us,
+            first_us=first_us,
+            step_us=step_us,
+            i_gear=self.i_gear,
+            reference_rad=offset,
+            main_us=main.time_us,
+            main_rad=main.theta_rad,
+            main_rad_s=omega,
+            main_rad_s2=main.acceleration_rad_s2,
+        )
+        found = np.empty((2, count))
+        course(state.vector, switches, self.model.flat, meeting, found)
+        return Trajectory(first_us, step_us, found[0], found[1])
 
     def release_time_us(
         self, earliest_us: int, latest_us: int, slip_left_rad_s: float, settle_us: float

@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from meshpoint.controller.calibration.records import DriftRecord, Drifts
+from meshpoint.controller.calibration.learned import DriftRecord, Drifts
 from meshpoint.controller.motion.kinematics import raw_phase_rad
 from meshpoint.controller.planning.outlook import GearPredictor
 from meshpoint.gearbox import MainGear

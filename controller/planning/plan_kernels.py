@@ -19,33 +19,65 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.jit import compiled, inlined
-from meshpoint.controller.motion.kernels import OMEGA, THETA, US, Vector, travel
+from meshpoint.controller.motion.kernels import MODEL, STATE, STATES, US, travel
+from meshpoint.controller.records import WORD, Vector, filled, layout_of
 
-RATIO: Final = 0
-OFFSET: Final = 1
-MAIN_TIME: Final = 2
-MAIN_THETA: Final = 3
-MAIN_OMEGA: Final = 4
-MAIN_ACCELERATION: Final = 5
-"""Indices into the mesh vector: i_gear, phase reference (rad), the main shaft's time (us), angle,
-speed and acceleration then."""
 
-PITCH: Final = 0
-HALF_GAP: Final = 1
-TARGET: Final = 2
-OVERLAP: Final = 3
-DELAY_SD: Final = 4
-MISS: Final = 5
-BLOCK: Final = 6
-BLOCK_SLIP: Final = 7
-ENERGY: Final = 8
-AIM: Final = 9
-SLIP_LOW: Final = 10
-SLIP_HIGH: Final = 11
-TERMS: Final = 12
-"""Indices into the terms of a contact: pitch, b/2 and target (rad); time through the overlap and
-standard deviation of the delay (s); s a miss, s more where it may block and the slip (rad/s) below
-which it does; s for (rad/s)^2 of slip, s for being b/2 off the target; allowed slips (rad/s)."""
+class Meeting:
+    """The gear's two shafts, and the times at which their course is asked for."""
+
+    layshaft_us: float
+    """Time of the layshaft's state."""
+    first_us: float
+    step_us: float
+    i_gear: float
+    reference_rad: float
+    """Phase reference."""
+    main_us: float
+    main_rad: float
+    main_rad_s: float
+    main_rad_s2: float
+    """The main shaft's time, and its angle, speed and acceleration then."""
+
+
+class Contacts:
+    """The contacts of a course: one every step, and what is not known of their phase."""
+
+    wait_s: float
+    """From now to the first."""
+    step_s: float
+    variance_rad2: float
+    """Of the first one's phase, without what the delay adds."""
+    growth_rad2_s: float
+    """By so much it grows a second."""
+
+
+class Terms:
+    """What a contact is judged by."""
+
+    pitch_rad: float
+    half_gap_rad: float
+    target_rad: float
+    overlap_s: float
+    """Time through the overlap."""
+    delay_sd_s: float
+    miss_s: float
+    block_s: float
+    """Price of a miss, and what may be added to it where the tooth may block."""
+    block_slip_rad_s: float
+    """Below this slip it does."""
+    energy_s3_rad2: float
+    """Price of (rad/s)^2 of slip, in seconds."""
+    aim_s: float
+    """Price of being half a gap off the target."""
+    slip_low_rad_s: float
+    slip_high_rad_s: float
+    """Allowed slips."""
+
+
+MEETING: Final = layout_of(Meeting)
+CONTACTS: Final = layout_of(Contacts)
+TERMS: Final = layout_of(Terms)
 
 LEAST_VARIANCE: Final = 1e-10
 OUTSIDE: Final = 10.0
@@ -56,95 +88,93 @@ NODE: Final = 1.7320508075688772
 
 
 @compiled
-def course(
-    x: Vector, t_us: float, first_us: float, step_us: float, switch_us: Vector, switch_u: Vector,
-    motion: Vector, law: Vector, mesh: Vector, phase: Vector, slip: Vector,
-) -> None:  # fmt: skip
-    """Phase (unwrapped) and slip at first_us, first_us + step_us, ...; written to the arrays."""
-    state, at_us = x.copy(), t_us
+def course(x: Vector, switches: Vector, model: Vector, meeting: Vector, found: Vector) -> None:
+    """Phase (unwrapped) and slip at equal steps of time; written to the rows of found (2, n).
+
+    x: the layshaft's `State`; switches and model as for `travel`; meeting: a `Meeting`."""
+    ahead = x.copy()
+    state, mesh = ahead.view(STATE)[0], meeting.view(MEETING)[0]
+    phase, slip = found[0], found[1]
+    at_us = mesh.layshaft_us
     for k in range(phase.shape[0]):
-        time_us = first_us + k * step_us
-        travel(state, at_us, time_us, switch_us, switch_u, motion, law)
+        time_us = mesh.first_us + k * mesh.step_us
+        travel(ahead, at_us, time_us, switches, model)
         at_us = time_us
-        span = (time_us - mesh[MAIN_TIME]) * US
-        gained = span * mesh[MAIN_ACCELERATION]
-        main = mesh[MAIN_THETA] + span * (mesh[MAIN_OMEGA] + 0.5 * gained)
-        phase[k] = mesh[RATIO] * state[THETA] - main - mesh[OFFSET]
-        slip[k] = mesh[RATIO] * state[OMEGA] - mesh[MAIN_OMEGA] - gained
+        span = (time_us - mesh.main_us) * US
+        gained = span * mesh.main_rad_s2
+        main = mesh.main_rad + span * (mesh.main_rad_s + 0.5 * gained)
+        phase[k] = mesh.i_gear * state.theta_rad - main - mesh.reference_rad
+        slip[k] = mesh.i_gear * state.omega_rad_s - mesh.main_rad_s - gained
 
 
 @inlined
-def contact_cost(wait_s: float, phase: float, slip: float, variance: float, terms: Vector) -> float:
+def contact_cost(wait_s: float, phase: float, slip: float, variance: float, terms: Terms) -> float:
     """The cost in seconds; phase unwrapped (rad), slip (rad/s), variance of the phase without what
     the delay adds (rad2)."""
-    half, pitch = terms[HALF_GAP], terms[PITCH]
-    moved = slip * terms[OVERLAP]
-    centre = terms[TARGET] - 0.5 * moved
+    half, pitch = terms.half_gap_rad, terms.pitch_rad
+    moved = slip * terms.overlap_s
+    centre = terms.target_rad - 0.5 * moved
     off = phase - centre
     off -= pitch * math.floor(off / pitch + 0.5)
     at = centre + off
     low, high = -half - min(moved, 0.0), half - max(moved, 0.0)
-    delay = slip * terms[DELAY_SD]
+    delay = slip * terms.delay_sd_s
     root = math.sqrt(2.0 * (variance + delay * delay + LEAST_VARIANCE))
     hit = 0.0
     if high > low:
         hit = 0.5 * (math.erf((high - at) / root) - math.erf((low - at) / root))
     size = abs(slip)
-    miss = terms[MISS] + terms[BLOCK] * min(1.0, terms[BLOCK_SLIP] / max(size, 1e-6))
-    cost = wait_s + (1.0 - hit) * miss + terms[ENERGY] * slip * slip
-    cost += terms[AIM] * (off / half) ** 2
-    if slip > terms[SLIP_HIGH]:
-        cost += OUTSIDE * (1.0 + slip - terms[SLIP_HIGH])
-    elif slip < terms[SLIP_LOW]:
-        cost += OUTSIDE * (1.0 + terms[SLIP_LOW] - slip)
+    miss = terms.miss_s + terms.block_s * min(1.0, terms.block_slip_rad_s / max(size, 1e-6))
+    cost = wait_s + (1.0 - hit) * miss + terms.energy_s3_rad2 * slip * slip
+    cost += terms.aim_s * (off / half) ** 2
+    if slip > terms.slip_high_rad_s:
+        cost += OUTSIDE * (1.0 + slip - terms.slip_high_rad_s)
+    elif slip < terms.slip_low_rad_s:
+        cost += OUTSIDE * (1.0 + terms.slip_low_rad_s - slip)
     return float(cost)
 
 
 @compiled
 def cheapest(
-    wait_s: float, step_s: float, phase: Vector, slip: Vector, shift: float, variance: float,
-    growth: float, terms: Vector,
-) -> tuple[int, float]:  # fmt: skip
-    """Index and cost of the cheapest contact of a course; the first is `wait_s` from now.
+    phase: Vector, slip: Vector, contacts: Vector, terms: Vector, shift_rad: float
+) -> tuple[int, float]:
+    """Index and cost of the cheapest contact of a course: phase and slip at each of its `Contacts`.
 
-    shift is added to the phase; its variance (rad2) grows by `growth` a second. Contacts below the
-    allowed slips are looked at only where there is none before."""
+    shift_rad is added to the phase; terms: `Terms`. Contacts below the allowed slips are looked at
+    only where there is none before."""
+    series, price = contacts.view(CONTACTS)[0], terms.view(TERMS)[0]
     best, least = 0, math.inf
     for k in range(phase.shape[0]):
-        later = k * step_s
-        cost = contact_cost(
-            wait_s + later, phase[k] + shift, slip[k], variance + growth * later, terms
-        )
+        later = k * series.step_s
+        variance = series.variance_rad2 + series.growth_rad2_s * later
+        cost = contact_cost(series.wait_s + later, phase[k] + shift_rad, slip[k], variance, price)
         if cost < least:
             best, least = k, cost
-        if slip[k] < terms[SLIP_LOW]:
+        if slip[k] < price.slip_low_rad_s:
             break
     return best, least
 
 
 @compiled
 def expected_least(
-    wait_s: float, step_s: float, phase: Vector, slip: Vector, spread: float, variance: float,
-    growth: float, terms: Vector,
-) -> tuple[int, float]:  # fmt: skip
+    phase: Vector, slip: Vector, contacts: Vector, terms: Vector, spread_rad: float
+) -> tuple[int, float]:
     """Expected cost of a course whose contact is chosen later, when a part of today's doubt
-    (`spread`, rad) will be gone; and the index that would be chosen today."""
-    best, least = cheapest(wait_s, step_s, phase, slip, 0.0, variance, growth, terms)
+    (`spread_rad`) will be gone; and the index that would be chosen today."""
+    best, least = cheapest(phase, slip, contacts, terms, 0.0)
     total = least * 2.0 / 3.0
     for sign in (-1.0, 1.0):
-        _, cost = cheapest(
-            wait_s, step_s, phase, slip, sign * NODE * spread, variance, growth, terms
-        )
+        _, cost = cheapest(phase, slip, contacts, terms, sign * NODE * spread_rad)
         total += cost / 6.0
     return best, total
 
 
 def warm_up() -> None:
     """Compiles all, or loads what was compiled before."""
-    one, mesh, terms = np.ones(1), np.ones(6), np.ones(TERMS)
-    law = np.full((2, 6, 3), np.inf)
-    law[:, :, 1:] = 1.0
-    law[:, 0, 0] = -np.inf
-    none = np.empty(0)
-    course(np.ones(6), 0.0, 1.0, 1.0, none, none, np.ones(3), law, mesh, one.copy(), one.copy())
-    expected_least(0.0, 1.0, one, one, 0.1, 0.1, 0.1, terms)
+    model = np.ones(MODEL.itemsize // WORD)
+    law = model.view(MODEL)["segments"]
+    law[..., 0], law[0, :, 0, 0] = np.inf, -np.inf
+    meeting = np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    course(np.ones(STATES), np.empty((2, 0)), model, meeting, np.empty((2, 1)))
+    contacts = filled(CONTACTS, wait_s=0.0, step_s=1.0, variance_rad2=0.1, growth_rad2_s=0.1)
+    expected_least(np.ones(1), np.ones(1), contacts, np.ones(TERMS.itemsize // WORD), 0.1)

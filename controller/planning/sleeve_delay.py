@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from meshpoint.controller.calibration.records import SleeveRecord, Sleeves
+from meshpoint.controller.calibration.learned import SleeveRecord, Sleeves
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
 

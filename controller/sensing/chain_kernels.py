@@ -6,26 +6,45 @@ Compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
 from __future__ import annotations
 
 import struct
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshpoint.controller.jit import bare, compiled
+from meshpoint.controller.records import WORD, Integers, Vector, layout_of
 
-Integers = NDArray[np.int64]
-Floats = NDArray[np.float64]
-
-INDEX: Final = 0
-"""Indices into a chain: running number of the newest edge, unwrapped; its sensor time in us,
-meaningless before the chain has started; whether it has started; the last of the edges after
-power-up that may lie wrong."""
-TIME: Final = 1
-STARTED: Final = 2
-UNTIL: Final = 3
-CHAIN: Final = 4
-BROKEN: Final = -1
 STAMPS: Final = 27
+BROKEN: Final = -1
+
+
+class Chain:
+    """One polarity's edges over all frames: the newest frame, then what is known before it."""
+
+    newest_index: int
+    """Running number of the frame's newest edge, 16 bits."""
+    valid: int
+    """How many of its times are those of edges."""
+    long_interval: int
+    """1: an interval is too long to be chained."""
+    stopped: int
+    """1: the newest edge is too old to be placed."""
+    read_us: int
+    """When the frame was read, unwrapped."""
+    low_us: Annotated[Integers, STAMPS]
+    """Low 16 bits of the edges' times, newest first."""
+    index: int
+    """Running number of the newest edge, unwrapped."""
+    time_us: int
+    """Its sensor time; without a meaning before the chain has started."""
+    started: int
+    wrong_until: int
+    """The last of the edges after power-up that may lie wrong."""
+
+
+CHAIN: Final = layout_of(Chain)
+CHAIN_WORDS: Final = CHAIN.itemsize // WORD
+pack_frame: Final = struct.Struct(f"={5 + STAMPS}q").pack_into
+"""The fields of a frame into a `Chain`, from its first byte on."""
 pack_stamps: Final = struct.Struct(f"={STAMPS}q").pack_into
 """A tuple of them gets into an array fastest through the bytes that the array stands on."""
 FIRST_WRONG: Final = 9
@@ -56,65 +75,55 @@ def newest_teeth(low: Integers, valid: int) -> tuple[int, int]:
 
 
 @compiled
-def chain_edges(
-    low: Integers,
-    newest_index: int,
-    valid: int,
-    long_interval: bool,
-    stopped: bool,
-    read_us: int,
-    chain: Integers,
-    numbers: Integers,
-    times_us: Integers,
-    count: int,
-) -> int:
+def chain_edges(memory: Vector, edges: Integers, count: int) -> int:
     """Appends the edges since the last frame, oldest first, behind the first `count`.
 
-    low: low 16 bits of the newest `valid` edge times, newest first; read_us: when the frame was
-    read, unwrapped; chain (CHAIN,) is moved on. The first edges after power-up are left out: a
-    frame that is not full shows that the sensor has just begun to count. Returns the new count, or
-    BROKEN when numbers before and after cannot be tied together: the wheel stood still, or more
-    edges came than a frame holds.
+    memory: a `Chain` with the new frame, moved on; edges (2, n): their running numbers and times.
+    The first edges after power-up are left out: a frame that is not full shows that the sensor has
+    just begun to count. Returns the new count, or BROKEN when numbers before and after cannot be
+    tied together: the wheel stood still, or more edges came than a frame holds.
     """
+    chain = memory.view(CHAIN)[0]
+    low, valid, newest_index, read_us = chain.low_us, chain.valid, chain.newest_index, chain.read_us
     if valid == 0:
         return count
-    fresh = (newest_index - chain[INDEX]) & 0xFFFF
-    if chain[STARTED] == 0:
+    fresh = (newest_index - chain.index) & 0xFFFF
+    if chain.started == 0:
         # With a long interval in the array only the newest edge can be placed.
-        fresh = 1 if long_interval else valid
-        chain[INDEX] = newest_index - fresh
-        chain[UNTIL] = newest_index - valid + (FIRST_WRONG if valid < STAMPS else 0)
+        fresh = 1 if chain.long_interval == 1 else valid
+        chain.index = newest_index - fresh
+        chain.wrong_until = newest_index - valid + (FIRST_WRONG if valid < STAMPS else 0)
     if fresh == 0:
         return count
-    tied = not stopped and fresh <= valid
+    tied = chain.stopped == 0 and fresh <= valid
     if tied:
         time_us = read_us - ((read_us - low[0]) & 0xFFFF)
-        number = chain[INDEX] + fresh
+        number = chain.index + fresh
         newest_us = time_us
-        kept = min(fresh, max(number - chain[UNTIL], 0))
+        kept = min(fresh, max(number - chain.wrong_until, 0))
         for k in range(fresh):
             if k > 0:
                 time_us -= (low[k - 1] - low[k]) & 0xFFFF
             if k < kept:
-                numbers[count + kept - 1 - k] = number - k
-                times_us[count + kept - 1 - k] = time_us
-        if chain[STARTED] == 1:
+                edges[0, count + kept - 1 - k] = number - k
+                edges[1, count + kept - 1 - k] = time_us
+        if chain.started == 1:
             # The edge before the oldest new one is known already: the chain must lead to it.
             if fresh < valid:
-                tied = time_us - ((low[fresh - 1] - low[fresh]) & 0xFFFF) == chain[TIME]
+                tied = time_us - ((low[fresh - 1] - low[fresh]) & 0xFFFF) == chain.time_us
             else:
-                tied = not long_interval
+                tied = chain.long_interval == 0
     if not tied:
-        had_begun = chain[STARTED] == 1
-        chain[INDEX], chain[TIME], chain[STARTED] = 0, read_us, 0
+        had_begun = chain.started == 1
+        chain.index, chain.time_us, chain.started = 0, read_us, 0
         # A wheel that has not begun to count has nothing to lose.
         return BROKEN if had_begun else count
-    chain[INDEX], chain[TIME], chain[STARTED] = number, newest_us, 1
+    chain.index, chain.time_us, chain.started = number, newest_us, 1
     return int(count + kept)
 
 
 def warm_up() -> None:
     """Compiles it, or loads what was compiled before."""
-    low, chain, room = np.zeros(1, np.int64), np.zeros(CHAIN, np.int64), np.zeros(1, np.int64)
-    chain_edges(low, 1, 1, False, False, 1, chain, room, room, 0)
-    newest_teeth(low, 1)
+    chain, room = np.zeros(CHAIN_WORDS), np.zeros((2, STAMPS), np.int64)
+    chain_edges(chain, room, 0)
+    newest_teeth(np.zeros(STAMPS, np.int64), 1)

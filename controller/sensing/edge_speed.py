@@ -11,7 +11,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.sensing.chain_kernels import STAMPS, Integers, newest_teeth, pack_stamps
+from meshpoint.controller.records import Integers
+from meshpoint.controller.sensing.chain_kernels import STAMPS, newest_teeth, pack_stamps
 from meshpoint.controller.sensing.wheel_edges import EdgeFrame
 
 DEAD_US: Final = 20_000

@@ -1,76 +1,88 @@
-"""The state of the edge gate (`edge_gate`), row by row, and what tunes it.
-
-Two arrays hold a gate: counts (COUNTS,) int64 and quantities (QUANTITIES,) float64. A name here is
-the place of one of them, or a bound that the gate's kernels share.
-"""
+"""The record of the edge gate (`edge_gate`), and what tunes it."""
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Annotated, Final
 
-# --- the counts of a gate, int64 --------------------------------------------------------------
-MODE: Final = 0
-TIME: Final = 1
-"""Sensor time of the last edge that got a tooth, us, and its tooth."""
-TOOTH: Final = 2
-LAST: Final = 3
-"""+ polarity: tooth of its last edge."""
-NEXT: Final = 5
-"""+ polarity: the first of its edges that is not used up."""
-REJECTED: Final = 7
-"""Edges without a tooth since the last one with."""
-SLOT: Final = 8
-"""The tooth that `judge` sees in an edge."""
-GUESS: Final = 9
-"""In doubt: the tooth that the newest rising edge has if the count is right."""
-GAPS: Final = 10
-"""Gaps seen since the search for the pattern of missing teeth began."""
-GAP_HITS: Final = 11
-"""Edges where the wheel has no tooth, since the last rising edge."""
-EXTRA: Final = 12
-"""How many edges were left out, were missing, how often the tooth was in doubt and was lost."""
-MISSED: Final = 13
-DOUBTS: Final = 14
-LOST: Final = 15
-FOUND_US: Final = 16
-"""When teeth were first numbered; 0 before."""
-FALLING: Final = 17
-"""Polarity of the last edge with a tooth."""
-STOPS: Final = 18
-"""How often of LOST the wheel was slow or stood."""
-SEARCHED: Final = 19
-"""Pitches since the search began."""
-WIDEST: Final = 20
-"""The widest gap of the wheel, pitches."""
-DRAGGED: Final = 21
-"""1 while a synchroniser drags the shaft to another speed: none tells where an edge is due then, so
-each edge is taken for the next one."""
-COUNTS: Final = 22
+import numpy as np
+
+from meshpoint.controller.records import Integers, Memory, layout_of
 
 SEEKING, SEARCHING, COUNTING = range(3)
 """Modes: no steady speed yet; a speed, but not yet the place of the missing teeth; each edge gets
 its tooth."""
+NONE, RIGHT, WRONG, GAP, DOUBT, GONE = range(6)
+"""What an edge is: not there yet; one with a tooth; extra; one behind a gap; doubtful, unless it
+has the tooth in `guess`; or the first after a stop."""
 UNKNOWN: Final = -(1 << 62)
 
-# --- its quantities, float64 --------------------------------------------------------------------
-RATE: Final = 0
-"""Pitches a microsecond."""
-LAG: Final = 1
-"""Filtered angle less that of the last edge, pitches."""
-AT: Final = 2
-"""Place of the last edge in its pitch: 0 rising, the duty falling."""
-DUTY: Final = 3
-SCATTER: Final = 4
-"""Mean distance of edges from where they were expected, pitches."""
-ERROR: Final = 5
-"""Of the edge that is judged, against its slot, pitches."""
-LEAST_RATE: Final = 6
-"""Below it the wheel may stand still within three pitches."""
-BEND: Final = 7
-"""Half the largest acceleration, pitches/us^2."""
-MOST_RATE: Final = 8
-"""Edges that come faster are noise."""
-QUANTITIES: Final = 9
+
+class Gate:
+    """State and wheel of an edge gate. Angles are in pitches; arrays of two hold one figure for
+    rising and one for falling edges."""
+
+    mode: int
+    time_us: int
+    tooth: int
+    """Sensor time of the last edge that got a tooth, and its tooth."""
+    falling: int
+    """Polarity of that edge."""
+    last: Annotated[Integers, 2]
+    """Tooth of each polarity's last edge."""
+    given: Annotated[Integers, 2]
+    """How many edges there are to be judged."""
+    used: Annotated[Integers, 2]
+    """How many of them are used up."""
+    rejected: int
+    """Edges without a tooth since the last one with."""
+    slot: int
+    """The tooth that `judge` sees in an edge."""
+    guess: int
+    """In doubt: the tooth that the newest rising edge has if the count is right."""
+    gaps: int
+    """Gaps seen since the search for the pattern of missing teeth began."""
+    searched: int
+    """Pitches since then."""
+    gap_hits: int
+    """Edges where the wheel has no tooth, since the last rising edge."""
+    extra: int
+    missed: int
+    doubts: int
+    lost: int
+    """How many edges were left out, were missing, how often the tooth was in doubt and was lost."""
+    stops: int
+    """How often of `lost` the wheel was slow or stood."""
+    found_us: int
+    """When teeth were first numbered; 0 before."""
+    dragged: int
+    """1 while a synchroniser drags the shaft to another speed: none tells where an edge is due
+    then, so each edge is taken for the next one."""
+    widest: int
+    """The widest gap of the wheel."""
+    rate_per_us: float
+    """Pitches a microsecond."""
+    lag: float
+    """Filtered angle less that of the last edge."""
+    at: float
+    """Place of the last edge in its pitch: 0 rising, the duty falling."""
+    duty: float
+    """Measured."""
+    scatter: float
+    """Mean distance of edges from where they were expected."""
+    error: float
+    """Of the edge that is judged, against its slot."""
+    least_rate_per_us: float
+    """Below it the wheel may stand still within three pitches."""
+    most_rate_per_us: float
+    """Edges that come faster are noise."""
+    bend_per_us2: float
+    """Half the largest acceleration."""
+    duty_share: float
+    """Of the data sheet."""
+    pitch_rad: float
+
+
+GATE: Final = layout_of(Gate)
 
 MOST_RAD_S: Final = 630.0
 """6,000 rpm, what a data sheet allows."""
@@ -104,3 +116,57 @@ CLEAN, WIDER, ERRATIC, TWO_TEETH = 0.04, 6.0, 0.1, 0.6
 """From this scatter on an edge may be further off; above the third a whole wheel has no
 count. On an erratic wheel edges so far apart (pitches) may be those of two teeth."""
 DUTY_SHARE: Final = 0.02
+
+
+class GateMemory(Memory):
+    """A gate's record, and those of its parts that are asked for often; all are views."""
+
+    def __init__(self) -> None:
+        super().__init__(GATE)
+
+    def _name_parts(self) -> None:
+        self.mode, self.time_us, self.last = (
+            self.part("mode"),
+            self.part("time_us"),
+            self.part("last"),
+        )
+        self.given, self.used = self.part("given"), self.part("used")
+        self.extra, self.lost = self.part("extra"), self.part("lost")
+        self.rate_per_us = self.part("rate_per_us")
+
+    def forget(self) -> None:
+        """Teeth are not numbered any more, and that is known already."""
+        self.mode[0], self.part("guess")[0], self.part("rejected")[0] = SEEKING, UNKNOWN, 0
+
+
+def teeth_of(teeth: int, missing: tuple[int, ...]) -> Integers:
+    """What the gate knows of a wheel's teeth (2, n): pitches from each to the next, 0 where there
+    is none, one entry for a whole wheel; and a row for `edge_search.search` to work with."""
+    if not missing:
+        return np.array([[1], [0]])
+    rows = np.zeros((2, teeth), np.int64)
+    present = sorted(set(range(teeth)) - set(missing))
+    following = [*present[1:], present[0] + teeth]
+    rows[0, present] = np.array(following) - np.array(present)
+    return rows
+
+
+def new_gate(
+    pitch_rad: float, duty_share: float, most_rad_s2: float, stopping_rad_s2: float, widest: int
+) -> GateMemory:
+    """The gate of a wheel not seen yet; the bounds are those of its acceleration, and of the one
+    with which it may come to a stop; widest: its widest gap, pitches."""
+    memory = GateMemory()
+    values = {
+        "guess": UNKNOWN,
+        "widest": widest,
+        # At omega^2 = 6 a pitch it takes three pitches to stop.
+        "least_rate_per_us": np.sqrt(6.0 * stopping_rad_s2 / pitch_rad) * 1e-6,
+        "most_rate_per_us": MOST_RAD_S / pitch_rad * 1e-6,
+        "bend_per_us2": 0.5 * most_rad_s2 / pitch_rad * 1e-12,
+        "duty_share": duty_share,
+        "pitch_rad": pitch_rad,
+    }
+    for name, value in values.items():
+        memory.part(name)[0] = value
+    return memory

@@ -12,17 +12,16 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from meshpoint.controller.motion.linear_kernels import Vector
-from meshpoint.controller.sensing import gate_kernels as edge_gate
-from meshpoint.controller.sensing import gate_layout as edge_layout
+from meshpoint.controller.records import Integers, Memory, Vector
 from meshpoint.controller.sensing.chain_kernels import (
     BROKEN,
     CHAIN,
     STAMPS,
-    Integers,
     chain_edges,
-    pack_stamps,
+    pack_frame,
 )
+from meshpoint.controller.sensing.gate_kernels import gate_edges, stand
+from meshpoint.controller.sensing.gate_layout import COUNTING, new_gate, teeth_of
 from meshpoint.controller.sensing.sensor_clock import SensorClock
 from meshpoint.controller.sensing.sensor_count import SensorCount
 from meshpoint.gearbox.sheet import Wheel
@@ -106,19 +105,17 @@ class Polarity:
     """One polarity of a wheel: the chain of its frames, and the edges of this step."""
 
     def __init__(self) -> None:
-        self._chain: Integers = np.zeros(CHAIN, np.int64)
-        self._low: Integers = np.zeros(STAMPS, np.int64)
-        self.numbers: Integers = np.empty(_ROOM, np.int64)
-        self.times_us: Integers = np.empty(_ROOM, np.int64)
+        self._chain = Memory(CHAIN)
+        self.rows: Integers = np.empty((2, _ROOM), np.int64)
+        """Running numbers and times (us) of edges."""
         self.count = 0
-        """How many of `numbers` and `times_us` are edges not used yet, oldest first."""
+        """How many of them are not used yet, oldest first."""
 
     def use(self, used: int) -> None:
         """The first `used` edges are done with; the others stay for the next step."""
         left = self.count - used
         if left and used:
-            self.numbers[:left] = self.numbers[used : self.count].copy()
-            self.times_us[:left] = self.times_us[used : self.count].copy()
+            self.rows[:, :left] = self.rows[:, used : self.count].copy()
         self.count = left
 
     def take(self, frame: EdgeFrame, read_us: int) -> bool:
@@ -126,22 +123,20 @@ class Polarity:
 
         False when the chain is broken: the wheel stood still or more edges came than one frame
         holds. The other polarity may still know the wheel's tooth numbers."""
-        if self.count + STAMPS > self.numbers.size:
-            self.numbers = np.resize(self.numbers, 2 * self.numbers.size)
-            self.times_us = np.resize(self.times_us, 2 * self.times_us.size)
-        pack_stamps(self._low.data, 0, *frame.timestamp_low_us)
-        count = chain_edges(
-            self._low,
+        if self.count + STAMPS > self.rows.shape[1]:
+            self.rows = np.concatenate((self.rows, np.empty_like(self.rows)), axis=1)
+        chain = self._chain.flat
+        pack_frame(
+            chain.data,
+            0,
             frame.newest_index,
             frame.valid_stamps,
             frame.long_interval,
             frame.stopped,
             read_us,
-            self._chain,
-            self.numbers,
-            self.times_us,
-            self.count,
+            *frame.timestamp_low_us,
         )
+        count = chain_edges(chain, self.rows, self.count)
         if count == BROKEN:
             return False
         self.count = count
@@ -149,8 +144,8 @@ class Polarity:
 
     def edges(self) -> list[tuple[int, int]]:
         """The edges not used yet as (number, time)."""
-        n = self.count
-        return list(zip(self.numbers[:n].tolist(), self.times_us[:n].tolist(), strict=True))
+        numbers, times_us = self.rows[:, : self.count].tolist()
+        return list(zip(numbers, times_us, strict=True))
 
 
 class WheelEdges:
@@ -169,16 +164,13 @@ class WheelEdges:
         stopping_rad_s2: float = MOST_RAD_S2,
     ) -> None:
         self.pitch_rad = 2.0 * np.pi / teeth
-        self._duty_share = duty_share
-        self._advance = edge_gate.advances(teeth, missing)
-        self._candidates = np.zeros_like(self._advance)
+        self._teeth = teeth_of(teeth, missing)
         self._rise, self._fall = Polarity(), Polarity()
-        self._counts, self._floats = edge_gate.new_state(
-            self.pitch_rad, MOST_RAD_S2, stopping_rad_s2, self._advance
-        )
+        widest = int(self._teeth[0].max())
+        self._gate = new_gate(self.pitch_rad, duty_share, MOST_RAD_S2, stopping_rad_s2, widest)
         self.sensor = SensorCount(
-            float(self._floats[edge_layout.BEND]),
-            float(self._floats[edge_layout.LEAST_RATE]),
+            self._gate.part("bend_per_us2").item(),
+            self._gate.part("least_rate_per_us").item(),
             not missing,
         )
         self.broken = 0
@@ -195,25 +187,25 @@ class WheelEdges:
     @property
     def health(self) -> EdgeHealth:
         """What was wrong with this wheel's edges since power-up."""
-        c = self._counts
+        gate = self._gate
         return EdgeHealth(
-            int(c[edge_layout.EXTRA]),
-            int(c[edge_layout.MISSED]),
-            int(c[edge_layout.DOUBTS]),
-            int(c[edge_layout.STOPS]),
-            bool(c[edge_layout.MODE] == edge_layout.COUNTING),
+            gate.extra.item(),
+            gate.part("missed").item(),
+            gate.part("doubts").item(),
+            gate.part("stops").item(),
+            gate.mode.item() == COUNTING,
         )
 
     def set_dragged(self, dragged: bool) -> None:
         """Whether a synchroniser may be dragging the shaft to another speed."""
-        self._counts[edge_layout.DRAGGED] = int(dragged)
+        self._gate.part("dragged")[0] = dragged
         if dragged:
             self.sensor.dragged()
 
     def restart(self) -> None:
         """Forgets all numbers: the sensor side has restarted."""
         self._rise, self._fall = Polarity(), Polarity()
-        edge_gate.forget(self._counts)
+        self._gate.forget()
         self.sensor.restart()
         self.newest = None
         self.broken += 1
@@ -233,57 +225,37 @@ class WheelEdges:
             clock.restart()
             self.extra_us = NO_EDGES.tooth
             return NO_EDGES
-        counts = self._counts
-        lost = int(counts[edge_layout.LOST])
-        batch = self._gate(risen, fallen)
-        if read_us - counts[edge_layout.TIME] > LONGEST_US:
-            counts[edge_layout.STOPS] += edge_gate.lose(counts)
-        if counts[edge_layout.LOST] > lost:
-            self.broken += int(counts[edge_layout.LOST]) - lost
+        gate = self._gate
+        lost = gate.lost.item()
+        batch = self._judge(risen, fallen)
+        if read_us - gate.time_us.item() > LONGEST_US:
+            stand(gate.flat)
+        lost_now = gate.lost.item() - lost
+        if lost_now > 0:
+            self.broken += lost_now
             self.newest = None
             self.sensor.lost()
-        if batch.time_us.size and counts[edge_layout.MODE] == edge_layout.COUNTING:
+        if batch.time_us.size and gate.mode.item() == COUNTING:
             self.sensor.counting(
-                int(counts[edge_layout.LAST]),
-                risen.count,
-                int(counts[edge_layout.TIME]),
-                float(self._floats[edge_layout.RATE]),
+                gate.last.item(0), risen.count, gate.time_us.item(), gate.rate_per_us.item()
             )
             self.newest = Edge(int(batch.time_us[-1]), float(batch.theta_rad[-1]))
         return batch
 
-    def _gate(self, risen: Polarity, fallen: Polarity) -> EdgeBatch:
+    def _judge(self, risen: Polarity, fallen: Polarity) -> EdgeBatch:
         room = risen.count + fallen.count
         if room == 0:
             self.extra_us = NO_EDGES.tooth
             return NO_EDGES
-        edge_us, edge_rad = np.empty(room), np.empty(room)
-        tooth, falling = np.empty(room, np.int64), np.empty(room, np.int64)
-        extra_us = np.empty(room, np.int64)
-        counts = self._counts
-        extra = int(counts[edge_layout.EXTRA])
-        n = edge_gate.gate_edges(
-            counts,
-            self._floats,
-            self._advance,
-            self._candidates,
-            risen.numbers,
-            risen.times_us,
-            risen.count,
-            fallen.times_us,
-            fallen.count,
-            self._duty_share,
-            self.pitch_rad,
-            edge_us,
-            edge_rad,
-            tooth,
-            falling,
-            extra_us,
-        )
-        risen.use(int(counts[edge_layout.NEXT]))
-        fallen.use(int(counts[edge_layout.NEXT + 1]))
-        self.extra_us = extra_us[: counts[edge_layout.EXTRA] - extra]
-        return _new(EdgeBatch, (edge_us[:n], edge_rad[:n], tooth[:n], falling[:n]))
+        gate = self._gate
+        gate.given[0], gate.given[1] = risen.count, fallen.count
+        edges, numbers = np.empty((2, room)), np.empty((3, room), np.int64)
+        extra = gate.extra.item()
+        n = gate_edges(gate.flat, self._teeth, risen.rows, fallen.rows, edges, numbers)
+        risen.use(gate.used.item(0))
+        fallen.use(gate.used.item(1))
+        self.extra_us = numbers[2, : gate.extra.item() - extra]
+        return _new(EdgeBatch, (edges[0, :n], edges[1, :n], numbers[0, :n], numbers[1, :n]))
 
     def _take(
         self,

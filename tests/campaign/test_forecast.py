@@ -45,11 +45,10 @@ def test_one_time_alone_is_forecast_as_among_many(
     # whole steps of 20 ms: each brake command of its own is a plant run of its own
     on_us = start_us + 1_000.0 * round(on_ms / 20.0) * 20
     release_us = on_us + 1_000.0 * braked_ms
-    times = np.array([on_us, release_us]) if is_released else np.array([release_us])
-    states = np.array([1.0, 0.0]) if is_released else np.array([0.0])
+    brake = np.array([[on_us, release_us], [1.0, 0.0]] if is_released else [[release_us], [0.0]])
     at_us = max(start_us, release_us + 1_000.0 * after_ms)
-    many = ahead.course(times, states, np.array([at_us, at_us + 5_000.0]), True)
-    assert ahead.after_release(times, states, at_us) == (many[0][0], many[1][0])
+    many = ahead.course(brake, np.array([at_us, at_us + 5_000.0]), True)
+    assert ahead.after_release(brake, at_us) == (many[0][0], many[1][0])
 
 
 @pytest.mark.parametrize("on_ms", [0.0, 120.0, 600.0])

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from loop_bench import SHEET, Loop
 
-from meshpoint.controller.calibration.records import Calibration, read_calibration
+from meshpoint.controller.calibration.learned import Calibration, read_calibration
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import new_header
 from meshpoint.dbc.frame import Frame

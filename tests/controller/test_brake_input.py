@@ -7,12 +7,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.linear_kernels import Vector
+from meshpoint.controller.records import Vector
 
 DELAY_US = 12_000
 
 
-def u_at(switches: tuple[Vector, Vector], time_us: float) -> float:
+def u_at(switches: Vector, time_us: float) -> float:
     times, states = switches
     held = states[times <= time_us]
     return float(held[-1]) if held.size else 0.0
@@ -72,10 +72,3 @@ def test_a_planned_release_can_be_moved_either_way() -> None:
         moved = brake.with_release(release_us)
         assert u_at(moved, release_us + DELAY_US - 1) == 1.0
         assert u_at(moved, release_us + DELAY_US) == 0.0
-
-
-def test_what_is_planned_can_be_taken_back() -> None:
-    brake = BrakeInput(DELAY_US)
-    brake.schedule(100_000, True, 50_000)
-    brake.cancel_pending(60_000)
-    assert brake.arrays()[0].size == 0

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.calibration.file import MOST_KEPT, SIZE_LIMIT_BYTES, load, read_file, save
-from meshpoint.controller.calibration.records import (
+from meshpoint.controller.calibration.learned import (
     BrakeRecord,
     Calibration,
     CalibrationError,

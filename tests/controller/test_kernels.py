@@ -17,7 +17,16 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
-from meshpoint.controller.motion.linear_kernels import cruise_filter, hold, propagate, thesis_filter
+from meshpoint.controller.motion.linear_kernels import (
+    CRUISE_FILTER,
+    HOLD_WORDS,
+    THESIS_FILTER,
+    cruise_filter,
+    hold,
+    propagate,
+    thesis_filter,
+)
+from meshpoint.controller.records import Memory
 
 # Pressure in units of the supply (K = 1), so that g is the full braking in rad/s2 and expm, whose
 # error is relative to the largest element, is a fair judge of every element.
@@ -50,10 +59,10 @@ def held(a: float, b: float, g: float, k: float, dt: float) -> tuple[np.ndarray,
 
 
 def ours(a: float, b: float, g: float, k: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    phi, gamma = np.empty(5), np.empty(3)
-    hold(dt, np.array([a, b, g, k]), phi, gamma)
-    f01, f02, f11, f12, f22 = phi
-    return np.array([[1.0, f01, f02], [0.0, f11, f12], [0.0, 0.0, f22]]), gamma
+    found = np.empty(HOLD_WORDS)
+    hold(dt, np.array([a, b, g, k]), found)
+    f01, f02, f11, f12, f22 = found[:5]
+    return np.array([[1.0, f01, f02], [0.0, f11, f12], [0.0, 0.0, f22]]), found[5:]
 
 
 def assert_same_hold(a: float, b: float, g: float, dt: float, relative: float) -> None:
@@ -112,7 +121,8 @@ def test_propagation_through_brake_switches_solves_the_equations(
     switch_us = np.array(sorted(switches), dtype=float)
     switch_u = np.array([float((i % 2 == 0) == first) for i in range(len(switches))])
     state = np.array(x)
-    propagate(state, 0.0, float(horizon_us), switch_us, switch_u, np.array([a, b, g, 1.0]))
+    switches_now = np.array((switch_us, switch_u))
+    propagate(state, 0.0, float(horizon_us), switches_now, np.array([a, b, g, 1.0]))
 
     stops = [0.0, *[t for t in switch_us if 0.0 < t < horizon_us], float(horizon_us)]
     solved = np.array(x)
@@ -141,12 +151,12 @@ def test_two_short_holds_are_one_long_hold(
 ) -> None:
     """A prediction does not depend on where it is cut."""
     model = np.array([a, b, 300.0, 1.0])
-    switches = np.array([-1e4, float(switch_us)]), np.array([1.0, 0.0])
+    switches = np.array([[-1e4, float(switch_us)], [1.0, 0.0]])
     whole, cut = np.array([1.0, 140.0, 0.3]), np.array([1.0, 140.0, 0.3])
-    propagate(whole, 0.0, float(sum(parts)), *switches, model)
+    propagate(whole, 0.0, float(sum(parts)), switches, model)
     at = 0.0
     for part in parts:
-        propagate(cut, at, at + part, *switches, model)
+        propagate(cut, at, at + part, switches, model)
         at += part
     assert np.allclose(whole, cut, rtol=1e-9, atol=1e-9)
 
@@ -193,6 +203,14 @@ def braked_edges(model: np.ndarray, on_us: float, off_us: float) -> tuple[np.nda
     return np.interp(angles, path.y[0], path.t) * 1e6, angles
 
 
+def thesis_memory(x: np.ndarray, model: np.ndarray) -> tuple[Memory, np.ndarray, np.ndarray]:
+    """A filter in this state at time 0; and views of its state and covariance."""
+    memory = Memory(THESIS_FILTER)
+    memory.part("x")[:], memory.part("p")[:] = x, START_P
+    memory.part("model")[:], memory.part("w")[:], memory.part("r_rad2")[0] = model, NOISE, R
+    return memory, memory.part("x"), memory.part("p")
+
+
 @pytest.mark.parametrize("a", [0.0, 0.29])
 @pytest.mark.parametrize("batch", [1, 7, 1000])
 def test_the_filter_is_the_one_of_the_thesis(a: float, batch: int) -> None:
@@ -201,8 +219,8 @@ def test_the_filter_is_the_one_of_the_thesis(a: float, batch: int) -> None:
     switch_us, switch_u = np.array([40_000.5, 171_234.0]), np.array([1.0, 0.0])
     times, angles = braked_edges(model, *switch_us)
     times = np.round(times + np.random.default_rng(5).normal(0.0, 5.0, times.size))
-    x, p = np.array([0.02, 140.0, 0.1]), START_P.copy()
-    thesis, at_us = Thesis(x, p, model), 0.0
+    memory, x, p = thesis_memory(np.array([0.02, 140.0, 0.1]), model)
+    thesis, at_us = Thesis(x.copy(), p.copy(), model), 0.0
     events = [(t, None, u) for t, u in zip(switch_us, switch_u, strict=True)]
     events += [(t, y, None) for t, y in zip(times, angles, strict=True)]
     u_now = 0.0
@@ -214,15 +232,13 @@ def test_the_filter_is_the_one_of_the_thesis(a: float, batch: int) -> None:
         else:
             thesis.update(y, R)
 
-    reached = 0.0
+    switches = np.array((switch_us, switch_u))
     for start in range(0, times.size, batch):
         cut = slice(start, start + batch)
-        reached = thesis_filter(
-            x, p, reached, times[cut], angles[cut], switch_us, switch_u, model, NOISE, R
-        )
+        thesis_filter(memory.flat, times[cut], angles[cut], switches)
         assert np.allclose(p, p.T, rtol=1e-12, atol=0.0)
         assert np.linalg.eigvalsh(p).min() > -1e-12 * np.trace(p)
-    assert reached == times[-1]
+    assert memory.part("time_us")[0] == times[-1]
     assert np.allclose(x, thesis.x.ravel(), rtol=1e-8, atol=1e-8)
     assert np.allclose(p, thesis.p, rtol=1e-6, atol=1e-12)
     assert abs(x[1] - np.gradient(angles, times * US)[-5]) < 5.0
@@ -230,15 +246,15 @@ def test_the_filter_is_the_one_of_the_thesis(a: float, batch: int) -> None:
 
 def test_an_edge_is_used_once() -> None:
     """Edges that came with an earlier frame again change nothing."""
-    model, none = np.array([0.3, 16.7, 290.0, 1.0]), np.empty(0)
+    model, none = np.array([0.3, 16.7, 290.0, 1.0]), np.empty((2, 0))
     times, angles = np.array([1000.0, 2000.0, 3000.0]), np.array([0.14, 0.28, 0.42])
-    x, p = np.array([0.0, 140.0, 0.0]), START_P.copy()
-    reached = thesis_filter(x, p, 0.0, times, angles, none, none, model, NOISE, R)
-    before = x.copy(), p.copy()
-    again = thesis_filter(x, p, reached, times, angles, none, none, model, NOISE, R)
-    assert again == reached
-    assert np.array_equal(x, before[0])
-    assert np.array_equal(p, before[1])
+    memory, x, _ = thesis_memory(np.array([0.0, 140.0, 0.0]), model)
+    thesis_filter(memory.flat, times, angles, none)
+    assert memory.part("time_us")[0] == times[-1]
+    assert x[0] != 0.0
+    before = memory.flat.copy()
+    thesis_filter(memory.flat, times, angles, none)
+    assert np.array_equal(memory.flat, before)
 
 
 def test_the_cruise_filter_is_a_kalman_filter_with_random_acceleration() -> None:
@@ -246,7 +262,10 @@ def test_the_cruise_filter_is_a_kalman_filter_with_random_acceleration() -> None
     rng = np.random.default_rng(3)
     times = np.cumsum(rng.uniform(800.0, 1200.0, 60)).round()
     angles = np.arange(1, 61) * np.pi / 45
-    x, p = np.array([0.0, 70.0]), np.diag([1e-4, 9.0])
+    memory = Memory(CRUISE_FILTER)
+    memory.part("acceleration_rad_s2")[0], memory.part("edge_time_s")[0] = 30.0, 1e-6
+    x, p = memory.part("x"), memory.part("p")
+    x[:], p[:] = np.array([0.0, 70.0]), np.diag([1e-4, 9.0])
     x_np, p_np, at = x.copy().reshape(2, 1), p.copy(), 0.0
     for time_us, y in zip(times, angles, strict=True):
         dt = (time_us - at) * US
@@ -258,25 +277,34 @@ def test_the_cruise_filter_is_a_kalman_filter_with_random_acceleration() -> None
         keep = np.eye(2) - gain @ np.array([[1.0, 0.0]])
         p_np = keep @ p_np @ keep.T + gain @ gain.T * r
         at = time_us
-    assert cruise_filter(x, p, 0.0, times, angles, 30.0, 1e-6) == times[-1]
+    cruise_filter(memory.flat, times, angles)
+    assert memory.part("time_us")[0] == times[-1]
     assert np.allclose(x, x_np.ravel(), rtol=1e-10)
     assert np.allclose(p, p_np, rtol=1e-5, atol=1e-14)
 
 
 RUN = """
 import json, numpy as np
+from meshpoint.controller.motion.linear_kernels import CRUISE_FILTER, THESIS_FILTER
 from meshpoint.controller.motion.linear_kernels import cruise_filter, propagate, thesis_filter
+from meshpoint.controller.records import Memory
 rng = np.random.default_rng(11)
 times = np.cumsum(rng.uniform(300.0, 900.0, 200)).round()
 angles = np.arange(1, 201) * np.pi / 45
 model = np.array([0.29, 16.7, 290.0 / 8e5, 8e5])
-switches = np.array([20000.0, 70000.0]), np.array([1.0, 0.0])
-x, p = np.array([0.0, 120.0, 0.0]), np.diag([1e-6, 4.0, 4e8])
-t = thesis_filter(x, p, 0.0, times, angles, *switches, model, np.array([0.01, 20.0, 1e5]), 1e-7)
-propagate(x, t, t + 90000.0, *switches, model)
-y, q = np.array([0.0, 120.0]), np.eye(2)
-cruise_filter(y, q, 0.0, times, angles, 30.0, 1e-6)
-print(json.dumps([*x, *p.ravel(), *y, *q.ravel()]))
+switches = np.array([[20000.0, 70000.0], [1.0, 0.0]])
+thesis = Memory(THESIS_FILTER)
+thesis.part("x")[:], thesis.part("p")[:] = [0.0, 120.0, 0.0], np.diag([1e-6, 4.0, 4e8])
+thesis.part("model")[:], thesis.part("w")[:] = model, [0.01, 20.0, 1e5]
+thesis.part("r_rad2")[0] = 1e-7
+thesis_filter(thesis.flat, times, angles, switches)
+x, t = thesis.part("x").copy(), thesis.part("time_us")[0]
+propagate(x, t, t + 90000.0, switches, model)
+cruise = Memory(CRUISE_FILTER)
+cruise.part("x")[:], cruise.part("p")[:] = [0.0, 120.0], np.eye(2)
+cruise.part("acceleration_rad_s2")[0], cruise.part("edge_time_s")[0] = 30.0, 1e-6
+cruise_filter(cruise.flat, times, angles)
+print(json.dumps([*x, *thesis.flat, *cruise.flat]))
 """
 
 

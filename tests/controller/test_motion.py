@@ -63,8 +63,8 @@ def test_a_prediction_solves_the_equations_through_switches_and_segments(
     switch_u = np.array([float((i % 2 == 0) == first) for i in range(len(switches))])
     model = MotionModel(np.array(rates), law_array(), QUIET)
     state = state_of(x, np.eye(6), 0.0)
-    ours = predict(state, float(horizon_us), (switch_us, switch_u), model)
-    spread = predict_spread(state, float(horizon_us), (switch_us, switch_u), model)
+    ours = predict(state, float(horizon_us), np.array((switch_us, switch_u)), model)
+    spread = predict_spread(state, float(horizon_us), np.array((switch_us, switch_u)), model)
 
     stops = [0.0, *[t for t in switch_us if 0.0 < t < horizon_us], float(horizon_us)]
     for begin, end in itertools.pairwise(stops):
@@ -112,7 +112,7 @@ def test_within_a_segment_the_transition_is_the_matrix_exponential(
     mixed = np.random.default_rng(span_us).standard_normal((6, 6))
     p = (mixed @ mixed.T) * np.outer(unit, unit)
     state = LayshaftState(0.0, *x[:3], 0.0, 0.0, 0.0, *x[3:], covariance=p)
-    ours = predict_spread(state, float(span_us), (np.empty(0), np.empty(0)), model)
+    ours = predict_spread(state, float(span_us), np.empty((2, 0)), model)
     moved = whole[:6, :6].copy()
     moved[:2, 4] = 0.0
     expected = moved @ (x / unit) + whole[:6, 6]
@@ -141,7 +141,7 @@ def test_noise_grows_the_covariance_as_van_loans_integral_does(
     noise[(0, 1, 3)[share]] = 7.0
     model = MotionModel(np.array(rates), law_array(law=(((b, b * SUPPLY_PA),),) * 2), noise)
     known = LayshaftState(0.0, 0.0, 150.0, SUPPLY_PA, covariance=np.zeros((6, 6)))
-    grown = predict_spread(known, float(span_us), (np.empty(0), np.empty(0)), model).covariance
+    grown = predict_spread(known, float(span_us), np.empty((2, 0)), model).covariance
     flow, drive = np.zeros((6, 6)), np.zeros((6, 6))
     flow[0, 1] = 1.0
     flow[1, [1, 2, 3, 5]] = -a, -g, 1.0, 1.0

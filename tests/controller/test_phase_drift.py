@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from meshpoint.controller.calibration.records import Drifts
+from meshpoint.controller.calibration.learned import Drifts
 from meshpoint.controller.planning.outlook import GearPredictor
 from meshpoint.controller.planning.phase_drift import FAR_RAD_S, LEAST_SHARE, PhaseDrifts
 from meshpoint.gearbox import MainGear

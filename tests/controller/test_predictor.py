@@ -17,8 +17,8 @@ from meshpoint.controller.motion.linear import (
 from meshpoint.gearbox import GearboxSheet, Split
 
 BRAKED = LayshaftState(1000.0, 2.0, 140.0, 3e5)
-NEVER = (np.empty(0), np.empty(0))
-ALWAYS = (np.array([0.0]), np.array([1.0]))
+NEVER = np.empty((2, 0))
+ALWAYS = np.array([[0.0], [1.0]])
 HORIZON_US = 46_000.0
 
 

@@ -9,33 +9,15 @@ from __future__ import annotations
 import math
 from typing import Final
 
-import numpy as np
-
-from meshpoint.controller.motion.kernels import BRAKE_G, Vector
 from meshpoint.controller.planning.outlook import GearPredictor, Trajectory
-from meshpoint.controller.planning.plan_kernels import (
-    AIM,
-    BLOCK,
-    BLOCK_SLIP,
-    DELAY_SD,
-    ENERGY,
-    HALF_GAP,
-    MISS,
-    OVERLAP,
-    PITCH,
-    SLIP_HIGH,
-    SLIP_LOW,
-    TARGET,
-    TERMS,
-    cheapest,
-    expected_least,
-)
+from meshpoint.controller.planning.plan_kernels import CONTACTS, TERMS, cheapest, expected_least
 from meshpoint.controller.planning.strategies.base import (
     US_PER_S,
     Release,
     release_for_slip,
     settle_time_us,
 )
+from meshpoint.controller.records import Vector, filled
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 
@@ -116,11 +98,10 @@ class TargetPhase:
             trajectory = predictor.trajectory(first_us, COARSE_US, COARSE_STEPS, release_us)
             if release_us == releases_us[0]:
                 variance, growth = self._variance(predictor, trajectory)
+            contacts = _contacts(trajectory, now_us, SETTLED_SHARE * variance, growth)
             index, cost = expected_least(
-                (first_us - now_us) / US_PER_S, COARSE_US / US_PER_S, trajectory.phase_rad,
-                trajectory.slip_rad_s, math.sqrt(variance), SETTLED_SHARE * variance, growth,
-                terms,
-            )  # fmt: skip
+                trajectory.phase_rad, trajectory.slip_rad_s, contacts, terms, math.sqrt(variance)
+            )
             if cost < least:
                 least = cost
                 best = Release(release_us, round(first_us + index * COARSE_US))
@@ -128,13 +109,9 @@ class TargetPhase:
 
     def _cheapest(self, predictor: GearPredictor, now_us: int, trajectory: Trajectory) -> float:
         """Time of a trajectory's cheapest contact."""
+        contacts = _contacts(trajectory, now_us, *self._variance(predictor, trajectory))
         phase, slip = trajectory.phase_rad, trajectory.slip_rad_s
-        variance, growth = self._variance(predictor, trajectory)
-        wait_s = (trajectory.first_us - now_us) / US_PER_S
-        best, _ = cheapest(
-            wait_s, trajectory.step_us / US_PER_S, phase, slip, 0.0, variance, growth,
-            self._terms(predictor),
-        )  # fmt: skip
+        best, _ = cheapest(phase, slip, contacts, self._terms(predictor), 0.0)
         return trajectory.first_us + best * trajectory.step_us
 
     def _variance(self, predictor: GearPredictor, trajectory: Trajectory) -> tuple[float, float]:
@@ -146,15 +123,32 @@ class TargetPhase:
     def _terms(self, predictor: GearPredictor) -> Vector:
         """The terms of `plan_kernels` for this gear."""
         window, prices, dog = self._window, self._prices, self._dog
-        inertia = self._brake_nm_per_pa / predictor.model.motion[BRAKE_G]
-        terms = np.empty(TERMS)
-        terms[PITCH], terms[HALF_GAP] = dog.pitch_rad, dog.backlash_rad / 2.0
-        terms[TARGET] = self._target_rad
-        terms[OVERLAP] = prices.overlap_m / self._speed_m_s
-        terms[DELAY_SD] = predictor.delay_sd_s
-        terms[MISS], terms[BLOCK] = prices.miss_s, prices.block_s
-        terms[BLOCK_SLIP] = prices.block_slip_rad_s
-        terms[ENERGY] = prices.energy_s_per_j * 0.5 * inertia / predictor.i_gear**2
-        terms[AIM] = prices.aim_s
-        terms[SLIP_LOW], terms[SLIP_HIGH] = window.contact_low_rad_s, window.contact_high_rad_s
-        return terms
+        inertia = self._brake_nm_per_pa / predictor.model.brake_rad_s2_pa
+        return filled(
+            TERMS,
+            pitch_rad=dog.pitch_rad,
+            half_gap_rad=dog.backlash_rad / 2.0,
+            target_rad=self._target_rad,
+            overlap_s=prices.overlap_m / self._speed_m_s,
+            delay_sd_s=predictor.delay_sd_s,
+            miss_s=prices.miss_s,
+            block_s=prices.block_s,
+            block_slip_rad_s=prices.block_slip_rad_s,
+            energy_s3_rad2=prices.energy_s_per_j * 0.5 * inertia / predictor.i_gear**2,
+            aim_s=prices.aim_s,
+            slip_low_rad_s=window.contact_low_rad_s,
+            slip_high_rad_s=window.contact_high_rad_s,
+        )
+
+
+def _contacts(
+    trajectory: Trajectory, now_us: int, variance_rad2: float, growth_rad2_s: float
+) -> Vector:
+    """The contacts of a trajectory for `plan_kernels`."""
+    return filled(
+        CONTACTS,
+        wait_s=(trajectory.first_us - now_us) / US_PER_S,
+        step_s=trajectory.step_us / US_PER_S,
+        variance_rad2=variance_rad2,
+        growth_rad2_s=growth_rad2_s,
+    )

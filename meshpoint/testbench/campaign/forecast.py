@@ -163,7 +163,9 @@ class Branch:
 
 
 class Forecast:
-    """Phase and slip of a gear to come. Times in us of the sensor clock, as the controller's."""
+    """Phase and slip of a gear to come. Times in us of the sensor clock, as the controller's.
+
+    `brake`: its switches (2, n), times and what holds from each on, as `BrakeInput` has them."""
 
     def __init__(
         self,
@@ -181,32 +183,30 @@ class Forecast:
         self._paths: dict[Switches, Path] = {}
         self._branches: dict[tuple[Switches, int], Branch] = {}
 
-    def holds(
-        self, gear: MainGear, times: Floats, states: Floats, time_us: float, phase: float
-    ) -> bool:
+    def holds(self, gear: MainGear, brake: Floats, time_us: float, phase: float) -> bool:
         """Whether the gear is where this forecast has it, and the brake as it had it."""
-        switches = self._switches(times, states)
+        switches = self._switches(brake)
         if gear is not self._gear:
             return False
         if switches in self._paths:
-            expected, _ = self.at(times, states, time_us)
+            expected, _ = self.at(brake, time_us)
         elif switches and switches[-1][1] == 0.0 and switches[:-1] in self._paths:
-            expected, _ = self.after_release(times, states, time_us)
+            expected, _ = self.after_release(brake, time_us)
         else:
             return False
         error = (expected - phase) / self._pitch
         return abs(error - round(error)) * self._pitch < SAME_RAD
 
-    def at(self, times: Floats, states: Floats, time_us: float) -> tuple[float, float]:
+    def at(self, brake: Floats, time_us: float) -> tuple[float, float]:
         """Phase (unwrapped) and slip with the brake switched so."""
-        return self._path(self._switches(times, states)).at(time_us - self._offset_us)
+        return self._path(self._switches(brake)).at(time_us - self._offset_us)
 
-    def after_release(self, times: Floats, states: Floats, time_us: float) -> tuple[float, float]:
+    def after_release(self, brake: Floats, time_us: float) -> tuple[float, float]:
         """The same for switches of which the last is a release that may be moved.
 
         What `course` has for this one time, to the bit: a root is looked for one time after the
         other, where arrays of one cost several times the arithmetic."""
-        switches = self._switches(times, states)
+        switches = self._switches(brake)
         own_us = float(time_us) - self._offset_us
         if not switches:
             return self._path(switches).at(own_us)
@@ -228,12 +228,10 @@ class Forecast:
         turned += (slip + fall * after_s / 2.0) * after_s
         return phase0 + slip0 * after_us * 1e-6 + turned, slip0 + (slip + fall * after_s)
 
-    def course(
-        self, times: Floats, states: Floats, at_us: Floats, is_released: bool
-    ) -> tuple[Floats, Floats]:
+    def course(self, brake: Floats, at_us: Floats, is_released: bool) -> tuple[Floats, Floats]:
         """Phase and slip at ascending times; `is_released`: the last switch is a release that may
         be moved, else all switches are as commanded."""
-        switches = self._switches(times, states)
+        switches = self._switches(brake)
         own_us = at_us - self._offset_us
         if not is_released or not switches:
             return self._path(switches).many(own_us)
@@ -252,12 +250,12 @@ class Forecast:
         slip[~before] = slip0 + less
         return phase, slip
 
-    def _switches(self, times: Floats, states: Floats) -> Switches:
+    def _switches(self, brake: Floats) -> Switches:
         """What was still to come when this forecast was made."""
         start_us = self._start.time_us + self._offset_us
         return tuple(
             (time - self._offset_us, state)
-            for time, state in zip(times.tolist(), states.tolist(), strict=True)
+            for time, state in zip(*brake.tolist(), strict=True)
             if time > start_us
         )
 

@@ -57,9 +57,9 @@ class ForecastPredictor(GearPredictor):
         """The layshaft as it would be with the main shaft at constant speed: phase and slip are
         those of the plant, whatever the main shaft does."""
         if release_us is None:
-            phase, slip = self.forecast.at(*self.brake.arrays(), time_us)
+            phase, slip = self.forecast.at(self.brake.arrays(), time_us)
         else:
-            phase, slip = self.forecast.after_release(*self.brake.with_release(release_us), time_us)
+            phase, slip = self.forecast.after_release(self.brake.with_release(release_us), time_us)
         return self._layshaft(time_us, phase, slip)
 
     def trajectory(
@@ -70,9 +70,7 @@ class ForecastPredictor(GearPredictor):
         brake = self.brake
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
         times_us = first_us + step_us * np.arange(count, dtype=np.float64)
-        return Trajectory(
-            first_us, step_us, *self.forecast.course(*switches, times_us, is_released)
-        )
+        return Trajectory(first_us, step_us, *self.forecast.course(switches, times_us, is_released))
 
     def _layshaft(self, time_us: float, phase_rad: float, slip_rad_s: float) -> LayshaftState:
         zero = self.references.phase_rad(self.gear, 0.0, 0.0)
@@ -108,7 +106,7 @@ class Oracle:
             ),
             main=ShaftState(time_us, main_rad, omega[Shaft.MAIN], 0.0, 0.0),
             brake=predictor.brake.seen_through(round(truth.brake_valve_delay_s * 1e6)),
-            model=predictor.model._replace(law=self._law),
+            model=predictor.model.with_law(self._law),
             references=TrueReferences(self._sheet, offset),
             delay_us=round(mean_s * 1e6),
             delay_sd_s=sd_s,
@@ -124,7 +122,7 @@ class Oracle:
         truth = self._truth
         forecast = self._forecast
         gear, switches = known.gear, known.brake.arrays()
-        if forecast is not None and forecast.holds(gear, *switches, time_us, truth.phase_rad(gear)):
+        if forecast is not None and forecast.holds(gear, switches, time_us, truth.phase_rad(gear)):
             return
         if not isinstance(truth, TruckTruth):
             # The controller's own model is the thesis's gearbox: there is nothing to run ahead.

@@ -11,7 +11,7 @@ from pathlib import Path
 from meshpoint.bus.logs.files import MIN_PART_BYTES
 from meshpoint.bus.logs.limits import MAX_LOG_BYTES
 from meshpoint.controller.calibration.file import load
-from meshpoint.controller.calibration.records import Calibration
+from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.calibration_keeper import CalibrationWriter
 from meshpoint.controller.planning.strategies.own import read_strategy
 from meshpoint.controller.settings import (

@@ -9,7 +9,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 
-from meshpoint.controller.calibration.records import Calibration
+from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.calibration_keeper import CalibrationWriter, Keep
 from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import Preset

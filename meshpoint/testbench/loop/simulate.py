@@ -11,7 +11,7 @@ import numpy as np
 
 from meshpoint.bus.core import Core
 from meshpoint.bus.settle import settle
-from meshpoint.controller.calibration.records import Calibration
+from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.calibration_keeper import CalibrationKeeper, Keep
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import RunHeader, new_header

@@ -222,7 +222,7 @@ class _Bench:
         x = np.array([run.state[0, THETA], run.state[0, OMEGA], 0.0, 0.0, 1.0, 0.0])
         p = diagonal(0.05, 1.0, 1.0, sigma, 1e-9, 1e-3)
         teeth.learner.begin(0.0, x, p)
-        none = (np.empty(0), np.empty(0))
+        none = np.empty((2, 0))
         batch = batch_of(scene, run, 0.0, math.inf, 0.0)
         teeth.learner.take(batch, teeth.place(batch), NO_PRESSURES, none, model)
         teeth.end_window()

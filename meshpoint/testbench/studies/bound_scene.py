@@ -16,8 +16,7 @@ from numpy.random import Generator
 from scipy.linalg import expm
 
 from meshpoint.controller.jit import compiled
-from meshpoint.controller.motion.linear_kernels import Vector
-from meshpoint.controller.sensing.chain_kernels import Integers
+from meshpoint.controller.records import Integers, Vector
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.testbench.studies.simulated import DEG, RPM
 

@@ -73,7 +73,7 @@ class ShiftTrace:
     pressure_us: list[int] = field(default_factory=list)
     pressure_pa: list[float] = field(default_factory=list)
     """Absolute, as the sensor says; also before and after the model holds."""
-    switches: tuple[Vector, Vector] | None = None
+    switches: Vector | None = None
     """When the brake's pressure reacts, and u from then on."""
 
     def of(self, estimator: str) -> list[Sample]:
@@ -195,7 +195,7 @@ class _Collector:
         if self._keeps:
             self._trace.samples.append(sample)
 
-    def end_shift(self, switches: tuple[Vector, Vector]) -> None:
+    def end_shift(self, switches: Vector) -> None:
         """A shift's row is there: what was gathered is this shift's."""
         self.scores.append(self._squares)
         self._squares = {}

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from meshpoint.controller.motion.linear import layshaft_model
-from meshpoint.controller.motion.linear_kernels import BRAKE_G, Vector
+from meshpoint.controller.motion.linear_kernels import LINEAR, Vector
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.testbench.studies.record import (
@@ -77,7 +77,7 @@ def _curves(given: Given[Settings]) -> dict[str, Curve]:
 
     def brake(error: float) -> float:
         model: Vector = layshaft_model(sheet, Split.HIGH)
-        model[BRAKE_G] *= 1.0 + error
+        model.view(LINEAR)["brake_rad_s2_pa"] *= 1.0 + error
         return high.angle_error_pct(model=model)
 
     return {

@@ -85,7 +85,7 @@ class Predictions:
 
     def hold_future(self) -> Predicted:
         """As the node predicts: zero-order hold over the commands that are planned."""
-        switches = self.shift.switch_us, self.shift.switch_u
+        switches = np.array((self.shift.switch_us, self.shift.switch_u))
 
         def method(state: LayshaftState, to_us: float) -> LayshaftState:
             return predict_hold(state, to_us, switches, self.model)

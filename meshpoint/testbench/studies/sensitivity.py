@@ -33,7 +33,7 @@ class Release:
         self.split = split
         shift = simulate_shift(self.sheet, given.common.shift, SAMPLE_US, split)
         self.state: LayshaftState = shift.at(given.common.shift.off_ms)
-        self.switches = shift.switch_us, shift.switch_u
+        self.switches = np.array((shift.switch_us, shift.switch_u))
         self.delay_s = self.sheet.sleeve.delay_s
 
     def after(

@@ -63,10 +63,10 @@ class SimulatedShift:
         """Speeds in rpm."""
         return self.omega_rad_s / RPM
 
-    def known_at(self, time_us: float) -> tuple[Vector, Vector]:
+    def known_at(self, time_us: float) -> Vector:
         """The switches whose effect has begun by then: all that the thesis's predictor knows."""
         until = int(np.searchsorted(self.switch_us, time_us, side="right"))
-        return self.switch_us[:until], self.switch_u[:until]
+        return np.array((self.switch_us[:until], self.switch_u[:until]))
 
 
 def simulate_shift(

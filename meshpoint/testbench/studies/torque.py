@@ -36,13 +36,13 @@ def _conclude(given: Given[Settings]) -> Finding:
     sheet, own = given.sheet, given.own
     model = layshaft_model(sheet, Split.HIGH)
     delay_us = sheet.brake.valve_delay_s * 1e6
-    switches = np.array([delay_us]), np.array([1.0])
+    switches = np.array([[delay_us], [1.0]])
     times_ms = np.arange(0.0, own.until_ms + 0.5, 0.5)
     torque = np.empty_like(times_ms)
     for i, time_ms in enumerate(times_ms.tolist()):
         # at rest, as in the thesis: the torque depends on the pressure alone
         x = np.zeros(3)
-        propagate(x, 0.0, 1000.0 * time_ms, *switches, model)
+        propagate(x, 0.0, 1000.0 * time_ms, switches, model)
         torque[i] = -sheet.brake_nm_per_pa * x[2]
     most_nm = float(-torque.min())
     rise_ms = float(times_ms[np.argmax(-torque >= 0.632 * THESIS_NM)])

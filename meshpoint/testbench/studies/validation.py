@@ -124,6 +124,6 @@ def _model(sheet: GearboxSheet, trace: ShiftTrace, omega_rad_s: float, times: Ve
     states = np.empty((times.size, 3))
     states[0] = x
     for i in range(1, times.size):
-        propagate(x, float(times[i - 1]), float(times[i]), *trace.switches, model)
+        propagate(x, float(times[i - 1]), float(times[i]), trace.switches, model)
         states[i] = x
     return states

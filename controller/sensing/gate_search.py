@@ -1,0 +1,81 @@
+"""Which tooth is which on a wheel with missing teeth: pieces of the edge gate (`edge_gate`).
+
+Every tooth may be the first until the steps seen since, gaps among them, fit one alone.
+"""
+
+from __future__ import annotations
+
+from meshpoint.controller.jit import inlined
+from meshpoint.controller.records import Integers
+from meshpoint.controller.sensing.gate_layout import (
+    COUNTING,
+    DOUBT,
+    GAP,
+    GAP_RATIO,
+    SEARCHING,
+    UNKNOWN,
+    Gate,
+)
+
+
+@inlined
+def judge_gap(gate: Gate, advance: Integers, falling: int) -> int:
+    """The same while the pattern of missing teeth is searched, behind a hole."""
+    seen = gate.error + 1.0
+    if falling == 1 or gate.rejected > 0:
+        return DOUBT
+    nearest, ratio = 0, GAP_RATIO
+    for gap in advance:
+        if gap > 1 and max(seen / gap, gap / seen) < ratio:
+            nearest, ratio = gap, max(seen / gap, gap / seen)
+    if nearest == 0:
+        return DOUBT
+    gate.slot += nearest - 1
+    gate.error -= nearest - 1
+    return GAP
+
+
+@inlined
+def search(gate: Gate, teeth: Integers, step: int, gap: bool) -> None:
+    """A rising edge came `step` pitches after the last: which tooth can it be of?
+
+    The second row of teeth says where the first edge of the search may be of that tooth. With one
+    left, after a whole turn that fits, teeth are numbered again. A wrong guess counts as lost."""
+    advance, candidates = teeth[0], teeth[1]
+    size, left, tooth = advance.size, 0, 0
+    for first in range(size):
+        before = (first + gate.searched) % size
+        now = (before + step) % size
+        # Without a hole in time a longer step is an edge that the sensor has missed.
+        fits = advance[before] == step if gap or step == 1 else advance[now] > 0
+        if candidates[first] == 1 and fits:
+            left, tooth = left + 1, now
+        else:
+            candidates[first] = 0
+    guess = gate.guess
+    if guess != UNKNOWN:
+        whole = gap or step == 1
+        guess += advance[guess % size] if whole else step
+        gate.guess = guess
+    gate.gaps += int(gap)
+    gate.searched += step
+    right = guess != UNKNOWN and guess % size == tooth
+    if left == 0 or (left == 1 and gate.gaps > 0 and guess != UNKNOWN and not right):
+        gate.lost += int(guess != UNKNOWN)
+        gate.guess = UNKNOWN
+    if left == 0:
+        begin_search(gate, teeth)
+    elif left == 1 and gate.searched > size:
+        shift = guess - gate.last[0] if right else (tooth - gate.last[0]) % size
+        gate.last[0] += shift
+        gate.last[1] += shift
+        gate.tooth += shift
+        gate.mode, gate.gap_hits, gate.guess = COUNTING, 0, UNKNOWN
+
+
+@inlined
+def begin_search(gate: Gate, teeth: Integers) -> None:
+    """Every tooth is possible."""
+    for k in range(teeth.shape[1]):
+        teeth[1, k] = int(teeth[0, k] > 0)
+    gate.gaps, gate.searched, gate.mode = 0, 0, SEARCHING
