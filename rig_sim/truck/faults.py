@@ -14,12 +14,10 @@ from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.gearbox.sheet import BAR, MM, MS
 from meshpoint.rig_sim.orders import FaultOrder
-from meshpoint.rig_sim.shared.angle_kernels import Floats, Integers
 from meshpoint.rig_sim.shared.edge_ring import EdgeRead
 from meshpoint.rig_sim.shared.sleeves import SECOND_US
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.rig_sim.shared.world import SensorRead
-from meshpoint.rig_sim.truck import layout as at
 
 if TYPE_CHECKING:
     from meshpoint.rig_sim.truck.world import TruckWorld
@@ -161,15 +159,11 @@ Starter = Callable[["TruckWorld", FaultDesk, FaultOrder], Callable[[], None]]
 """Begins a fault and returns what ends it: a partial, so that a copy of the world ends its own."""
 
 
-def _put(array: Floats | Integers, where: int | tuple[int, int], value: float) -> None:
-    array[where] = value
-
-
-def _channel(column: int, value: Callable[[FaultOrder], int]) -> Starter:
+def _channel(field: str, value: Callable[[FaultOrder], int]) -> Starter:
     def start(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
-        where = (order.target, column)
-        _put(world.plant.edges.faults, where, value(order))
-        return partial(_put, world.plant.edges.faults, where, 0)
+        hall = world.plant.rig.hall[order.target]
+        setattr(hall, field, value(order))
+        return partial(setattr, hall, field, 0)
 
     return start
 
@@ -183,17 +177,17 @@ def _freeze(_: TruckWorld, desk: FaultDesk, order: FaultOrder) -> Callable[[], N
 
 def _leak(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     g, y, p = world.plant.g, world.plant.y, world.plant.p
-    before = float(g[at.GOVERNED_PA])
-    g[at.GOVERNED_PA] = max(order.value * BAR, float(p[at.ATMOSPHERE_PA]))
-    y[at.SUPPLY_PA] = g[at.GOVERNED_PA]
-    return partial(_put, g, at.GOVERNED_PA, before)
+    before = g.governed_pa
+    g.governed_pa = max(order.value * BAR, p.air.atmosphere_pa)
+    y.supply_pa = g.governed_pa
+    return partial(setattr, g, "governed_pa", before)
 
 
 def _fade(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
-    p = world.plant.p
-    before = float(p[at.BRAKE_GAIN])
-    p[at.BRAKE_GAIN] = before * max(order.value, 0.0) / 100.0
-    return partial(_put, p, at.BRAKE_GAIN, before)
+    brake = world.plant.p.brake
+    before = brake.gain_nm_pa
+    brake.gain_nm_pa = before * max(order.value, 0.0) / 100.0
+    return partial(setattr, brake, "gain_nm_pa", before)
 
 
 def _jam(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
@@ -265,10 +259,10 @@ def _stall(world: TruckWorld, _: FaultDesk, order: FaultOrder) -> Callable[[], N
 
 
 _STARTERS: Final[dict[RigFault, Starter]] = {
-    RigFault.HALL_DROPOUT: _channel(at.SILENT, lambda _: 1),
-    RigFault.HALL_MISSING_TOOTH: _channel(at.MISSING, lambda order: int(order.value) + 1),
-    RigFault.HALL_DOUBLE_EDGE: _channel(at.EXTRA, lambda _: 1),
-    RigFault.HALL_NOISE_BURST: _channel(at.EXTRA, lambda order: min(max(int(order.value), 1), 8)),
+    RigFault.HALL_DROPOUT: _channel("silent", lambda _: 1),
+    RigFault.HALL_MISSING_TOOTH: _channel("missing", lambda order: int(order.value) + 1),
+    RigFault.HALL_DOUBLE_EDGE: _channel("extra", lambda _: 1),
+    RigFault.HALL_NOISE_BURST: _channel("extra", lambda order: min(max(int(order.value), 1), 8)),
     RigFault.VALVE_STUCK: lambda _, desk, order: desk.stick(Valve(order.target)),
     RigFault.VALVE_SLOW: lambda _, desk, order: desk.slow_down(
         Valve(order.target), max(order.value, 0.0) * MS * SECOND_US
