@@ -34,6 +34,7 @@ import numpy as np
 
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.rig_sim.jit import OPTIONS
+from meshpoint.rig_sim.records import Memory
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.motion import rates
@@ -87,38 +88,48 @@ def scipy_peer(world: TruckWorld, seconds: float) -> None:
     """The same equations by SciPy, with events."""
     from scipy.integrate import solve_ivp
 
-    plant = world.plant
-    p, g, slots = plant.p, plant.g, plant._slots
-    rate, aux = np.zeros(at.STATES), np.zeros(at.AUX)
+    memory = Memory(world.plant.rig)
+    angle = at.State.angle_rad.offset // 8  # type: ignore[attr-defined]
 
     def slope(_: float, y: Any) -> Any:
-        rates(y, p, g, slots, rate, aux)
-        return rate.copy()
+        rate = np.empty_like(y)
+        _slope(memory.array, y, rate)
+        return rate
 
     events: list[Callable[[float, Any], float]] = [
-        lambda _, y, b=body, d=duty: np.sin(TEETH * (y[at.ANGLE + b] - np.pi * d / TEETH))
+        lambda _, y, b=body, d=duty: np.sin(TEETH * (y[angle + b] - np.pi * d / TEETH))
         for body in (at.INPUT, at.LAYSHAFT, at.MAIN, at.PROPELLER)
         for duty in (0.0, 0.5)
     ]
     pitch_s = 2.0 * np.pi / TEETH / (LAYSHAFT_RPM * RPM)
     solve_ivp(
-        slope, (0.0, seconds), plant.y.copy(), "DOP853", rtol=1e-9, atol=1e-9, events=events,
-        max_step=pitch_s / 4.0,
+        slope, (0.0, seconds), world.plant.y.vector.copy(), "DOP853", rtol=1e-9, atol=1e-9,
+        events=events, max_step=pitch_s / 4.0,
     )  # fmt: skip
 
 
 @numba.njit(**OPTIONS)
-def _sampled(
-    samples: int, y: Any, p: Any, g: Any, slots: Any, k: Any, after: Any, aux: Any, above: Any
-) -> int:
+def _slope(rigs: Any, y: Any, rate: Any) -> None:
+    rig = rigs[0]
+    for i in range(len(y)):
+        rig.y.vector[i] = y[i]
+    rates(rig.y, rig.ahead, rig)
+    for i in range(len(y)):
+        rate[i] = rig.ahead.vector[i]
+
+
+@numba.njit(**OPTIONS)
+def _sampled(samples: int, rigs: Any, above: Any) -> int:
+    rig = rigs[0]
+    y, after = rig.y.vector, rig.after.vector
     stamps = 0
     for _ in range(samples):
-        rates(y, p, g, slots, k[0], aux)
-        step(y, after, 1e-6, p, g, slots, k, aux)
-        for i in range(at.STATES):
+        rates(rig.y, rig.stages[0], rig)
+        step(rig, 1e-6)
+        for i in range(len(y)):
             y[i] = after[i]
         for wheel in range(4):
-            now = math.sin(TEETH * y[at.ANGLE + at.INPUT + wheel]) > 0.0
+            now = math.sin(TEETH * rig.y.angle_rad[at.INPUT + wheel]) > 0.0
             if now != above[wheel]:
                 above[wheel] = now
                 stamps += 1
@@ -127,26 +138,24 @@ def _sampled(
 
 def analog_peer(world: TruckWorld, seconds: float) -> None:
     """The thesis's route for the same gearbox."""
-    plant = world.plant
-    k, after, aux = np.zeros((4, at.STATES)), plant.y.copy(), np.zeros(at.AUX)
-    y, above = plant.y.copy(), np.zeros(4, dtype=np.bool_)
-    _sampled(round(seconds * 1e6), y, plant.p, plant.g, plant._slots, k, after, aux, above)
+    above = np.zeros(4, dtype=np.bool_)
+    _sampled(round(seconds * 1e6), Memory(world.plant.rig).array, above)
 
 
 def sine_peer(world: TruckWorld, seconds: float) -> None:
     """The thesis's route at 1 MHz, at constant speed."""
     t = np.arange(round(seconds * 1e6)) * 1e-6
     for body in (at.INPUT, at.LAYSHAFT, at.MAIN, at.PROPELLER):
-        u = np.sin(TEETH * (float(world.plant.y[at.SPEED + body]) * t)) > 0.0
+        u = np.sin(TEETH * (world.plant.y.speed_rad_s[body] * t)) > 0.0
         np.flatnonzero(u[1:] != u[:-1])
 
 
 def steps_peer(world: TruckWorld, seconds: float) -> None:
     """The thesis's route sample by sample: 4.13 by Euler at 1 us, four sines, four comparisons."""
-    y, p = world.plant.y, world.plant.p
-    omega = float(y[at.SPEED + at.LAYSHAFT])
-    ratios = [float(y[at.SPEED + body]) / omega for body in range(at.INPUT, at.BODIES)]
-    drag = float(p[at.DRAG_NMS] / (p[at.INERTIA + at.LAYSHAFT] + p[at.INERTIA + at.INPUT]))
+    speeds, p = world.plant.y.speed_rad_s, world.plant.p
+    omega = speeds[at.LAYSHAFT]
+    ratios = [speeds[body] / omega for body in range(at.INPUT, at.BODIES)]
+    drag = p.drag_nms / (p.inertia_kgm2[at.LAYSHAFT] + p.inertia_kgm2[at.INPUT])
     theta, was, stamps = 0.0, [False] * 4, 0
     for _ in range(round(seconds * 1e6)):
         omega -= drag * omega * 1e-6

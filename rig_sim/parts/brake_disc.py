@@ -11,28 +11,40 @@ between 40 and 120 degC; its slope against speed has either sign, depending on t
 from __future__ import annotations
 
 from meshpoint.rig_sim.jit import part
+from meshpoint.rig_sim.records import Record
 
 LEAST_SHARE = 0.2
 
 
+class DiscBrake(Record):
+    """The brake as built."""
+
+    gain_nm_pa: float  # C_db
+    touch_pa: float
+    fade_per_k: float
+    fade_per_rad_s: float
+    reference_k: float
+    reference_rad_s: float
+    heat_j_k: float
+    cooling_w_k: float
+
+
 @part
-def friction_share(
-    omega_rad_s: float, disc_k: float, per_k: float, per_rad_s: float, at_k: float, at_rad_s: float
-) -> float:
+def friction_share(omega_rad_s: float, disc_k: float, brake: DiscBrake) -> float:
     """Friction over its nominal value; never less than a fifth."""
-    share = (1.0 - per_k * (disc_k - at_k)) * (1.0 + per_rad_s * (abs(omega_rad_s) - at_rad_s))
+    share = (1.0 - brake.fade_per_k * (disc_k - brake.reference_k)) * (
+        1.0 + brake.fade_per_rad_s * (abs(omega_rad_s) - brake.reference_rad_s)
+    )
     return max(share, LEAST_SHARE)
 
 
 @part
-def brake_nm(gauge_pa: float, touch_pa: float, gain_nm_pa: float, share: float) -> float:
+def brake_nm(gauge_pa: float, share: float, brake: DiscBrake) -> float:
     """Torque of the pressed disc, unsigned; at rest it is what the disc can hold."""
-    return gain_nm_pa * max(gauge_pa - touch_pa, 0.0) * share
+    return brake.gain_nm_pa * max(gauge_pa - brake.touch_pa, 0.0) * share
 
 
 @part
-def heating_k_s(
-    power_w: float, disc_k: float, oil_k: float, heat_j_k: float, cooling_w_k: float
-) -> float:
+def heating_k_s(power_w: float, disc_k: float, oil_k: float, brake: DiscBrake) -> float:
     """How fast the disc gets warmer."""
-    return (power_w - cooling_w_k * (disc_k - oil_k)) / heat_j_k
+    return (power_w - brake.cooling_w_k * (disc_k - oil_k)) / brake.heat_j_k

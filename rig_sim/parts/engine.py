@@ -10,37 +10,50 @@ The clutch carries T_max (x - kiss) / (1 - kiss) at position x, and slips beyond
 from __future__ import annotations
 
 from meshpoint.rig_sim.jit import part
+from meshpoint.rig_sim.records import Record
 
 IDLE, SPEED_CONTROL, TORQUE_CONTROL, DRIVE = range(4)
 """What the engine is asked for: idle, by TSC1 a speed or a torque, or in gear a speed held."""
 
 
+class EngineLimits(Record):
+    """The engine and its governor as built."""
+
+    lag_rate: float  # 1 / tau, 1/s
+    limit_nm_s: float
+    least_nm: float
+    most_nm: float
+    governor_nms: float
+    idle_rad_s: float
+
+
+class ClutchPlates(Record):
+    """The clutch as built."""
+
+    most_nm: float
+    kiss: float  # position at which the plates touch
+
+
 @part
-def demand_nm(
-    mode: float,
-    target: float,
-    omega_rad_s: float,
-    idle_rad_s: float,
-    governor_nms: float,
-    least_nm: float,
-    most_nm: float,
-) -> float:
+def demand_nm(mode: int, target: float, omega_rad_s: float, engine: EngineLimits) -> float:
     """What the engine is asked for; `target` is rad/s, or Nm in torque control."""
     if mode == TORQUE_CONTROL:
         demand = target
     else:
-        wanted = idle_rad_s if mode == IDLE else target
-        demand = governor_nms * (wanted - omega_rad_s)
-    return min(max(demand, least_nm), most_nm)
+        wanted = engine.idle_rad_s if mode == IDLE else target
+        demand = engine.governor_nms * (wanted - omega_rad_s)
+    return min(max(demand, engine.least_nm), engine.most_nm)
 
 
 @part
-def torque_nm_s(demanded_nm: float, torque_nm: float, lag_rate: float, limit_nm_s: float) -> float:
+def torque_nm_s(demanded_nm: float, torque_nm: float, engine: EngineLimits) -> float:
     """How fast the torque follows."""
-    return min(max((demanded_nm - torque_nm) * lag_rate, -limit_nm_s), limit_nm_s)
+    wanted_nm_s = (demanded_nm - torque_nm) * engine.lag_rate
+    return min(max(wanted_nm_s, -engine.limit_nm_s), engine.limit_nm_s)
 
 
 @part
-def capacity_nm(position: float, kiss: float, most_nm: float) -> float:
+def capacity_nm(position: float, plates: ClutchPlates) -> float:
     """What the clutch can carry."""
-    return most_nm * min(max((position - kiss) / (1.0 - kiss), 0.0), 1.0)
+    share = (position - plates.kiss) / (1.0 - plates.kiss)
+    return plates.most_nm * min(max(share, 0.0), 1.0)

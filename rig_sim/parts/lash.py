@@ -13,11 +13,19 @@ from typing import Final
 
 from meshpoint.rig_sim.jit import part
 from meshpoint.rig_sim.parts.saturation import saturated
+from meshpoint.rig_sim.records import Record
 
 FIRM_NM: Final = 0.5  # T_s; s is `saturation.saturated`
 
 
+class Backlash(Record):
+    """Of a mesh as built."""
+
+    half_rad: float
+    rate: float  # 1 / tau, 1/s
+
+
 @part
-def lash_rad_s(y_rad: float, torque_nm: float, half_rad: float, rate: float) -> float:
-    """How fast the wheel moves in its backlash; `rate` is 1 / tau."""
-    return (-half_rad * saturated(torque_nm / FIRM_NM) - y_rad) * rate
+def lash_rad_s(y_rad: float, torque_nm: float, lash: Backlash) -> float:
+    """How fast the wheel moves in its backlash."""
+    return (-lash.half_rad * saturated(torque_nm / FIRM_NM) - y_rad) * lash.rate

@@ -17,13 +17,26 @@ import math
 from typing import Final
 
 from meshpoint.rig_sim.jit import part
+from meshpoint.rig_sim.records import Record
 
 FIRST_ORDER: Final = 0.0
-ISO_6358: Final = 1.0
 LAMINAR_FROM: Final = 0.99
 GAS_J_KGK: Final = 287.05
 NORMAL_K: Final = 293.15
 NORMAL_KG_M3: Final = 1.185
+
+
+class BrakeAir(Record):
+    """The brake's chamber, its valve and the tank as built."""
+
+    model: float  # FIRST_ORDER, or by ISO 6358
+    rate: float  # 1 / tau of 4.1, 1/s
+    fill: float  # choked filling rate per Pa of supply, 1/s
+    exhaust: float  # choked exhaust rate per Pa of chamber, 1/s
+    critical: float  # pressure ratio b up to which the flow is choked
+    atmosphere_pa: float
+    droop: float  # brake volume over tank volume
+    recovery: float  # of the tank's pressure, 1/s
 
 
 @part
@@ -42,31 +55,20 @@ def flow_share(before_pa: float, behind_pa: float, critical: float) -> float:
 
 
 @part
-def chamber_pa_s(
-    pa: float,
-    supply_pa: float,
-    atmosphere_pa: float,
-    valve: float,
-    model: float,
-    rate: float,
-    fill: float,
-    exhaust: float,
-    critical: float,
-) -> float:
-    """How fast the pressure in the chamber rises; `fill`, `exhaust`: choked rates, 1/s."""
-    if model == FIRST_ORDER:
-        return rate * (valve * (supply_pa - atmosphere_pa) - (pa - atmosphere_pa))
+def chamber_pa_s(pa: float, supply_pa: float, valve: float, air: BrakeAir) -> float:
+    """How fast the pressure in the chamber rises."""
+    ambient_pa = air.atmosphere_pa
+    if air.model == FIRST_ORDER:
+        return air.rate * (valve * (supply_pa - ambient_pa) - (pa - ambient_pa))
     if valve > 0.0:
-        return fill * supply_pa * flow_share(supply_pa, pa, critical)
-    return -exhaust * pa * flow_share(pa, atmosphere_pa, critical)
+        return air.fill * supply_pa * flow_share(supply_pa, pa, air.critical)
+    return -air.exhaust * pa * flow_share(pa, ambient_pa, air.critical)
 
 
 @part
-def tank_pa_s(
-    pa: float, governed_pa: float, recovery: float, droop: float, chamber_pa_s_: float
-) -> float:
+def tank_pa_s(pa: float, governed_pa: float, filling_pa_s: float, air: BrakeAir) -> float:
     """How fast the tank's pressure rises: compressor less what fills the chamber."""
-    return recovery * (governed_pa - pa) - droop * max(chamber_pa_s_, 0.0)
+    return air.recovery * (governed_pa - pa) - air.droop * max(filling_pa_s, 0.0)
 
 
 def choked_rate(conductance_m3_spa: float, volume_m3: float, polytropic: float) -> float:

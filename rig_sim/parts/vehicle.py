@@ -12,13 +12,23 @@ from typing import Final
 
 from meshpoint.rig_sim.jit import part
 from meshpoint.rig_sim.parts.saturation import saturated
+from meshpoint.rig_sim.records import Record
 
 GRAVITY_M_S2: Final = 9.81
 CREEP_M_S: Final = 0.1
 
 
+class RoadLoad(Record):
+    """The vehicle on its road, as built."""
+
+    wheel_m: float  # wheel radius over axle ratio: vehicle speed = propeller speed x this
+    rolling_n: float
+    grade_n: float
+    air_ns2_m2: float  # 1/2 rho c_d A
+
+
 @part
-def resistance_n(speed_m_s: float, rolling_n: float, air_ns2_m2: float) -> float:
+def resistance_n(speed_m_s: float, road: RoadLoad) -> float:
     """Rolling and air resistance, with the sign of the speed."""
-    rolling = rolling_n * saturated(speed_m_s / CREEP_M_S)
-    return rolling + air_ns2_m2 * speed_m_s * abs(speed_m_s)
+    rolling = road.rolling_n * saturated(speed_m_s / CREEP_M_S)
+    return rolling + road.air_ns2_m2 * speed_m_s * abs(speed_m_s)

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
 
 from meshpoint.rig_sim.jit import DISABLED
+from meshpoint.rig_sim.shared.capture_records import (
+    CHANNELS,
+    PIECES,
+    RING,
+    STAMPS,
+    Captured,
+    Clock,
+    Reading,
+)
 
 Floats = npt.NDArray[np.float64]
-
-Integers = npt.NDArray[np.int64]
-
-Stamps = npt.NDArray[np.uint16]
 
 Turned = tuple[int, float]
 
@@ -71,60 +76,56 @@ def wrapped(angle: float, pitch: float) -> float:
 
 
 @compiled
-def _clock_before(clock: Floats, time_us: float) -> int:
-    piece = clock.shape[0] - 1
-    while piece > 0 and time_us < clock[piece, 0]:
-        piece -= 1
-    since, base, rate = clock[piece, 0], int(clock[piece, 1]), clock[piece, 2]
-    shown: int = base + math.floor((time_us - since) * rate)
-    return shown
+def _clock_before(clock: Clock, time_us: float) -> int:
+    index = PIECES - 1
+    while index > 0 and time_us < clock.pieces[index].since_us:
+        index -= 1
+    piece = clock.pieces[index]
+    return piece.base_us + math.floor((time_us - piece.since_us) * piece.rate)
 
 
 @compiled
 def read_ring(
     now_us: float,
     on_us: float,
-    clock: Floats,
-    counts: Integers,
-    ring: Floats,
-    stamps: Stamps,
-    heads: Integers,
+    clocks: Sequence[Clock],
+    edges: Sequence[Captured],
+    readings: Sequence[Reading],
 ) -> None:
-    """What the edge frames of one read hold, all channels at once.
+    """Fill in what the edge frames of one read hold, all channels at once.
 
-    now_us  when it is read, and since when the sensor is on (on_us), us since power-up
-    clock   (pieces, 3) the sensor clock, as `sensor_clock.SensorClock.pieces`
-    counts  (channels,) edges captured so far; those still to come at now_us are left out
-    ring    (channels, size) when they were captured, us since power-up
-    stamps  (channels, 27) low 16 bits of the sensor clock, newest first, zero where there is none
-    heads   (channels, 4) newest index, valid stamps, long interval, stopped
-    """
-    size = ring.shape[1]
-    length = stamps.shape[1]
-    newest = clock.shape[0] - 1
-    since, base, rate = clock[newest, 0], int(clock[newest, 1]), clock[newest, 2]
+    now_us is when it is read, on_us since when the sensor is on, both us since power-up. Edges that
+    are still to come at now_us are left out."""
+    clock, captured, reading = clocks[0], edges[0], readings[0]
+    piece = clock.pieces[PIECES - 1]
+    since, base, rate = piece.since_us, piece.base_us, piece.rate
     now = base + math.floor((now_us - since) * rate)
-    for channel in range(ring.shape[0]):
-        count = counts[channel]
-        slot = count % size
-        while count > 0 and ring[channel, (slot if slot > 0 else size) - 1] > now_us:
+    for edge in range(CHANNELS):
+        ring, head = captured.channels[edge].times_us, reading.heads[edge]
+        stamps = reading.stamps[edge].low
+        count = captured.channels[edge].count
+        slot = count % RING
+        while count > 0 and ring[(slot if slot > 0 else RING) - 1] > now_us:
             count -= 1
-            slot = (slot if slot > 0 else size) - 1
-        valid = min(count, length)
+            slot = (slot if slot > 0 else RING) - 1
+        valid = min(count, STAMPS)
         newer = now
-        heads[channel, 2] = 0
-        heads[channel, 3] = 1 if count == 0 and now_us - on_us > 0xFFFF else 0
+        head.long_interval = 0
+        head.stopped = 1 if count == 0 and now_us - on_us > 0xFFFF else 0
         for entry in range(valid):
-            slot = (slot if slot > 0 else size) - 1
-            time_us = ring[channel, slot]
+            slot = (slot if slot > 0 else RING) - 1
+            time_us = ring[slot]
             stamp = base + math.floor((time_us - since) * rate)
             if time_us < since:
                 stamp = _clock_before(clock, time_us)
-            stamps[channel, entry] = stamp & 0xFFFF
+            stamps[entry] = stamp & 0xFFFF
             if newer - stamp > 0xFFFF:
-                heads[channel, 3 if entry == 0 else 2] = 1
+                if entry == 0:
+                    head.stopped = 1
+                else:
+                    head.long_interval = 1
             newer = stamp
-        for entry in range(valid, length):
-            stamps[channel, entry] = 0
-        heads[channel, 0] = count & 0xFFFF
-        heads[channel, 1] = valid
+        for entry in range(valid, STAMPS):
+            stamps[entry] = 0
+        head.newest_index = count & 0xFFFF
+        head.valid_stamps = valid

@@ -11,35 +11,32 @@ from __future__ import annotations
 import math
 from typing import Final
 
-import numpy as np
+from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.shared.capture_records import PIECES, Clock
 
-from meshpoint.rig_sim.shared.angle_kernels import Floats
-
-PIECES: Final = 8
 PPM: Final = 1e-6
 
 
 class SensorClock:
     """From microseconds since power-up to the clock, and back.
 
-    `pieces` is for `kernels.read_ring`: rows (since when, what it showed then, its rate), the
-    newest last.
+    `memory` is for `kernels.read_ring`.
     """
 
     def __init__(self, start_us: int) -> None:
-        self.pieces: Floats = np.array([(0.0, float(start_us), 1.0)] * PIECES)
+        self.memory = Memory(Clock(pieces=((0.0, start_us, 1.0),) * PIECES))
         self._since_us, self._base_us, self._rate = 0.0, start_us, 1.0
 
     def at(self, time_us: float) -> int:
         """What the clock shows at an instant, rounded down."""
         if time_us >= self._since_us:
             return self._base_us + math.floor((time_us - self._since_us) * self._rate)
-        pieces: list[list[float]] = self.pieces.tolist()
-        since_us, base_us, rate = pieces[0]
+        pieces = self.memory.record.pieces[:]
+        found = pieces[0]
         for piece in pieces:
-            if time_us >= piece[0]:
-                since_us, base_us, rate = piece
-        return int(base_us) + math.floor((time_us - since_us) * rate)
+            if time_us >= piece.since_us:
+                found = piece
+        return found.base_us + math.floor((time_us - found.since_us) * found.rate)
 
     def when(self, clock_us: int) -> float:
         """The instant at which the clock, as it runs now, shows this."""
@@ -59,5 +56,8 @@ class SensorClock:
 
     def _piece(self, time_us: float, clock_us: int, rate: float) -> None:
         self._since_us, self._base_us, self._rate = time_us, clock_us, rate
-        self.pieces[:-1] = self.pieces[1:]
-        self.pieces[-1] = (time_us, clock_us, rate)
+        pieces = self.memory.record.pieces
+        for i in range(PIECES - 1):
+            pieces[i] = pieces[i + 1]
+        newest = pieces[PIECES - 1]
+        newest.since_us, newest.base_us, newest.rate = time_us, clock_us, rate

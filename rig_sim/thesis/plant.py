@@ -10,25 +10,16 @@ from __future__ import annotations
 import math
 from typing import NamedTuple, Protocol
 
-import numpy as np
-
 from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.sheet import GearboxSheet
-from meshpoint.rig_sim.shared.angle_kernels import Floats, settled
+from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.shared.angle_kernels import settled
 from meshpoint.rig_sim.shared.angles import Angle, Shafts
 from meshpoint.rig_sim.shared.rotation import Drive, Rotation
 from meshpoint.rig_sim.thesis.closed_form import (
-    ACCEL,
     ACCELERATED,
-    DRAG,
     FREE,
-    GAIN,
-    KIND,
-    MOTION_SIZE,
-    OMEGA,
-    P_DIFF,
-    P_END,
-    RATE,
+    Motion,
     motion_at,
     time_of_exit,
     time_of_stop,
@@ -53,8 +44,8 @@ class Segment(NamedTuple):
 
     start_us: float
     duration_s: float
-    layshaft: Floats
-    main: Floats
+    layshaft: Memory[Motion]
+    main: Memory[Motion]
     before: tuple[Angle, Angle, Angle, Angle]
     after: tuple[Angle, Angle, Angle, Angle]
     shares: tuple[float, float, float, float]
@@ -94,26 +85,25 @@ class ThesisPlant:
         self.drive = Drive.COASTING
         self._ratios = {gear: sheet.main_mesh(gear).ratio for gear in MAIN_GEARS}
         self._locked_ratio = 1.0
-        self._layshaft: Floats = np.zeros(MOTION_SIZE)
-        self._main: Floats = np.zeros(MOTION_SIZE)
-        self._main[OMEGA] = main_rad_s
-        self._layshaft[RATE] = 1.0 / sheet.brake.time_constant_s
+        self._layshaft = Memory(Motion(valve_rate=1.0 / sheet.brake.time_constant_s))
+        self._main = Memory(Motion(speed_rad_s=main_rad_s))
         self._load_inertia()
 
     @property
     def layshaft_rad_s(self) -> float:
         """Layshaft speed."""
-        return float(self._layshaft[OMEGA])
+        return self._layshaft.record.speed_rad_s
 
     @property
     def main_rad_s(self) -> float:
         """Main shaft speed."""
-        return float(self._main[OMEGA])
+        return self._main.record.speed_rad_s
 
     @property
     def brake_gauge_pa(self) -> float:
         """Gauge pressure between valve and brake (4.15a)."""
-        return float(self._layshaft[P_END] + self._layshaft[P_DIFF])
+        layshaft = self._layshaft.record
+        return layshaft.end_pa + layshaft.diff_pa
 
     def slip_rad_s(self, gear: MainGear) -> float:
         """Speed of the gear less that of its sleeve; the sleeves turn with the main shaft."""
@@ -125,26 +115,26 @@ class ThesisPlant:
         """When the gear's phase, now `phase_rad`, first leaves the span; None: not by then."""
         ratio = self._ratios[gear]
         horizon_s = (horizon_us - self.time_us) * US
-        s, side = time_of_exit(
-            self._layshaft, self._main, ratio, phase_rad, span[0], span[1], horizon_s
-        )
+        layshaft, main = self._layshaft.array[0], self._main.array[0]
+        s, side = time_of_exit(layshaft, main, ratio, phase_rad, span, horizon_s)
         return Crossing(self.time_us + s / US, side) if side else None
 
     def stop_us(self, horizon_us: float) -> float | None:
         """When the layshaft is braked to rest; None: not before the horizon."""
-        s = time_of_stop(self._layshaft, (horizon_us - self.time_us) * US)
+        s = time_of_stop(self._layshaft.array[0], (horizon_us - self.time_us) * US)
         return None if s < 0.0 else self.time_us + s / US
 
     def move_to(self, time_us: float) -> Segment:
         """Go on to a later instant, exactly, and say what happened on the way."""
         duration_s = (time_us - self.time_us) * US
-        layshaft, main, shafts = self._layshaft.copy(), self._main.copy(), self.shafts
+        now, main_now, shafts = self._layshaft.record, self._main.record, self.shafts
+        layshaft, main = Memory(now.copy()), Memory(main_now.copy())
         before = (shafts.input, shafts.layshaft, shafts.main, shafts.propeller)
-        turned, self._layshaft[OMEGA] = motion_at(layshaft, duration_s)
+        turned, now.speed_rad_s = motion_at(layshaft.array[0], duration_s)
         shafts.layshaft = settled(shafts.layshaft[0], shafts.layshaft[1] + turned)
-        turned, self._main[OMEGA] = motion_at(main, duration_s)
+        turned, main_now.speed_rad_s = motion_at(main.array[0], duration_s)
         shafts.main = settled(shafts.main[0], shafts.main[1] + turned)
-        self._layshaft[P_DIFF] *= math.exp(-self._layshaft[RATE] * duration_s)
+        now.diff_pa *= math.exp(-now.valve_rate * duration_s)
         if self.drive is Drive.LOCKED:
             self._follow_main()
         shafts.follow()
@@ -163,20 +153,20 @@ class ThesisPlant:
 
     def set_brake(self, on: bool) -> None:
         """The brake valve's input u (4.1); the caller has waited the valve's delay."""
-        pressure = self.brake_gauge_pa
-        self._layshaft[P_END] = self._sheet.air.supply_gauge_pa if on else 0.0
-        self._layshaft[P_DIFF] = pressure - self._layshaft[P_END]
+        pressure, layshaft = self.brake_gauge_pa, self._layshaft.record
+        layshaft.end_pa = self._sheet.air.supply_gauge_pa if on else 0.0
+        layshaft.diff_pa = pressure - layshaft.end_pa
 
     def coast(self) -> None:
         """No gear and no bench holds the layshaft: friction and brake alone act (4.13)."""
         self.shafts.lock = None
         self.drive = Drive.COASTING if self.layshaft_rad_s > 0.0 else Drive.STOPPED
-        self._layshaft[KIND] = FREE if self.drive is Drive.COASTING else ACCELERATED
-        self._layshaft[ACCEL] = 0.0
+        self._layshaft.record.kind = FREE if self.drive is Drive.COASTING else ACCELERATED
+        self._layshaft.record.accel_rad_s2 = 0.0
 
     def stop(self) -> None:
         """The brake has brought the layshaft to rest: its torque is clamped there."""
-        self._layshaft[OMEGA] = 0.0
+        self._layshaft.record.speed_rad_s = 0.0
         self.coast()
 
     def lock(self, gear: MainGear, phase_rad: float) -> None:
@@ -184,7 +174,7 @@ class ThesisPlant:
         self.shafts.lock_gear(gear, phase_rad)
         self.drive = Drive.LOCKED
         self._locked_ratio = self._ratios[gear]
-        self._layshaft[KIND] = ACCELERATED
+        self._layshaft.record.kind = ACCELERATED
         self._follow_main()
         self.shafts.follow()
 
@@ -192,12 +182,12 @@ class ThesisPlant:
         """The bench drives the layshaft at constant acceleration."""
         self.shafts.lock = None
         self.drive = Drive.SCRIPTED
-        self._layshaft[KIND] = ACCELERATED
-        self._layshaft[ACCEL] = accel_rad_s2
+        self._layshaft.record.kind = ACCELERATED
+        self._layshaft.record.accel_rad_s2 = accel_rad_s2
 
     def script_main(self, accel_rad_s2: float) -> None:
         """The bench drives the main shaft at constant acceleration; 0 keeps its speed (4.16)."""
-        self._main[ACCEL] = accel_rad_s2
+        self._main.record.accel_rad_s2 = accel_rad_s2
 
     def set_steps(self, split: Split, range_: Range, moving: frozenset[Sleeve]) -> None:  # noqa: ARG002
         """Splitter and range steps; angles are continuous, speeds and inertia follow the ratios."""
@@ -205,10 +195,10 @@ class ThesisPlant:
         self._load_inertia()
 
     def _follow_main(self) -> None:
-        self._layshaft[OMEGA] = self._main[OMEGA] / self._locked_ratio
-        self._layshaft[ACCEL] = self._main[ACCEL] / self._locked_ratio
+        self._layshaft.record.speed_rad_s = self.main_rad_s / self._locked_ratio
+        self._layshaft.record.accel_rad_s2 = self._main.record.accel_rad_s2 / self._locked_ratio
 
     def _load_inertia(self) -> None:
         inertia_kgm2 = self._sheet.inertia_kgm2(self.shafts.split)
-        self._layshaft[DRAG] = self._sheet.shafts.friction_nms / inertia_kgm2
-        self._layshaft[GAIN] = self._sheet.brake_nm_per_pa / inertia_kgm2
+        self._layshaft.record.drag = self._sheet.shafts.friction_nms / inertia_kgm2
+        self._layshaft.record.gain = self._sheet.brake_nm_per_pa / inertia_kgm2

@@ -9,9 +9,8 @@ from __future__ import annotations
 import math
 from enum import IntEnum
 
-import numpy as np
-
-from meshpoint.gearbox.sheet import Wheels
+from meshpoint.gearbox import sheet as sheets
+from meshpoint.rig_sim.records import Memory
 from meshpoint.rig_sim.settings import SettingsError
 from meshpoint.rig_sim.shared.angle_kernels import TAU, settled
 from meshpoint.rig_sim.shared.angles import Angle
@@ -19,12 +18,11 @@ from meshpoint.rig_sim.shared.edge_ring import (
     ENCODER_MODULUS,
     ENCODER_SAMPLES_S,
     ENCODER_STEPS_PER_TURN,
-    RING,
     EdgeRead,
     RingReader,
 )
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
-from meshpoint.rig_sim.thesis.closed_form import capture_edges, motion_at
+from meshpoint.rig_sim.thesis.closed_form import Piece, Wheels, capture_edges, motion_at
 from meshpoint.rig_sim.thesis.plant import US, Segment
 
 
@@ -40,40 +38,36 @@ class Shaft(IntEnum):
 class EdgeCapture:
     """Eight capture channels: rising and falling edges of four wheels."""
 
-    def __init__(self, wheels: Wheels, angles: tuple[Angle, ...]) -> None:
+    def __init__(self, wheels: sheets.Wheels, angles: tuple[Angle, ...]) -> None:
         order = (wheels.input_, wheels.layshaft, wheels.main, wheels.propeller)
         if any(wheel.missing for wheel in order):
             raise SettingsError("preset thesis: wheels.*.missing, allowed are whole wheels only")
-        channels = 2 * len(order)
-        self._teeth = np.array([wheel.teeth for wheel in order], dtype=np.int64)
-        self._offsets = np.array([offset for wheel in order for offset in (0.0, wheel.duty_share)])
-        self._seen = np.zeros((channels, 2), dtype=np.int64)
-        self._ring = np.zeros((channels, RING))
-        self._reader = RingReader(channels)
-        for channel in range(channels):
-            turns, rest = angles[channel // 2]
-            teeth = order[channel // 2].teeth
-            tooth = math.floor(rest * teeth / TAU - self._offsets[channel])
-            self._seen[channel, 0] = turns * teeth + tooth
+        offsets = [offset for wheel in order for offset in (0.0, wheel.duty_share)]
+        self._wheels = Memory(Wheels(teeth=tuple(w.teeth for w in order), offsets=tuple(offsets)))
+        self._captured = Memory(self._wheels.record.captured)
+        self._piece = Memory(Piece())
+        self._reader = RingReader()
+        for edge, channel in enumerate(self._captured.record.channels):
+            turns, rest = angles[edge // 2]
+            teeth = order[edge // 2].teeth
+            tooth = math.floor(rest * teeth / TAU - offsets[edge])
+            channel.tooth = turns * teeth + tooth
 
     def add(self, segment: Segment) -> None:
         """Find all edges of a segment."""
-        capture_edges(
-            (segment.layshaft, segment.layshaft, segment.main, segment.main),
-            segment.start_us,
-            segment.duration_s,
-            segment.shares,
-            segment.before,
-            segment.after,
-            self._teeth,
-            self._offsets,
-            self._seen,
-            self._ring,
-        )
+        piece = self._piece.record
+        piece.start_us, piece.duration_s = segment.start_us, segment.duration_s
+        piece.layshaft, piece.main = segment.layshaft.record, segment.main.record
+        angles = zip(segment.shares, segment.before, segment.after, strict=True)
+        for wheel, (share, before, after) in zip(piece.wheels, angles, strict=True):
+            wheel.share = share
+            wheel.turns, wheel.rest_rad = before
+            wheel.end_turns, wheel.end_rest_rad = after
+        capture_edges(self._piece.array, self._wheels.array)
 
     def read(self, now_us: int, clock: SensorClock) -> list[EdgeRead]:
         """The read of all channels now, in the order of the wire contract."""
-        return self._reader.read(now_us, 0.0, clock, self._seen[:, 1], self._ring)
+        return self._reader.read(now_us, 0.0, clock, self._captured)
 
 
 class Encoder:
@@ -108,5 +102,5 @@ class Encoder:
             index -= 1
         segment = self._segments[index]
         turns, rest = segment.before[Shaft.LAYSHAFT]
-        turned, speed = motion_at(segment.layshaft, (time_us - segment.start_us) * US)
+        turned, speed = motion_at(segment.layshaft.array[0], (time_us - segment.start_us) * US)
         return settled(turns, rest + turned), speed

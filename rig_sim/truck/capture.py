@@ -9,43 +9,40 @@ the way forward it rises on the way back: an edge of the one channel comes on th
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 from meshpoint.rig_sim.jit import inlined, part
-from meshpoint.rig_sim.shared.angle_kernels import TAU, Floats, Integers
-from meshpoint.rig_sim.truck.layout import (
-    ANGLE,
-    COUNT,
-    EXTRA,
-    EXTRA_EDGE_US,
-    FIRST_EDGES,
-    INPUT,
-    JITTERS,
-    LAP,
-    LASH,
-    MISSING,
-    RING,
-    SILENT,
-    SPEED,
-    TOOTH,
-    WHEELS,
-)
+from meshpoint.rig_sim.shared.angle_kernels import TAU
+from meshpoint.rig_sim.shared.capture_records import RING
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.layout import Rig
 
 SECOND_US: Final = 1e6
 MAX_ITERATIONS: Final = 60
 SETTLED: Final = 1e-9
 
 
+class Way(NamedTuple):
+    """A wheel's angle over a time: the cubic through both ends with the speeds there."""
+
+    start_rad: float
+    end_rad: float
+    start_rad_s: float
+    end_rad_s: float
+    time_s: float
+
+
 @inlined
-def _share_at(start: float, end: float, v0: float, v1: float, h: float, at: float) -> float:
-    """When the cubic from `start` to `end` with end slopes v0, v1 reaches `at`: 0..1 of the way.
+def _share_at(way: Way, angle_rad: float) -> float:
+    """When the wheel reaches an angle: 0..1 of the time.
 
     Newton's method, kept inside a shrinking bracket."""
-    way = end - start
-    a = (v0 + v1) * h / way - 2.0
-    b = 3.0 - (2.0 * v0 + v1) * h / way
-    c = v0 * h / way
-    wanted = (at - start) / way
+    start, end, v0, v1, h = way
+    length = end - start
+    a = (v0 + v1) * h / length - 2.0
+    b = 3.0 - (2.0 * v0 + v1) * h / length
+    c = v0 * h / length
+    wanted = (angle_rad - start) / length
     x, low, high = wanted, 0.0, 1.0
     for _ in range(MAX_ITERATIONS):
         error = x * (c + x * (b + x * a)) - wanted
@@ -64,11 +61,12 @@ def _share_at(start: float, end: float, v0: float, v1: float, h: float, at: floa
 
 
 @inlined
-def _turning_share(start: float, end: float, v0: float, v1: float, h: float) -> float:
-    """Where the cubic's slope is zero, if its end slopes have opposite signs: 0..1 of the step."""
-    way = end - start
-    a = 3.0 * ((v0 + v1) * h - 2.0 * way)
-    b = 3.0 * way - (2.0 * v0 + v1) * h
+def _turning_share(way: Way) -> float:
+    """Where the wheel turns back, if its end speeds have opposite signs: 0..1 of the time."""
+    start, end, v0, v1, h = way
+    length = end - start
+    a = 3.0 * ((v0 + v1) * h - 2.0 * length)
+    b = 3.0 * length - (2.0 * v0 + v1) * h
     c = v0 * h
     q = -(b + math.copysign(math.sqrt(max(b * b - a * c, 0.0)), b))
     share = c / q if q != 0.0 else 0.5
@@ -78,120 +76,89 @@ def _turning_share(start: float, end: float, v0: float, v1: float, h: float) -> 
 
 
 @inlined
-def _write(
-    channel: int, tooth: int, time_us: float, pointers: Integers, faults: Integers, ring: Floats
-) -> None:
+def _write(edge: int, tooth: int, time_us: float, rig: Rig) -> None:
     """An edge, unless the channel is silent there; and what a fault adds to it."""
-    if faults[channel, SILENT] != 0 or faults[channel, MISSING] == tooth + 1:
+    hall, channel = rig.hall[edge], rig.captured.channels[edge]
+    if hall.silent != 0 or hall.missing == tooth + 1:
         return
-    for extra in range(1 + faults[channel, EXTRA]):
-        ring[channel, pointers[channel, COUNT] % RING] = time_us + EXTRA_EDGE_US * extra
-        pointers[channel, COUNT] += 1
+    for extra in range(1 + hall.extra):
+        channel.times_us[channel.count % RING] = time_us + at.EXTRA_EDGE_US * extra
+        channel.count += 1
 
 
 @inlined
-def _error_rad(channel: int, v0: float, count: int, first: Floats, jitter_s: Floats) -> float:
+def _error_rad(edge: int, speed_rad_s: float, rig: Rig) -> float:
     """How far off the wheel's own edge the next edge of a channel is."""
-    error: float = v0 * jitter_s[(count * 733 + channel * 509) % JITTERS]
-    if count < FIRST_EDGES:
-        error += first[channel, count]
+    count = rig.captured.channels[edge].count
+    error = speed_rad_s * rig.jitter_s[(count * 733 + edge * 509) % at.JITTERS]
+    if count < at.FIRST_EDGES:
+        error += rig.hall[edge].first_rad[count]
     return error
 
 
 @part
-def _sweep(
-    wheel: int,
-    start: float,
-    end: float,
-    v0: float,
-    v1: float,
-    t_us: float,
-    h: float,
-    lap: int,
-    teeth: Integers,
-    table: Floats,
-    first: Floats,
-    jitter_s: Floats,
-    pointers: Integers,
-    faults: Integers,
-    ring: Floats,
-) -> None:
-    """The edges of a wheel that turns one way from `start` to `end`, in the lap `lap`."""
+def _sweep(way: Way, wheel: int, t_us: float, lap: int, rig: Rig) -> None:
+    """The edges of a wheel that turns one way, from t_us on, in the lap `lap`."""
+    start, end = way.start_rad, way.end_rad
     if end == start:
         return
     forward = end > start
     for row in range(2):
         edge = 2 * wheel + row
-        channel = edge if forward else edge ^ 1
+        written = edge if forward else edge ^ 1
+        hall, pointer = rig.hall[edge], rig.captured.channels[edge]
         while True:
             # a pointer stands at the next edge on the way forward
-            tooth, turn = pointers[edge, TOOTH], pointers[edge, LAP]
+            tooth, turn = pointer.tooth, pointer.lap
             if not forward:
                 tooth -= 1
                 if tooth < 0:
-                    tooth, turn = teeth[wheel] - 1, turn - 1
-            at = table[edge, tooth] + TAU * (turn - lap)
-            at += _error_rad(channel, v0, pointers[channel, COUNT], first, jitter_s)
-            if (at > end) if forward else (at < end):
+                    tooth, turn = hall.teeth - 1, turn - 1
+            angle = hall.edges_rad[tooth] + TAU * (turn - lap)
+            angle += _error_rad(written, way.start_rad_s, rig)
+            if (angle > end) if forward else (angle < end):
                 break
-            at = max(at, start) if forward else min(at, start)
-            time_us = t_us + h * SECOND_US * _share_at(start, end, v0, v1, h, at)
-            _write(channel, tooth, time_us, pointers, faults, ring)
+            angle = max(angle, start) if forward else min(angle, start)
+            time_us = t_us + way.time_s * SECOND_US * _share_at(way, angle)
+            _write(written, tooth, time_us, rig)
             if forward:
                 tooth += 1
-                if tooth == teeth[wheel]:
+                if tooth == hall.teeth:
                     tooth, turn = 0, turn + 1
-            pointers[edge, TOOTH], pointers[edge, LAP] = tooth, turn
+            pointer.tooth = tooth
+            pointer.lap = turn
 
 
 @inlined
-def capture(
-    y: Floats,
-    after: Floats,
-    laps: Integers,
-    t_us: float,
-    h: float,
-    teeth: Integers,
-    table: Floats,
-    first: Floats,
-    jitter_s: Floats,
-    pointers: Integers,
-    faults: Integers,
-    ring: Floats,
-) -> None:
-    """All edges of a step from y to `after`, h seconds long, that begins at t_us.
+def _way(wheel: int, h: float, rig: Rig) -> Way:
+    """How a wheel has turned in a step from y to `after`, the input shaft's with its backlash."""
+    y, after = rig.y, rig.after
+    body = at.INPUT + wheel
+    start, end = y.angle_rad[body], after.angle_rad[body]
+    v0, v1 = y.speed_rad_s[body], after.speed_rad_s[body]
+    if body == at.INPUT:
+        start += y.input_lash_rad
+        end += after.input_lash_rad
+        drift = (after.input_lash_rad - y.input_lash_rad) / h
+        v0 += drift
+        v1 += drift
+    return Way(start, end, v0, v1, h)
 
-    table    (channels, teeth) angle of each edge of the as-built wheel, rad
-    first    (channels, FIRST_EDGES) error of the first edges after power-up, rad
-    jitter_s (JITTERS,) times turned into angle at the present speed
-    ring     (channels, RING) times of the newest edges, us since power-up
-    """
-    for wheel in range(WHEELS):
-        body = INPUT + wheel
-        start, end = y[ANGLE + body], after[ANGLE + body]
-        v0, v1 = y[SPEED + body], after[SPEED + body]
-        if body == INPUT:
-            start += y[LASH]
-            end += after[LASH]
-            drift = (after[LASH] - y[LASH]) / h
-            v0 += drift
-            v1 += drift
-        lap = laps[body]
+
+@inlined
+def capture(t_us: float, h: float, rig: Rig) -> None:
+    """All edges of a step from y to `after`, h seconds long, that begins at t_us."""
+    for wheel in range(at.WHEELS):
+        way = _way(wheel, h, rig)
+        start, end, v0, v1, _ = way
+        lap = rig.laps[at.INPUT + wheel]
         if v0 * v1 >= 0.0:
-            _sweep(
-                wheel, start, end, v0, v1, t_us, h, lap,
-                teeth, table, first, jitter_s, pointers, faults, ring,
-            )  # fmt: skip
+            _sweep(way, wheel, t_us, lap, rig)
             continue
-        x = _turning_share(start, end, v0, v1, h)
-        way = end - start
-        a, b = (v0 + v1) * h - 2.0 * way, 3.0 * way - (2.0 * v0 + v1) * h
+        x = _turning_share(way)
+        length = end - start
+        a, b = (v0 + v1) * h - 2.0 * length, 3.0 * length - (2.0 * v0 + v1) * h
         turn = start + x * (v0 * h + x * (b + x * a))
-        _sweep(
-            wheel, start, turn, v0, 0.0, t_us, x * h, lap,
-            teeth, table, first, jitter_s, pointers, faults, ring,
-        )  # fmt: skip
-        _sweep(
-            wheel, turn, end, 0.0, v1, t_us + x * h * SECOND_US, (1.0 - x) * h, lap,
-            teeth, table, first, jitter_s, pointers, faults, ring,
-        )  # fmt: skip
+        _sweep(Way(start, turn, v0, 0.0, x * h), wheel, t_us, lap, rig)
+        back = Way(turn, end, 0.0, v1, (1.0 - x) * h)
+        _sweep(back, wheel, t_us + x * h * SECOND_US, lap, rig)

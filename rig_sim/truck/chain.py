@@ -12,21 +12,21 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.rig_sim.shared.angle_kernels import Floats
 from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.layout import Rig
 
 UNLIMITED: Final = float("inf")
 
 
 class Chain:
-    """What is linked to what. Works in place on the state y and on the connections g."""
+    """What is linked to what. Works in place on the rig's state and connections."""
 
-    def __init__(self, p: Floats, y: Floats, g: Floats) -> None:
-        self._p, self._y, self._g = p, y, g
+    def __init__(self, rig: Rig) -> None:
+        self._p, self._y, self._g = rig.p, rig.y, rig.g
         self._ratios: list[float | None] = [None] * at.LINKS
         self._forced: dict[int, float] = {}
-        g[at.LOW : at.LOW + at.LINKS] = -UNLIMITED
-        g[at.HIGH : at.HIGH + at.LINKS] = UNLIMITED
+        for link in range(at.LINKS):
+            self._limit(link, -UNLIMITED, UNLIMITED)
         self.rebuild()
 
     def is_rigid(self, link: int) -> bool:
@@ -39,8 +39,8 @@ class Chain:
 
     def slip_rad_s(self, link: int, ratio: float) -> float:
         """Speed before the link times the ratio, less the speed behind it."""
-        y = self._y
-        return float(ratio * y[at.SPEED + link] - y[at.SPEED + link + 1])
+        speed = self._y.speed_rad_s
+        return ratio * speed[link] - speed[link + 1]
 
     def is_driven(self, body: int) -> bool:
         """Whether something gives the acceleration of the body's group."""
@@ -87,12 +87,7 @@ class Chain:
         impulse = (1.0 + restitution) * slip / compliance
         self._kick(link, -ratio * impulse * before)
         self._kick(link + 1, impulse * behind)
-        return float(0.5 * slip * slip * (1.0 - restitution**2) / compliance)
-
-    def equivalent_kgm2(self, link: int, ratio: float) -> float:
-        """J_eq of both sides of a link, felt behind it; 0 where both sides are given."""
-        compliance = ratio**2 * self._inverse_inertia(link) + self._inverse_inertia(link + 1)
-        return 1.0 / compliance if compliance > 0.0 else 0.0
+        return 0.5 * slip * slip * (1.0 - restitution**2) / compliance
 
     def group(self, body: int) -> range:
         """The bodies that move with this one."""
@@ -105,8 +100,10 @@ class Chain:
 
     def kinetic_j(self) -> float:
         """Energy of everything that turns, vehicle included."""
-        speeds = self._y[at.SPEED : at.SPEED + at.BODIES]
-        return float(0.5 * (self._p[at.INERTIA : at.INERTIA + at.BODIES] * speeds**2).sum())
+        twice_j = 0.0
+        for inertia, speed in zip(self._p.inertia_kgm2, self._y.speed_rad_s, strict=True):
+            twice_j += inertia * (speed * speed)
+        return 0.5 * twice_j
 
     def rebuild(self) -> None:
         """Groups, inertias and accelerations into g; speeds in a group brought in line."""
@@ -116,7 +113,7 @@ class Chain:
             self._lead(members)
             body = members.stop
         for link, ratio in enumerate(self._ratios):
-            self._g[at.CARRIED + link] = ratio or 0.0
+            self._g.links[link].carried = ratio or 0.0
 
     def rates(self, members: range, lead: int) -> dict[int, float]:
         """Speed of each member over that of the leader."""
@@ -128,7 +125,7 @@ class Chain:
         return found
 
     def _lead(self, members: range) -> None:
-        g, p, y = self._g, self._p, self._y
+        bodies, p, speed = self._g.bodies, self._p, self._y.speed_rad_s
         forced = [k for k in members if k in self._forced]
         # the vehicle's side leads where both are given: a locked layshaft follows the main shaft
         lead = forced[-1] if forced else members.start
@@ -136,23 +133,26 @@ class Chain:
             lead = at.MAIN
         inertia = 0.0
         for k, rate in self.rates(members, lead).items():
-            g[at.LEAD + k], g[at.RATE + k] = lead, rate
-            inertia += p[at.INERTIA + k] * rate**2
-            y[at.SPEED + k] = rate * y[at.SPEED + lead]
-        g[at.GROUP + lead] = inertia
-        g[at.FORCED + lead] = float(bool(forced))
-        g[at.ACCEL + lead] = self._forced[lead] if forced else 0.0
+            bodies[k].lead, bodies[k].rate = lead, rate
+            inertia += p.inertia_kgm2[k] * rate**2
+            speed[k] = rate * speed[lead]
+        leader = bodies[lead]
+        leader.group_kgm2 = inertia
+        leader.forced = int(bool(forced))
+        leader.accel_rad_s2 = self._forced[lead] if forced else 0.0
 
     def _inverse_inertia(self, body: int) -> float:
         members = self.group(body)
         if self.is_driven(body):
             return 0.0
-        rates = self.rates(members, body)
-        return float(1.0 / sum(self._p[at.INERTIA + k] * r**2 for k, r in rates.items()))
+        group_kgm2 = 0.0
+        for k, rate in self.rates(members, body).items():
+            group_kgm2 += self._p.inertia_kgm2[k] * rate**2
+        return 1.0 / group_kgm2
 
     def _kick(self, body: int, change_rad_s: float) -> None:
         for k, rate in self.rates(self.group(body), body).items():
-            self._y[at.SPEED + k] += rate * change_rad_s
+            self._y.speed_rad_s[k] += rate * change_rad_s
 
     def _limit(self, link: int, low_nm: float, high_nm: float) -> None:
-        self._g[at.LOW + link], self._g[at.HIGH + link] = low_nm, high_nm
+        self._g.links[link].low_nm, self._g.links[link].high_nm = low_nm, high_nm

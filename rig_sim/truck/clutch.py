@@ -13,7 +13,7 @@ from typing import Final
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.gearbox.sheet import Clutch
 from meshpoint.rig_sim.orders import EngineRequest
-from meshpoint.rig_sim.parts import engine
+from meshpoint.rig_sim.parts.engine import DRIVE, IDLE, SPEED_CONTROL, TORQUE_CONTROL
 from meshpoint.rig_sim.shared.sleeves import NEVER_US, SECOND_US
 from meshpoint.rig_sim.shared.valve_drivers import EXPIRY_US
 from meshpoint.rig_sim.truck import layout as at
@@ -63,8 +63,8 @@ class TruckClutch:
             self._touch()
         if self._end_us <= time_us:
             self._end_us = NEVER_US
-            self._plant.y[at.POSITION] = float(self._closing)
-            self._plant.g[at.CLUTCH_RATE] = 0.0
+            self._plant.y.clutch = float(self._closing)
+            self._plant.g.clutch_rate = 0.0
 
     def grips(self) -> None:
         """The plates have the same speed: they hold while the torque is within their capacity."""
@@ -80,12 +80,12 @@ class TruckClutch:
     def _go(self, close: bool, time_us: float) -> None:
         if close is self._closing or self.stuck:
             return
-        plant, kiss = self._plant, float(self._plant.p[at.KISS])
+        plant, kiss = self._plant, self._plant.p.plates.kiss
         self._closing = close
         delay_s = self._clutch.close_delay_s if close else self._clutch.open_delay_s
         rate = (1.0 if close else -1.0) / max(delay_s, LEAST_DELAY_S)
-        position = float(plant.y[at.POSITION])
-        plant.g[at.CLUTCH_RATE] = rate
+        position = plant.y.clutch
+        plant.g.clutch_rate = rate
         self._end_us = time_us + (float(close) - position) / rate * SECOND_US
         to_kiss = (kiss - position) / rate
         touches = to_kiss > 0.0 and kiss < 1.0
@@ -135,17 +135,17 @@ class TruckEngine:
         through = all(map(plant.chain.is_rigid, (at.CLUTCH, at.SPLITTER, at.RANGE)))
         driving = through and plant.shafts.lock is not None
         if request.speed_rad_s is not None:
-            mode, target = engine.SPEED_CONTROL, request.speed_rad_s
+            mode, target = SPEED_CONTROL, request.speed_rad_s
         elif request.torque_share is not None:
-            mode = engine.TORQUE_CONTROL
-            target = request.torque_share * float(plant.p[at.ENGINE_MAX_NM])
+            mode = TORQUE_CONTROL
+            target = request.torque_share * plant.p.engine.most_nm
         elif driving:
-            if plant.g[at.ENGINE_MODE] == engine.DRIVE:
+            if plant.g.engine_mode == DRIVE:
                 return  # the driver holds the speed taken up before
-            mode, target = engine.DRIVE, self._cruise_rad_s()
+            mode, target = DRIVE, self._cruise_rad_s()
         else:
-            mode, target = engine.IDLE, 0.0
-        plant.g[at.ENGINE_MODE], plant.g[at.ENGINE_TARGET] = mode, target
+            mode, target = IDLE, 0.0
+        plant.g.engine_mode, plant.g.engine_target = mode, target
 
     def _cruise_rad_s(self) -> float:
         """The governor's target that just carries the road's resistance at the present speed."""
@@ -153,4 +153,4 @@ class TruckEngine:
         gear = shafts.lock.gear if shafts.lock is not None else MainGear.THIRD
         through = shafts.split_ratio * plant.ratio(gear) * shafts.range_ratio
         load_nm = -plant.load_nm(at.PROPELLER) * through
-        return float(plant.y[at.SPEED + at.ENGINE] + load_nm / plant.p[at.GOVERNOR_NMS])
+        return plant.y.speed_rad_s[at.ENGINE] + load_nm / plant.p.engine.governor_nms

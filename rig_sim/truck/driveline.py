@@ -11,57 +11,39 @@ from __future__ import annotations
 
 from meshpoint.rig_sim.jit import inlined
 from meshpoint.rig_sim.parts.vehicle import resistance_n
-from meshpoint.rig_sim.shared.angle_kernels import Floats
-from meshpoint.rig_sim.truck.layout import (
-    ACCEL,
-    AIR_NS2_M2,
-    FORCED,
-    GRADE_J,
-    GRADE_N,
-    LEAD,
-    LOAD,
-    PROPELLER,
-    RATE,
-    ROAD_J,
-    ROLLING_N,
-    SPEED,
-    STIFF_NM_RAD,
-    TWIST_J,
-    TWIST_NMS,
-    TWIST_RAD,
-    VEHICLE_KGM2,
-    WHEEL_M,
-    WHEELS_RAD_S,
-    WORK_J,
-)
+from meshpoint.rig_sim.truck.layout import PROPELLER, Rig, State
 
 
 @inlined
-def load_propeller(y: Floats, p: Floats, g: Floats, rate: Floats, aux: Floats) -> None:
+def load_propeller(y: State, rate: State, rig: Rig) -> None:
     """Torque of the vehicle on the propeller shaft, its motion, and what road and slope take.
 
-    Adds to WORK_J what the bench spends on wheels that it drives; so the rate must be there."""
-    stiff = p[STIFF_NM_RAD]
-    omega = y[SPEED + PROPELLER] if stiff == 0.0 else y[WHEELS_RAD_S]
-    speed = omega * p[WHEEL_M]
-    road = resistance_n(speed, p[ROLLING_N], p[AIR_NS2_M2])
-    resisting = (road + p[GRADE_N]) * p[WHEEL_M]
-    rate[ROAD_J] = road * speed
-    rate[GRADE_J] = p[GRADE_N] * speed
-    rate[WHEELS_RAD_S] = rate[TWIST_RAD] = rate[TWIST_J] = 0.0
+    Adds to `work_j` what the bench spends on wheels that it drives; so the rate must be there."""
+    vehicle, shafts = rig.p.road, rig.p.twisting
+    stiff = shafts.stiff_nm_rad
+    omega = y.speed_rad_s[PROPELLER] if stiff == 0.0 else y.wheels_rad_s
+    speed = omega * vehicle.wheel_m
+    road = resistance_n(speed, vehicle)
+    resisting = (road + vehicle.grade_n) * vehicle.wheel_m
+    rate.road_j = road * speed
+    rate.grade_j = vehicle.grade_n * speed
+    rate.wheels_rad_s = 0.0
+    rate.twist_rad = 0.0
+    rate.twist_j = 0.0
     if stiff == 0.0:
-        aux[LOAD + PROPELLER] = -resisting
+        rig.torques.body_nm[PROPELLER] = -resisting
         return
-    slip = y[SPEED + PROPELLER] - omega
-    damping = p[TWIST_NMS] * slip
-    torque = stiff * y[TWIST_RAD] + damping
-    aux[LOAD + PROPELLER] = -torque
-    lead = int(g[LEAD + PROPELLER])
-    if g[FORCED + lead] != 0.0:
-        rate[WHEELS_RAD_S] = g[RATE + PROPELLER] * g[ACCEL + lead]
-        given = p[VEHICLE_KGM2] * rate[WHEELS_RAD_S] + resisting - torque
-        rate[WORK_J] += given * omega
+    slip = y.speed_rad_s[PROPELLER] - omega
+    damping = shafts.damping_nms * slip
+    torque = stiff * y.twist_rad + damping
+    rig.torques.body_nm[PROPELLER] = -torque
+    propeller = rig.g.bodies[PROPELLER]
+    leader = rig.g.bodies[propeller.lead]
+    if leader.forced != 0:
+        rate.wheels_rad_s = propeller.rate * leader.accel_rad_s2
+        given = shafts.vehicle_kgm2 * rate.wheels_rad_s + resisting - torque
+        rate.work_j += given * omega
         return
-    rate[WHEELS_RAD_S] = (torque - resisting) / p[VEHICLE_KGM2]
-    rate[TWIST_RAD] = slip
-    rate[TWIST_J] = damping * slip
+    rate.wheels_rad_s = (torque - resisting) / shafts.vehicle_kgm2
+    rate.twist_rad = slip
+    rate.twist_j = damping * slip

@@ -5,7 +5,8 @@ The sensor's voltage is u = A sin(n theta') + 0, an edge where it passes the thr
 less the duty's share. theta' is the angle on a wheel with pitch errors and an eccentricity e, which
 shifts tooth k by (e / R) sin(theta_k + eta) and its air gap by e cos(theta_k + eta); the amplitude
 falls exponentially with the gap and linearly with temperature. So a threshold off the middle moves
-both edges of a tooth apart or together, tooth by tooth. `analog.py` is the same without a formula.
+both edges of a tooth apart or together, tooth by tooth. `tests/rig_sim/analog.py` has the
+same without a formula.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ import numpy as np
 
 from meshpoint.gearbox.sheet import GearboxSheet, Wheel
 from meshpoint.rig_sim.parts.drag import WARM_K
-from meshpoint.rig_sim.shared.angle_kernels import TAU, Floats, Integers
+from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.shared.angle_kernels import TAU, Floats
+from meshpoint.rig_sim.shared.capture_records import CHANNELS
 from meshpoint.rig_sim.shared.edge_ring import (
     ENCODER_MODULUS,
     ENCODER_SAMPLES_S,
@@ -29,6 +32,7 @@ from meshpoint.rig_sim.shared.sensor_clock import SensorClock
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.constants import CELSIUS
+from meshpoint.rig_sim.truck.layout import Rig
 
 WEAKEST: Final = 0.05
 CROSSING_LIMIT: Final = 0.98
@@ -67,75 +71,78 @@ class WheelAsMade:
 
 
 class TruckEdges:
-    """Eight capture channels and the reference encoder; `advance` fills the arrays in place."""
+    """Eight capture channels and the reference encoder; `advance` writes the rig's memory."""
 
-    def __init__(self, sheet: GearboxSheet, built: AsBuilt, y: Floats, laps: Integers) -> None:
+    def __init__(self, sheet: GearboxSheet, built: AsBuilt, rig: Rig) -> None:
         wheels = sheet.wheels
         order = (wheels.input_, wheels.layshaft, wheels.main, wheels.propeller)
         rng = np.random.Generator(np.random.PCG64(built.teeth_seed))
         self.wheels = [WheelAsMade(rng, wheel, built) for wheel in order]
-        self.teeth = np.array([made.teeth for made in self.wheels], dtype=np.int64)
-        self.table: Floats = np.zeros((at.CHANNELS, int(self.teeth.max())))
-        for shaft, wheel in enumerate(self.wheels):
-            for row, edges in enumerate(wheel.edges_rad()):
-                self.table[2 * shaft + row, : wheel.teeth] = edges
-        self.first: Floats = np.zeros((at.CHANNELS, at.FIRST_EDGES))
+        self._rig = rig
+        for shaft, made in enumerate(self.wheels):
+            for row, edges_rad in enumerate(made.edges_rad()):
+                hall = rig.hall[2 * shaft + row]
+                hall.teeth = made.teeth
+                hall.edges_rad[: made.teeth] = edges_rad.tolist()
         wrong = int(built["hall.first_wrong_edges"])
         largest = math.radians(built["hall.first_wrong_deg"])
-        self.first[:, :wrong] = largest * rng.uniform(-1.0, 1.0, (at.CHANNELS, wrong))
+        errors_rad = largest * rng.uniform(-1.0, 1.0, (CHANNELS, wrong))
+        for hall, first_rad in zip(rig.hall, errors_rad.tolist(), strict=True):
+            hall.first_rad[:wrong] = first_rad
         jitter = np.clip(rng.standard_normal(at.JITTERS), -4.0, 4.0)
-        self.jitter_s: Floats = jitter * built["hall.jitter_us"] * 1e-6
-        self.faults: Integers = np.zeros((at.CHANNELS, at.FAULTS), dtype=np.int64)
-        self.ring: Floats = np.zeros((at.CHANNELS, at.RING))
-        self.history: Floats = np.zeros((at.HISTORY, 3))
-        self.history[:] = (laps[at.LAYSHAFT], y[at.ANGLE + at.LAYSHAFT], 0.0)
-        self.pointers: Integers = np.zeros((at.CHANNELS, at.POINTER), dtype=np.int64)
-        self._reader = RingReader(at.CHANNELS)
+        rig.jitter_s[:] = (jitter * built["hall.jitter_us"] * 1e-6).tolist()
+        for past in rig.history:
+            past.turns = rig.laps[at.LAYSHAFT]
+            past.rest_rad = rig.y.angle_rad[at.LAYSHAFT]
+        self._captured = Memory(rig.captured)
+        self._reader = RingReader()
         self._on_us = 0.0
-        for channel in range(at.CHANNELS):
-            self._point(channel, y, laps)
+        for edge in range(CHANNELS):
+            self._point(edge)
 
-    def _point(self, channel: int, y: Floats, laps: Integers) -> None:
-        body = at.INPUT + channel // 2
-        teeth = int(self.teeth[channel // 2])
-        rest = float(y[at.ANGLE + body])
+    def _point(self, edge: int) -> None:
+        """A channel at its next edge on the way forward."""
+        rig, hall, channel = self._rig, self._rig.hall[edge], self._rig.captured.channels[edge]
+        body = at.INPUT + edge // 2
+        rest = rig.y.angle_rad[body]
         if body == at.INPUT:
-            rest += float(y[at.LASH])
-        pointer = self.pointers[channel]
-        pointer[at.LAP] = laps[body] - 1
+            rest += rig.y.input_lash_rad
+        channel.lap = rig.laps[body] - 1
         while True:
-            angle = self.table[channel, pointer[at.TOOTH]] + self.first[channel, 0]
-            if angle + TAU * (pointer[at.LAP] - laps[body]) > rest:
+            angle = hall.edges_rad[channel.tooth] + hall.first_rad[0]
+            if angle + TAU * (channel.lap - rig.laps[body]) > rest:
                 return
-            pointer[at.TOOTH] += 1
-            if pointer[at.TOOTH] == teeth:
-                pointer[at.TOOTH] = 0
-                pointer[at.LAP] += 1
+            channel.tooth += 1
+            if channel.tooth == hall.teeth:
+                channel.tooth = 0
+                channel.lap += 1
 
     def read(self, now_us: int, clock: SensorClock) -> list[EdgeRead]:
         """The read of all channels now, in the order of the wire contract. An extra edge that is
         still to come is not in it."""
-        counts = self.pointers[:, at.COUNT]
-        return self._reader.read(now_us, self._on_us, clock, counts, self.ring)
+        return self._reader.read(now_us, self._on_us, clock, self._captured)
 
     def power_up(self, time_us: float) -> None:
         """The sensors start anew: counts from zero, the first edges wrong again."""
         self._on_us = time_us
-        self.pointers[:, at.COUNT] = 0
+        for channel in self._rig.captured.channels:
+            channel.count = 0
 
     def encoder(
         self, now_us: int, omega_rad_s: float
     ) -> tuple[tuple[float, ...], tuple[float, ...]]:
         """Layshaft angles (rad modulo 256 turns, in encoder steps) and speeds, newest first."""
+        history = self._rig.history
         angles, speeds = [], []
         for back_s in ENCODER_SAMPLES_S:
             time_us = now_us - round(back_s * 1e6)
-            turns, rest, speed = self.history[time_us // at.HISTORY_US % at.HISTORY].tolist()
+            past = history[time_us // at.HISTORY_US % at.HISTORY if time_us > 0 else 0]
+            rest, speed = past.rest_rad, past.speed_rad_s
             if time_us <= 0:
-                turns, rest, speed = self.history[0].tolist()
                 speed = omega_rad_s if now_us == 0 else speed
                 rest += speed * time_us * 1e-6
-            steps = int(turns) * ENCODER_STEPS_PER_TURN + round(rest / TAU * ENCODER_STEPS_PER_TURN)
+            whole = past.turns * ENCODER_STEPS_PER_TURN
+            steps = whole + round(rest / TAU * ENCODER_STEPS_PER_TURN)
             angles.append(steps % ENCODER_MODULUS * (TAU / ENCODER_STEPS_PER_TURN))
             speeds.append(speed)
         return tuple(angles), tuple(speeds)

@@ -57,7 +57,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
         self._face_m = built["dog.face_friction"] * sheet.dog.radius_m
         self._static_factor = built["dog.static_factor"]
         self._chamfer_rad = built["dog.chamfer_mm"] * MM / sheet.dog.radius_m
-        self._flank_rad = self._half_rad + plant.p[at.LASH_MAIN_RAD]
+        self._flank_rad = self._half_rad + plant.p.main_lash.half_rad
         self._tallies = dict.fromkeys(NAMES, Tally())
         self._face_since_us: dict[Sleeve, float] = {}
         self._stuck: Sleeve | None = None
@@ -127,7 +127,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
 
     def can_release(self) -> None:
         """The torque no longer holds a sleeve that waits to get out."""
-        self._truck.g[at.RELEASE_NM] = -1.0
+        self._truck.g.release_nm = -1.0
         for sleeve in self.sleeves.values():
             if sleeve.waits:
                 sleeve.go(self._plant.time_us)
@@ -178,7 +178,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
         if sleeve.jammed:
             return
         if sleeve.waits:
-            self._truck.g[at.RELEASE_NM] = -1.0
+            self._truck.g.release_nm = -1.0
         super()._valve_off(name, direction, time_us)
         if sleeve.state is SleeveState.RETRACT and was is not SleeveState.RETRACT:
             self._give_up(name, was)
@@ -293,7 +293,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
             sleeve.go(time_us)
         else:
             sleeve.wait()
-            truck.g[at.RELEASE_NM] = limit_nm
+            truck.g.release_nm = limit_nm
 
     def _unmesh(self, name: Sleeve) -> None:
         gear = self.gear_at(name)

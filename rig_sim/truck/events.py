@@ -11,48 +11,8 @@ from typing import Final
 
 from meshpoint.rig_sim.jit import inlined, part
 from meshpoint.rig_sim.parts.engine import capacity_nm
-from meshpoint.rig_sim.shared.angle_kernels import Floats
-from meshpoint.rig_sim.truck.layout import (
-    BEFORE,
-    BEHIND,
-    BOTTOM,
-    BRAKE_SIGN,
-    CAN_RELEASE,
-    CARRIED,
-    CLUTCH,
-    CLUTCH_NM,
-    FORCED,
-    FRICTION_RATIO,
-    GEAR,
-    HELD,
-    HIGH,
-    HOLD,
-    KISS,
-    LASH,
-    LAYSHAFT,
-    LEAD,
-    LEFT_BOTTOM,
-    LEFT_TOP,
-    LET_GO,
-    LINK,
-    LINK_SLIPS,
-    LINKS,
-    LOW,
-    MAIN_BOX,
-    NO_SLIP,
-    OFFSET,
-    PHASE,
-    POSITION,
-    PULL,
-    REACHED,
-    RELEASE_NM,
-    SIGN,
-    SLOTS,
-    SPEED,
-    STOPPED,
-    TOP,
-    WITH_LASH,
-)
+from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.layout import Rig, State, Watch
 from meshpoint.rig_sim.truck.motion import rates
 from meshpoint.rig_sim.truck.step import step
 
@@ -60,64 +20,49 @@ ROOT_S: Final = 1e-11
 MAX_ITERATIONS: Final = 60
 FIRM_NM: Final = 0.2
 TORQUE_S: Final = 1e-9
-WATCHES: Final = 2
 
 
 @inlined
-def _watched(y: Floats, watches: Floats, row: int) -> float:
-    gear = int(watches[row, GEAR])
-    phase: float = y[PHASE + gear] + watches[row, OFFSET]
-    if watches[row, WITH_LASH] != 0.0:
-        phase += y[LASH + 1 + gear]
+def _watched(y: State, watch: Watch) -> float:
+    phase = y.phase_rad[watch.gear] + watch.offset_rad
+    if watch.with_lash != 0:
+        phase += y.lash_rad[watch.gear]
     return phase
 
 
 @inlined
-def _beyond(y: Floats, event: int, slots: Floats, watches: Floats, g: Floats) -> float:
+def _beyond(y: State, event: int, rig: Rig) -> float:
     """How far a state is beyond an event's limit: positive once the event has happened."""
     beyond: float
-    if event >= STOPPED:
-        beyond = -g[BRAKE_SIGN] * y[SPEED + LAYSHAFT]
-    elif event >= NO_SLIP:
-        slot = event - NO_SLIP
-        before, behind = int(slots[slot, BEFORE]), int(slots[slot, BEHIND])
-        ahead = slots[slot, FRICTION_RATIO] * y[SPEED + before] - y[SPEED + behind]
-        beyond = -slots[slot, SIGN] * ahead
-    elif event >= LEFT_BOTTOM:
-        row = event - LEFT_BOTTOM
-        beyond = watches[row, BOTTOM] - _watched(y, watches, row)
+    if event >= at.STOPPED:
+        beyond = -rig.g.brake_sign * y.speed_rad_s[at.LAYSHAFT]
+    elif event >= at.NO_SLIP:
+        contact = rig.contacts[event - at.NO_SLIP]
+        before, behind = contact.before, contact.behind
+        ahead = contact.ratio * y.speed_rad_s[before] - y.speed_rad_s[behind]
+        beyond = -contact.sign * ahead
+    elif event >= at.LEFT_BOTTOM:
+        watch = rig.watches[event - at.LEFT_BOTTOM]
+        beyond = watch.bottom_rad - _watched(y, watch)
     else:
-        row = event - LEFT_TOP
-        beyond = _watched(y, watches, row) - watches[row, TOP]
+        watch = rig.watches[event - at.LEFT_TOP]
+        beyond = _watched(y, watch) - watch.top_rad
     return beyond
 
 
 @inlined
-def _happened(
-    y: Floats, after: Floats, event: int, slots: Floats, watches: Floats, g: Floats
-) -> bool:
+def _happened(event: int, rig: Rig) -> bool:
     """Whether the event lies within the step: what stands a hair outside must move on outwards."""
-    end = _beyond(after, event, slots, watches, g)
-    return end > 0.0 and end > _beyond(y, event, slots, watches, g)
+    end = _beyond(rig.after, event, rig)
+    return end > 0.0 and end > _beyond(rig.y, event, rig)
 
 
 @part
-def _root(
-    y: Floats,
-    after: Floats,
-    h: float,
-    event: int,
-    p: Floats,
-    g: Floats,
-    slots: Floats,
-    watches: Floats,
-    k: Floats,
-    aux: Floats,
-) -> float:
+def _root(event: int, h: float, rig: Rig) -> float:
     """When in the step the event happens; `after` is then the state there (Illinois method)."""
     low, high = 0.0, h
-    f_low = _beyond(y, event, slots, watches, g)
-    f_high = _beyond(after, event, slots, watches, g)
+    f_low = _beyond(rig.y, event, rig)
+    f_high = _beyond(rig.after, event, rig)
     side = 0
     for iteration in range(MAX_ITERATIONS):
         last = f_low >= 0.0 or high - low < ROOT_S or iteration == MAX_ITERATIONS - 1
@@ -128,10 +73,10 @@ def _root(
             s = (low * f_high - high * f_low) / (f_high - f_low)
             # a hair inside the bracket: an almost linear function lands on the root and would stay
             s = min(max(s, low + 0.5 * ROOT_S), high - 0.5 * ROOT_S)
-        step(y, after, s, p, g, slots, k, aux)
+        step(rig, s)
         if last:
             break
-        f = _beyond(after, event, slots, watches, g)
+        f = _beyond(rig.after, event, rig)
         if f >= 0.0:
             high, f_high = s, f
             if side == 1:
@@ -146,82 +91,65 @@ def _root(
 
 
 @inlined
-def first_event(
-    y: Floats,
-    after: Floats,
-    h: float,
-    p: Floats,
-    g: Floats,
-    slots: Floats,
-    watches: Floats,
-    k: Floats,
-    aux: Floats,
-) -> tuple[int, float]:
+def first_event(h: float, rig: Rig) -> tuple[int, float]:
     """The first event of a step, and when; `after` becomes the state there."""
-    found = REACHED
-    stoppable = g[BRAKE_SIGN] != 0.0 and g[FORCED + int(g[LEAD + LAYSHAFT])] == 0.0
-    for candidate in range(2 * WATCHES + SLOTS + 1):
-        if candidate < WATCHES:
-            event, asked = LEFT_TOP + candidate, watches[candidate, GEAR] >= 0.0
-        elif candidate < 2 * WATCHES:
-            row = candidate - WATCHES
-            event, asked = LEFT_BOTTOM + row, watches[row, GEAR] >= 0.0
-        elif candidate < 2 * WATCHES + SLOTS:
-            slot = candidate - 2 * WATCHES
-            event, asked = NO_SLIP + slot, slots[slot, SIGN] != 0.0
+    found = at.REACHED
+    layshaft = rig.g.bodies[at.LAYSHAFT]
+    stoppable = rig.g.brake_sign != 0.0 and rig.g.bodies[layshaft.lead].forced == 0
+    for candidate in range(2 * at.WATCHES + at.CONTACTS + 1):
+        if candidate < at.WATCHES:
+            event, asked = at.LEFT_TOP + candidate, rig.watches[candidate].gear >= 0
+        elif candidate < 2 * at.WATCHES:
+            row = candidate - at.WATCHES
+            event, asked = at.LEFT_BOTTOM + row, rig.watches[row].gear >= 0
+        elif candidate < 2 * at.WATCHES + at.CONTACTS:
+            contact = candidate - 2 * at.WATCHES
+            event, asked = at.NO_SLIP + contact, rig.contacts[contact].sign != 0.0
         else:
-            event, asked = STOPPED, stoppable
-        if asked and _happened(y, after, event, slots, watches, g):
+            event, asked = at.STOPPED, stoppable
+        if asked and _happened(event, rig):
             found = event
-            h = _root(y, after, h, event, p, g, slots, watches, k, aux)
+            h = _root(event, h, rig)
     return found, h
 
 
 @inlined
-def _torque_event(y: Floats, p: Floats, g: Floats, aux: Floats) -> int:
+def _torque_event(rig: Rig) -> int:
     """What the torques at the end of a step bring about."""
-    for link in range(LINKS):
-        if g[CARRIED + link] == 0.0:
+    g, torques = rig.g, rig.torques
+    for i in range(at.LINKS):
+        link = g.links[i]
+        if link.carried == 0.0:
             continue
-        torque = aux[LINK + link]
-        low, high = g[LOW + link], g[HIGH + link]
-        if link == CLUTCH:
-            high = capacity_nm(y[POSITION], p[KISS], p[CLUTCH_NM])
+        torque = torques.link_nm[i]
+        low, high = link.low_nm, link.high_nm
+        if i == at.CLUTCH:
+            high = capacity_nm(rig.after.clutch, rig.p.plates)
             low = -high
         if torque < low - FIRM_NM or torque > high + FIRM_NM:
-            return LINK_SLIPS + link
-    if g[RELEASE_NM] >= 0.0 and abs(aux[LINK + MAIN_BOX]) <= g[RELEASE_NM]:
-        return CAN_RELEASE
-    if g[HELD] != 0.0 and abs(aux[PULL]) > aux[HOLD] + FIRM_NM:
-        return LET_GO
-    return REACHED
+            return at.LINK_SLIPS + i
+    if g.release_nm >= 0.0 and abs(torques.link_nm[at.MAIN_BOX]) <= g.release_nm:
+        return at.CAN_RELEASE
+    if g.held != 0 and abs(torques.pull_nm) > torques.hold_nm + FIRM_NM:
+        return at.LET_GO
+    return at.REACHED
 
 
 @inlined
-def torques_turn(
-    y: Floats,
-    after: Floats,
-    h: float,
-    p: Floats,
-    g: Floats,
-    slots: Floats,
-    k: Floats,
-    ahead: Floats,
-    aux: Floats,
-) -> tuple[int, float]:
+def torques_turn(h: float, rig: Rig) -> tuple[int, float]:
     """Whether a torque leaves its limits in the step, and when (bisected); `after` and its rates
     `ahead` are then those of that instant."""
-    found, low, high, s = REACHED, 0.0, h, h
+    found, low, high, s = at.REACHED, 0.0, h, h
     while True:
-        rates(after, p, g, slots, ahead, aux)
-        event = _torque_event(after, p, g, aux) if s > 0.0 else REACHED
-        if event != REACHED:
+        rates(rig.after, rig.ahead, rig)
+        event = _torque_event(rig) if s > 0.0 else at.REACHED
+        if event != at.REACHED:
             found, high = event, s
         else:
             low = s
-        if found == REACHED:
-            return REACHED, h
+        if found == at.REACHED:
+            return at.REACHED, h
         if high - low < TORQUE_S and s == high:
             return found, high
         s = high if high - low < TORQUE_S else 0.5 * (low + high)
-        step(y, after, s, p, g, slots, k, aux)
+        step(rig, s)

@@ -14,7 +14,6 @@ from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.gearbox.sheet import BAR, MM, MS
 from meshpoint.rig_sim.orders import FaultOrder
-from meshpoint.rig_sim.shared.angle_kernels import Floats, Integers
 from meshpoint.rig_sim.shared.edge_ring import EdgeRead
 from meshpoint.rig_sim.shared.node_state import NodeState
 from meshpoint.rig_sim.shared.script import BenchScript
@@ -22,7 +21,6 @@ from meshpoint.rig_sim.shared.sensor_clock import SensorClock
 from meshpoint.rig_sim.shared.sleeves import SECOND_US
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.rig_sim.shared.world import SensorRead
-from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.clutch import TruckClutch, TruckEngine
 from meshpoint.rig_sim.truck.engagement import TruckEngagement
 from meshpoint.rig_sim.truck.plant import TruckPlant
@@ -184,15 +182,11 @@ Starter = Callable[[Faultable, FaultDesk, FaultOrder], Callable[[], None]]
 """Begins a fault and returns what ends it: a partial, so that a copy of the world ends its own."""
 
 
-def _put(array: Floats | Integers, where: int | tuple[int, int], value: float) -> None:
-    array[where] = value
-
-
-def _channel(column: int, value: Callable[[FaultOrder], int]) -> Starter:
+def _channel(field: str, value: Callable[[FaultOrder], int]) -> Starter:
     def start(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
-        where = (order.target, column)
-        _put(world.plant.edges.faults, where, value(order))
-        return partial(_put, world.plant.edges.faults, where, 0)
+        hall = world.plant.rig.hall[order.target]
+        setattr(hall, field, value(order))
+        return partial(setattr, hall, field, 0)
 
     return start
 
@@ -206,17 +200,17 @@ def _freeze(_: Faultable, desk: FaultDesk, order: FaultOrder) -> Callable[[], No
 
 def _leak(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
     g, y, p = world.plant.g, world.plant.y, world.plant.p
-    before = float(g[at.GOVERNED_PA])
-    g[at.GOVERNED_PA] = max(order.value * BAR, float(p[at.ATMOSPHERE_PA]))
-    y[at.SUPPLY_PA] = g[at.GOVERNED_PA]
-    return partial(_put, g, at.GOVERNED_PA, before)
+    before = g.governed_pa
+    g.governed_pa = max(order.value * BAR, p.air.atmosphere_pa)
+    y.supply_pa = g.governed_pa
+    return partial(setattr, g, "governed_pa", before)
 
 
 def _fade(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
-    p = world.plant.p
-    before = float(p[at.BRAKE_GAIN])
-    p[at.BRAKE_GAIN] = before * max(order.value, 0.0) / 100.0
-    return partial(_put, p, at.BRAKE_GAIN, before)
+    brake = world.plant.p.brake
+    before = brake.gain_nm_pa
+    brake.gain_nm_pa = before * max(order.value, 0.0) / 100.0
+    return partial(setattr, brake, "gain_nm_pa", before)
 
 
 def _jam(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
@@ -288,10 +282,10 @@ def _stall(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], No
 
 
 _STARTERS: Final[dict[RigFault, Starter]] = {
-    RigFault.HALL_DROPOUT: _channel(at.SILENT, lambda _: 1),
-    RigFault.HALL_MISSING_TOOTH: _channel(at.MISSING, lambda order: int(order.value) + 1),
-    RigFault.HALL_DOUBLE_EDGE: _channel(at.EXTRA, lambda _: 1),
-    RigFault.HALL_NOISE_BURST: _channel(at.EXTRA, lambda order: min(max(int(order.value), 1), 8)),
+    RigFault.HALL_DROPOUT: _channel("silent", lambda _: 1),
+    RigFault.HALL_MISSING_TOOTH: _channel("missing", lambda order: int(order.value) + 1),
+    RigFault.HALL_DOUBLE_EDGE: _channel("extra", lambda _: 1),
+    RigFault.HALL_NOISE_BURST: _channel("extra", lambda order: min(max(int(order.value), 1), 8)),
     RigFault.VALVE_STUCK: lambda _, desk, order: desk.stick(Valve(order.target)),
     RigFault.VALVE_SLOW: lambda _, desk, order: desk.slow_down(
         Valve(order.target), max(order.value, 0.0) * MS * SECOND_US

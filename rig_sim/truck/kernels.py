@@ -8,33 +8,15 @@ anybody asks.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Final
 
 from meshpoint.rig_sim.jit import SOURCES, entry, inlined
-from meshpoint.rig_sim.shared.angle_kernels import TAU, Floats, Integers, wrapped
+from meshpoint.rig_sim.shared.angle_kernels import TAU, Floats, wrapped
+from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.capture import capture
-from meshpoint.rig_sim.truck.events import TORQUE_S, WATCHES, first_event, torques_turn
-from meshpoint.rig_sim.truck.layout import (
-    ANGLE,
-    BODIES,
-    BRAKE_PA,
-    DUE,
-    GEAR,
-    HISTORY,
-    HISTORY_US,
-    LASH,
-    LAYSHAFT,
-    MAIN,
-    OFFSET,
-    PHASE,
-    REACHED,
-    SPEED,
-    STATES,
-    STEP_US,
-    STIFF_NM_RAD,
-    STOPPED,
-)
+from meshpoint.rig_sim.truck.events import TORQUE_S, first_event, torques_turn
+from meshpoint.rig_sim.truck.layout import Rig
 from meshpoint.rig_sim.truck.step import step
 
 SECOND_US: Final = 1e6
@@ -43,112 +25,93 @@ QUIET_PA_S: Final = 1e4
 
 
 @inlined
-def _settle(y: Floats, laps: Integers, pitch: float, watches: Floats) -> None:
+def _settle(rig: Rig) -> None:
     """Angles back into a turn and free phases into a pitch; a watched phase keeps its branch."""
-    for k in range(BODIES):
-        if y[ANGLE + k] >= TAU:
-            y[ANGLE + k] -= TAU
-            laps[k] += 1
-        elif y[ANGLE + k] < 0.0:
-            y[ANGLE + k] += TAU
-            laps[k] -= 1
-    for gear in range(4):
-        before = y[PHASE + gear]
+    y, pitch = rig.y, rig.p.pitch_rad
+    for k in range(at.BODIES):
+        if y.angle_rad[k] >= TAU:
+            y.angle_rad[k] -= TAU
+            rig.laps[k] += 1
+        elif y.angle_rad[k] < 0.0:
+            y.angle_rad[k] += TAU
+            rig.laps[k] -= 1
+    for gear in range(at.GEARS):
+        before = y.phase_rad[gear]
         if before >= 0.5 * pitch or before < -0.5 * pitch:
-            y[PHASE + gear] = wrapped(before, pitch)
-            for watch in range(WATCHES):
-                if int(watches[watch, GEAR]) == gear:
-                    watches[watch, OFFSET] += before - y[PHASE + gear]
+            y.phase_rad[gear] = wrapped(before, pitch)
+            for i in range(at.WATCHES):
+                watch = rig.watches[i]
+                if watch.gear == gear:
+                    watch.offset_rad += before - y.phase_rad[gear]
 
 
 @inlined
-def _next_grid_us(t_us: float, p: Floats, rate: Floats) -> float:
+def _next_grid_us(t_us: float, rig: Rig) -> float:
     """The next grid point; a finer grid while air moves, as filling and exhausting have kinks, and
     for shafts that twist, which swing fast."""
-    grid_us: float = p[STEP_US]
-    if abs(rate[BRAKE_PA]) > QUIET_PA_S or p[STIFF_NM_RAD] > 0.0:
+    grid_us = rig.p.step_us
+    if abs(rig.stages[0].brake_pa) > QUIET_PA_S or rig.p.twisting.stiff_nm_rad > 0.0:
         grid_us = min(grid_us, FINE_US)
     return (math.floor(t_us / grid_us) + 1.0) * grid_us
 
 
 @inlined
 def _copy(source: Floats, target: Floats) -> None:
-    for i in range(STATES):
+    for i in range(len(source)):
         target[i] = source[i]
 
 
 @inlined
-def _remember(t_us: float, y: Floats, laps: Integers, history: Floats) -> None:
+def _remember(t_us: float, rig: Rig) -> None:
     """The layshaft's angle and speed, every 2 ms, for the reference encoder."""
-    count = math.floor(t_us / HISTORY_US)
-    if count * HISTORY_US == t_us:
-        row = int(count) % HISTORY
-        history[row, 0] = laps[LAYSHAFT]
-        history[row, 1] = y[ANGLE + LAYSHAFT]
-        history[row, 2] = y[SPEED + LAYSHAFT]
+    count = math.floor(t_us / at.HISTORY_US)
+    if count * at.HISTORY_US == t_us:
+        past = rig.history[int(count) % at.HISTORY]
+        past.turns = rig.laps[at.LAYSHAFT]
+        past.rest_rad = rig.y.angle_rad[at.LAYSHAFT]
+        past.speed_rad_s = rig.y.speed_rad_s[at.LAYSHAFT]
 
 
 def _make_advance(sources: int) -> Callable[..., tuple[float, int]]:
     def advance(
-        t_us: float,
-        until_us: float,
-        stop_us: float,
-        pitch: float,
-        y: Floats,
-        laps: Integers,
-        p: Floats,
-        g: Floats,
-        slots: Floats,
-        watches: Floats,
-        scratch: Floats,
-        history: Floats,
-        teeth: Integers,
-        table: Floats,
-        first: Floats,
-        jitter_s: Floats,
-        pointers: Integers,
-        faults: Integers,
-        ring: Floats,
+        rigs: Sequence[Rig], t_us: float, until_us: float, stop_us: float
     ) -> tuple[float, int]:
         """Go on to the next event, to `stop_us`, or to the last grid point up to `until_us`.
 
-        Everything is updated in place; returns the time reached and why it ended there. scratch is
-        (7, STATES): rates, three stages, the state after the step, torques, the rates there.
+        Everything is updated in place; returns the time reached and why it ended there.
         """
         _ = sources
-        k, after, aux, ahead = scratch[:4], scratch[4], scratch[5], scratch[6]
+        rig = rigs[0]
         end_us, is_first = t_us, True
         while True:
             if not is_first:
-                end_us = min(_next_grid_us(t_us, p, k[0]), stop_us)
+                end_us = min(_next_grid_us(t_us, rig), stop_us)
                 if end_us > until_us:
-                    return t_us, REACHED
+                    return t_us, at.REACHED
             h = (end_us - t_us) / SECOND_US
-            event = REACHED
-            _copy(y, after)
+            event = at.REACHED
+            _copy(rig.y.vector, rig.after.vector)
             if h > 0.0:
-                step(y, after, h, p, g, slots, k, aux)
-                event, s = first_event(y, after, h, p, g, slots, watches, k, aux)
-                if event != REACHED:
+                step(rig, h)
+                event, s = first_event(h, rig)
+                if event != at.REACHED:
                     h = s
                     end_us = t_us + s * SECOND_US
-            turned, s = torques_turn(y, after, h, p, g, slots, k, ahead, aux)
-            if turned != REACHED and (event == REACHED or s < h - 2.0 * TORQUE_S):
+            turned, s = torques_turn(h, rig)
+            if turned != at.REACHED and (event == at.REACHED or s < h - 2.0 * TORQUE_S):
                 event, h = turned, s
                 end_us = t_us + s * SECOND_US
             if h > 0.0:
-                capture(
-                    y, after, laps, t_us, h, teeth, table, first, jitter_s, pointers, faults, ring
-                )
-                _copy(after, y)
-                _settle(y, laps, pitch, watches)
-            _copy(ahead, k[0])
+                capture(t_us, h, rig)
+                _copy(rig.after.vector, rig.y.vector)
+                _settle(rig)
+            _copy(rig.ahead.vector, rig.stages[0].vector)
             t_us = end_us
-            _remember(t_us, y, laps, history)
-            if event != REACHED:
+            _remember(t_us, rig)
+            if event != at.REACHED:
                 return t_us, event
             if t_us == stop_us:
-                return t_us, DUE
+                return t_us, at.DUE
             is_first = False
 
     return entry(advance)
@@ -159,47 +122,24 @@ advance = _make_advance(SOURCES)
 
 def _make_sample(sources: int) -> Callable[..., tuple[float, bool]]:
     def sample(
-        t_us: float,
-        every_us: float,
-        start_us: float,
-        number: int,
-        gear: int,
-        found: Floats,
-        pitch: float,
-        y: Floats,
-        laps: Integers,
-        p: Floats,
-        g: Floats,
-        slots: Floats,
-        watches: Floats,
-        scratch: Floats,
-        history: Floats,
-        teeth: Integers,
-        table: Floats,
-        first: Floats,
-        jitter_s: Floats,
-        pointers: Integers,
-        faults: Integers,
-        ring: Floats,
+        rigs: Sequence[Rig], t_us: float, gear: int, stops_us: Floats, found: Floats
     ) -> tuple[float, bool]:
-        """Goes on alone for as many samples as `found` (n, 3) has rows, each `every_us` since
-        `start_us`, from this number on: layshaft speed, main shaft speed, and phase of the gear of
-        this index, within half a pitch.
+        """Goes on alone through these instants. `found` (n, 3) gets layshaft speed, main shaft
+        speed, and phase of the gear of this index, within half a pitch.
 
         As `advance`, again and again, where nothing is done at events. Returns the time reached and
         whether the shafts have come to rest; the rows from there on stay as they were."""
         _ = sources
-        for row in range(found.shape[0]):
-            stop_us = start_us + every_us * (number + row)
-            while t_us < stop_us:
-                t_us, event = advance(
-                    t_us, math.inf, stop_us, pitch, y, laps, p, g, slots, watches, scratch,
-                    history, teeth, table, first, jitter_s, pointers, faults, ring,
-                )  # fmt: skip
-                if event == STOPPED:
+        rig = rigs[0]
+        y = rig.y
+        for row in range(stops_us.shape[0]):
+            while t_us < stops_us[row]:
+                t_us, event = advance(rigs, t_us, math.inf, stops_us[row])
+                if event == at.STOPPED:
                     return t_us, True
-            found[row, 0], found[row, 1] = y[SPEED + LAYSHAFT], y[SPEED + MAIN]
-            found[row, 2] = wrapped(y[PHASE + gear] + y[LASH + 1 + gear], pitch)
+            found[row, 0], found[row, 1] = y.speed_rad_s[at.LAYSHAFT], y.speed_rad_s[at.MAIN]
+            phase = y.phase_rad[gear] + y.lash_rad[gear]
+            found[row, 2] = wrapped(phase, rig.p.pitch_rad)
         return t_us, False
 
     return entry(sample)

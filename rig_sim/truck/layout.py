@@ -1,4 +1,4 @@
-"""Where everything stands in the truck plant's vectors. Shared by the kernels and their callers.
+"""The records of the truck plant's kernels, and the numbers of bodies, links and events.
 
 Five bodies in a row, each linked to the next:
 
@@ -10,141 +10,210 @@ is rigidly linked moves as one group, led by one of its bodies.
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Annotated, Any, Final, cast
+
+from meshpoint.rig_sim.parts.brake_disc import DiscBrake
+from meshpoint.rig_sim.parts.engine import ClutchPlates, EngineLimits
+from meshpoint.rig_sim.parts.lash import Backlash
+from meshpoint.rig_sim.parts.pneumatics import BrakeAir
+from meshpoint.rig_sim.parts.vehicle import RoadLoad
+from meshpoint.rig_sim.records import Record, Row, Vector
+from meshpoint.rig_sim.shared.capture_records import CHANNELS, Captured
 
 BODIES: Final = 5
 ENGINE, INPUT, LAYSHAFT, MAIN, PROPELLER = range(5)
 LINKS: Final = 4
 CLUTCH, SPLITTER, MAIN_BOX, RANGE = range(4)
-
-# --- state y: what is integrated --------------------------------------------------------------
-SPEED: Final = 0  # 5: rad/s
-ANGLE: Final = 5  # 5: rest angle of each body, rad in [0, 2 pi)
-PHASE: Final = 10  # 4: i_gear theta_L - theta_M of crawl, first, second, third, within a pitch
-LASH: Final = 14  # 5: where in its mesh's backlash the input shaft and each gear lies, rad
-BRAKE_PA: Final = 19  # absolute pressure in the brake
-SUPPLY_PA: Final = 20  # absolute pressure of the tank
-DISC_K: Final = 21  # temperature of the brake disc
-TORQUE: Final = 22  # engine torque at the crankshaft, Nm
-POSITION: Final = 23  # clutch, 0 open to 1 closed
-WORK_J: Final = 24  # put in by engine and bench
-BRAKE_J: Final = 25  # turned into heat by the disc brake
-DRAG_J: Final = 26  # by bearings, oil and seals
-ROAD_J: Final = 27  # by tyres and air
-GRADE_J: Final = 28  # stored by climbing
-RUB_J: Final = 29  # by clutch, tooth faces and synchroniser cones
-WHEELS_RAD_S: Final = 30  # the vehicle's speed, at the propeller shaft; only with a compliant one
-TWIST_RAD: Final = 31  # how far the propeller shaft is ahead of the vehicle
-TWIST_J: Final = 32  # turned into heat by the twisted shafts
-STATES: Final = 33
-
-# --- constants p --------------------------------------------------------------------------------
-INERTIA: Final = 0  # 5: kg m2
-STEP_US: Final = 5
-DRAG_INPUT_NMS: Final = 6
-DRAG_NMS: Final = 7  # at the layshaft, oil temperature included
-DRAG_NM: Final = 8
-DRAG_MAIN_NMS: Final = 9
-LASH_INPUT_RAD: Final = 10  # half of the backlash
-LASH_MAIN_RAD: Final = 11
-LASH_RATE: Final = 12  # 1/s
-GEAR_INERTIA: Final = 13
-GEAR_DRAG_NMS: Final = 14
-MASS_KG: Final = 15
-ROLLING_N: Final = 16
-GRADE_N: Final = 17
-AIR_NS2_M2: Final = 18  # 1/2 rho cd A
-WHEEL_M: Final = 19  # wheel radius over axle ratio: vehicle speed = propeller speed x this
-BRAKE_MODEL: Final = 20
-BRAKE_RATE: Final = 21  # 1 / tau of 4.1, 1/s
-FILL: Final = 22  # choked filling rate per Pa of supply, 1/s
-EXHAUST: Final = 23  # choked exhaust rate per Pa of chamber, 1/s
-CRITICAL: Final = 24
-ATMOSPHERE_PA: Final = 25
-DROOP: Final = 26  # brake volume over tank volume
-RECOVERY: Final = 27  # 1/s
-BRAKE_GAIN: Final = 28  # C_db, Nm/Pa
-TOUCH_PA: Final = 29
-FADE_PER_K: Final = 30
-FADE_PER_RAD_S: Final = 31
-DISC_REFERENCE_K: Final = 32
-DISC_REFERENCE_RAD_S: Final = 33
-HEAT_J_K: Final = 34
-COOLING_W_K: Final = 35
-OIL_K: Final = 36
-ENGINE_LAG_RATE: Final = 37
-ENGINE_NM_S: Final = 38
-ENGINE_MAX_NM: Final = 39
-ENGINE_MIN_NM: Final = 40
-GOVERNOR_NMS: Final = 41
-IDLE_RAD_S: Final = 42
-CLUTCH_NM: Final = 43
-KISS: Final = 44
-RATIO: Final = 45  # 4: i_gear of crawl, first, second, third
-STIFF_NM_RAD: Final = 49  # propeller and axle shafts; 0: rigid, the vehicle is part of body P
-TWIST_NMS: Final = 50
-VEHICLE_KGM2: Final = 51  # at the propeller shaft
-CONSTANTS: Final = 52
-
-# --- what is connected, g; changes at events ----------------------------------------------------
-LEAD: Final = 0  # 5: the body that leads this body's group
-RATE: Final = 5  # 5: speed over the leader's speed
-GROUP: Final = 10  # 5: inertia of the group at its leader
-FORCED: Final = 15  # 5: 1 where the bench or the held brake gives the group's acceleration
-ACCEL: Final = 20  # 5: that acceleration
-VALVE: Final = 25  # brake valve's input u
-BRAKE_SIGN: Final = 26  # direction in which the layshaft turns
-CLUTCH_RATE: Final = 27  # 1/s
-ENGINE_MODE: Final = 28
-ENGINE_TARGET: Final = 29  # rad/s or Nm
-GOVERNED_PA: Final = 30  # where the compressor governor holds the tank
-MESHED: Final = 31  # index of the gear in mesh, 0..3, or -1
-LOW: Final = 32  # 4: a link's torque below this is an event, Nm on the body behind the link
-HIGH: Final = 36  # 4: or above this
-RELEASE_NM: Final = 40  # main-box torque at which a waiting release can go, or -1
-HELD: Final = 41  # 1 where the brake holds a stopped layshaft
-CARRIED: Final = 42  # 4: speed behind a rigid link over that before it; 0: the link is not rigid
-CONNECTED: Final = 46
-
-# --- friction slots: a row each -----------------------------------------------------------------
-SLOTS: Final = 5
+GEARS: Final = 4  # crawl, first, second, third
+CONTACTS: Final = 5
 FACE_FIRST_SECOND, FACE_CRAWL_THIRD, CONE_SPLITTER, CONE_RANGE, PLATE = range(5)
-SIGN, FRICTION_RATIO, FRICTION_NM, BEFORE, BEHIND = range(5)  # sign 0: not rubbing
-SLOT: Final = 5
-
-# --- watched phases: a row each, one for each main sleeve ----------------------------------------
-GEAR, BOTTOM, TOP, OFFSET, WITH_LASH = range(5)  # gear -1: not watched
-WATCH: Final = 5
-
-# --- torques and the like found on the way, aux -------------------------------------------------
-LOAD: Final = 0  # 5: torque on each body
-LINK: Final = 5  # 4: torque a rigid link puts on the body behind it
-SUM: Final = 9  # 5: of a group at its leader
-PULL: Final = 14  # torque at the layshaft's group without the brake
-HOLD: Final = 15  # what the brake can hold, Nm
-AUX: Final = 16
+WATCHES: Final = 2
 
 # --- how `advance` ends -------------------------------------------------------------------------
 REACHED: Final = 0  # nothing happened up to `until`
 DUE: Final = 1  # the instant asked for by `stop`
 LEFT_TOP: Final = 10  # + watch: the phase has left its span at the top
 LEFT_BOTTOM: Final = 20  # + watch
-NO_SLIP: Final = 30  # + slot: rubbing surfaces have the same speed
+NO_SLIP: Final = 30  # + contact: rubbing surfaces have the same speed
 STOPPED: Final = 40  # the layshaft has come to rest
-LINK_SLIPS: Final = 50  # + link: its torque has left LOW..HIGH
+LINK_SLIPS: Final = 50  # + link: its torque has left low_nm..high_nm
 CAN_RELEASE: Final = 60
 LET_GO: Final = 61  # the brake cannot hold the layshaft any more
 
 # --- sensor wheels ------------------------------------------------------------------------------
 WHEELS: Final = 4
-CHANNELS: Final = 8
-TOOTH, LAP, COUNT = range(3)  # columns of an edge pointer
-POINTER: Final = 3
-SILENT, MISSING, EXTRA = range(3)  # columns of a channel's faults
-FAULTS: Final = 3
+MOST_TEETH: Final = 120  # of a sensor wheel (`meshpoint.gearbox.sheet.Wheel`)
 FIRST_EDGES: Final = 16
 JITTERS: Final = 4096
 EXTRA_EDGE_US: Final = 60.0
-RING: Final = 64  # captured edges kept a channel
 HISTORY: Final = 8
 HISTORY_US: Final = 2000
+
+
+class State(Vector):
+    """What is integrated; and, with the same names, its rates of change, each per second."""
+
+    speed_rad_s: Annotated[Row[float], BODIES]
+    angle_rad: Annotated[Row[float], BODIES]  # rest angle of each body, in [0, 2 pi)
+    phase_rad: Annotated[Row[float], GEARS]  # i_gear theta_L - theta_M, within a pitch
+    input_lash_rad: float  # where in its mesh's backlash the input shaft lies
+    lash_rad: Annotated[Row[float], GEARS]  # and each gear
+    brake_pa: float  # absolute pressure in the brake
+    supply_pa: float  # absolute pressure of the tank
+    disc_k: float  # temperature of the brake disc
+    engine_nm: float  # engine torque at the crankshaft
+    clutch: float  # position, 0 open to 1 closed
+    work_j: float  # put in by engine and bench
+    brake_j: float  # turned into heat by the disc brake
+    drag_j: float  # by bearings, oil and seals
+    road_j: float  # by tyres and air
+    grade_j: float  # stored by climbing
+    rub_j: float  # by clutch, tooth faces and synchroniser cones
+    wheels_rad_s: float  # vehicle's speed, at the propeller shaft; only with a compliant one
+    twist_rad: float  # how far the propeller shaft is ahead of the vehicle
+    twist_j: float  # turned into heat by the twisted shafts
+
+
+class TwistingShafts(Record):
+    """Propeller and axle shafts as built (`driveline`)."""
+
+    stiff_nm_rad: float  # 0: rigid, the vehicle is part of body P
+    damping_nms: float
+    vehicle_kgm2: float  # at the propeller shaft
+
+
+class Parameters(Record):
+    """What stays as built."""
+
+    step_us: float
+    pitch_rad: float  # of the dog teeth
+    oil_k: float
+    inertia_kgm2: Annotated[Row[float], BODIES]
+    ratio: Annotated[Row[float], GEARS]  # i_gear
+    drag_input_nms: float
+    drag_nms: float  # at the layshaft, oil temperature included
+    drag_nm: float
+    drag_main_nms: float
+    gear_inertia_kgm2: float
+    gear_drag_nms: float
+    input_lash: Backlash
+    main_lash: Backlash
+    air: BrakeAir
+    brake: DiscBrake
+    engine: EngineLimits
+    plates: ClutchPlates
+    road: RoadLoad
+    twisting: TwistingShafts
+
+
+class Body(Record):
+    """How a body moves with its group."""
+
+    lead: int  # the body that leads the group
+    rate: float  # speed over the leader's speed
+    group_kgm2: float  # of a leader: inertia of its group
+    forced: int  # of a leader: 1 where the bench or the held brake gives the acceleration
+    accel_rad_s2: float  # of a leader: that acceleration
+
+
+class Link(Record):
+    """What links a body to the next."""
+
+    low_nm: float  # torque below this, on the body behind the link, is an event
+    high_nm: float  # or above this
+    carried: float  # speed behind a rigid link over that before it; 0: the link is not rigid
+
+
+class Connections(Record):
+    """What is connected and commanded; changes at events."""
+
+    bodies: Annotated[Row[Body], BODIES]
+    links: Annotated[Row[Link], LINKS]
+    valve: float  # brake valve's input u
+    brake_sign: float  # direction in which the layshaft turns
+    clutch_rate: float  # 1/s
+    engine_mode: int  # IDLE to DRIVE of `engine`
+    engine_target: float  # rad/s or Nm
+    governed_pa: float  # where the compressor governor holds the tank
+    meshed: int  # index of the gear in mesh, or -1
+    release_nm: float  # main-box torque at which a waiting release can go, or -1
+    held: int  # 1 where the brake holds a stopped layshaft
+
+
+class Contact(Record):
+    """Surfaces that rub."""
+
+    sign: float  # 0: not rubbing
+    ratio: float
+    friction_nm: float
+    before: int  # the bodies
+    behind: int
+
+
+class Watch(Record):
+    """A phase whose leaving a span is an event; one for each main sleeve."""
+
+    gear: int  # index; -1: not watched
+    bottom_rad: float
+    top_rad: float
+    offset_rad: float  # added to the phase, which is kept within a pitch
+    with_lash: int
+
+
+class Torques(Record):
+    """Found on the way to the rates."""
+
+    body_nm: Annotated[Row[float], BODIES]  # on each body, from outside and from friction
+    link_nm: Annotated[Row[float], LINKS]  # what a rigid link puts on the body behind it
+    group_nm: Annotated[Row[float], BODIES]  # sum of a group at its leader
+    pull_nm: float  # at the layshaft's group without the brake
+    hold_nm: float  # what the brake can hold
+
+
+class Hall(Record):
+    """One capture channel's edges as the wheel was made, and its faults."""
+
+    teeth: int
+    edges_rad: Annotated[Row[float], MOST_TEETH]  # angle of each edge
+    first_rad: Annotated[Row[float], FIRST_EDGES]  # error of the first edges after power-up
+    silent: int
+    missing: int  # number of the tooth that gives no edge, plus one; 0: none
+    extra: int  # edges added to each
+
+
+class Past(Record):
+    """The layshaft at an instant."""
+
+    turns: int
+    rest_rad: float
+    speed_rad_s: float
+
+
+class Rig(Record):
+    """All that the kernels read and change."""
+
+    y: State
+    g: Connections
+    contacts: Annotated[Row[Contact], CONTACTS]
+    laps: Annotated[Row[int], BODIES]  # whole turns
+    captured: Captured
+    p: Parameters
+    watches: Annotated[Row[Watch], WATCHES]
+    hall: Annotated[Row[Hall], CHANNELS]
+    jitter_s: Annotated[Row[float], JITTERS]  # turned into angle at the present speed
+    history: Annotated[Row[Past], HISTORY]
+    stages: Annotated[Row[State], 4]  # rates at the stages of a step
+    after: State  # at its end
+    ahead: State  # the rates there
+    torques: Torques
+
+    def moving(self) -> bytes:
+        """A copy of what moves or is connected: all before `p`."""
+        return bytes(self.raw()[:MOVING_BYTES])
+
+    def set_moving(self, copied: bytes) -> None:
+        """As it was at a copy, of this rig or of one of the same gearbox."""
+        self.raw()[:MOVING_BYTES] = copied
+
+
+MOVING_BYTES: Final[int] = cast(Any, Rig).p.offset

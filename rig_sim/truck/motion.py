@@ -17,208 +17,118 @@ from meshpoint.rig_sim.parts.drag import drag_nm
 from meshpoint.rig_sim.parts.engine import capacity_nm, demand_nm, torque_nm_s
 from meshpoint.rig_sim.parts.lash import lash_rad_s
 from meshpoint.rig_sim.parts.pneumatics import chamber_pa_s, tank_pa_s
-from meshpoint.rig_sim.shared.angle_kernels import Floats
+from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.driveline import load_propeller
-from meshpoint.rig_sim.truck.layout import (
-    ACCEL,
-    ANGLE,
-    ATMOSPHERE_PA,
-    BEFORE,
-    BEHIND,
-    BODIES,
-    BRAKE_GAIN,
-    BRAKE_J,
-    BRAKE_MODEL,
-    BRAKE_PA,
-    BRAKE_RATE,
-    BRAKE_SIGN,
-    CARRIED,
-    CLUTCH_NM,
-    CLUTCH_RATE,
-    COOLING_W_K,
-    CRITICAL,
-    DISC_K,
-    DISC_REFERENCE_K,
-    DISC_REFERENCE_RAD_S,
-    DRAG_INPUT_NMS,
-    DRAG_J,
-    DRAG_MAIN_NMS,
-    DRAG_NM,
-    DRAG_NMS,
-    DROOP,
-    ENGINE,
-    ENGINE_LAG_RATE,
-    ENGINE_MAX_NM,
-    ENGINE_MIN_NM,
-    ENGINE_MODE,
-    ENGINE_NM_S,
-    ENGINE_TARGET,
-    EXHAUST,
-    FADE_PER_K,
-    FADE_PER_RAD_S,
-    FILL,
-    FORCED,
-    FRICTION_NM,
-    FRICTION_RATIO,
-    GEAR_DRAG_NMS,
-    GEAR_INERTIA,
-    GOVERNED_PA,
-    GOVERNOR_NMS,
-    GROUP,
-    HEAT_J_K,
-    HOLD,
-    IDLE_RAD_S,
-    INERTIA,
-    INPUT,
-    KISS,
-    LASH,
-    LASH_INPUT_RAD,
-    LASH_MAIN_RAD,
-    LASH_RATE,
-    LAYSHAFT,
-    LEAD,
-    LINK,
-    LINKS,
-    LOAD,
-    MAIN,
-    MAIN_BOX,
-    MESHED,
-    OIL_K,
-    PHASE,
-    PLATE,
-    POSITION,
-    PULL,
-    RATE,
-    RATIO,
-    RECOVERY,
-    RUB_J,
-    SIGN,
-    SLOTS,
-    SPEED,
-    SPLITTER,
-    SUM,
-    SUPPLY_PA,
-    TORQUE,
-    TOUCH_PA,
-    VALVE,
-    WORK_J,
-)
+from meshpoint.rig_sim.truck.layout import Rig, State
 
 
 @inlined
-def _loads(y: Floats, p: Floats, g: Floats, slots: Floats, rate: Floats, aux: Floats) -> float:
-    """Torque on each body from outside and from friction; their powers. Returns the brake's."""
-    gauge = y[BRAKE_PA] - p[ATMOSPHERE_PA]
-    share = friction_share(
-        y[SPEED + LAYSHAFT],
-        y[DISC_K],
-        p[FADE_PER_K],
-        p[FADE_PER_RAD_S],
-        p[DISC_REFERENCE_K],
-        p[DISC_REFERENCE_RAD_S],
+def _load_bodies(y: State, rate: State, rig: Rig) -> float:
+    """Torque on each body from outside, and its power. Returns the brake's torque."""
+    p, g, torques = rig.p, rig.g, rig.torques
+    speed = y.speed_rad_s
+    gauge = y.brake_pa - p.air.atmosphere_pa
+    share = friction_share(speed[at.LAYSHAFT], y.disc_k, p.brake)
+    brake = brake_nm(gauge, share, p.brake)
+    drag_input = p.drag_input_nms * speed[at.INPUT]
+    drag = drag_nm(speed[at.LAYSHAFT], p.drag_nm, p.drag_nms)
+    drag_main = p.drag_main_nms * speed[at.MAIN]
+    torques.body_nm[at.ENGINE] = y.engine_nm
+    torques.body_nm[at.INPUT] = -drag_input
+    torques.body_nm[at.LAYSHAFT] = -drag - g.brake_sign * brake
+    torques.body_nm[at.MAIN] = -drag_main
+    rate.work_j = y.engine_nm * speed[at.ENGINE]
+    load_propeller(y, rate, rig)
+    rate.brake_j = g.brake_sign * brake * speed[at.LAYSHAFT]
+    rate.drag_j = (
+        drag_input * speed[at.INPUT] + drag * speed[at.LAYSHAFT] + drag_main * speed[at.MAIN]
     )
-    brake = brake_nm(gauge, p[TOUCH_PA], p[BRAKE_GAIN], share)
-    drag_input = p[DRAG_INPUT_NMS] * y[SPEED + INPUT]
-    drag = drag_nm(y[SPEED + LAYSHAFT], p[DRAG_NM], p[DRAG_NMS])
-    drag_main = p[DRAG_MAIN_NMS] * y[SPEED + MAIN]
-    aux[LOAD + ENGINE] = y[TORQUE]
-    aux[LOAD + INPUT] = -drag_input
-    aux[LOAD + LAYSHAFT] = -drag - g[BRAKE_SIGN] * brake
-    aux[LOAD + MAIN] = -drag_main
-    rate[WORK_J] = y[TORQUE] * y[SPEED + ENGINE]
-    load_propeller(y, p, g, rate, aux)
-    rate[BRAKE_J] = g[BRAKE_SIGN] * brake * y[SPEED + LAYSHAFT]
-    rate[DRAG_J] = (
-        drag_input * y[SPEED + INPUT] + drag * y[SPEED + LAYSHAFT] + drag_main * y[SPEED + MAIN]
-    )
-    rate[RUB_J] = 0.0
-    for slot in range(SLOTS):
-        sign = slots[slot, SIGN]
-        if sign != 0.0:
-            before, behind = int(slots[slot, BEFORE]), int(slots[slot, BEHIND])
-            ratio = slots[slot, FRICTION_RATIO]
-            torque = slots[slot, FRICTION_NM]
-            if slot == PLATE:
-                torque = capacity_nm(y[POSITION], p[KISS], p[CLUTCH_NM])
-            torque *= sign
-            aux[LOAD + before] -= ratio * torque
-            aux[LOAD + behind] += torque
-            rate[RUB_J] += torque * (ratio * y[SPEED + before] - y[SPEED + behind])
     return brake
 
 
 @inlined
-def _accelerations(y: Floats, p: Floats, g: Floats, rate: Floats, aux: Floats) -> None:
-    """Group by group; then what the rigid links carry."""
-    for k in range(BODIES):
-        aux[SUM + k] = 0.0
-    for k in range(BODIES):
-        aux[SUM + int(g[LEAD + k])] += g[RATE + k] * aux[LOAD + k]
-    aux[PULL] = aux[SUM + int(g[LEAD + LAYSHAFT])]
-    for k in range(BODIES):
-        if int(g[LEAD + k]) != k:
-            continue
-        if g[FORCED + k] != 0.0:
-            accel = g[ACCEL + k]
-            given = g[GROUP + k] * accel - aux[SUM + k]
-            aux[LOAD + k] += given
-            rate[WORK_J] += given * y[SPEED + k]
-        else:
-            accel = aux[SUM + k] / g[GROUP + k]
-        rate[SPEED + k] = accel
-    for k in range(BODIES):
-        rate[SPEED + k] = g[RATE + k] * rate[SPEED + int(g[LEAD + k])]
-        rate[ANGLE + k] = y[SPEED + k]
-    needed = 0.0
-    for link in range(LINKS - 1, -1, -1):
-        behind = link + 1
-        needed += p[INERTIA + behind] * rate[SPEED + behind] - aux[LOAD + behind]
-        if g[CARRIED + link] == 0.0:
-            needed = 0.0
-        aux[LINK + link] = needed
-        needed *= g[CARRIED + link]
+def _rub(y: State, rate: State, rig: Rig) -> None:
+    """Friction of all surfaces that rub, and its power."""
+    torques = rig.torques
+    rate.rub_j = 0.0
+    for i in range(at.CONTACTS):
+        contact = rig.contacts[i]
+        if contact.sign != 0.0:
+            before, behind = contact.before, contact.behind
+            torque = contact.friction_nm
+            if i == at.PLATE:
+                torque = capacity_nm(y.clutch, rig.p.plates)
+            torque *= contact.sign
+            torques.body_nm[before] -= contact.ratio * torque
+            torques.body_nm[behind] += torque
+            slip = contact.ratio * y.speed_rad_s[before] - y.speed_rad_s[behind]
+            rate.rub_j += torque * slip
 
 
 @inlined
-def rates(y: Floats, p: Floats, g: Floats, slots: Floats, rate: Floats, aux: Floats) -> None:
-    """dy/dt at state y into `rate`; torques into `aux`."""
-    brake = _loads(y, p, g, slots, rate, aux)
-    _accelerations(y, p, g, rate, aux)
-    aux[PULL] += g[BRAKE_SIGN] * brake
-    aux[HOLD] = brake
-    for gear in range(4):
-        ratio = p[RATIO + gear]
-        rate[PHASE + gear] = ratio * y[SPEED + LAYSHAFT] - y[SPEED + MAIN]
-        needed = p[GEAR_INERTIA] * ratio * rate[SPEED + LAYSHAFT]
-        needed += p[GEAR_DRAG_NMS] * rate[PHASE + gear]
-        if int(g[MESHED]) == gear:
-            needed = aux[LINK + MAIN_BOX]
-        rate[LASH + 1 + gear] = lash_rad_s(
-            y[LASH + 1 + gear], needed, p[LASH_MAIN_RAD], p[LASH_RATE]
-        )
-    rate[LASH] = lash_rad_s(y[LASH], -aux[LINK + SPLITTER], p[LASH_INPUT_RAD], p[LASH_RATE])
-    rate[BRAKE_PA] = chamber_pa_s(
-        y[BRAKE_PA],
-        y[SUPPLY_PA],
-        p[ATMOSPHERE_PA],
-        g[VALVE],
-        p[BRAKE_MODEL],
-        p[BRAKE_RATE],
-        p[FILL],
-        p[EXHAUST],
-        p[CRITICAL],
-    )
-    filling = rate[BRAKE_PA] if g[VALVE] > 0.0 else 0.0
-    rate[SUPPLY_PA] = tank_pa_s(y[SUPPLY_PA], g[GOVERNED_PA], p[RECOVERY], p[DROOP], filling)
-    rate[DISC_K] = heating_k_s(rate[BRAKE_J], y[DISC_K], p[OIL_K], p[HEAT_J_K], p[COOLING_W_K])
-    wanted = demand_nm(
-        g[ENGINE_MODE],
-        g[ENGINE_TARGET],
-        y[SPEED + ENGINE],
-        p[IDLE_RAD_S],
-        p[GOVERNOR_NMS],
-        p[ENGINE_MIN_NM],
-        p[ENGINE_MAX_NM],
-    )
-    rate[TORQUE] = torque_nm_s(wanted, y[TORQUE], p[ENGINE_LAG_RATE], p[ENGINE_NM_S])
-    rate[POSITION] = g[CLUTCH_RATE]
+def _accelerate(y: State, rate: State, rig: Rig) -> None:
+    """Group by group; then what the rigid links carry."""
+    g, torques = rig.g, rig.torques
+    for k in range(at.BODIES):
+        torques.group_nm[k] = 0.0
+    for k in range(at.BODIES):
+        torques.group_nm[g.bodies[k].lead] += g.bodies[k].rate * torques.body_nm[k]
+    torques.pull_nm = torques.group_nm[g.bodies[at.LAYSHAFT].lead]
+    for k in range(at.BODIES):
+        body = g.bodies[k]
+        if body.lead != k:
+            continue
+        if body.forced != 0:
+            accel = body.accel_rad_s2
+            given = body.group_kgm2 * accel - torques.group_nm[k]
+            torques.body_nm[k] += given
+            rate.work_j += given * y.speed_rad_s[k]
+        else:
+            accel = torques.group_nm[k] / body.group_kgm2
+        rate.speed_rad_s[k] = accel
+    for k in range(at.BODIES):
+        rate.speed_rad_s[k] = g.bodies[k].rate * rate.speed_rad_s[g.bodies[k].lead]
+        rate.angle_rad[k] = y.speed_rad_s[k]
+    needed = 0.0
+    for link in range(at.LINKS - 1, -1, -1):
+        behind = link + 1
+        needed += rig.p.inertia_kgm2[behind] * rate.speed_rad_s[behind] - torques.body_nm[behind]
+        if g.links[link].carried == 0.0:
+            needed = 0.0
+        torques.link_nm[link] = needed
+        needed *= g.links[link].carried
+
+
+@inlined
+def _move_in_backlash(y: State, rate: State, rig: Rig) -> None:
+    """Phases of the gears, and where gears and input shaft lie in their meshes."""
+    p, torques = rig.p, rig.torques
+    for gear in range(at.GEARS):
+        ratio = p.ratio[gear]
+        rate.phase_rad[gear] = ratio * y.speed_rad_s[at.LAYSHAFT] - y.speed_rad_s[at.MAIN]
+        needed = p.gear_inertia_kgm2 * ratio * rate.speed_rad_s[at.LAYSHAFT]
+        needed += p.gear_drag_nms * rate.phase_rad[gear]
+        if rig.g.meshed == gear:
+            needed = torques.link_nm[at.MAIN_BOX]
+        rate.lash_rad[gear] = lash_rad_s(y.lash_rad[gear], needed, p.main_lash)
+    splitter = -torques.link_nm[at.SPLITTER]
+    rate.input_lash_rad = lash_rad_s(y.input_lash_rad, splitter, p.input_lash)
+
+
+@inlined
+def rates(y: State, rate: State, rig: Rig) -> None:
+    """dy/dt at state y into `rate`; torques into those of the rig."""
+    p, g = rig.p, rig.g
+    brake = _load_bodies(y, rate, rig)
+    _rub(y, rate, rig)
+    _accelerate(y, rate, rig)
+    rig.torques.pull_nm += g.brake_sign * brake
+    rig.torques.hold_nm = brake
+    _move_in_backlash(y, rate, rig)
+    rate.brake_pa = chamber_pa_s(y.brake_pa, y.supply_pa, g.valve, p.air)
+    filling = rate.brake_pa if g.valve > 0.0 else 0.0
+    rate.supply_pa = tank_pa_s(y.supply_pa, g.governed_pa, filling, p.air)
+    rate.disc_k = heating_k_s(rate.brake_j, y.disc_k, p.oil_k, p.brake)
+    wanted = demand_nm(g.engine_mode, g.engine_target, y.speed_rad_s[at.ENGINE], p.engine)
+    rate.engine_nm = torque_nm_s(wanted, y.engine_nm, p.engine)
+    rate.clutch = g.clutch_rate

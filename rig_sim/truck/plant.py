@@ -8,22 +8,23 @@ for the instant at which a gear's phase leaves a span.
 from __future__ import annotations
 
 import math
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.rig_sim.records import Memory
 from meshpoint.rig_sim.shared.angle_kernels import Floats, settled, wrapped
 from meshpoint.rig_sim.shared.angles import Angle, Shafts
 from meshpoint.rig_sim.shared.rotation import Drive
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.chain import UNLIMITED, Chain
-from meshpoint.rig_sim.truck.constants import constants
+from meshpoint.rig_sim.truck.constants import load_parameters
 from meshpoint.rig_sim.truck.edges import TruckEdges
-from meshpoint.rig_sim.truck.events import WATCHES
 from meshpoint.rig_sim.truck.kernels import advance, sample
+from meshpoint.rig_sim.truck.layout import Contact, Rig, Watch
 
 INDEX: Final = {gear: index for index, gear in enumerate(MAIN_GEARS)}
 
@@ -60,7 +61,7 @@ class Snapshot(NamedTuple):
     """What moves in a plant at an instant; what is linked to what only as the kernels see it."""
 
     time_us: float
-    arrays: tuple[np.ndarray[Any, Any], ...]
+    moving: bytes
 
 
 class TruckShafts:
@@ -86,14 +87,14 @@ class TruckShafts:
 
     def phases_rad(self) -> tuple[float, ...]:
         """`phase_rad` of all gears, in the order of `MAIN_GEARS`."""
-        ends = self._plant.y[at.PHASE : at.LASH + 5].tolist()
-        pitch_rad = self._pitch_rad
-        return tuple([wrapped(ends[i] + ends[i + 5], pitch_rad) for i in range(4)])
+        y, pitch_rad = self._plant.y, self._pitch_rad
+        phase, lash = y.phase_rad, y.lash_rad
+        return tuple([wrapped(phase[i] + lash[i], pitch_rad) for i in range(at.GEARS)])
 
     def phase_rad(self, gear: MainGear) -> float:
         """Angle of a gear tooth from the middle of the sleeve's gap, half a pitch either way."""
         y, index = self._plant.y, INDEX[gear]
-        return wrapped(float(y[at.PHASE + index] + y[at.LASH + 1 + index]), self._pitch_rad)
+        return wrapped(y.phase_rad[index] + y.lash_rad[index], self._pitch_rad)
 
 
 class TruckPlant:
@@ -104,74 +105,56 @@ class TruckPlant:
     ) -> None:
         self._sheet = sheet
         self.time_us = 0.0
-        self.p = constants(sheet, built)
-        self.y: Floats = np.zeros(at.STATES)
-        self.g: Floats = np.zeros(at.CONNECTED)
-        self._slots: Floats = np.zeros((at.SLOTS, at.SLOT))
-        self._watches: Floats = np.full((WATCHES, at.WATCH), -1.0)
-        self._scratch: Floats = np.zeros((7, max(at.STATES, at.AUX)))
-        self.laps = np.zeros(at.BODIES, dtype=np.int64)
+        self._memory = Memory(Rig())
+        self.rig = rig = self._memory.record
+        self.p, self.y, self.g = rig.p, rig.y, rig.g
+        load_parameters(self.p, sheet, built)
+        for row in range(at.WATCHES):
+            self.unwatch(row)
         self.shafts = TruckShafts(sheet, self, start.split, start.range_)
-        self.chain = Chain(self.p, self.y, self.g)
+        self.chain = Chain(rig)
         self.impacts_j = 0.0
         self._cones_nm = (built["synchro.splitter_nm"], built["synchro.range_nm"])
         self.constant_speed = built["vehicle.constant_speed"] >= 0.5
         self._load_angles(start)
-        self.edges = edges = TruckEdges(sheet, built, self.y, self.laps)
-        self._arguments = (
-            sheet.dog.pitch_rad,
-            self.y,
-            self.laps,
-            self.p,
-            self.g,
-            self._slots,
-            self._watches,
-            self._scratch,
-            edges.history,
-            edges.teeth,
-            edges.table,
-            edges.first,
-            edges.jitter_s,
-            edges.pointers,
-            edges.faults,
-            edges.ring,
-        )
+        self.edges = TruckEdges(sheet, built, rig)
         self._load_speeds(gear, main_rad_s, built)
         self._stored_at_start_j = self._stored_j()
 
     @property
     def layshaft_rad_s(self) -> float:
         """Layshaft speed."""
-        return float(self.y[at.SPEED + at.LAYSHAFT])
+        return self.y.speed_rad_s[at.LAYSHAFT]
 
     @property
     def main_rad_s(self) -> float:
         """Main shaft speed."""
-        return float(self.y[at.SPEED + at.MAIN])
+        return self.y.speed_rad_s[at.MAIN]
 
     @property
     def road_speed_m_s(self) -> float:
         """Speed of the vehicle."""
-        is_rigid = self.p[at.STIFF_NM_RAD] == 0.0
-        omega = self.y[at.SPEED + at.PROPELLER if is_rigid else at.WHEELS_RAD_S]
-        return float(omega * self.p[at.WHEEL_M])
+        y, p = self.y, self.p
+        is_rigid = p.twisting.stiff_nm_rad == 0.0
+        omega = y.speed_rad_s[at.PROPELLER] if is_rigid else y.wheels_rad_s
+        return omega * p.road.wheel_m
 
     @property
     def brake_gauge_pa(self) -> float:
         """Gauge pressure between valve and brake."""
-        return float(self.y[at.BRAKE_PA] - self.p[at.ATMOSPHERE_PA])
+        return self.y.brake_pa - self.p.air.atmosphere_pa
 
     @property
     def supply_gauge_pa(self) -> float:
         """Gauge pressure of the tank."""
-        return float(self.y[at.SUPPLY_PA] - self.p[at.ATMOSPHERE_PA])
+        return self.y.supply_pa - self.p.air.atmosphere_pa
 
     @property
     def drive(self) -> Drive:
         """What moves the layshaft."""
         if self.chain.is_rigid(at.MAIN_BOX):
             return Drive.LOCKED
-        if self.g[at.HELD]:
+        if self.g.held:
             return Drive.STOPPED
         return Drive.SCRIPTED if self.chain.is_forced(at.LAYSHAFT) else Drive.COASTING
 
@@ -180,27 +163,27 @@ class TruckPlant:
         """The balance since power-up."""
         y = self.y
         return Energy(
-            float(y[at.WORK_J]),
-            float(y[at.BRAKE_J]),
-            float(y[at.DRAG_J]),
-            float(y[at.ROAD_J]),
-            float(y[at.RUB_J]),
+            y.work_j,
+            y.brake_j,
+            y.drag_j,
+            y.road_j,
+            y.rub_j,
             self.impacts_j,
-            float(y[at.TWIST_J]),
-            float(y[at.GRADE_J]),
+            y.twist_j,
+            y.grade_j,
             self._stored_j() - self._stored_at_start_j,
         )
 
     def angle(self, body: int) -> Angle:
         """Whole turns and rest of a body, the input shaft with its backlash."""
-        rest = float(self.y[at.ANGLE + body])
+        rest = self.y.angle_rad[body]
         if body == at.INPUT:
-            rest += float(self.y[at.LASH])
-        return settled(int(self.laps[body]), rest)
+            rest += self.y.input_lash_rad
+        return settled(self.rig.laps[body], rest)
 
     def ratio(self, gear: MainGear) -> float:
         """Gear speed over layshaft speed."""
-        return float(self.p[at.RATIO + INDEX[gear]])
+        return self.p.ratio[INDEX[gear]]
 
     def slip_rad_s(self, gear: MainGear) -> float:
         """Speed of the gear less that of its sleeve."""
@@ -209,21 +192,21 @@ class TruckPlant:
     def main_box_nm(self) -> float:
         """What the gear in mesh puts on the main shaft now; 0 between the flanks."""
         self.find_torques()
-        return float(self._scratch[5, at.LINK + at.MAIN_BOX])
+        return self.rig.torques.link_nm[at.MAIN_BOX]
 
     def load_nm(self, body: int) -> float:
         """Torque on a body from outside and from friction, now."""
         self.find_torques()
-        return float(self._scratch[5, at.LOAD + body])
+        return self.rig.torques.body_nm[body]
 
     def link_nm(self, link: int) -> float:
         """What a rigid link puts on the body behind it, as last found by `advance`."""
-        return float(self._scratch[5, at.LINK + link])
+        return self.rig.torques.link_nm[link]
 
     def advance(self, until_us: float, stop_us: float) -> int:
         """Go on to the next event, to `stop_us`, or to the last grid point up to `until_us`."""
         self.time_us, event = advance(
-            self.time_us, float(until_us), float(stop_us), *self._arguments
+            self._memory.array, self.time_us, float(until_us), float(stop_us)
         )
         return event
 
@@ -235,29 +218,18 @@ class TruckPlant:
         (n, 3): layshaft speed, main shaft speed, phase of the gear; NaN from where the shafts have
         come to rest on. And whether they have."""
         found = np.full((len(numbers), 3), np.nan)
-        self.time_us, rests = sample(
-            self.time_us,
-            every_us,
-            start_us,
-            numbers.start,
-            INDEX[gear],
-            found,
-            *self._arguments,
-        )
+        stops_us = start_us + every_us * np.arange(numbers.start, numbers.stop)
+        self.time_us, rests = sample(self._memory.array, self.time_us, INDEX[gear], stops_us, found)
         return found, rests
 
     def snapshot(self) -> Snapshot:
-        """Copies of all that `advance` reads and changes, but the edges found."""
-        return Snapshot(self.time_us, tuple(array.copy() for array in self._moving()))
+        """A copy of all that moves or is connected, edges found included."""
+        return Snapshot(self.time_us, self.rig.moving())
 
     def restore(self, snapshot: Snapshot) -> None:
         """Stand as at that instant; of this plant or of one of the same gearbox."""
         self.time_us = snapshot.time_us
-        for array, copied in zip(self._moving(), snapshot.arrays, strict=True):
-            array[:] = copied
-
-    def _moving(self) -> tuple[np.ndarray[Any, Any], ...]:
-        return self.y, self.g, self._slots, self.laps, self.edges.pointers
+        self.rig.set_moving(snapshot.moving)
 
     def find_torques(self) -> None:
         """Rates and torques at the present state into the scratch, going nowhere."""
@@ -268,31 +240,31 @@ class TruckPlant:
         branch nearest to the span's middle. One that stands outside, on a chamfer, may move in; it
         leaves where it moves out from there."""
         index = INDEX[gear]
-        phase = float(self.y[at.PHASE + index])
+        phase = self.y.phase_rad[index]
         if with_lash:
-            phase += float(self.y[at.LASH + 1 + index])
+            phase += self.y.lash_rad[index]
         middle = (span[0] + span[1]) / 2.0
         offset = wrapped(phase - middle, self._sheet.dog.pitch_rad) + middle - phase
         low, high = min(span[0], phase + offset), max(span[1], phase + offset)
-        self._watches[row] = (index, low, high, offset, with_lash)
+        self.rig.watches[row] = Watch(index, low, high, offset, with_lash)
 
     def unwatch(self, row: int) -> None:
         """No more events of that row."""
-        self._watches[row, at.GEAR] = -1.0
+        self.rig.watches[row].gear = -1
 
     def rub(self, slot: int, link: int, ratio: float, torque_nm: float, sign: float = 0.0) -> None:
         """Friction at a link from now on; the sign is that of the slip unless it is given."""
         slip = self.chain.slip_rad_s(link, ratio)
         direction = sign or math.copysign(1.0, slip)
-        self._slots[slot] = (direction, ratio, torque_nm, link, link + 1)
+        self.rig.contacts[slot] = Contact(direction, ratio, torque_nm, link, link + 1)
 
     def smooth(self, slot: int) -> None:
         """No friction there any more."""
-        self._slots[slot, at.SIGN] = 0.0
+        self.rig.contacts[slot].sign = 0.0
 
     def rubs(self, slot: int) -> bool:
         """Whether there is friction."""
-        return bool(self._slots[slot, at.SIGN] != 0.0)
+        return self.rig.contacts[slot].sign != 0.0
 
     def strike(self, link: int, ratio: float, restitution: float) -> float:
         """An impact at a link that stays open; returns its loss, J."""
@@ -301,7 +273,7 @@ class TruckPlant:
         self.impacts_j += lost
         if self.chain.is_driven(link) or self.chain.is_driven(link + 1):
             # what the bench drives goes on as before: the impulse is its work
-            self.y[at.WORK_J] += self.chain.kinetic_j() - before + lost
+            self.y.work_j += self.chain.kinetic_j() - before + lost
         return lost
 
     def join(
@@ -318,51 +290,51 @@ class TruckPlant:
         high = 0.0 if limited and flank < 0 else UNLIMITED
         self.free_layshaft()
         self.join(at.MAIN_BOX, self.ratio(gear), low, high)
-        self.g[at.MESHED] = INDEX[gear]
+        self.g.meshed = INDEX[gear]
         self.shafts.lock = InMesh(gear, flank)
 
     def leave_flank(self, gear: MainGear) -> None:
         """The tooth is between the flanks of its gap, still in mesh."""
         self.chain.open(at.MAIN_BOX)
-        self.g[at.MESHED] = -1.0
+        self.g.meshed = -1
         self.shafts.lock = InMesh(gear, 0)
 
     def coast(self) -> None:
         """No gear and no bench holds the layshaft."""
         self.shafts.lock = None
-        self.g[at.MESHED] = -1.0
+        self.g.meshed = -1
         self.chain.open(at.MAIN_BOX)
         self.free_layshaft()
 
     def free_layshaft(self) -> None:
         """Torques alone move the layshaft from now on; at rest the brake may catch it again."""
-        self.g[at.HELD] = 0.0
+        self.g.held = 0
         self.chain.free(at.LAYSHAFT)
 
     def stop(self) -> None:
         """The layshaft has come to rest: the brake holds it if it can, else it turns back."""
         self.find_torques()
-        pull, hold = self._scratch[5, at.PULL], self._scratch[5, at.HOLD]
+        pull, hold = self.rig.torques.pull_nm, self.rig.torques.hold_nm
         for k in self.chain.group(at.LAYSHAFT):
-            self.y[at.SPEED + k] = 0.0
+            self.y.speed_rad_s[k] = 0.0
         if abs(pull) <= hold:
-            self.g[at.HELD] = 1.0
+            self.g.held = 1
             self.chain.force(at.LAYSHAFT, 0.0)
         else:
-            self.g[at.BRAKE_SIGN] = math.copysign(1.0, pull)
+            self.g.brake_sign = math.copysign(1.0, pull)
 
     def let_go(self) -> None:
         """The brake cannot hold the layshaft any more."""
-        self.g[at.HELD] = 0.0
-        self.g[at.BRAKE_SIGN] = math.copysign(1.0, float(self._scratch[5, at.PULL]))
+        self.g.held = 0
+        self.g.brake_sign = math.copysign(1.0, self.rig.torques.pull_nm)
         self.chain.free(at.LAYSHAFT)
 
     def script_layshaft(self, accel_rad_s2: float) -> None:
         """The bench drives the layshaft at constant acceleration."""
         self.shafts.lock = None
-        self.g[at.MESHED] = -1.0
-        self.g[at.HELD] = 0.0
-        self.g[at.BRAKE_SIGN] = 1.0
+        self.g.meshed = -1
+        self.g.held = 0
+        self.g.brake_sign = 1.0
         self.chain.open(at.MAIN_BOX)
         self.chain.force(at.LAYSHAFT, accel_rad_s2)
 
@@ -381,7 +353,7 @@ class TruckPlant:
         the bench drives the shafts speeds follow at once, as work of the bench; else the cones
         bring them together."""
         self.shafts.split, self.shafts.range_ = split, range_
-        scripted = self.chain.is_forced(at.LAYSHAFT) and not self.g[at.HELD]
+        scripted = self.chain.is_forced(at.LAYSHAFT) and not self.g.held
         before = self.chain.kinetic_j()
         splitter_nm, range_nm = self._cones_nm
         for name, link, slot, ratio, torque_nm in (
@@ -395,7 +367,7 @@ class TruckPlant:
                 self.chain.place(link, ratio)
             elif not self.chain.is_rigid(link) and not self.rubs(slot):
                 self.rub(slot, link, ratio, torque_nm)
-        self.y[at.WORK_J] += self.chain.kinetic_j() - before
+        self.y.work_j += self.chain.kinetic_j() - before
         self._take_wheels_along()
 
     def cone_holds(self, slot: int) -> None:
@@ -409,65 +381,65 @@ class TruckPlant:
 
     def _take_wheels_along(self) -> None:
         """Where the bench drives the propeller shaft the vehicle goes with it; its work as well."""
-        if self.p[at.STIFF_NM_RAD] > 0.0 and self.chain.is_driven(at.PROPELLER):
+        if self.p.twisting.stiff_nm_rad > 0.0 and self.chain.is_driven(at.PROPELLER):
             before = self._stored_j()
-            self.y[at.WHEELS_RAD_S] = self.y[at.SPEED + at.PROPELLER]
-            self.y[at.TWIST_RAD] = 0.0
-            self.y[at.WORK_J] += self._stored_j() - before
+            self.y.wheels_rad_s = self.y.speed_rad_s[at.PROPELLER]
+            self.y.twist_rad = 0.0
+            self.y.work_j += self._stored_j() - before
 
     def _stored_j(self) -> float:
         y, p = self.y, self.p
         stored_j = self.chain.kinetic_j()
-        if p[at.STIFF_NM_RAD] > 0.0:
-            stored_j += 0.5 * p[at.VEHICLE_KGM2] * y[at.WHEELS_RAD_S] ** 2
-            stored_j += 0.5 * p[at.STIFF_NM_RAD] * y[at.TWIST_RAD] ** 2
-        return float(stored_j)
+        if p.twisting.stiff_nm_rad > 0.0:
+            stored_j += 0.5 * p.twisting.vehicle_kgm2 * y.wheels_rad_s**2
+            stored_j += 0.5 * p.twisting.stiff_nm_rad * y.twist_rad**2
+        return stored_j
 
     def set_brake(self, valve: float) -> None:
         """The brake valve's input u (4.1), its delay over."""
-        self.g[at.VALVE] = valve
+        self.g.valve = valve
 
     def take_air(self, share: float) -> None:
         """A sleeve's stroke has taken this share of the tank's air."""
-        self.y[at.SUPPLY_PA] *= 1.0 - share
+        self.y.supply_pa *= 1.0 - share
 
     def _load_angles(self, start: Shafts) -> None:
         wheels = (start.input, start.layshaft, start.main, start.propeller)
         for body, (turns, rest) in zip(range(at.INPUT, at.BODIES), wheels, strict=True):
-            self.laps[body], self.y[at.ANGLE + body] = turns, rest
+            self.rig.laps[body], self.y.angle_rad[body] = turns, rest
         for gear, index in INDEX.items():
-            self.y[at.PHASE + index] = start.phase_rad(gear)
+            self.y.phase_rad[index] = start.phase_rad(gear)
         if start.lock is not None:
             # at its flank the gear has taken up the backlash of its mesh as well
-            lash = math.copysign(self.p[at.LASH_MAIN_RAD], start.lock.phase_rad)
-            self.y[at.PHASE + INDEX[start.lock.gear]] += lash
-            self.y[at.LASH + 1 + INDEX[start.lock.gear]] = -lash
+            lash = math.copysign(self.p.main_lash.half_rad, start.lock.phase_rad)
+            self.y.phase_rad[INDEX[start.lock.gear]] += lash
+            self.y.lash_rad[INDEX[start.lock.gear]] = -lash
 
     def _load_speeds(self, gear: MainGear, main_rad_s: float, built: AsBuilt) -> None:
         y, g, shafts = self.y, self.g, self.shafts
         air = self._sheet.air
         governed_pa = air.supply_gauge_pa + built["air.supply_offset_bar"] * 1e5
-        g[at.BRAKE_SIGN] = 1.0
-        g[at.MESHED] = -1.0
-        g[at.RELEASE_NM] = -1.0
-        g[at.GOVERNED_PA] = governed_pa + air.atmosphere_pa
-        y[at.SUPPLY_PA] = g[at.GOVERNED_PA]
-        y[at.BRAKE_PA] = air.atmosphere_pa
-        y[at.DISC_K] = self.p[at.OIL_K]
-        y[at.POSITION] = 1.0
+        g.brake_sign = 1.0
+        g.meshed = -1
+        g.release_nm = -1.0
+        g.governed_pa = governed_pa + air.atmosphere_pa
+        y.supply_pa = g.governed_pa
+        y.brake_pa = air.atmosphere_pa
+        y.disc_k = self.p.oil_k
+        y.clutch = 1.0
         layshaft = main_rad_s / self.ratio(gear)
         input_ = layshaft / shafts.split_ratio
-        y[at.SPEED : at.SPEED + at.BODIES] = (
+        y.speed_rad_s[:] = (
             input_,
             input_,
             layshaft,
             main_rad_s,
             main_rad_s * shafts.range_ratio,
         )
-        if self.p[at.KISS] < 1.0:
+        if self.p.plates.kiss < 1.0:
             self.chain.place(at.CLUTCH, 1.0)
         self.chain.place(at.SPLITTER, shafts.split_ratio)
         self.chain.place(at.RANGE, shafts.range_ratio)
-        y[at.WHEELS_RAD_S] = y[at.SPEED + at.PROPELLER]
+        y.wheels_rad_s = y.speed_rad_s[at.PROPELLER]
         if self.constant_speed:
             self.chain.force(at.MAIN, 0.0)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from meshpoint.rig_sim.jit import part
-from meshpoint.rig_sim.shared.angle_kernels import Floats
-from meshpoint.rig_sim.truck.layout import STATES
+from meshpoint.rig_sim.truck.layout import Rig
 from meshpoint.rig_sim.truck.motion import rates
 
 
 @part
-def step(
-    y: Floats, after: Floats, h: float, p: Floats, g: Floats, slots: Floats, k: Floats, aux: Floats
-) -> None:
-    """One Runge-Kutta step from y into `after`. k[0] holds the rates at y; k[1..3] are scratch."""
+def step(rig: Rig, h: float) -> None:
+    """One Runge-Kutta step from the state y into `after`. stages[0] holds the rates at y; the
+    others are scratch."""
+    y, after, stages = rig.y.vector, rig.after.vector, rig.stages
     for stage in range(3):
         part_way = h if stage == 2 else 0.5 * h
-        for i in range(STATES):
-            after[i] = y[i] + part_way * k[stage, i]
-        rates(after, p, g, slots, k[stage + 1], aux)
-    for i in range(STATES):
-        after[i] = y[i] + h / 6.0 * (k[0, i] + 2.0 * (k[1, i] + k[2, i]) + k[3, i])
+        slope = stages[stage].vector
+        for i in range(len(y)):
+            after[i] = y[i] + part_way * slope[i]
+        rates(rig.after, stages[stage + 1], rig)
+    k0, k1, k2, k3 = stages[0].vector, stages[1].vector, stages[2].vector, stages[3].vector
+    for i in range(len(y)):
+        after[i] = y[i] + h / 6.0 * (k0[i] + 2.0 * (k1[i] + k2[i]) + k3[i])

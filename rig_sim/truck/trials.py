@@ -102,8 +102,8 @@ class Trials:
         engagement.sleeves[name] = TruckSleeve(self._actuator, 0, self._axis)
         omega = (plant.main_rad_s + slip_rad_s) / plant.ratio(self.gear)
         for body, rate in plant.chain.rates(plant.chain.group(at.LAYSHAFT), at.LAYSHAFT).items():
-            plant.y[at.SPEED + body] = omega * rate
+            plant.y.speed_rad_s[body] = omega * rate
         half = self.pitch_rad / 2.0
-        plant.y[at.PHASE + INDEX[self.gear]] = (phase_rad + half) % self.pitch_rad - half
-        plant.y[at.LASH + 1 + INDEX[self.gear]] = 0.0
-        plant.y[at.SUPPLY_PA] = plant.g[at.GOVERNED_PA]
+        plant.y.phase_rad[INDEX[self.gear]] = (phase_rad + half) % self.pitch_rad - half
+        plant.y.lash_rad[INDEX[self.gear]] = 0.0
+        plant.y.supply_pa = plant.g.governed_pa

@@ -45,13 +45,8 @@ class TruckTruth(CommonTruth):
     @property
     def speeds_rad_s(self) -> tuple[float, float, float, float]:
         """Speeds of input, layshaft, main and propeller shaft."""
-        y = self._world.plant.y
-        return (
-            float(y[at.SPEED + at.INPUT]),
-            float(y[at.SPEED + at.LAYSHAFT]),
-            float(y[at.SPEED + at.MAIN]),
-            float(y[at.SPEED + at.PROPELLER]),
-        )
+        speed = self._world.plant.y.speed_rad_s
+        return (speed[at.INPUT], speed[at.LAYSHAFT], speed[at.MAIN], speed[at.PROPELLER])
 
     @property
     def energy(self) -> Energy:

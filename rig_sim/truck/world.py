@@ -168,11 +168,11 @@ class TruckWorld:
         """The slow sensors now."""
         y = self.plant.y
         read = SensorRead(
-            float(y[at.BRAKE_PA]),
-            float(y[at.SUPPLY_PA]),
-            float(self.plant.p[at.OIL_K]),
-            min(max(float(y[at.POSITION]), 0.0), 1.0),
-            max(float(y[at.SPEED + at.ENGINE]), 0.0),
+            y.brake_pa,
+            y.supply_pa,
+            self.plant.p.oil_k,
+            min(max(y.clutch, 0.0), 1.0),
+            max(y.speed_rad_s[at.ENGINE], 0.0),
         )
         return self.faults.slow.pass_on(read)
 

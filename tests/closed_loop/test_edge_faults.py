@@ -50,9 +50,9 @@ class GateOnTheRig:
                 continue
             world = self.core._world
             assert isinstance(world, TruckWorld)
-            laps, y = world.plant.laps, world.plant.y
-            speed = float(y[at.SPEED + at.MAIN])
-            true = int(laps[at.MAIN]) * 2.0 * math.pi + float(y[at.ANGLE + at.MAIN])
+            speed = world.plant.main_rad_s
+            turns, rest_rad = world.plant.angle(at.MAIN)
+            true = turns * 2.0 * math.pi + rest_rad
             now_sensor_us = clock.now_us(now_us)
             said = newest.theta_rad + speed * (now_sensor_us - newest.time_us) * 1e-6
             self.offsets.append((said - true) / self.wheel.pitch_rad)

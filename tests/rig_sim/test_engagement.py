@@ -131,7 +131,7 @@ def coasting_world(seed: int, omega_rad_s: float) -> World:
     world.return_to_gear(0, 644.0 * RPM, 10_000)
     run_world(world, 400_000)
     world.plant.script_layshaft(0.0)
-    world.plant._layshaft[1] = omega_rad_s
+    world.plant._layshaft.record.speed_rad_s = omega_rad_s
     world.plant.coast()
     world.engagement.records.clear()
     return world

@@ -11,19 +11,12 @@ from hypothesis import strategies as st
 from scipy.optimize import brentq
 
 from meshpoint.gearbox.sheet import RPM
-from meshpoint.rig_sim.shared.angle_kernels import Floats, geared, settled, wrapped
+from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.shared.angle_kernels import geared, settled, wrapped
 from meshpoint.rig_sim.thesis.closed_form import (
-    ACCEL,
     ACCELERATED,
-    DRAG,
     FREE,
-    GAIN,
-    KIND,
-    MOTION_SIZE,
-    OMEGA,
-    P_DIFF,
-    P_END,
-    RATE,
+    Motion,
     motion_at,
     phase_at,
     time_of_exit,
@@ -35,17 +28,13 @@ HORIZON_S = 0.010
 BOTTOM, TOP = -0.02, 0.03
 
 
-def braked(omega: float, drag: float, p_end: float, p_now: float) -> Floats:
-    motion = np.zeros(MOTION_SIZE)
-    motion[[KIND, OMEGA, DRAG, RATE, GAIN]] = FREE, omega, drag, 1.0 / 0.06, 3.5e-4
-    motion[[P_END, P_DIFF]] = p_end, p_now - p_end
-    return motion
+def braked(omega: float, drag: float, p_end: float, p_now: float) -> Motion:
+    motion = Motion(FREE, omega, 0.0, drag, 1.0 / 0.06, 3.5e-4, p_end, p_now - p_end)
+    return Memory(motion).array[0]
 
 
-def steady(omega: float, accel: float = 0.0) -> Floats:
-    motion = np.zeros(MOTION_SIZE)
-    motion[[KIND, OMEGA, ACCEL]] = ACCELERATED, omega, accel
-    return motion
+def steady(omega: float, accel: float = 0.0) -> Motion:
+    return Memory(Motion(ACCELERATED, omega, accel)).array[0]
 
 
 layshafts = st.builds(
@@ -60,14 +49,15 @@ layshafts = st.builds(
 @settings(deadline=None)
 @given(layshafts, st.floats(-6.0, 6.0), st.floats(BOTTOM, TOP))
 def test_the_tooth_leaves_where_a_plain_search_finds_it(
-    layshaft: Floats, slip: float, phase: float
+    layshaft: Motion, slip: float, phase: float
 ) -> None:
-    main = steady(0.775 * layshaft[OMEGA] - slip)
+    main_rad_s = 0.775 * motion_at(layshaft, 0.0)[1] - slip
+    main = steady(main_rad_s)
 
     def at(s: float) -> float:
         return phase_at(layshaft, main, 0.775, phase, s)
 
-    s, side = time_of_exit(layshaft, main, 0.775, phase, BOTTOM, TOP, HORIZON_S)
+    s, side = time_of_exit(layshaft, main, 0.775, phase, (BOTTOM, TOP), HORIZON_S)
     grid = np.linspace(0.0, HORIZON_S, 501)
     outside = [t for t in grid if not BOTTOM <= at(t) <= TOP]
     if side == 0:
@@ -81,14 +71,14 @@ def test_the_tooth_leaves_where_a_plain_search_finds_it(
         before = outside[0] - HORIZON_S / 500
         if (at(before) - level) * (at(outside[0]) - level) < 0.0:
             exact = brentq(lambda t: at(t) - level, before, outside[0], xtol=1e-14)
-            speed = abs(0.775 * motion_at(layshaft, exact)[1] - main[OMEGA])
+            speed = abs(0.775 * motion_at(layshaft, exact)[1] - main_rad_s)
             assert s == pytest.approx(exact, abs=1e-9 + 1e-15 / max(speed, 1e-9))
         assert all(BOTTOM - 1e-12 <= at(t) <= TOP + 1e-12 for t in grid if t < s)
 
 
 @settings(deadline=None)
 @given(layshafts, st.floats(0.0, 0.5), st.floats(0.0, HORIZON_S))
-def test_a_turned_angle_gives_back_its_time(layshaft: Floats, angle: float, guess: float) -> None:
+def test_a_turned_angle_gives_back_its_time(layshaft: Motion, angle: float, guess: float) -> None:
     s = time_to_turn(layshaft, angle, 0.0, HORIZON_S, guess)
     assert motion_at(layshaft, s)[0] == pytest.approx(angle, abs=1e-12)
 

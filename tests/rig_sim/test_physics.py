@@ -27,10 +27,18 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.gearbox.sheet import RPM
-from meshpoint.rig_sim.thesis.closed_form import free_motion
+from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.thesis.closed_form import FREE, Motion, free_motion
 
 RELEASE_US = 400_000
 END_US = 900_000
+
+
+def moving(
+    omega: float, drag: float, valve_rate: float, gain: float, end_pa: float, diff_pa: float
+) -> Motion:
+    motion = Motion(FREE, omega, 0.0, drag, valve_rate, gain, end_pa, diff_pa)
+    return Memory(motion).array[0]
 
 
 def reference_motion(
@@ -182,7 +190,7 @@ def test_the_closed_form_solves_the_equations_for_any_rates(
         rtol=1e-12,
         atol=1e-12,
     )
-    turned, speed = free_motion(s, omega, a, b, k, p_end, p_diff)
+    turned, speed = free_motion(moving(omega, a, b, k, p_end, p_diff), s)
     assert turned == pytest.approx(solved.y[0, -1], abs=1e-8, rel=1e-9)
     assert speed == pytest.approx(solved.y[1, -1], abs=1e-8, rel=1e-9)
 
@@ -191,9 +199,9 @@ def test_the_closed_form_solves_the_equations_for_any_rates(
 def test_the_series_for_slow_rates_joins_the_closed_form(a: float) -> None:
     # x = a s = 0.02 is where one takes over from the other
     below, above = (0.02 / a) * (1 - 1e-9), (0.02 / a) * (1 + 1e-9)
-    args = (150.0, a, 16.7, 3.5e-4, 8e5, -5e5)
-    speed = free_motion(below, *args)[1]
-    step = free_motion(above, *args)[0] - free_motion(below, *args)[0]
+    motion = moving(150.0, a, 16.7, 3.5e-4, 8e5, -5e5)
+    speed = free_motion(motion, below)[1]
+    step = free_motion(motion, above)[0] - free_motion(motion, below)[0]
     assert step == pytest.approx(speed * (above - below), rel=1e-3, abs=1e-12)
 
 

@@ -18,10 +18,9 @@ CLEAR = {"clutch.kiss": 1.0}
 
 
 def edges(truck: TruckWorld, channel: int) -> list[float]:
-    count = int(truck.plant.edges.pointers[channel, at.COUNT])
-    ring = truck.plant.edges.ring[channel]
-    assert count <= len(ring)  # so none is lost
-    return [float(ring[i]) for i in range(count)]
+    captured = truck.plant.rig.captured.channels[channel]
+    assert captured.count <= len(captured.times_us)  # so none is lost
+    return captured.times_us[: captured.count]
 
 
 @pytest.mark.parametrize(
@@ -35,7 +34,7 @@ def test_edges_on_the_way_back_are_where_the_sampled_sine_passes_the_threshold(
     plant = truck.plant
     plant.coast()
     plant.script_main(accel_rad_s2)
-    start, omega = float(plant.y[at.ANGLE + at.MAIN]), plant.main_rad_s
+    start, omega = plant.y.angle_rad[at.MAIN], plant.main_rad_s
     run(truck, round(2.5e6 * omega / -accel_rad_s2))
     t = np.arange(round(plant.time_us)) * 1e-6
     sampled = edges_of_angles(plant.edges.wheels[2], start + (omega + accel_rad_s2 / 2 * t) * t)
@@ -53,12 +52,13 @@ def test_a_truck_that_rolls_back_down_a_hill_counts_on() -> None:
     counts, speeds = [], []
     for now_us in range(0, 6_000_000, 100_000):
         run(truck, now_us)
-        counts.append(int(truck.plant.edges.pointers[4, at.COUNT]))
+        counts.append(truck.plant.rig.captured.channels[4].count)
         speeds.append(truck.plant.main_rad_s)
     assert speeds[0] > 1.0 > -1.0 > speeds[-1]
     assert counts == sorted(counts)
-    turns = abs(truck.plant.laps[at.MAIN] + float(truck.plant.y[at.ANGLE + at.MAIN]) / math.tau)
+    turns, rest_rad = truck.plant.angle(at.MAIN)
+    turns = abs(turns + rest_rad / math.tau)
     way = sum(abs(speed) for speed in speeds) * 0.1 / math.tau
-    teeth = int(truck.plant.edges.teeth[2])
+    teeth = truck.plant.rig.hall[4].teeth
     assert way > turns + 1.0  # it went up and came back
     assert counts[-1] == pytest.approx(way * teeth, abs=0.02 * way * teeth + 3)

@@ -73,14 +73,14 @@ def test_a_braked_layshaft_heats_the_disc_by_what_it_loses() -> None:
     truck = world({"disc.cooling_w_k": 0.0, "dog.free_play": 0, "clutch.kiss": 1.0})
     truck.plant.coast()
     before = truck.plant.energy
-    warm_k = float(truck.plant.y[at.DISC_K])
+    warm_k = truck.plant.y.disc_k
     truck._at(0.0, lambda: truck._switch(Valve.BRAKE, True))
     run(truck, 1_500_000)
     after = truck.plant.energy
     assert truck.plant.layshaft_rad_s == pytest.approx(0.0, abs=1e-9)
     heat_j = after.brake - before.brake
     assert heat_j > 1000.0
-    risen_k = float(truck.plant.y[at.DISC_K]) - warm_k
+    risen_k = truck.plant.y.disc_k - warm_k
     assert risen_k * truck.built["disc.heat_j_k"] == pytest.approx(heat_j, rel=1e-6)
 
 
@@ -90,17 +90,17 @@ def test_a_gearbox_swings_against_its_vehicle_with_the_frequency_of_two_masses_a
     values = {"clutch.kiss": 1.0, "driveline.stiffness_nm_rad": 2e4, "driveline.damping_nms": 0.0}
     truck = world(values | {"dog.free_play": 0.0}, start_gear=12)
     plant = truck.plant
-    plant.y[at.TWIST_RAD] += 0.02
+    plant.y.twist_rad += 0.02
     twists = []
     for now_us in range(1_000, 1_000_000, 1_000):
         run(truck, now_us)
-        twists.append(float(plant.y[at.TWIST_RAD]))
+        twists.append(plant.y.twist_rad)
     middle = 0.5 * (max(twists) + min(twists))
     rising = [i for i in range(1, len(twists)) if twists[i - 1] < middle <= twists[i]]
     found_hz = (len(rising) - 1) / ((rising[-1] - rising[0]) * 1e-3)
     members = plant.chain.rates(plant.chain.group(at.PROPELLER), at.PROPELLER)
-    gearbox_kgm2 = sum(plant.p[at.INERTIA + k] * rate**2 for k, rate in members.items())
-    per_kgm2 = 1.0 / gearbox_kgm2 + 1.0 / plant.p[at.VEHICLE_KGM2]
+    gearbox_kgm2 = sum(plant.p.inertia_kgm2[k] * rate**2 for k, rate in members.items())
+    per_kgm2 = 1.0 / gearbox_kgm2 + 1.0 / plant.p.twisting.vehicle_kgm2
     assert found_hz == pytest.approx(math.sqrt(2e4 * per_kgm2) / (2.0 * math.pi), rel=0.01)
     assert max(twists) - min(twists) > 0.035  # nothing damps it but drag
 
@@ -110,13 +110,13 @@ def test_a_rolling_truck_loses_speed_to_road_and_slope_as_newton_says() -> None:
     truck.plant.coast()
     built, plant = truck.built, truck.plant
     speed = (
-        plant.y[at.SPEED + at.PROPELLER]
+        plant.y.speed_rad_s[at.PROPELLER]
         * built["vehicle.wheel_radius_m"]
         / built["vehicle.axle_ratio"]
     )
     run(truck, 100_000)
     after = (
-        plant.y[at.SPEED + at.PROPELLER]
+        plant.y.speed_rad_s[at.PROPELLER]
         * built["vehicle.wheel_radius_m"]
         / built["vehicle.axle_ratio"]
     )

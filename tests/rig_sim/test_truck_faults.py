@@ -23,7 +23,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.rig_sim import RigSettings
 from meshpoint.rig_sim.orders import EngineRequest, FaultOrder, ScheduledFault
-from meshpoint.rig_sim.parts import engine
+from meshpoint.rig_sim.parts.engine import SPEED_CONTROL
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.rig_sim.shared.sleeves import SleeveState
 from meshpoint.rig_sim.shared.valve_drivers import Valve
@@ -37,9 +37,9 @@ MAIN_RISE = 4
 
 def counted(truck: TruckWorld, from_us: int, to_us: int) -> int:
     run(truck, from_us)
-    before = int(truck.plant.edges.pointers[MAIN_RISE, at.COUNT])
+    before = truck.plant.rig.captured.channels[MAIN_RISE].count
     run(truck, to_us)
-    return int(truck.plant.edges.pointers[MAIN_RISE, at.COUNT]) - before
+    return truck.plant.rig.captured.channels[MAIN_RISE].count - before
 
 
 def with_fault(
@@ -179,7 +179,7 @@ def test_a_stuck_clutch_stays_and_a_deaf_engine_does_not_follow() -> None:
     run(deaf, 10_000)
     deaf.command_engine(EngineRequest(200.0, None), 10_000)
     run(deaf, 30_000)
-    assert deaf.plant.g[at.ENGINE_MODE] != engine.SPEED_CONTROL
+    assert deaf.plant.g.engine_mode != SPEED_CONTROL
 
 
 def test_the_bench_injects_over_the_bus_and_ends_everything() -> None:

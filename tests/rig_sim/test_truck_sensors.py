@@ -10,8 +10,9 @@ from analog import edges_of_sine
 from truck_bench import SHEET, run, world
 
 from meshpoint.gearbox.gears import Sleeve
-from meshpoint.rig_sim.parts.pneumatics import chamber_pa_s, choked_rate
-from meshpoint.rig_sim.shared.angle_kernels import TAU
+from meshpoint.rig_sim.parts.pneumatics import BrakeAir, chamber_pa_s, choked_rate
+from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.shared.angle_kernels import TAU, Floats
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import linear, nominal
 from meshpoint.rig_sim.truck.position_sensors import PositionSensors
@@ -20,10 +21,14 @@ QUIET = {"hall.jitter_us": 0.0, "hall.first_wrong_edges": 0.0}
 
 
 def edge_times(truck: object, channel: int) -> list[int]:
-    edges = truck.plant.edges  # type: ignore[attr-defined]
-    count = int(edges.pointers[channel, at.COUNT])
-    size = edges.ring.shape[1]
-    return [int(edges.ring[channel, i % size]) for i in range(max(0, count - size), count)]
+    captured = truck.plant.rig.captured.channels[channel]  # type: ignore[attr-defined]
+    count, size = captured.count, len(captured.times_us)
+    return [int(captured.times_us[i % size]) for i in range(max(0, count - size), count)]
+
+
+def edges_rad(truck: object, channel: int) -> Floats:
+    hall = truck.plant.rig.hall[channel]  # type: ignore[attr-defined]
+    return np.array(hall.edges_rad[: hall.teeth])
 
 
 @pytest.mark.parametrize("threshold", [-0.4, 0.0, 0.3])
@@ -32,7 +37,7 @@ def test_edges_are_where_the_sampled_sine_passes_the_threshold(threshold: float)
     values |= {"hall.pitch_error_deg": 0.1, "hall.duty_percent": 0.0}
     truck = world(values | {"vehicle.constant_speed": 1.0}, seed=3)
     plant = truck.plant
-    start = float(plant.y[at.ANGLE + at.MAIN])
+    start = plant.y.angle_rad[at.MAIN]
     run(truck, 40_000)
     wheel = plant.edges.wheels[2]
     rises, falls = edges_of_sine(wheel, start, plant.main_rad_s, 0.040)
@@ -50,16 +55,15 @@ def test_a_threshold_off_the_middle_narrows_the_teeth_and_a_duty_widens_them() -
         ({"hall.duty_percent": 5.0}, 0.55),
     ):
         truck = world(linear() | values)
-        table = truck.plant.edges.table
-        teeth = SHEET.wheels.main.teeth
-        shares = (table[5, :teeth] - table[4, :teeth]) / pitch
+        rises, falls = (edges_rad(truck, channel) for channel in (4, 5))
+        shares = (falls - rises) / pitch
         assert shares == pytest.approx(expected)
 
 
 def test_an_eccentric_wheel_ripples_once_a_turn_by_e_over_r() -> None:
     truck = world(linear() | {"hall.runout_mm": 0.1, "hall.wheel_radius_mm": 50.0})
     teeth = SHEET.wheels.layshaft.teeth
-    errors = truck.plant.edges.table[2, :teeth] - TAU / teeth * np.arange(teeth)
+    errors = edges_rad(truck, 2) - TAU / teeth * np.arange(teeth)
     spectrum = np.abs(np.fft.rfft(errors)) * 2.0 / teeth
     assert spectrum[1] == pytest.approx(0.1 / 50.0, rel=1e-6)
     assert max(spectrum[2:]) < 1e-12
@@ -96,11 +100,13 @@ def test_a_chamber_fills_choked_in_9_5_ms_and_then_55_ms_more() -> None:
     # facts: 0.1 L, C 2e-8, 9 bar absolute, b 0.3, isothermal; the tail ends within 1 % of supply
     supply, ambient = 9e5, 1.013e5
     fill = choked_rate(2e-8, 0.1e-3, 1.0)
+    air = BrakeAir(model=1.0, fill=fill, exhaust=fill, critical=0.3, atmosphere_pa=ambient)
+    seen = Memory(air).array[0]
     pressure, t, choked_s, step = ambient, 0.0, None, 1e-6
     while pressure < 0.99 * supply:
         if choked_s is None and pressure > 0.3 * supply:
             choked_s = t
-        pressure += step * chamber_pa_s(pressure, supply, ambient, 1.0, 1.0, 0.0, fill, fill, 0.3)
+        pressure += step * chamber_pa_s(pressure, supply, 1.0, seen)
         t += step
     assert choked_s == pytest.approx(9.5e-3, abs=0.4e-3)
     assert t - choked_s == pytest.approx(55.1e-3, rel=0.25)

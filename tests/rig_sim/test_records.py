@@ -1,0 +1,94 @@
+"""Records: the same memory for Python and for kernels, also in a copy."""
+
+from __future__ import annotations
+
+import copy
+import ctypes
+from typing import Annotated
+
+import pytest
+
+from meshpoint.rig_sim.jit import part
+from meshpoint.rig_sim.records import Memory, Record, Row, Vector, dtype_of
+from meshpoint.rig_sim.truck.layout import Rig
+
+
+class Wheel(Record):
+    teeth: int
+    low: Annotated[Row[Annotated[int, ctypes.c_uint16]], 3]
+
+
+class Turning(Vector):
+    speed_rad_s: Annotated[Row[float], 2]
+    torque_nm: float
+
+
+class Machine(Record):
+    turning: Turning
+    wheels: Annotated[Row[Wheel], 2]
+
+
+@part
+def run(machine: Machine, h: float) -> float:
+    vector = machine.turning.vector
+    for i in range(len(vector)):
+        vector[i] += h
+    for wheel in range(2):
+        machine.wheels[wheel].teeth += 1
+        machine.wheels[wheel].low[2] = machine.wheels[wheel].teeth & 0xFFFF
+    return machine.turning.torque_nm
+
+
+@part
+def run_all(machines: object, h: float) -> float:
+    return run(machines[0], h)  # type: ignore[index]
+
+
+def test_a_kernel_and_python_see_the_same_fields() -> None:
+    machine = Machine()
+    machine.turning.speed_rad_s[:] = [1.0, 2.0]
+    machine.wheels[1].teeth = 0x1FFFF
+    assert run_all(Memory(machine).array, 0.5) == 0.5
+    assert machine.turning.speed_rad_s[:] == [1.5, 2.5]
+    assert machine.turning.vector.tolist() == [1.5, 2.5, 0.5]
+    assert [wheel.teeth for wheel in machine.wheels] == [1, 0x20000]
+    assert machine.wheels[1].low[:] == [0, 0, 0]
+    assert machine.wheels[0].low[:] == [0, 0, 1]
+
+
+@pytest.mark.parametrize("times", [1, 2])
+def test_a_copy_is_one_memory_again_and_leaves_the_other_alone(times: int) -> None:
+    memory = Memory(Machine())
+    held = {"turning": memory.record.turning, "memory": memory, "wheel": memory.record.wheels[1]}
+    copied = held
+    for _ in range(times):
+        copied = copy.deepcopy(copied)
+    run_all(copied["memory"].array, 2.0)
+    assert copied["turning"].torque_nm == copied["memory"].record.turning.torque_nm == 2.0
+    assert copied["wheel"].teeth == 1
+    assert memory.record.turning.torque_nm == 0.0
+    assert held["wheel"].teeth == 0
+
+
+@pytest.mark.parametrize("name", ["speed", "torque", "__dict__"])
+def test_a_field_that_is_not_declared_is_an_error(name: str) -> None:
+    with pytest.raises(AttributeError):
+        setattr(Turning(), name, 1.0)
+
+
+def test_the_compiler_has_every_field_where_python_has_it() -> None:
+    kinds: list[type[Record]] = [Rig, Machine]
+    checked = 0
+    while kinds:
+        kind = kinds.pop()
+        dtype = dtype_of(kind)
+        assert dtype.itemsize == ctypes.sizeof(kind)  # type: ignore[arg-type]
+        for name, field in kind._fields_:  # type: ignore[attr-defined]
+            stored, offset = dtype.fields[name][:2]  # type: ignore[index]
+            descriptor = getattr(kind, name)
+            assert (offset, stored.itemsize) == (descriptor.offset, descriptor.size), name
+            checked += 1
+            element = getattr(field, "_type_", field)
+            if isinstance(element, type) and issubclass(element, Record):
+                kinds.append(element)
+    assert checked > 100
