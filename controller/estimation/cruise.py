@@ -13,7 +13,7 @@ from meshpoint.controller.settings import CruiseFilter
 
 SPEED_WINDOW_US = 10_000
 """The production speed's window: one read of the arrays (thesis 2.5)."""
-STALE_US = 60_000
+ESTIMATE_STALE_US = 60_000
 """Dead reckoning past this loses the tooth (facts: 2 deg at 100 ms)."""
 
 
@@ -124,7 +124,7 @@ class CruiseTracker:
 
     def at(self, time_us: float) -> ShaftState | None:
         """The state at a time, speed held; None before enough edges, or without any for 60 ms."""
-        if not self._running or time_us - self._time_us > STALE_US:
+        if not self._running or time_us - self._time_us > ESTIMATE_STALE_US:
             return None
         dt = (time_us - self._time_us) * US
         theta, omega = self._x.tolist()

@@ -13,7 +13,7 @@ from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Furt
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.motion.kernels import THETA, Vector
 from meshpoint.controller.motion.models import MotionModel
-from meshpoint.controller.sensing.sensor_clock import SensorClock
+from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import MOST_RAD_S2, NO_EDGES, EdgeFrame, WheelEdges
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox.sheet import Wheel
@@ -41,7 +41,7 @@ class GearedWheel:
         self,
         risen: Sequence[EdgeFrame],
         fallen: Sequence[EdgeFrame],
-        clock: SensorClock,
+        clock: SensorClockEstimate,
         now_us: int,
     ) -> None:
         """This step's frames, rising and falling."""

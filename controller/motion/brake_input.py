@@ -57,12 +57,6 @@ class BrakeInput:
         times = np.array([switch.time_us for switch in self._switches], dtype=np.float64)
         return times, np.array([float(switch.on) for switch in self._switches])
 
-    def cancel_pending(self, now_us: int) -> None:
-        """Nothing is planned any more."""
-        kept = [switch for switch in self._switches if switch.time_us <= now_us]
-        if kept != self._switches:
-            self._switches, self._arrays = kept, None
-
     def arrays(self) -> tuple[Vector, Vector]:
         """Times at which pressure starts to react, and u from then on (for `kernels.propagate`)."""
         if self._arrays is None:

@@ -72,10 +72,3 @@ def test_a_planned_release_can_be_moved_either_way() -> None:
         moved = brake.with_release(release_us)
         assert u_at(moved, release_us + DELAY_US - 1) == 1.0
         assert u_at(moved, release_us + DELAY_US) == 0.0
-
-
-def test_what_is_planned_can_be_taken_back() -> None:
-    brake = BrakeInput(DELAY_US)
-    brake.schedule(100_000, True, 50_000)
-    brake.cancel_pending(60_000)
-    assert brake.arrays()[0].size == 0
