@@ -23,7 +23,7 @@ from e2e.p05 import e2e_p05_check, e2e_p05_protect
 
 from meshpoint.dbc import DBC_PATH, DBC_SHA256, Frame, Node
 from meshpoint.dbc.layout import CODECS
-from meshpoint.dbc.link import Receiver, Transmitter, Verdict
+from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
 
 MESSAGES = ("EdgesLayshaftRise", "SleevesMain", "ValveCommand", "GearboxSensors", "EEC1")
 FRAMES_A_ROUND = 256
@@ -44,7 +44,7 @@ class Ours:
 
     def decode(self, frame: Frame) -> None:
         verdict, _ = self._receiver.receive(frame)
-        if verdict is not Verdict.OK:
+        if verdict is not FrameVerdict.OK:
             raise RuntimeError(f"a good frame was refused: {verdict.name}")
 
 

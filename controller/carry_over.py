@@ -9,11 +9,11 @@ from meshpoint.controller.calibration.learned import (
     Calibration,
     End,
     Provenance,
-    References,
+    ReferenceRecords,
     WheelRecord,
-    Wheels,
+    WheelRecords,
 )
-from meshpoint.controller.estimation.tooth_match import Memory
+from meshpoint.controller.estimation.tooth_match import ToothPattern
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.observer import Observer
@@ -55,12 +55,12 @@ def collect(
     )
     recovery = observer.recovery
     if recovery is None:
-        wheels = before.wheels if before is not None else Wheels()
-        references = before.references if before is not None else References()
+        wheels = before.wheels if before is not None else WheelRecords()
+        references = before.references if before is not None else ReferenceRecords()
         brake = before.brake if before is not None else None
     else:
         saved = recovery.saved()
-        wheels = Wheels(_record(saved.layshaft), _record(saved.main))
+        wheels = WheelRecords(_record(saved.layshaft), _record(saved.main))
         references = _references(saved, header.sheet.dog.pitch_rad)
         brake = observer.brake.record()
     return Calibration(
@@ -75,24 +75,24 @@ def collect(
     )
 
 
-def _pattern(record: WheelRecord | None) -> Memory | None:
+def _pattern(record: WheelRecord | None) -> ToothPattern | None:
     if record is None:
         return None
-    return Memory(np.array(record.error_rad), record.sd_rad, record.edges)
+    return ToothPattern(np.array(record.error_rad), record.sd_rad, record.edges)
 
 
-def _record(pattern: Memory | None) -> WheelRecord | None:
+def _record(pattern: ToothPattern | None) -> WheelRecord | None:
     if pattern is None:
         return None
     errors = tuple(pattern.error_rad.tolist())
     return WheelRecord(len(errors) // 2, pattern.edges, pattern.sd_rad, errors)
 
 
-def _references(saved: SavedReferences, pitch_rad: float) -> References:
+def _references(saved: SavedReferences, pitch_rad: float) -> ReferenceRecords:
     offsets = saved.offsets_rad
     given = {
         f"{gear.name.lower()}_rad": wrap_to_pitch(offsets[gear], pitch_rad)
         for gear in MAIN_GEARS
         if gear in offsets
     }
-    return References(**given)
+    return ReferenceRecords(**given)

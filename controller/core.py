@@ -35,7 +35,7 @@ from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.link import Receiver, Transmitter, Verdict
+from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
     TSC1,
     ClutchCommand,
@@ -55,7 +55,7 @@ from meshpoint.dbc.node import Node
 OWN_ADDRESS: Final = 0x03
 INBOX_LIMIT: Final = 20_000
 """A babbling bus cannot eat the memory: this is two seconds of a full bus."""
-FOREIGN: Final = Verdict.FOREIGN
+FOREIGN: Final = FrameVerdict.FOREIGN
 _identifier = itemgetter(0)
 FRESH_US: Final = 45_000
 """A sample older than this is lost, even where frames with live counters go on repeating it."""

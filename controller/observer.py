@@ -21,7 +21,7 @@ from meshpoint.controller.motion.models import LayshaftState, first_order_law, f
 from meshpoint.controller.phase.recall import ReferenceRecovery
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.sensing.gearbox_view import GearboxView
-from meshpoint.controller.sensing.sensor_clock import SensorClock
+from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.sensing.wheel_edges import BRAKED_RAD_S2, EdgeBatch, EdgeFrame, WheelEdges
 from meshpoint.controller.settings import ControllerSettings
@@ -40,7 +40,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import GearboxSheet, MainGear, Split
 
-CLUTCH_OPEN_SHARE = 0.05
+OBSERVER_CLUTCH_OPEN_SHARE = 0.05
 DRAGGED_US = 30_000
 """So long after splitter or range has its step there are edges to come of how it got there."""
 CLUTCH_BITES_SHARE = 0.2
@@ -64,7 +64,7 @@ class Observer:
         self._sheet = sheet
         self._tuning = tuning
         self._brake_input = brake
-        self.clock = SensorClock()
+        self.clock = SensorClockEstimate()
         self.view = GearboxView(sheet)
         self.references = PhaseReferences(sheet)
         self._split = Split.HIGH
@@ -137,7 +137,7 @@ class Observer:
         self.valves = inputs.valve_status or self.valves
         self._lose_what_broke(events)
         self._see_whether_free(events)
-        self._read_further(inputs, now_us)
+        self._read_geared(inputs, now_us)
         self._main.edges(main)
         if self._main_dragged:
             # No filter for a vehicle's motion follows cones that take 400 rpm in 20 ms.
@@ -146,7 +146,7 @@ class Observer:
         if self.recovery is not None:
             self.recovery.look(events, self._layshaft_wheel.sensor.renumbered)
 
-    def _read_further(self, inputs: StepInputs, now_us: int) -> None:
+    def _read_geared(self, inputs: StepInputs, now_us: int) -> None:
         """Input and propeller shaft, where they are fused."""
         view, sheet, edges = self.view, self._sheet, inputs.edges
         wheel = self._input_wheel
@@ -204,9 +204,9 @@ class Observer:
         if jumps != self._lost[0]:
             self._layshaft_wheel.restart()
             self._main_wheel.restart()
-            for further in (self._input_wheel, self._propeller_wheel):
-                if further is not None:
-                    further.restart()
+            for geared in (self._input_wheel, self._propeller_wheel):
+                if geared is not None:
+                    geared.restart()
             events.append("sensor clock jumped: teeth and phases start anew")
         _, layshaft, main = self._lost
         self._lost = (self.clock.jumps, self._layshaft_wheel.broken, self._main_wheel.broken)
@@ -228,7 +228,7 @@ class Observer:
         if view.split is not None and view.split is not self._split:
             self._split = view.split
             self._model_layshaft()
-        clutch_open = (view.clutch_closed or 0.0) < CLUTCH_OPEN_SHARE
+        clutch_open = (view.clutch_closed or 0.0) < OBSERVER_CLUTCH_OPEN_SHARE
         steps_in = view.split is not None and view.range_ is not None and not self._dragged
         free = clutch_open and view.main_box_free and steps_in
         newest = self._layshaft_wheel.newest

@@ -129,7 +129,7 @@ class Prices:
 
 
 @dataclass(frozen=True)
-class Limits:
+class ShiftLimits:
     """When a phase of the shift has taken too long, and how often it is tried."""
 
     clutch_ms: int = count("clutch_ms", 50, 5000, default=600)
@@ -261,7 +261,7 @@ class ControllerSettings:
     window: Window = group(Window, default=Window())
     aim: Aim = group(Aim, default=Aim())
     prices: Prices = group(Prices, default=Prices())
-    limits: Limits = group(Limits, default=Limits())
+    limits: ShiftLimits = group(ShiftLimits, default=ShiftLimits())
     engine: EngineRequests = group(EngineRequests, default=EngineRequests())
     guard: GuardSettings = group(GuardSettings, default=GuardSettings())
     thesis_filter: ThesisFilter = group(ThesisFilter, default=ThesisFilter())

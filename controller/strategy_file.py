@@ -15,7 +15,7 @@ from typing import Final
 from meshpoint.dbc.messages import Strategy
 from meshpoint.gearbox.tables import TableError
 
-SIZE_LIMIT_BYTES: Final = 1024 * 1024
+SOURCE_LIMIT_BYTES: Final = 1024 * 1024
 FORM: Final = "FILE.py:CLASS"
 UNAIMED, AIMED = Strategy.SPEED_WINDOW, Strategy.TARGET_PHASE
 """The DBC's value table has no entry for a user's own: the bus says which of ours it is like, one
@@ -70,8 +70,8 @@ def read_source(name: str) -> bytes:
     """The content of the file in FILE.py:CLASS. TableError where it cannot be read."""
     path = Path(split_name(name)[0])
     try:
-        if path.stat().st_size > SIZE_LIMIT_BYTES:
-            raise TableError(f"{path}: larger than {SIZE_LIMIT_BYTES} bytes")
+        if path.stat().st_size > SOURCE_LIMIT_BYTES:
+            raise TableError(f"{path}: larger than {SOURCE_LIMIT_BYTES} bytes")
         return path.read_bytes()
     except OSError as error:
         raise TableError(f"{path}: cannot be read: {error.strerror or error}") from error

@@ -26,11 +26,11 @@ __all__ = [
     "COUNTER_MODULUS",
     "DEFAULT_LIMITS",
     "ChannelState",
-    "Finding",
-    "Limits",
+    "E2ELimits",
     "Silence",
     "StateMachine",
     "Status",
+    "WindowFinding",
     "check_counter",
     "check_crc",
     "write_crc",
@@ -59,7 +59,7 @@ class ChannelState(IntEnum):
     INVALID = 3
 
 
-class Finding(IntEnum):
+class WindowFinding(IntEnum):
     """What the window of the last statuses amounts to."""
 
     SILENT = 0
@@ -72,36 +72,36 @@ class Finding(IntEnum):
     """Too many errors."""
 
 
-_TRANSITIONS: Final[dict[ChannelState, dict[Finding, ChannelState]]] = {
+_TRANSITIONS: Final[dict[ChannelState, dict[WindowFinding, ChannelState]]] = {
     ChannelState.NO_DATA: {
-        Finding.SILENT: ChannelState.NO_DATA,
-        Finding.FEW: ChannelState.INIT,
-        Finding.ENOUGH: ChannelState.VALID,
-        Finding.BAD: ChannelState.INVALID,
+        WindowFinding.SILENT: ChannelState.NO_DATA,
+        WindowFinding.FEW: ChannelState.INIT,
+        WindowFinding.ENOUGH: ChannelState.VALID,
+        WindowFinding.BAD: ChannelState.INVALID,
     },
     ChannelState.INIT: {
-        Finding.SILENT: ChannelState.INIT,
-        Finding.FEW: ChannelState.INIT,
-        Finding.ENOUGH: ChannelState.VALID,
-        Finding.BAD: ChannelState.INVALID,
+        WindowFinding.SILENT: ChannelState.INIT,
+        WindowFinding.FEW: ChannelState.INIT,
+        WindowFinding.ENOUGH: ChannelState.VALID,
+        WindowFinding.BAD: ChannelState.INVALID,
     },
     ChannelState.VALID: {
-        Finding.SILENT: ChannelState.INVALID,
-        Finding.FEW: ChannelState.INVALID,
-        Finding.ENOUGH: ChannelState.VALID,
-        Finding.BAD: ChannelState.INVALID,
+        WindowFinding.SILENT: ChannelState.INVALID,
+        WindowFinding.FEW: ChannelState.INVALID,
+        WindowFinding.ENOUGH: ChannelState.VALID,
+        WindowFinding.BAD: ChannelState.INVALID,
     },
     ChannelState.INVALID: {
-        Finding.SILENT: ChannelState.INVALID,
-        Finding.FEW: ChannelState.INVALID,
-        Finding.ENOUGH: ChannelState.VALID,
-        Finding.BAD: ChannelState.INVALID,
+        WindowFinding.SILENT: ChannelState.INVALID,
+        WindowFinding.FEW: ChannelState.INVALID,
+        WindowFinding.ENOUGH: ChannelState.VALID,
+        WindowFinding.BAD: ChannelState.INVALID,
     },
 }
 
 
 @dataclass(frozen=True)
-class Limits:
+class E2ELimits:
     """Settings of counter check and state machine (AUTOSAR names in brackets)."""
 
     window: int = 10
@@ -118,7 +118,7 @@ class Limits:
     """Cycle times without a good frame after which a channel is not VALID."""
 
 
-DEFAULT_LIMITS: Final = Limits()
+DEFAULT_LIMITS: Final = E2ELimits()
 
 
 def check_counter(previous: int | None, counter: int, max_delta: int) -> Status:
@@ -154,7 +154,7 @@ class StateMachine(_Flat):
 
     __slots__ = ("_errors", "_limits", "_mask", "_oks", "is_steady", "state", "status")
 
-    def __init__(self, limits: Limits = DEFAULT_LIMITS) -> None:
+    def __init__(self, limits: E2ELimits = DEFAULT_LIMITS) -> None:
         self._limits = limits
         self._mask = (1 << limits.window) - 1
         self._oks = 0
@@ -171,26 +171,26 @@ class StateMachine(_Flat):
             return
         finding = self._find(status)
         state = _TRANSITIONS[self.state][finding]
-        if finding is Finding.SILENT or (
+        if finding is WindowFinding.SILENT or (
             state is ChannelState.INVALID and self.state is not ChannelState.INVALID
         ):
             self._oks = self._errors = 0
         self.state = state
         self.is_steady = state is ChannelState.VALID and self._oks == self._mask
 
-    def _find(self, status: Status) -> Finding:
+    def _find(self, status: Status) -> WindowFinding:
         """Shift the status into the window, and say what the window amounts to."""
         is_readable = status is not Status.ERROR or self.state is not ChannelState.NO_DATA
         if status in (Status.NO_NEW_DATA, Status.NOT_AVAILABLE) or not is_readable:
-            return Finding.SILENT
+            return WindowFinding.SILENT
         is_ok = status is Status.OK
         self._oks = (self._oks << 1 | is_ok) & self._mask
         self._errors = (self._errors << 1 | (not is_ok)) & self._mask
         if self._errors.bit_count() > self._limits.max_errors:
-            return Finding.BAD
+            return WindowFinding.BAD
         is_valid = self.state is ChannelState.VALID
         needed = self._limits.min_ok_to_stay if is_valid else self._limits.min_ok_to_enter
-        return Finding.ENOUGH if self._oks.bit_count() >= needed else Finding.FEW
+        return WindowFinding.ENOUGH if self._oks.bit_count() >= needed else WindowFinding.FEW
 
 
 class Silence(_Flat):
@@ -204,7 +204,7 @@ class Silence(_Flat):
 
     __slots__ = ("_cycle_time_us", "_heard_us", "_limit_us", "is_heard")
 
-    def __init__(self, cycle_time_us: int, limits: Limits = DEFAULT_LIMITS) -> None:
+    def __init__(self, cycle_time_us: int, limits: E2ELimits = DEFAULT_LIMITS) -> None:
         self._cycle_time_us = cycle_time_us
         self._limit_us = limits.max_silent_cycles * cycle_time_us
         self._heard_us: int | None = None

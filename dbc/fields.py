@@ -26,7 +26,7 @@ _ROW: Final = re.compile(r"(?P<name>.*\D)(?P<number>\d\d)")
 _WORD: Final = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 
 
-class Kind(Enum):
+class FieldKind(Enum):
     """What a signal's value is in Python."""
 
     BOOL = auto()
@@ -40,7 +40,7 @@ class FieldSpec:
     """One field: its signals, more than one for a tuple, and SI value = raw * scale + offset."""
 
     name: str
-    kind: Kind
+    kind: FieldKind
     signals: tuple[SignalSpec, ...]
     is_tuple: bool
     is_optional: bool
@@ -50,11 +50,15 @@ class FieldSpec:
 
     def si_value(self, raw: int) -> float | int:
         """The number inside for a raw value."""
-        return raw * self.scale + self.offset if self.kind is Kind.FLOAT else raw + int(self.offset)
+        return (
+            raw * self.scale + self.offset
+            if self.kind is FieldKind.FLOAT
+            else raw + int(self.offset)
+        )
 
     def raw_value(self, value: object) -> int:
         """The raw value of a number inside; raises if it is not finite, or not whole but should."""
-        if self.kind is Kind.FLOAT:
+        if self.kind is FieldKind.FLOAT:
             return round((cast(float, value) - self.offset) / self.scale)
         return operator.index(cast(SupportsIndex, value)) - int(self.offset)
 
@@ -70,7 +74,7 @@ class FieldSpec:
     def allowed(self, signal: SignalSpec) -> str:
         """The values that may be sent as one of its signals, for people."""
         low, high = sorted((self.si_value(signal.raw_min), self.si_value(signal.raw_max)))
-        span = f"{low:.9g}..{high:.9g}" if self.kind is Kind.FLOAT else f"{low}..{high}"
+        span = f"{low:.9g}..{high:.9g}" if self.kind is FieldKind.FLOAT else f"{low}..{high}"
         return f"{span} or None" if self.is_optional else span
 
 
@@ -122,7 +126,7 @@ def _field(name: str, signals: tuple[SignalSpec, ...], is_optional: bool) -> Fie
         kind=kind,
         signals=signals,
         is_tuple=name != signal.name,
-        is_optional=is_optional and kind in (Kind.INT, Kind.FLOAT),
+        is_optional=is_optional and kind in (FieldKind.INT, FieldKind.FLOAT),
         scale=_short(signal.scale * unit.factor),
         offset=_short(signal.offset * unit.factor + unit.offset),
     )
@@ -134,13 +138,13 @@ def _short(value: float) -> float:
     return short if math.isclose(value, short, rel_tol=1e-15) else value
 
 
-def _kind(signal: SignalSpec) -> Kind:
+def _kind(signal: SignalSpec) -> FieldKind:
     if signal.value_table == BOOLEAN_TABLE:
-        return Kind.BOOL
+        return FieldKind.BOOL
     if signal.value_table is not None:
-        return Kind.ENUM
+        return FieldKind.ENUM
     is_whole = signal.scale == 1.0 and signal.offset.is_integer()
-    return Kind.INT if UNITS[signal.unit].is_integer and is_whole else Kind.FLOAT
+    return FieldKind.INT if UNITS[signal.unit].is_integer and is_whole else FieldKind.FLOAT
 
 
 def make_message_type(
@@ -161,7 +165,7 @@ def _start_value(field: FieldSpec, enums: Mapping[str, type[IntEnum]]) -> object
 
 def _value(field: FieldSpec, signal: SignalSpec, enums: Mapping[str, type[IntEnum]]) -> object:
     raw = signal.raw_start
-    if field.kind is Kind.BOOL:
+    if field.kind is FieldKind.BOOL:
         return raw == 1
     if signal.value_table is not None:
         return enums[signal.value_table](raw)

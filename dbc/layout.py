@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 from typing import Any, Final
 
-from meshpoint.dbc.fields import FieldSpec, Kind, make_enums, make_fields, make_message_type
+from meshpoint.dbc.fields import FieldKind, FieldSpec, make_enums, make_fields, make_message_type
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.dbc.specs import MessageSpec, SignalSpec
 
@@ -214,11 +214,11 @@ def _slot_value(slot: Slot, fill: int) -> str:
 def _si(field: FieldSpec, signal: SignalSpec) -> str:
     """Expression of a signal's value inside, from its raw value."""
     raw = signal.name
-    if field.kind is Kind.BOOL:
+    if field.kind is FieldKind.BOOL:
         return f"{raw} != 0"
-    if field.kind is Kind.ENUM:
+    if field.kind is FieldKind.ENUM:
         return f"_{signal.value_table}[{raw}]"
-    if field.kind is Kind.INT:
+    if field.kind is FieldKind.INT:
         value = _plus(raw, int(field.offset))
     else:
         value = _plus(f"{raw} * {field.scale!r}", field.offset)
@@ -230,10 +230,10 @@ def _si(field: FieldSpec, signal: SignalSpec) -> str:
 def _raw(field: FieldSpec, signal: SignalSpec, source: str) -> str:
     """Expression of a signal's raw value, from the variable `source` of its value inside."""
     value = source
-    if field.kind is Kind.FLOAT:
+    if field.kind is FieldKind.FLOAT:
         shifted = f"({_plus(source, -field.offset)})" if field.offset else source
         value = f"round({shifted} / {field.scale!r})"
-    elif field.kind is Kind.INT:
+    elif field.kind is FieldKind.INT:
         value = _plus(source, -int(field.offset))
     return f"{signal.type_max} if {source} is None else {value}" if field.is_optional else value
 

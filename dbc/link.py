@@ -10,7 +10,7 @@ from meshpoint.dbc.e2e import (
     COUNTER_MODULUS,
     DEFAULT_LIMITS,
     ChannelState,
-    Limits,
+    E2ELimits,
     Silence,
     StateMachine,
     Status,
@@ -31,7 +31,7 @@ class EncodeError(ValueError):
     """A message that cannot be sent; names message, signal, value and what is allowed."""
 
 
-class Verdict(IntEnum):
+class FrameVerdict(IntEnum):
     """What became of a received frame."""
 
     OK = 0
@@ -52,20 +52,20 @@ class Verdict(IntEnum):
 class Received(NamedTuple):
     """A verdict; `message` is set for OK alone."""
 
-    verdict: Verdict
+    verdict: FrameVerdict
     message: Message | None
 
 
-_REFUSED: Final = {verdict: Received(verdict, None) for verdict in Verdict}
-_NOT_FOR_US: Final = _REFUSED[Verdict.NOT_FOR_US]
-_FOREIGN: Final = _REFUSED[Verdict.FOREIGN]
-_FORMAT: Final = _REFUSED[Verdict.FORMAT]
+_REFUSED: Final = {verdict: Received(verdict, None) for verdict in FrameVerdict}
+_NOT_FOR_US: Final = _REFUSED[FrameVerdict.NOT_FOR_US]
+_FOREIGN: Final = _REFUSED[FrameVerdict.FOREIGN]
+_FORMAT: Final = _REFUSED[FrameVerdict.FORMAT]
 _OF_STATUS: Final = {
-    Status.ERROR: _REFUSED[Verdict.E2E],
-    Status.REPEATED: _REFUSED[Verdict.REPEATED],
-    Status.WRONG_SEQUENCE: _REFUSED[Verdict.WRONG_SEQUENCE],
+    Status.ERROR: _REFUSED[FrameVerdict.E2E],
+    Status.REPEATED: _REFUSED[FrameVerdict.REPEATED],
+    Status.WRONG_SEQUENCE: _REFUSED[FrameVerdict.WRONG_SEQUENCE],
 }
-_OK: Final = Verdict.OK
+_OK: Final = FrameVerdict.OK
 _KNOWN_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
 
 
@@ -139,7 +139,7 @@ class _Channel:
         "silence",
     )
 
-    def __init__(self, codec: Codec, limits: Limits) -> None:
+    def __init__(self, codec: Codec, limits: E2ELimits) -> None:
         spec = codec.spec
         self.codec = codec
         self.length = spec.length
@@ -166,7 +166,7 @@ class Receiver:
     `valid` says.
     """
 
-    def __init__(self, node: Node, *more: Node, limits: Limits = DEFAULT_LIMITS) -> None:
+    def __init__(self, node: Node, *more: Node, limits: E2ELimits = DEFAULT_LIMITS) -> None:
         nodes = {node, *more}
         specs = [codec for codec in CODECS.values() if nodes & codec.spec.receivers]
         self._channels = {codec.spec.can_id: _Channel(codec, limits) for codec in specs}

@@ -13,7 +13,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Final
 
-from meshpoint.dbc.fields import FieldSpec, Kind
+from meshpoint.dbc.fields import FieldKind, FieldSpec
 from meshpoint.dbc.layout import CODECS, ENUMS, Codec
 
 STUB_PATH: Final = Path(__file__).with_name("messages.pyi")
@@ -25,7 +25,7 @@ _HEADER: Final = '''\
 from enum import IntEnum
 from typing import Final, NamedTuple, TypeAlias
 '''
-_TYPES: Final = {Kind.BOOL: "bool", Kind.INT: "int", Kind.FLOAT: "float"}
+_TYPES: Final = {FieldKind.BOOL: "bool", FieldKind.INT: "int", FieldKind.FLOAT: "float"}
 _WIDTH: Final = 100
 
 
@@ -58,7 +58,7 @@ def _message_text(codec: Codec) -> str:
 
 def _type_text(field: FieldSpec) -> str:
     table = field.signals[0].value_table
-    text = table if field.kind is Kind.ENUM and table is not None else _TYPES[field.kind]
+    text = table if field.kind is FieldKind.ENUM and table is not None else _TYPES[field.kind]
     text = f"tuple[{text}, ...]" if field.is_tuple else text
     return f"{text} | None" if field.is_optional else text
 
@@ -66,7 +66,7 @@ def _type_text(field: FieldSpec) -> str:
 def _field_doc(field: FieldSpec) -> str:
     first = field.signals[0]
     count = f"{len(field.signals)} values; the first: " if field.is_tuple else ""
-    limits = f" ({field.allowed(first)})" if field.kind in (Kind.INT, Kind.FLOAT) else ""
+    limits = f" ({field.allowed(first)})" if field.kind in (FieldKind.INT, FieldKind.FLOAT) else ""
     return f'"""{count}{first.comment}{limits}."""'
 
 

@@ -77,7 +77,7 @@ class WheelRecord:
 
 
 @dataclass(frozen=True)
-class Wheels:
+class WheelRecords:
     """The wheels whose teeth are known."""
 
     layshaft: WheelRecord | None = group(WheelRecord, default=None)
@@ -85,7 +85,7 @@ class Wheels:
 
 
 @dataclass(frozen=True)
-class References:
+class ReferenceRecords:
     """Phase references (`controller/phase/reference.py`), in the numbering of the wheels' teeth."""
 
     crawl_rad: float | None = quantity("crawl_deg", -180.0, 180.0, DEG, default=None)
@@ -154,7 +154,7 @@ class SleeveRecord:
 
 
 @dataclass(frozen=True)
-class Sleeves(ByGear[SleeveRecord]):
+class SleeveRecords(ByGear[SleeveRecord]):
     """The gears into which a sleeve has been seen to go."""
 
     crawl: SleeveRecord | None = group(SleeveRecord, default=None)
@@ -175,7 +175,7 @@ class DriftRecord:
 
 
 @dataclass(frozen=True)
-class Drifts(ByGear[DriftRecord]):
+class DriftRecords(ByGear[DriftRecord]):
     """The gears that have been engaged."""
 
     crawl: DriftRecord | None = group(DriftRecord, default=None)
@@ -201,11 +201,11 @@ class Calibration:
 
     format_: int = count("format", FORMAT, FORMAT)
     provenance: Provenance = group(Provenance)
-    wheels: Wheels = group(Wheels, default=Wheels())
-    references: References = group(References, default=References())
+    wheels: WheelRecords = group(WheelRecords, default=WheelRecords())
+    references: ReferenceRecords = group(ReferenceRecords, default=ReferenceRecords())
     brake: BrakeRecord | None = group(BrakeRecord, default=None)
-    sleeves: Sleeves = group(Sleeves, default=Sleeves())
-    drifts: Drifts = group(Drifts, default=Drifts())
+    sleeves: SleeveRecords = group(SleeveRecords, default=SleeveRecords())
+    drifts: DriftRecords = group(DriftRecords, default=DriftRecords())
     end: End = group(End)
 
     def __post_init__(self) -> None:
@@ -248,7 +248,7 @@ def check(calibration: Calibration, sheet: GearboxSheet, where: str) -> None:
         allowed = f"allowed is {sheet.sha256[:16]}... of data sheet {sheet.name}"
         raise TableError(f"{where}: provenance: sheet_sha256 = {given[:16]!r}..., {allowed}")
     drawn = {"layshaft": sheet.wheels.layshaft, "main": sheet.wheels.main}
-    for field in fields(Wheels):
+    for field in fields(WheelRecords):
         record: WheelRecord | None = getattr(calibration.wheels, field.name)
         wheel = drawn[field.name]
         if record is None:

@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from meshpoint.controller.estimation.crossing_filter import Pressures
-from meshpoint.controller.estimation.cruise import STALE_US, CruiseTracker, WindowSpeed
+from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US, CruiseTracker, WindowSpeed
 from meshpoint.controller.estimation.layshaft import LayshaftModels
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.linear_kernels import THESIS_FILTER, propagate, thesis_filter
@@ -107,7 +107,7 @@ class BaselineTracker:
         """The state at a time; None without a speed, or without an edge for 60 ms."""
         if not self._free:
             return self._cruising(time_us)
-        if time_us - self._filter.time_us.item() > STALE_US:
+        if time_us - self._filter.time_us.item() > ESTIMATE_STALE_US:
             return None
         state = self.latest()
         if self._estimator is Estimator.WINDOW and time_us > state.time_us:

@@ -13,7 +13,7 @@ import numpy as np
 
 from meshpoint.controller.estimation.brake_model import BrakeModel, Carried
 from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES, CrossingFilter, Pressures
-from meshpoint.controller.estimation.cruise import STALE_US, ShaftState, WindowSpeed
+from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US, ShaftState, WindowSpeed
 from meshpoint.controller.estimation.free_run import FreeRun
 from meshpoint.controller.estimation.further_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels
@@ -148,7 +148,7 @@ class _Shaft:
     def _fresh(self, time_us: float) -> bool:
         # A further wheel's edges do not stand for a sensor that has died.
         newest_us = self._filter.time_us if self._further is None else self._own_us
-        return self._running and time_us - newest_us <= STALE_US
+        return self._running and time_us - newest_us <= ESTIMATE_STALE_US
 
 
 class CrossingTracker(_Shaft):

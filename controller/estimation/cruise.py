@@ -14,7 +14,7 @@ from meshpoint.controller.settings import CruiseFilter
 
 SPEED_WINDOW_US = 10_000
 """The production speed's window: one read of the arrays (thesis 2.5)."""
-STALE_US = 60_000
+ESTIMATE_STALE_US = 60_000
 """Dead reckoning past this loses the tooth (facts: 2 deg at 100 ms)."""
 
 
@@ -126,7 +126,7 @@ class CruiseTracker:
         """The state at a time, speed held; None before enough edges, or without any for 60 ms."""
         memory = self._filter
         newest_us = memory.time_us.item()
-        if not self._running or time_us - newest_us > STALE_US:
+        if not self._running or time_us - newest_us > ESTIMATE_STALE_US:
             return None
         dt = (time_us - newest_us) * US
         theta, omega = memory.x.tolist()

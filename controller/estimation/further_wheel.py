@@ -14,7 +14,7 @@ from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.motion.kernels import THETA
 from meshpoint.controller.motion.models import MotionModel
 from meshpoint.controller.records import Vector
-from meshpoint.controller.sensing.sensor_clock import SensorClock
+from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import MOST_RAD_S2, NO_EDGES, EdgeFrame, WheelEdges
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox.sheet import Wheel
@@ -42,7 +42,7 @@ class GearedWheel:
         self,
         risen: Sequence[EdgeFrame],
         fallen: Sequence[EdgeFrame],
-        clock: SensorClock,
+        clock: SensorClockEstimate,
         now_us: int,
     ) -> None:
         """This step's frames, rising and falling."""

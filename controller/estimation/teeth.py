@@ -15,7 +15,13 @@ import numpy as np
 from meshpoint.controller.estimation.crossing_filter import Pressures
 from meshpoint.controller.estimation.crossing_kernels import crossing_filter, inverse_of_positive
 from meshpoint.controller.estimation.crossing_layout import FilterMemory, TeethArrays
-from meshpoint.controller.estimation.tooth_match import Memory, Seen, Verdict, compare, turned
+from meshpoint.controller.estimation.tooth_match import (
+    PatternEquations,
+    PatternMatch,
+    ToothPattern,
+    compare,
+    turned,
+)
 from meshpoint.controller.motion.models import MotionModel
 from meshpoint.controller.records import Integers, Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
@@ -80,17 +86,19 @@ class TeethLearner:
         """How many edges the window has so far."""
         return float(self._memory.agreement[1]) if self.running else 0.0
 
-    def end(self) -> Seen | None:
+    def end(self) -> PatternEquations | None:
         """The window ends; its equations, None where it was too short."""
         window = self.so_far() if self.running else None
         self.running = False
         return window if window is not None and window.edges >= LEAST_EDGES else None
 
-    def so_far(self) -> Seen:
+    def so_far(self) -> PatternEquations:
         """The window's equations up to now."""
         squares, count = self._memory.agreement.tolist()
         upper = np.triu(self._teeth.normal)
-        return Seen(upper + np.triu(upper, 1).T, self._teeth.right.copy(), squares, count)
+        return PatternEquations(
+            upper + np.triu(upper, 1).T, self._teeth.right.copy(), squares, count
+        )
 
 
 class Found(NamedTuple):
@@ -120,7 +128,7 @@ class WheelTeeth:
         """Squares and edges of the windows that have ended since the teeth were numbered."""
         self._looked_at = 0.0
         self._strangers = self._unlike = self._untold = 0
-        self.memory: Memory | None = None
+        self.memory: ToothPattern | None = None
         self.found: Found | None = None
         """Set where a memory was found again, until someone has taken it."""
         self.edges_seen = 0
@@ -190,7 +198,7 @@ class WheelTeeth:
     def lose_numbers(self) -> None:
         """Any tooth may be number 0 from here on; what was learned is a memory."""
         if self.learned:
-            self.memory = Memory(self.error_rad, self.sd_rad, self.edges_seen)
+            self.memory = ToothPattern(self.error_rad, self.sd_rad, self.edges_seen)
         self._clear()
 
     def forget(self) -> None:
@@ -207,7 +215,7 @@ class WheelTeeth:
         self.found = None
         self.learner.running = False
 
-    def _compare(self, memory: Memory) -> str | None:
+    def _compare(self, memory: ToothPattern) -> str | None:
         """At the end of a window: finds the memory, or gives it up where that is certain."""
         verdict = self._verdict(memory, None)
         if verdict is None:
@@ -217,16 +225,18 @@ class WheelTeeth:
         self._take_over(memory, verdict)
         return None
 
-    def _verdict(self, memory: Memory, running: Seen | None) -> Verdict | None:
+    def _verdict(
+        self, memory: ToothPattern, running: PatternEquations | None
+    ) -> PatternMatch | None:
         """The memory against all that was seen, a window that still runs included."""
         normal, right, (squares, edges) = self._normal, self._right, self._seen
         if running is not None:
             normal, right = normal + running.normal, right + running.right
             squares, edges = squares + running.squares, edges + running.edges
-        seen = Seen(normal, right, squares, edges)
+        seen = PatternEquations(normal, right, squares, edges)
         return compare(memory, seen, 10.0 * self._unlearned_sd_rad, self._missing.size > 0)
 
-    def _take_over(self, memory: Memory, verdict: Verdict) -> None:
+    def _take_over(self, memory: ToothPattern, verdict: PatternMatch) -> None:
         """The memory counts like edges that were seen."""
         self._normal += memory.weight * np.eye(self._edges)
         self._right += memory.weight * turned(memory.error_rad, verdict.teeth)
@@ -235,7 +245,7 @@ class WheelTeeth:
         self.memory = None
         self._solve()
 
-    def _not_found(self, verdict: Verdict) -> str | None:
+    def _not_found(self, verdict: PatternMatch) -> str | None:
         """After a whole window: gives the memory up where it is another wheel's, or where the
         wheel's own teeth are known and still do not tell."""
         if verdict.stranger:
@@ -250,7 +260,7 @@ class WheelTeeth:
         self.memory = None
         return "teeth cannot be told apart: their old numbers stay unknown"
 
-    def _misfit(self, window: Seen) -> float:
+    def _misfit(self, window: PatternEquations) -> float:
         e = self.error_rad
         squares = window.squares - 2.0 * float(e @ window.right)
         return (squares + float(e @ window.normal @ e)) / window.edges

@@ -34,7 +34,7 @@ LEAST_TURNS: Final = 2.0
 two (simulated)."""
 
 
-class Memory(NamedTuple):
+class ToothPattern(NamedTuple):
     """A pattern in a numbering that has been lost."""
 
     error_rad: Vector
@@ -48,7 +48,7 @@ class Memory(NamedTuple):
         return 1.0 / (self.sd_rad**2 + AGED_RAD**2)
 
 
-class Seen(NamedTuple):
+class PatternEquations(NamedTuple):
     """Equations of one window of free motion, or the sum of several."""
 
     normal: Vector
@@ -58,7 +58,7 @@ class Seen(NamedTuple):
     edges: float
 
 
-class Verdict(NamedTuple):
+class PatternMatch(NamedTuple):
     """What a comparison came to."""
 
     teeth: int
@@ -84,7 +84,9 @@ def turned(error_rad: Vector, teeth: int) -> Vector:
     return np.roll(error_rad, -2 * teeth)
 
 
-def compare(memory: Memory, seen: Seen, free_sd_rad: float, only_as_drawn: bool) -> Verdict | None:
+def compare(
+    memory: ToothPattern, seen: PatternEquations, free_sd_rad: float, only_as_drawn: bool
+) -> PatternMatch | None:
     """Compares all turns; None before two turns were seen or where the equations do not hold.
 
     free_sd_rad: what an edge's error may be on any wheel. only_as_drawn: the wheel has missing
@@ -107,4 +109,4 @@ def compare(memory: Memory, seen: Seen, free_sd_rad: float, only_as_drawn: bool)
     order = np.argsort(j, kind="stable")
     best = int(order[0])
     margin = np.inf if turns == 1 else float(j[order[1]] - j[best]) / scale
-    return Verdict(best, margin, (float(j[best]) - least_free) / size / scale)
+    return PatternMatch(best, margin, (float(j[best]) - least_free) / size / scale)

@@ -10,9 +10,9 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, Sleeve
 
-NEUTRAL_M: Final = 1.5e-3
+GUARD_NEUTRAL_M: Final = 1.5e-3
 """A main sleeve within this of the middle is proven neutral."""
-CLUTCH_OPEN_SHARE: Final = 0.05
+GUARD_CLUTCH_OPEN_SHARE: Final = 0.05
 SLIP_MARGIN_RAD_S: Final = 1.0
 """What the speeds may be wrong by, and the vehicle may gain or lose until contact: 10 rpm."""
 BRAKE_PRESSED_PA: Final = 1.0e5

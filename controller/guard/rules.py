@@ -18,12 +18,12 @@ from typing import Final, NamedTuple
 
 from meshpoint.controller.guard.limits import (
     BRAKE_PRESSED_PA,
-    CLUTCH_OPEN_SHARE,
-    NEUTRAL_M,
+    GUARD_CLUTCH_OPEN_SHARE,
+    GUARD_NEUTRAL_M,
     SLIP_MARGIN_RAD_S,
     GuardLimits,
 )
-from meshpoint.controller.guard.view import Seen
+from meshpoint.controller.guard.view import GuardInputs
 
 ACTION_BYTES: Final = slice(3, 6)
 TIME_BYTES: Final = 6
@@ -126,7 +126,7 @@ class Case(NamedTuple):
     """What a row is asked about."""
 
     spans: Spans
-    seen: Seen
+    seen: GuardInputs
     state: GuardState
     limits: GuardLimits
 
@@ -136,7 +136,7 @@ class Case(NamedTuple):
         found = []
         for valve in MAIN_VALVES:
             span = self.spans[valve]
-            low_m = NEUTRAL_M if valve in self.state.pulls else -NEUTRAL_M
+            low_m = GUARD_NEUTRAL_M if valve in self.state.pulls else -GUARD_NEUTRAL_M
             if span is not None and low_m <= self.way_m(valve) <= self.limits.contact_m:
                 found.append((valve, span))
         return found
@@ -149,7 +149,7 @@ class Case(NamedTuple):
             valve
             for valve in MAIN_VALVES
             if self.spans[valve] is not None
-            and (valve in self.state.pulls or self.way_m(valve) < -NEUTRAL_M)
+            and (valve in self.state.pulls or self.way_m(valve) < -GUARD_NEUTRAL_M)
         )
 
     def way_m(self, valve: int) -> float:
@@ -164,7 +164,7 @@ class Case(NamedTuple):
 
     def main_is_neutral(self) -> bool:
         """Whether both main sleeves are proven neutral."""
-        return max(abs(self.seen.positions_m[0]), abs(self.seen.positions_m[1])) <= NEUTRAL_M
+        return max(abs(self.seen.positions_m[0]), abs(self.seen.positions_m[1])) <= GUARD_NEUTRAL_M
 
     def speed(self, shaft: int) -> float | None:
         """A shaft's speed, or None."""
@@ -173,7 +173,7 @@ class Case(NamedTuple):
 
     def clutch_is_open(self) -> bool:
         """Whether the engine is off the input shaft."""
-        return self.seen.clutch_closed <= CLUTCH_OPEN_SHARE
+        return self.seen.clutch_closed <= GUARD_CLUTCH_OPEN_SHARE
 
 
 Rule = Callable[[Case], bool]
@@ -188,7 +188,7 @@ def two_sleeves_of_the_main_box(case: Case) -> bool:
     """Row 2: both commanded, or one commanded while the other is not proven neutral."""
     driven = [case.limits.main[valve].sleeve for valve in MAIN_VALVES if case.spans[valve]]
     return any(
-        other in driven or abs(case.seen.positions_m[other]) > NEUTRAL_M
+        other in driven or abs(case.seen.positions_m[other]) > GUARD_NEUTRAL_M
         for other in (1 - sleeve for sleeve in driven)
     )
 
@@ -247,7 +247,9 @@ def brake_against_the_driveline(case: Case) -> bool:
         return False
     engaging = case.engaging()
     approaching = {case.limits.main[valve].sleeve for valve, _ in engaging}
-    in_mesh = any(abs(case.seen.positions_m[sleeve]) > NEUTRAL_M for sleeve in {0, 1} - approaching)
+    in_mesh = any(
+        abs(case.seen.positions_m[sleeve]) > GUARD_NEUTRAL_M for sleeve in {0, 1} - approaching
+    )
     meets = any(brake.end_us > case.contact_us(span)[0] for _, span in engaging)
     return in_mesh or meets or not case.clutch_is_open()
 
@@ -307,15 +309,16 @@ def input_overspeed(case: Case) -> bool:
 
 def _side(position_m: float) -> int:
     """The step a splitter sleeve is in; the faster input shaft where it is in none."""
-    return 1 if position_m > NEUTRAL_M else -1
+    return 1 if position_m > GUARD_NEUTRAL_M else -1
 
 
 def disengage_under_torque(case: Case) -> bool:
     """Row 10: a sleeve pulled out of mesh, main or splitter, with clutch or brake on it."""
     pulls = any(
-        case.spans[valve] is not None and case.way_m(valve) < -NEUTRAL_M for valve in MAIN_VALVES
+        case.spans[valve] is not None and case.way_m(valve) < -GUARD_NEUTRAL_M
+        for valve in MAIN_VALVES
     ) or any(
-        case.spans[valve] is not None and case.seen.positions_m[SPLITTER] * way < -NEUTRAL_M
+        case.spans[valve] is not None and case.seen.positions_m[SPLITTER] * way < -GUARD_NEUTRAL_M
         for valve, way in ((SPLIT_LOW, -1), (SPLIT_HIGH, 1))
     )
     gauge_pa = case.seen.brake_pa - case.limits.atmosphere_pa
@@ -383,7 +386,7 @@ class Guard:
         self.blocks = 0
         self.blocked_row: int | None = None
 
-    def passes(self, payload: bytes, seen: Seen) -> bool:
+    def passes(self, payload: bytes, seen: GuardInputs) -> bool:
         """Whether the frame may go out. A latched guard passes only frames that drive nothing, and
         one such frame clears the latch: the sequence has taken its command back."""
         state = self._state
@@ -409,7 +412,7 @@ class Guard:
                 return row.number
         return None
 
-    def _note(self, seen: Seen) -> None:
+    def _note(self, seen: GuardInputs) -> None:
         """Self-test and the brake's energy, from what is seen."""
         state = self._state
         if state.proofs < PROOF_STEPS:
@@ -422,7 +425,7 @@ class Guard:
             state.brake_j += torque * layshaft.omega_rad_s * (seen.now_us - state.judged_us) * 1e-6
         state.judged_us = seen.now_us
 
-    def _remember(self, wished: Spans, seen: Seen) -> None:
+    def _remember(self, wished: Spans, seen: GuardInputs) -> None:
         state, now_us = self._state, seen.now_us
         state.pulls = Case(wished, seen, state, self._limits).pulling()
         was = state.spans[BRAKE]

@@ -11,7 +11,7 @@ import math
 from collections import deque
 from typing import Any, Final, NamedTuple
 
-from meshpoint.controller.guard.limits import NEUTRAL_M, GuardLimits
+from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, GuardLimits
 from meshpoint.controller.sensing.edge_speed import EdgeSpeed, Speed, Turned
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.dbc.link import Receiver
@@ -39,7 +39,7 @@ HALF: Final = 1 << 31
 SLOW: Final = (SleevesMain, SleevesAux, GearboxSensors)
 
 
-class Seen(NamedTuple):
+class GuardInputs(NamedTuple):
     """One step's view. Speeds are those of input shaft, layshaft, main and propeller shaft."""
 
     now_us: int
@@ -56,7 +56,7 @@ class Seen(NamedTuple):
 
 
 class GuardView:
-    """Collects what `Seen` says."""
+    """Collects what `GuardInputs` says."""
 
     def __init__(self, sheet: GearboxSheet, limits: GuardLimits) -> None:
         wheels = sheet.wheels
@@ -71,7 +71,7 @@ class GuardView:
         self._newest: dict[type, Any] = {}
         self._turns: deque[tuple[Turned, Turned]] = deque()
 
-    def take(self, inputs: StepInputs, receiver: Receiver, now_us: int) -> Seen:
+    def take(self, inputs: StepInputs, receiver: Receiver, now_us: int) -> GuardInputs:
         """One step's frames at a sensor time."""
         for kind, shaft in self._shafts.items():
             for frame in inputs.edges[kind]:
@@ -81,7 +81,7 @@ class GuardView:
                 self._newest[type(messages[-1])] = messages[-1]
         a, b, c, d = [shaft.at(now_us) for shaft in self._shafts.values()]
         if len(self._newest) < len(SLOW):
-            return Seen(now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, valid=False)
+            return GuardInputs(now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, valid=False)
         main, aux, sensors = [self._newest[kind] for kind in SLOW]
         positions = (
             main.sleeve_first_second_m[0],
@@ -89,7 +89,7 @@ class GuardView:
             aux.sleeve_splitter_m[0],
             aux.sleeve_range_m[0],
         )
-        return Seen(
+        return GuardInputs(
             now_us,
             positions,
             sensors.clutch_position_fraction,
@@ -114,7 +114,7 @@ class GuardView:
     ) -> int:
         """Row 13's evidence, gathered since both sleeves said neutral."""
         turns = self._turns
-        out = max(abs(positions[0]), abs(positions[1])) > NEUTRAL_M
+        out = max(abs(positions[0]), abs(positions[1])) > GUARD_NEUTRAL_M
         slow = layshaft is None or main is None or layshaft.omega_rad_s < TURNING_RAD_S
         if out or slow:
             turns.clear()

@@ -21,7 +21,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.estimation.teeth import WheelTeeth
-from meshpoint.controller.estimation.tooth_match import Memory
+from meshpoint.controller.estimation.tooth_match import ToothPattern
 from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.phase.reference import Floated, PhaseReferences
 from meshpoint.controller.phase.turn_candidates import (
@@ -49,8 +49,8 @@ MOST_COUNTED: Final = 1000
 class SavedReferences(NamedTuple):
     """Tooth patterns and the references in their numbering: what outlives a restart."""
 
-    layshaft: Memory | None
-    main: Memory | None
+    layshaft: ToothPattern | None
+    main: ToothPattern | None
     offsets_rad: dict[MainGear, float]
 
 
@@ -70,15 +70,17 @@ class _Wheel:
         """Nothing is left by which its old numbers could be found."""
         return self.shift is None and self.teeth.memory is None and self.teeth.found is None
 
-    def saved(self) -> Memory | None:
+    def saved(self) -> ToothPattern | None:
         """Its pattern in the remembered numbering."""
         teeth, memory = self.teeth, self.teeth.memory
         if self.shift is None and memory is not None:
-            return Memory(np.roll(memory.error_rad, 2 * self.base), memory.sd_rad, memory.edges)
+            return ToothPattern(
+                np.roll(memory.error_rad, 2 * self.base), memory.sd_rad, memory.edges
+            )
         if not teeth.learned:
             return memory
         turned = np.roll(teeth.error_rad, 2 * (self.shift or 0))
-        return Memory(turned, teeth.sd_rad, teeth.edges_seen)
+        return ToothPattern(turned, teeth.sd_rad, teeth.edges_seen)
 
 
 class ReferenceRecovery:
@@ -318,8 +320,8 @@ _WHY: Final = {
 }
 
 
-def _now(teeth: WheelTeeth) -> Memory | None:
+def _now(teeth: WheelTeeth) -> ToothPattern | None:
     """A wheel's pattern in the present numbering; that of its memory where it has no other."""
     if teeth.learned:
-        return Memory(teeth.error_rad, teeth.sd_rad, teeth.edges_seen)
+        return ToothPattern(teeth.error_rad, teeth.sd_rad, teeth.edges_seen)
     return teeth.memory

@@ -23,7 +23,7 @@ from meshpoint.controller.records import filled
 from meshpoint.gearbox import MainGear
 
 MOST_STEPS = 40
-LEAST_SHARE = 1e-3
+LEAST_ROOT_SHARE = 1e-3
 CLOSE_RAD_S = 1e-4
 """A root this near is found: some microseconds at the brake's full torque."""
 
@@ -158,7 +158,7 @@ def _falling_root(over: Callable[[int], float], first: int, last: int) -> int:
         return last
     kept = 0
     for _ in range(MOST_STEPS):
-        share = min(max(above / (above - below), LEAST_SHARE), 1.0 - LEAST_SHARE)
+        share = min(max(above / (above - below), LEAST_ROOT_SHARE), 1.0 - LEAST_ROOT_SHARE)
         middle = round(first + share * (last - first))
         found = over(middle)
         if abs(found) < CLOSE_RAD_S or last - first <= 1:

@@ -15,7 +15,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from meshpoint.controller.calibration.learned import DriftRecord, Drifts
+from meshpoint.controller.calibration.learned import DriftRecord, DriftRecords
 from meshpoint.controller.motion.kinematics import raw_phase_rad
 from meshpoint.controller.planning.outlook import GearPredictor
 from meshpoint.gearbox import MainGear
@@ -29,7 +29,7 @@ PRIOR_SHARE_SAMPLES: Final = 4.0
 """How many contacts the filters' own spread is worth."""
 MOST_SHARE_SAMPLES: Final = 30.0
 """Older contacts fade."""
-LEAST_SHARE: Final = 0.3
+LEAST_SPREAD_SHARE: Final = 0.3
 FAR_RAD_S: Final = 0.6
 """6 rpm: no drift is so large, the sleeve or a sensor was wrong."""
 LEAST_S: Final = 0.02
@@ -37,7 +37,7 @@ LEAST_S: Final = 0.02
 
 
 @dataclass
-class _Learned:
+class _GearDrift:
     mean_rad_s: float = 0.0
     variance: float = PRIOR_SD_RAD_S**2
     share_squares: float = PRIOR_SHARE_SAMPLES
@@ -45,14 +45,14 @@ class _Learned:
 
     @property
     def share(self) -> float:
-        return max(math.sqrt(self.share_squares / self.share_samples), LEAST_SHARE)
+        return max(math.sqrt(self.share_squares / self.share_samples), LEAST_SPREAD_SHARE)
 
 
 class PhaseDrifts:
     """The drift of each main gear's slip against its prediction."""
 
     def __init__(self) -> None:
-        self._learned = {gear: _Learned() for gear in MAIN_GEARS}
+        self._learned = {gear: _GearDrift() for gear in MAIN_GEARS}
 
     def rad_s(self, gear: MainGear) -> float:
         """What the slip is expected to be above its prediction, on average until contact."""
@@ -73,7 +73,7 @@ class PhaseDrifts:
         self._add(self._learned[fired.gear], apart / passed_s, variance / passed_s**2)
 
     @staticmethod
-    def _add(learned: _Learned, drift_rad_s: float, variance: float) -> None:
+    def _add(learned: _GearDrift, drift_rad_s: float, variance: float) -> None:
         """One contact's drift, and the variance that the filters claim for it."""
         if not (math.isfinite(drift_rad_s + variance) and abs(drift_rad_s) < FAR_RAD_S):
             return
@@ -89,9 +89,9 @@ class PhaseDrifts:
         learned.share_squares = fade * (learned.share_squares + learned.share**2 * surprise)
         learned.share_samples = fade * (learned.share_samples + 1.0)
 
-    def records(self) -> Drifts:
+    def records(self) -> DriftRecords:
         """What a calibration file keeps: the gears that have been aimed at."""
-        return Drifts(
+        return DriftRecords(
             **{
                 gear.name.lower(): DriftRecord(
                     learned.mean_rad_s,
@@ -100,16 +100,16 @@ class PhaseDrifts:
                     learned.share_samples,
                 )
                 for gear, learned in self._learned.items()
-                if learned != _Learned()
+                if learned != _GearDrift()
             }
         )
 
-    def restore(self, records: Drifts) -> None:
+    def restore(self, records: DriftRecords) -> None:
         """Goes on from records; gears without one start anew."""
         for gear in MAIN_GEARS:
             record = records.of(gear)
             if record is not None:
-                self._learned[gear] = _Learned(
+                self._learned[gear] = _GearDrift(
                     record.slip_rad_s,
                     record.slip_sd_rad_s**2,
                     record.spread_share**2 * record.samples,

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from meshpoint.controller.calibration.learned import SleeveRecord, Sleeves
+from meshpoint.controller.calibration.learned import SleeveRecord, SleeveRecords
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
 
@@ -30,7 +30,7 @@ FAR_S: Final = 0.02
 
 
 @dataclass
-class _Learned:
+class _GearDelay:
     mean_s: float
     samples: float
     squares_s2: float
@@ -48,7 +48,7 @@ class SleeveDelays:
         """Gauge supply pressure of the moment."""
         scatter_s = SHARE_OF_SCATTER * sleeve.delay_sd_s
         self._learned = {
-            gear: _Learned(
+            gear: _GearDelay(
                 sleeve.delay_s,
                 PRIOR_SAMPLES,
                 PRIOR_SCATTER_SAMPLES * scatter_s * scatter_s,
@@ -90,9 +90,9 @@ class SleeveDelays:
             learned.scatter_samples *= fade
             learned.squares_s2 *= fade
 
-    def records(self) -> Sleeves:
+    def records(self) -> SleeveRecords:
         """What a calibration file keeps: the gears whose contacts have been seen."""
-        return Sleeves(
+        return SleeveRecords(
             **{
                 gear.name.lower(): SleeveRecord(
                     delay_s=learned.mean_s,
@@ -105,13 +105,13 @@ class SleeveDelays:
             }
         )
 
-    def restore(self, records: Sleeves) -> None:
+    def restore(self, records: SleeveRecords) -> None:
         """Goes on from records; gears without one keep what the data sheet says."""
         for gear in MAIN_GEARS:
             record = records.of(gear)
             if record is not None:
                 squares_s2 = record.scatter_s**2 * record.scatter_samples
-                self._learned[gear] = _Learned(
+                self._learned[gear] = _GearDelay(
                     record.delay_s, record.samples, squares_s2, record.scatter_samples
                 )
 

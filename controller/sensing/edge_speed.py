@@ -18,10 +18,10 @@ from meshpoint.controller.sensing.wheel_edges import EdgeFrame
 DEAD_US: Final = 20_000
 """A frame whose newest edge is older than this, and than three teeth took before, comes from a
 sensor that gives none: with its read, the bus and the tick that is known within 50 ms."""
-STALE_US: Final = 25_000
+SPEED_STALE_US: Final = 25_000
 """The same where no frame tells: the newest edge of the last one. Two lost frames lose nothing."""
 TEETH_LATE: Final = 3
-HELD_US: Final = 45_000
+SPEED_HELD_US: Final = 45_000
 """While a frame holds a tooth too many or too few, the speed before it stands for so long."""
 WRAP: Final = 1 << 32
 HALF: Final = 1 << 31
@@ -87,7 +87,7 @@ class EdgeSpeed:
         newest_us = self._newest_us
         if self._speed is None or newest_us is None or self._is_dead:
             return None
-        limit_us = max(STALE_US, TEETH_LATE * self._interval_us)
+        limit_us = max(SPEED_STALE_US, TEETH_LATE * self._interval_us)
         is_turning = now_us - newest_us <= limit_us
-        is_measured = now_us - self._measured_us <= max(HELD_US, limit_us)
+        is_measured = now_us - self._measured_us <= max(SPEED_HELD_US, limit_us)
         return self._speed if is_turning and is_measured else None

@@ -9,7 +9,7 @@ from meshpoint.dbc.messages import SleevesAux, SleevesMain
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN
 
-NEUTRAL_M: Final = 1.0e-3
+VIEW_NEUTRAL_M: Final = 1.0e-3
 """A sleeve within this of the middle is in neutral."""
 ENGAGED_SHORT_M: Final = 1.0e-3
 """A sleeve within this of its stroke is in mesh."""
@@ -119,7 +119,7 @@ class GearboxView:
 
     def in_neutral(self, sleeve: Sleeve) -> bool:
         """Whether a sleeve stands in the middle."""
-        return abs(self.position_m(sleeve)) < NEUTRAL_M
+        return abs(self.position_m(sleeve)) < VIEW_NEUTRAL_M
 
     def side(self, sleeve: Sleeve) -> int:
         """-1 or +1 where the sleeve is in mesh, 0 elsewhere."""

@@ -32,7 +32,7 @@ def wrap(time_us: int) -> int:
     return time_us & (WRAP - 1)
 
 
-class SensorClock:
+class SensorClockEstimate:
     """Unwraps stamps and knows what the sensor clock reads now, within the bus's delay."""
 
     def __init__(self) -> None:

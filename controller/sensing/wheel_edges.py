@@ -22,7 +22,7 @@ from meshpoint.controller.sensing.chain_kernels import (
 )
 from meshpoint.controller.sensing.gate_kernels import gate_edges, stand
 from meshpoint.controller.sensing.gate_layout import COUNTING, new_gate, teeth_of
-from meshpoint.controller.sensing.sensor_clock import SensorClock
+from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.sensor_count import SensorCount
 from meshpoint.gearbox.sheet import Wheel
 
@@ -211,7 +211,11 @@ class WheelEdges:
         self.broken += 1
 
     def read(
-        self, rise: Sequence[EdgeFrame], fall: Sequence[EdgeFrame], clock: SensorClock, now_us: int
+        self,
+        rise: Sequence[EdgeFrame],
+        fall: Sequence[EdgeFrame],
+        clock: SensorClockEstimate,
+        now_us: int,
     ) -> EdgeBatch:
         """Takes this step's frames of both polarities; returns the new edges in order of time."""
         risen, fallen = self._rise, self._fall
@@ -261,7 +265,7 @@ class WheelEdges:
         self,
         polarity: Polarity,
         frames: Sequence[EdgeFrame],
-        clock: SensorClock,
+        clock: SensorClockEstimate,
         now_us: int,
         falling: bool,
     ) -> int:

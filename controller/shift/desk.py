@@ -12,30 +12,29 @@ from meshpoint.controller.planning.outlook import GearPredictor
 from meshpoint.controller.planning.phase_drift import PhaseDrifts
 from meshpoint.controller.planning.sleeve_delay import SleeveDelays
 from meshpoint.controller.planning.strategist import Plan, Strategist
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings import MS_IN_US, ControllerSettings
 from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
-from meshpoint.controller.shift.valve_board import Valve, ValveBoard
+from meshpoint.controller.shift.valve_board import ValveBoard, ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear
 
-MS: Final = 1000
-CLUTCH_OPEN_SHARE: Final = 0.02
-CLUTCH_CLOSED_SHARE: Final = 0.98
-FALL_US: Final = 20 * MS
+SEQUENCE_CLUTCH_OPEN_SHARE: Final = 0.02
+SEQUENCE_CLUTCH_CLOSED_SHARE: Final = 0.98
+FALL_US: Final = 20 * MS_IN_US
 """Over this the fall of the slip is measured."""
 SLEEVE_VALVE: Final = {
-    MainGear.FIRST: Valve.MAIN_FIRST,
-    MainGear.SECOND: Valve.MAIN_SECOND,
-    MainGear.CRAWL: Valve.MAIN_CRAWL,
-    MainGear.THIRD: Valve.MAIN_THIRD,
+    MainGear.FIRST: ValveName.MAIN_FIRST,
+    MainGear.SECOND: ValveName.MAIN_SECOND,
+    MainGear.CRAWL: ValveName.MAIN_CRAWL,
+    MainGear.THIRD: ValveName.MAIN_THIRD,
 }
 OPPOSITE: Final = {
-    MainGear.FIRST: Valve.MAIN_SECOND,
-    MainGear.SECOND: Valve.MAIN_FIRST,
-    MainGear.CRAWL: Valve.MAIN_THIRD,
-    MainGear.THIRD: Valve.MAIN_CRAWL,
+    MainGear.FIRST: ValveName.MAIN_SECOND,
+    MainGear.SECOND: ValveName.MAIN_FIRST,
+    MainGear.CRAWL: ValveName.MAIN_THIRD,
+    MainGear.THIRD: ValveName.MAIN_CRAWL,
 }
 """The valve that pulls a gear out pushes toward the sleeve's other gear."""
 
@@ -102,11 +101,11 @@ class ShiftContext:
 
     def late(self, snapshot: StepSnapshot, limit_ms: int) -> bool:
         """Whether the state has lasted longer."""
-        return snapshot.now_us - self.since_us > limit_ms * MS
+        return snapshot.now_us - self.since_us > limit_ms * MS_IN_US
 
     def switch_brake(self, on: bool, time_us: int, snapshot: StepSnapshot) -> None:
         """The brake valve at a time, and what the filter is told of it."""
-        self.board.schedule(Valve.BRAKE, on, time_us, snapshot.now_us)
+        self.board.schedule(ValveName.BRAKE, on, time_us, snapshot.now_us)
         self.brake.schedule(time_us, on, snapshot.now_us)
 
     def all_off(self, now_us: int) -> None:

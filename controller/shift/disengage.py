@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.shift.desk import CLUTCH_OPEN_SHARE, MS, OPPOSITE, ShiftContext
+from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.shift.desk import OPPOSITE, SEQUENCE_CLUTCH_OPEN_SHARE, ShiftContext
 from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.gearbox import MainGear
 
-PAUSE_US: Final = 60 * MS
+PAUSE_US: Final = 60 * MS_IN_US
 """Between two tries to pull a gear out the valve is off: torque may turn meanwhile."""
 
 
 def open_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Until the sensor says that it is open."""
     context.clutch = ClutchAction.OPEN
-    if (snapshot.view.clutch_closed or 0.0) <= CLUTCH_OPEN_SHARE:
+    if (snapshot.view.clutch_closed or 0.0) <= SEQUENCE_CLUTCH_OPEN_SHARE:
         return Trigger.CLUTCH_OPEN
     if context.late(snapshot, context.settings.limits.clutch_ms):
         return context.give_up(snapshot, FaultCode.CLUTCH_STUCK)
@@ -35,11 +36,11 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         return Trigger.MAIN_BOX_NEUTRAL
     limits = context.settings.limits
     # Each try has its share of the time; in the last PAUSE_US of it the valve is off.
-    share_us = limits.disengage_ms * MS + PAUSE_US
+    share_us = limits.disengage_ms * MS_IN_US + PAUSE_US
     tried, within_us = divmod(snapshot.now_us - context.since_us, share_us)
     if tried >= limits.attempts:
         return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
-    pull_out(context, snapshot, gear, within_us < limits.disengage_ms * MS)
+    pull_out(context, snapshot, gear, within_us < limits.disengage_ms * MS_IN_US)
     return None
 
 

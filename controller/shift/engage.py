@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.controller.sensing.gearbox_view import ENTERED_M
-from meshpoint.controller.shift.desk import FALL_US, MS, OPPOSITE, SLEEVE_VALVE, ShiftContext
+from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.shift.desk import FALL_US, OPPOSITE, SLEEVE_VALVE, ShiftContext
 from meshpoint.controller.shift.disengage import pull_out
 from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
@@ -13,13 +14,13 @@ from meshpoint.dbc.messages import FaultCode, ShiftDecision, ShiftResult
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 
-LET_GO_US: Final = 120 * MS
+LET_GO_US: Final = 120 * MS_IN_US
 """A sleeve that has not come back by itself so long after its valve went off is pulled."""
 
-STRAIGHT_US: Final = 32 * MS
+STRAIGHT_US: Final = 32 * MS_IN_US
 """A sleeve that goes straight into a gap is seen in mesh so long after contact."""
 
-SEEN_US: Final = 28 * MS
+SEEN_US: Final = 28 * MS_IN_US
 """A gear is in so long before it is seen to be, at most."""
 
 
@@ -74,7 +75,7 @@ def _is_tooth_on_tooth(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     way_m = snapshot.view.position_m(side.sleeve) * side.direction
     rested_us = snapshot.now_us - shift.measured_contact_us
     entered = way_m > context.sheet.sleeve.to_contact_m + 2.0 * ENTERED_M
-    return not entered and rested_us > context.settings.limits.face_ms * MS
+    return not entered and rested_us > context.settings.limits.face_ms * MS_IN_US
 
 
 def _flank_slip_rad_s(context: ShiftContext, struck_us: int) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from meshpoint.controller.shift.desk import CLUTCH_CLOSED_SHARE, ShiftContext
+from meshpoint.controller.shift.desk import SEQUENCE_CLUTCH_CLOSED_SHARE, ShiftContext
 from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.dbc.messages import ClutchAction, FaultCode
@@ -41,7 +41,7 @@ def close_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | Non
     late = context.late(snapshot, limit_ms)
     if late and context.fault is FaultCode.NONE:
         context.fault = FaultCode.CLUTCH_STUCK
-    if late or (snapshot.view.clutch_closed or 0.0) >= CLUTCH_CLOSED_SHARE:
+    if late or (snapshot.view.clutch_closed or 0.0) >= SEQUENCE_CLUTCH_CLOSED_SHARE:
         context.engine_rad_s = None
         return watch_gear(context, snapshot)
     return None

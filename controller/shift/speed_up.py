@@ -8,11 +8,16 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.shift.desk import CLUTCH_CLOSED_SHARE, CLUTCH_OPEN_SHARE, MS, ShiftContext
+from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.desk import FALL_US as SEEN_LATE_US
+from meshpoint.controller.shift.desk import (
+    SEQUENCE_CLUTCH_CLOSED_SHARE,
+    SEQUENCE_CLUTCH_OPEN_SHARE,
+    ShiftContext,
+)
 from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.shift.valve_board import Valve
+from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 
 SHORT_RAD_S: Final = 1.0
@@ -39,7 +44,7 @@ def raise_speed(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     wanted = _raised_slip(context, snapshot)
     context.ask_engine(shift.target, wanted, snapshot)
     slip = snapshot.speeds.slip_rad_s(shift.target.main)
-    closed = (snapshot.view.clutch_closed or 0.0) >= CLUTCH_CLOSED_SHARE
+    closed = (snapshot.view.clutch_closed or 0.0) >= SEQUENCE_CLUTCH_CLOSED_SHARE
     if closed and slip is not None and -SHORT_RAD_S <= slip - wanted <= OVER_RAD_S:
         return Trigger.RAISED
     if context.late(snapshot, context.settings.limits.raise_ms):
@@ -53,9 +58,9 @@ def part_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     """The engine holds the speed until the plates are apart."""
     context.clutch = ClutchAction.OPEN
     context.ask_engine(context.running.target, _raised_slip(context, snapshot), snapshot)
-    if (snapshot.view.clutch_closed or 0.0) <= CLUTCH_OPEN_SHARE:
+    if (snapshot.view.clutch_closed or 0.0) <= SEQUENCE_CLUTCH_OPEN_SHARE:
         context.engine_rad_s = None
-        context.board.off(Valve.BRAKE)
+        context.board.off(ValveName.BRAKE)
         return Trigger.CLUTCH_OPEN
     if context.late(snapshot, context.settings.limits.clutch_ms):
         return context.give_up(snapshot, FaultCode.CLUTCH_STUCK)
@@ -69,5 +74,5 @@ def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
     ratio = sheet.main_mesh(target.main).ratio
     layshaft = snapshot.speeds.layshaft or 0.0
     drag_rad_s2 = layshaft * sheet.shafts.friction_nms / sheet.inertia_kgm2(target.split)
-    fall_s = 0.5 * sheet.clutch.open_delay_s + SEEN_LATE_US / (1000.0 * MS)
+    fall_s = 0.5 * sheet.clutch.open_delay_s + SEEN_LATE_US / (1000.0 * MS_IN_US)
     return context.settings.window.raised_rad_s + ratio * drag_rad_s2 * fall_s

@@ -12,23 +12,24 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from meshpoint.controller.sensing.gearbox_view import GearboxView
-from meshpoint.controller.shift.desk import MS, ShiftContext
+from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.shift.desk import ShiftContext
 from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.shift.valve_board import Valve
+from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import FaultCode, ShiftResult
 from meshpoint.gearbox import MainGear, Range, Split
 
-PUSH_US: Final = 400 * MS
+PUSH_US: Final = 400 * MS_IN_US
 """A valve on for so long that has not moved its sleeve is switched off and on again."""
-SPLIT_VALVE: Final = {Split.LOW: Valve.SPLIT_LOW, Split.HIGH: Valve.SPLIT_HIGH}
-RANGE_VALVE: Final = {Range.LOW: Valve.RANGE_LOW, Range.HIGH: Valve.RANGE_HIGH}
+SPLIT_VALVE: Final = {Split.LOW: ValveName.SPLIT_LOW, Split.HIGH: ValveName.SPLIT_HIGH}
+RANGE_VALVE: Final = {Range.LOW: ValveName.RANGE_LOW, Range.HIGH: ValveName.RANGE_HIGH}
 
 
-class Step(NamedTuple):
+class GroupChange(NamedTuple):
     """One of the two: the valve that brings it in, and how far it is."""
 
-    valve: Valve
+    valve: ValveName
     in_mesh: bool
     together: bool
     fault: FaultCode
@@ -85,7 +86,7 @@ def _tracked(snapshot: StepSnapshot) -> bool:
     return True
 
 
-def _steps(context: ShiftContext, snapshot: StepSnapshot) -> list[Step]:
+def _steps(context: ShiftContext, snapshot: StepSnapshot) -> list[GroupChange]:
     """The steps that stand elsewhere than the new gear wants, or did when this began. In neutral
     a step that stood right is not looked at: there is nothing to wait for."""
     target, view, speeds = context.running.target, snapshot.view, snapshot.speeds
@@ -93,7 +94,7 @@ def _steps(context: ShiftContext, snapshot: StepSnapshot) -> list[Step]:
     steps = []
     if from_[0] is not target.split:
         steps.append(
-            Step(
+            GroupChange(
                 SPLIT_VALVE[target.split],
                 view.split is target.split,
                 speeds.split_turns_together(target.split),
@@ -102,7 +103,7 @@ def _steps(context: ShiftContext, snapshot: StepSnapshot) -> list[Step]:
         )
     if from_[1] is not target.range_ and view.main_gear is MainGear.NEUTRAL:
         steps.append(
-            Step(
+            GroupChange(
                 RANGE_VALVE[target.range_],
                 view.range_ is target.range_,
                 speeds.range_turns_together(target.range_),
@@ -120,7 +121,7 @@ def _stood(view: GearboxView, context: ShiftContext) -> tuple[Split | None, Rang
     return shift.steps_before
 
 
-def _push(context: ShiftContext, valve: Valve, snapshot: StepSnapshot) -> None:
+def _push(context: ShiftContext, valve: ValveName, snapshot: StepSnapshot) -> None:
     command = context.board.command(valve)
     if not command.on:
         context.board.schedule(valve, True, snapshot.earliest_us, snapshot.now_us)

@@ -7,20 +7,21 @@ from typing import Final
 from meshpoint.controller.planning.outlook import GearPredictor
 from meshpoint.controller.planning.strategies.base import EngagementStrategy
 from meshpoint.controller.planning.strategist import Plan
-from meshpoint.controller.shift.desk import FALL_US, MS, SLEEVE_VALVE, ShiftContext
+from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.shift.desk import FALL_US, SLEEVE_VALVE, ShiftContext
 from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.speed_up import too_slow
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.controller.shift.valve_board import Valve
+from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import FaultCode, ShiftDecision
 from meshpoint.gearbox import MainGear
 
-DRIVEN_LATE_US: Final = 40 * MS
+DRIVEN_LATE_US: Final = 40 * MS_IN_US
 """A valve not reported driven this long after its activation was refused: try again."""
-KEEP_US: Final = 3 * MS
+KEEP_US: Final = 3 * MS_IN_US
 """A firing this near to the earliest possible one stands: planned anew, it could by a hair come out
 too early to be sent, and the gap would be lost for one that comes a pitch later."""
-RELEASE_HORIZON_US: Final = 90 * MS
+RELEASE_HORIZON_US: Final = 90 * MS_IN_US
 """A release further ahead is not sent yet: the valve side takes at most 100 ms."""
 
 
@@ -39,7 +40,7 @@ def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     if shift.release_us is not None and snapshot.earliest_us >= shift.release_us:
         # It can no longer be moved: from here on the firing is chosen, the brake still dying away.
         return Trigger.BRAKE_RELEASED
-    command = context.board.command(Valve.BRAKE)
+    command = context.board.command(ValveName.BRAKE)
     if not command.on and not command.before:
         if predictor.slip_rad_s(now) < context.settings.window.contact_low_rad_s:
             return too_slow(context, snapshot)
@@ -98,7 +99,7 @@ def _brake_helps(context: ShiftContext, predictor: GearPredictor, snapshot: Step
     wanted = _acting(context, predictor.gear).fire_slip_rad_s
     slip = predictor.slip_rad_s(snapshot.now_us)
     fall = slip - predictor.slip_rad_s(snapshot.now_us + FALL_US)
-    return slip - wanted > fall * (limits.coast_ms * MS / FALL_US)
+    return slip - wanted > fall * (limits.coast_ms * MS_IN_US / FALL_US)
 
 
 def _braked_lately(context: ShiftContext, snapshot: StepSnapshot) -> bool:
@@ -109,7 +110,7 @@ def _braked_lately(context: ShiftContext, snapshot: StepSnapshot) -> bool:
 
 
 def _keep_braking(context: ShiftContext, snapshot: StepSnapshot) -> None:
-    command = context.board.command(Valve.BRAKE)
+    command = context.board.command(ValveName.BRAKE)
     refused = command.on and not snapshot.brake_driven
     if not command.on and not command.before:
         context.switch_brake(True, snapshot.earliest_us, snapshot)
@@ -120,7 +121,7 @@ def _keep_braking(context: ShiftContext, snapshot: StepSnapshot) -> None:
 
 def _plan_release(context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot) -> None:
     shift = context.running
-    command = context.board.command(Valve.BRAKE)
+    command = context.board.command(ValveName.BRAKE)
     on_us = command.time_us if command.on else snapshot.now_us
     earliest_us = max(snapshot.earliest_us, on_us)
     acting = _acting(context, shift.target.main)

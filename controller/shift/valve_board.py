@@ -15,7 +15,7 @@ from meshpoint.controller.settings import ValveTiming
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 
 
-class Valve(IntEnum):
+class ValveName(IntEnum):
     """The nine valves, in the order of the command frame."""
 
     BRAKE = 0
@@ -31,11 +31,11 @@ class Valve(IntEnum):
 
 _ACTION: Final = itemgetter(0)
 _TIME_US: Final = itemgetter(1)
-HELD_US: Final = 1_000_000
+OFF_HELD_US: Final = 1_000_000
 """An `off` this long past needs no time any more; far from where 32-bit times turn ambiguous."""
 
 
-class Command(NamedTuple):
+class SwitchCommand(NamedTuple):
     """The valve is to be `on` from sensor time `time_us`; `before` is its state until then."""
 
     time_us: int
@@ -44,7 +44,7 @@ class Command(NamedTuple):
 
 
 FOREVER_US: Final = 1 << 62
-OFF: Final = Command(-(1 << 62), False, False)
+OFF: Final = SwitchCommand(-(1 << 62), False, False)
 
 
 class ValveBoard:
@@ -52,32 +52,32 @@ class ValveBoard:
 
     def __init__(self, timing: ValveTiming) -> None:
         self._timing = timing
-        self._commands: dict[Valve, Command] = dict.fromkeys(Valve, OFF)
+        self._commands: dict[ValveName, SwitchCommand] = dict.fromkeys(ValveName, OFF)
         self._message: ValveCommand | None = None
         self._message_until_us = 0
 
-    def schedule(self, valve: Valve, on: bool, time_us: int, now_us: int) -> None:
+    def schedule(self, valve: ValveName, on: bool, time_us: int, now_us: int) -> None:
         """Switch the valve at a sensor time; replaces what was still to come."""
         before = self.driven(valve, now_us)
-        self._commands[valve] = Command(time_us, on, before)
+        self._commands[valve] = SwitchCommand(time_us, on, before)
         self._message = None
 
     def all_off(self) -> None:
         """Everything off at once."""
-        self._commands = dict.fromkeys(Valve, OFF)
+        self._commands = dict.fromkeys(ValveName, OFF)
         self._message = None
 
-    def off(self, valve: Valve) -> None:
+    def off(self, valve: ValveName) -> None:
         """This valve off at once."""
         self._commands[valve] = OFF
         self._message = None
 
-    def driven(self, valve: Valve, time_us: int) -> bool:
+    def driven(self, valve: ValveName, time_us: int) -> bool:
         """Whether the valve is driven at a sensor time, as commanded."""
         command = self._commands[valve]
         return command.on if time_us >= command.time_us else command.before
 
-    def command(self, valve: Valve) -> Command:
+    def command(self, valve: ValveName) -> SwitchCommand:
         """The command as it stands."""
         return self._commands[valve]
 
@@ -97,20 +97,20 @@ class ValveBoard:
 
     def _make_message(self, now_us: int) -> ValveCommand:
         said = [self._action(command, now_us) for command in self._commands.values()]
-        # The frame has all actions, then all times, each in the order of `Valve`.
+        # The frame has all actions, then all times, each in the order of `ValveName`.
         return ValveCommand._make([*map(_ACTION, said), *map(_TIME_US, said)])
 
     def _unchanged_until_us(self, now_us: int) -> int:
         """When the message says something else although nothing is commanded anew."""
-        held_us = 0 if self._timing is ValveTiming.IMMEDIATE else HELD_US + 1
+        held_us = 0 if self._timing is ValveTiming.IMMEDIATE else OFF_HELD_US + 1
         times = [c.time_us + held_us for c in self._commands.values()]
         return min([time_us for time_us in times if time_us > now_us], default=FOREVER_US)
 
-    def _action(self, command: Command, now_us: int) -> tuple[ValveAction, int]:
+    def _action(self, command: SwitchCommand, now_us: int) -> tuple[ValveAction, int]:
         if self._timing is ValveTiming.IMMEDIATE:
             on = command.on if now_us >= command.time_us else command.before
             return (ValveAction.ON_NOW if on else ValveAction.OFF_NOW), 0
-        if not command.on and command.time_us < now_us - HELD_US:
+        if not command.on and command.time_us < now_us - OFF_HELD_US:
             return ValveAction.OFF_NOW, 0
         action = ValveAction.ON_AT if command.on else ValveAction.OFF_AT
         return action, wrap(command.time_us)

@@ -149,7 +149,7 @@ class Wheels:
 
 
 @dataclass(frozen=True)
-class Shafts:
+class ShaftConstants:
     """Inertia and friction (thesis 4.10-4.13). The friction is that of layshaft and input shaft
     together, felt at the layshaft (4.11)."""
 
@@ -203,7 +203,7 @@ class Clutch:
 
 
 @dataclass(frozen=True)
-class Limits:
+class SheetLimits:
     """What the shafts must not exceed."""
 
     input_max_rad_s: float = quantity("input_max_rpm", 500.0, 6000.0, RPM)
@@ -219,12 +219,12 @@ class GearboxSheet:
     range_: RangeBox = group(RangeBox)
     dog: DogTeeth = group(DogTeeth)
     wheels: Wheels = group(Wheels)
-    shafts: Shafts = group(Shafts)
+    shafts: ShaftConstants = group(ShaftConstants)
     brake: Brake = group(Brake)
     air: Air = group(Air)
     sleeve: SleeveActuator = group(SleeveActuator)
     clutch: Clutch = group(Clutch)
-    limits: Limits = group(Limits)
+    limits: SheetLimits = group(SheetLimits)
 
     def __post_init__(self) -> None:
         ratios = [self.main_mesh(gear).ratio for gear in MAIN_GEARS]

@@ -13,7 +13,7 @@ patient = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 FD = Flag.EXTENDED | Flag.FD
 
 
-def unpacked(stream: bytes) -> list[wire.Record]:
+def unpacked(stream: bytes) -> list[wire.WireRecord]:
     return [record for record, _ in wire.records(stream)]
 
 

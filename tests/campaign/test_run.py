@@ -14,14 +14,14 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import PAUSES, ClosedLoop
-from meshpoint.testbench.campaign.record import Record
+from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.run import run_one
 from meshpoint.testbench.campaign.spec import Job
 
 TICK_US = 10_000
 
 
-def records_of(strategy: str, *among: str) -> list[Record]:
+def records_of(strategy: str, *among: str) -> list[JudgedShift]:
     spec = small_spec(strategies=among, oracle=False, learn=1, judged=2)
     result = run_one(spec, Job(7))
     assert result.error is None

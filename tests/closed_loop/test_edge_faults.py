@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from meshpoint.controller.sensing.sensor_clock import SensorClock
+from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import WheelEdges
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import EdgesMainFall, EdgesMainRise, RigFault
@@ -38,7 +38,7 @@ class GateOnTheRig:
         self.parts: list[int] = []
 
     def run(self) -> GateOnTheRig:
-        clock, ears = SensorClock(), Receiver(Node.TRANSMISSION_CONTROL)
+        clock, ears = SensorClockEstimate(), Receiver(Node.TRANSMISSION_CONTROL)
         for now_us in range(0, UNTIL_US, 10_000):
             frames, _ = self.core.step(now_us)
             messages = [ears.receive(frame).message for frame in frames]

@@ -16,10 +16,10 @@ from meshpoint.testbench.studies.fusion_run import (
     WITH_PROPELLER,
     FusionRun,
 )
-from meshpoint.testbench.studies.jobs import Squares
+from meshpoint.testbench.studies.jobs import ShiftErrors
 
 
-def spread_rad(squares: Squares) -> float:
+def spread_rad(squares: ShiftErrors) -> float:
     """RMS about the mean, which no wheel can see."""
     mean = squares.angle_rad / squares.samples
     return math.sqrt(squares.angle_rad2 / squares.samples - mean * mean)

@@ -18,9 +18,9 @@ from loop_bench import Loop
 
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import RunHeader
-from meshpoint.controller.settings import ControllerSettings, Limits
+from meshpoint.controller.settings import ControllerSettings, ShiftLimits
 from meshpoint.controller.shift.moment import StepSnapshot
-from meshpoint.controller.shift.valve_board import Valve
+from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import (
     ClutchAction,
     ControllerState,
@@ -81,7 +81,7 @@ class Deed:
     """What is commanded against a row, from when on, and how the rig tells that it was done."""
 
     row: int
-    valves: tuple[Valve, ...]
+    valves: tuple[ValveName, ...]
     harm: Callable[[Loop], bool]
     """Asked after every step."""
     begins: State = State.IN_GEAR
@@ -154,28 +154,28 @@ def position_says_neutral(loop: Loop) -> None:
     loop.fault(RigFault.POSITION_OFFSET, 0, 12.0)
 
 
-FIRST, SECOND, CRAWL = Valve.MAIN_FIRST, Valve.MAIN_SECOND, Valve.MAIN_CRAWL
+FIRST, SECOND, CRAWL = ValveName.MAIN_FIRST, ValveName.MAIN_SECOND, ValveName.MAIN_CRAWL
 NEUTRAL = State.SYNCHRONISING
 DEEDS = [
     Deed(1, (FIRST, SECOND), violated(Violation.BOTH_VALVES)),
     Deed(2, (CRAWL,), violated(Violation.TWO_GEARS)),
-    Deed(3, (Valve.MAIN_THIRD,), met_a_gear_at(200.0), begins=NEUTRAL),
+    Deed(3, (ValveName.MAIN_THIRD,), met_a_gear_at(200.0), begins=NEUTRAL),
     Deed(4, (SECOND,), moved, begins=NEUTRAL, before=dead_layshaft_sensor),
-    Deed(5, (Valve.BRAKE,), violated(Violation.BRAKE_IN_GEAR)),
-    Deed(6, (Valve.BRAKE,), stands_still, begins=NEUTRAL, lasts_us=1_500_000),
-    Deed(7, (Valve.SPLIT_HIGH,), driven_for(1_050_000), lasts_us=1_300_000, valve_on_ms=1_000),
-    Deed(8, (Valve.RANGE_LOW,), parts_the_range),
-    Deed(9, (Valve.SPLIT_LOW,), overspeeds, gear=12, layshaft_rpm=2300.0),
+    Deed(5, (ValveName.BRAKE,), violated(Violation.BRAKE_IN_GEAR)),
+    Deed(6, (ValveName.BRAKE,), stands_still, begins=NEUTRAL, lasts_us=1_500_000),
+    Deed(7, (ValveName.SPLIT_HIGH,), driven_for(1_050_000), lasts_us=1_300_000, valve_on_ms=1_000),
+    Deed(8, (ValveName.RANGE_LOW,), parts_the_range),
+    Deed(9, (ValveName.SPLIT_LOW,), overspeeds, gear=12, layshaft_rpm=2300.0),
     Deed(10, (SECOND,), left_the_flank, clutch=ClutchAction.CLOSE),
     Deed(11, (SECOND,), moved, begins=State.COASTING, before=no_air),
-    Deed(13, (Valve.BRAKE,), violated(Violation.BRAKE_IN_GEAR), before=position_says_neutral),
+    Deed(13, (ValveName.BRAKE,), violated(Violation.BRAKE_IN_GEAR), before=position_says_neutral),
 ]
 
 
 def run(deed: Deed, guarded: bool) -> tuple[MadCore, Loop, bool]:
     loop = Loop(
         [(300_000, 10)] if deed.begins is not State.IN_GEAR else [],
-        settings=ControllerSettings(limits=Limits(valve_on_ms=deed.valve_on_ms)),
+        settings=ControllerSettings(limits=ShiftLimits(valve_on_ms=deed.valve_on_ms)),
         sheet=TRUCK12,
         preset=Preset.TRUCK,
         start_gear=deed.gear,
@@ -215,7 +215,7 @@ def test_what_a_row_forbids_does_harm_and_under_guard_does_none(deed: Deed) -> N
 
 def test_row_12_nothing_is_driven_before_the_inputs_are_proven() -> None:
     """Mad from power-up: the guard lets nothing out until all was valid three steps in a row."""
-    deed = Deed(12, (Valve.SPLIT_HIGH,), lambda _: False)
+    deed = Deed(12, (ValveName.SPLIT_HIGH,), lambda _: False)
     first: dict[bool, int] = {}
     for guarded in (False, True):
         loop = Loop(sheet=TRUCK12, preset=Preset.TRUCK)

@@ -9,7 +9,7 @@ from loop_bench import Loop
 
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
-from meshpoint.dbc.link import Receiver, Transmitter, Verdict
+from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
     ControllerStatus,
     EngagementEvent,
@@ -69,7 +69,7 @@ def test_the_controller_is_no_receiver_of_the_reference() -> None:
     receiver, transmitter = Receiver(Node.TRANSMISSION_CONTROL), Transmitter(Node.REFERENCE)
     for kind in TRUTH.values():
         received = receiver.receive(transmitter.encode(kind()))
-        assert received.verdict is Verdict.NOT_FOR_US
+        assert received.verdict is FrameVerdict.NOT_FOR_US
         assert received.message is None
 
 

@@ -17,11 +17,11 @@ from meshpoint.controller.calibration.learned import (
     CalibrationError,
     End,
     Provenance,
-    References,
+    ReferenceRecords,
     SleeveRecord,
-    Sleeves,
+    SleeveRecords,
     WheelRecord,
-    Wheels,
+    WheelRecords,
     read_calibration,
 )
 from meshpoint.controller.calibration_keeper import CalibrationWriter
@@ -80,10 +80,10 @@ CALIBRATIONS = st.builds(
         st.text(max_size=40),
         st.integers(0, 10**6),
     ),
-    wheels=st.builds(Wheels, wheel(SHAPES.layshaft.teeth), wheel(SHAPES.main.teeth)),
-    references=st.builds(References, OFFSET, OFFSET, OFFSET, OFFSET),
+    wheels=st.builds(WheelRecords, wheel(SHAPES.layshaft.teeth), wheel(SHAPES.main.teeth)),
+    references=st.builds(ReferenceRecords, OFFSET, OFFSET, OFFSET, OFFSET),
     brake=st.one_of(st.none(), BRAKE),
-    sleeves=st.builds(Sleeves, *[st.one_of(st.none(), SLEEVE)] * 4),
+    sleeves=st.builds(SleeveRecords, *[st.one_of(st.none(), SLEEVE)] * 4),
     end=st.just(End(True)),
 )
 
@@ -97,11 +97,13 @@ def example() -> Calibration:
     return Calibration(
         format_=1,
         provenance=Provenance("0.1.0", SHEET.name, SHEET.sha256, "one evening", 12),
-        wheels=Wheels(WheelRecord(45, 6895, 1e-4, pattern), WheelRecord(45, 5466, 1e-4, pattern)),
-        references=References(second_rad=0.05, third_rad=-0.03),
+        wheels=WheelRecords(
+            WheelRecord(45, 6895, 1e-4, pattern), WheelRecord(45, 5466, 1e-4, pattern)
+        ),
+        references=ReferenceRecords(second_rad=0.05, third_rad=-0.03),
         brake=BrakeRecord(12, 0.96, 0.01, -6.0, 0.5, 8e3, 5e3, four, sds, four, sds,
                           0.0098, 1e-4, 0.0083, 2e-4),
-        sleeves=Sleeves(second=sleeve),
+        sleeves=SleeveRecords(second=sleeve),
         end=End(True),
     )  # fmt: skip
 

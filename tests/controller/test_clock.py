@@ -9,7 +9,7 @@ from meshpoint.controller.sensing.sensor_clock import (
     HALF,
     JUMP_US,
     WINDOW,
-    SensorClock,
+    SensorClockEstimate,
     unwrap,
     wrap,
 )
@@ -44,7 +44,7 @@ def test_the_clock_runs_on_and_lags_by_the_least_delay_seen(
     start_us: int, delays: list[int], repeat: int, ppm: int
 ) -> None:
     """Against the plain minimum over the window, with frames early and late and a drift."""
-    clock, offsets, last_us = SensorClock(), [], start_us
+    clock, offsets, last_us = SensorClockEstimate(), [], start_us
     for k, delay_us in enumerate(delays * repeat):
         elapsed_us = 40_000 + 1_400 * k
         sensor_us = start_us + elapsed_us + elapsed_us * ppm // 1_000_000
@@ -61,7 +61,7 @@ def test_the_clock_runs_on_and_lags_by_the_least_delay_seen(
 
 
 def test_before_the_first_stamp_there_is_no_time() -> None:
-    assert SensorClock().now_us(123_456) == 0
+    assert SensorClockEstimate().now_us(123_456) == 0
 
 
 @settings(deadline=None)
@@ -72,7 +72,7 @@ def test_before_the_first_stamp_there_is_no_time() -> None:
 )
 def test_a_clock_that_started_anew_is_noticed(old_us: int, new_us: int, late_us: int) -> None:
     """A rig that was switched off and on counts from another value: never taken for a delay."""
-    clock = SensorClock()
+    clock = SensorClockEstimate()
     for k in range(5):
         clock.stamp(wrap(old_us + 10_000 * k), 10_000 * k)
     jumped = clock.stamp(new_us, 50_000 + late_us)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from wheel import READ_US, STAMPS, Wheel
 
 from meshpoint.controller.sensing.chain_kernels import FIRST_WRONG
-from meshpoint.controller.sensing.sensor_clock import SensorClock, wrap
+from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate, wrap
 from meshpoint.controller.sensing.wheel_edges import Polarity, WheelEdges
 
 TEETH = 45
@@ -66,7 +66,7 @@ def run(
     """All edges a controller gets when the frames of these reads arrive, as (time, pitches).
 
     The controller's time begins within the first 2^32 us; the wheel's own may have wrapped."""
-    edges, clock, got = WheelEdges(TEETH, DUTY), SensorClock(), []
+    edges, clock, got = WheelEdges(TEETH, DUTY), SensorClockEstimate(), []
     all_reads = sorted({*rises, *falls})
     wrapped_us = all_reads[0] - wrap(all_reads[0])
     for read_us in all_reads:
@@ -197,7 +197,7 @@ def test_a_falling_edge_belongs_to_the_rising_edge_before_it(wheel: Wheel, start
 @settings(deadline=None, max_examples=15)
 @given(wheel=wheels())
 def test_a_batch_says_tooth_and_polarity_of_each_edge(wheel: Wheel) -> None:
-    edges, clock = WheelEdges(TEETH, DUTY), SensorClock()
+    edges, clock = WheelEdges(TEETH, DUTY), SensorClockEstimate()
     read_us = reads(wheel)[3]
     batch = edges.read([wheel.rise(read_us)], [wheel.fall(read_us)], clock, read_us)
     edges_us = {wrap(t): (k, 0) for k, t in enumerate(wheel.rise_us, wheel.first)}
@@ -215,7 +215,7 @@ def test_a_batch_says_tooth_and_polarity_of_each_edge(wheel: Wheel) -> None:
 
 def test_a_restart_forgets_all_numbers() -> None:
     wheel = Wheel(500, [1000 + 2000 * k for k in range(40)], [1800 + 2000 * k for k in range(40)])
-    edges, clock = WheelEdges(TEETH, DUTY), SensorClock()
+    edges, clock = WheelEdges(TEETH, DUTY), SensorClockEstimate()
     edges.read([wheel.rise(60_000)], [wheel.fall(60_000)], clock, 60_000)
     edges.restart()
     assert edges.broken == 1

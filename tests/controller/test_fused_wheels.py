@@ -20,7 +20,7 @@ from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Furt
 from meshpoint.controller.estimation.crossing_tracker import MainTracker
 from meshpoint.controller.estimation.further_wheel import GearedWheel
 from meshpoint.controller.motion.models import MotionModel, diagonal, free_motion
-from meshpoint.controller.sensing.sensor_clock import SensorClock
+from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
@@ -265,7 +265,7 @@ def test_a_further_wheel_does_not_stand_in_for_a_dead_sensor() -> None:
     since_us = np.arange(1, 2000) * half_pitch / omega / ratio / US
     times_us = START_US + np.round(since_us).astype(int)
     wheel = Wheel(1, times_us[0::2].tolist(), times_us[1::2].tolist())
-    further, clock = GearedWheel("propeller shaft", sheet_wheel, TUNING), SensorClock()
+    further, clock = GearedWheel("propeller shaft", sheet_wheel, TUNING), SensorClockEstimate()
     main = MainTracker(TUNING, 45, (), further)
     further.set_ratio(1.0 / ratio, dragged=False)
     own_us = START_US + np.arange(1.0, 430.0) * half_pitch / omega / US

@@ -26,10 +26,10 @@ from meshpoint.controller.guard.rules import (
     slip_out_of_its_window,
     spans,
 )
-from meshpoint.controller.guard.view import Seen
+from meshpoint.controller.guard.view import GuardInputs
 from meshpoint.controller.sensing.edge_speed import Speed
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.shift.valve_board import Valve
+from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
@@ -44,20 +44,30 @@ NOW = (1 << 32) + 700_000
 DRIVING = (ValveAction.ON_NOW, ValveAction.ON_AT)
 FOREVER = 1 << 62
 PAIRS = [
-    (Valve.SPLIT_LOW, Valve.SPLIT_HIGH),
-    (Valve.MAIN_FIRST, Valve.MAIN_SECOND),
-    (Valve.MAIN_CRAWL, Valve.MAIN_THIRD),
-    (Valve.RANGE_LOW, Valve.RANGE_HIGH),
+    (ValveName.SPLIT_LOW, ValveName.SPLIT_HIGH),
+    (ValveName.MAIN_FIRST, ValveName.MAIN_SECOND),
+    (ValveName.MAIN_CRAWL, ValveName.MAIN_THIRD),
+    (ValveName.RANGE_LOW, ValveName.RANGE_HIGH),
 ]
 GEAR_OF = {
-    Valve.MAIN_FIRST: MainGear.FIRST,
-    Valve.MAIN_SECOND: MainGear.SECOND,
-    Valve.MAIN_CRAWL: MainGear.CRAWL,
-    Valve.MAIN_THIRD: MainGear.THIRD,
+    ValveName.MAIN_FIRST: MainGear.FIRST,
+    ValveName.MAIN_SECOND: MainGear.SECOND,
+    ValveName.MAIN_CRAWL: MainGear.CRAWL,
+    ValveName.MAIN_THIRD: MainGear.THIRD,
 }
 MAIN = tuple(GEAR_OF)
-SLEEVE = {Valve.MAIN_FIRST: 0, Valve.MAIN_SECOND: 0, Valve.MAIN_CRAWL: 1, Valve.MAIN_THIRD: 1}
-WAY = {Valve.MAIN_FIRST: -1, Valve.MAIN_SECOND: 1, Valve.MAIN_CRAWL: -1, Valve.MAIN_THIRD: 1}
+SLEEVE = {
+    ValveName.MAIN_FIRST: 0,
+    ValveName.MAIN_SECOND: 0,
+    ValveName.MAIN_CRAWL: 1,
+    ValveName.MAIN_THIRD: 1,
+}
+WAY = {
+    ValveName.MAIN_FIRST: -1,
+    ValveName.MAIN_SECOND: 1,
+    ValveName.MAIN_CRAWL: -1,
+    ValveName.MAIN_THIRD: 1,
+}
 OTHER_END = {a: b for pair in PAIRS for a, b in (pair, pair[::-1])}
 
 
@@ -72,11 +82,11 @@ def speeds(
     return a, b, c, d
 
 
-NEUTRAL = Seen(NOW, (0.0, 0.0, 0.012, -0.012), 0.0, 9.5e5, 1.013e5, speeds(), 0, valid=True)
+NEUTRAL = GuardInputs(NOW, (0.0, 0.0, 0.012, -0.012), 0.0, 9.5e5, 1.013e5, speeds(), 0, valid=True)
 """Clutch open, main box in neutral, high split, low range, second gear near: a shift's moment."""
 
 
-def place(seen: Seen, sleeve: int, position_m: float) -> Seen:
+def place(seen: GuardInputs, sleeve: int, position_m: float) -> GuardInputs:
     positions = list(seen.positions_m)
     positions[sleeve] = position_m
     a, b, c, d = positions
@@ -84,7 +94,7 @@ def place(seen: Seen, sleeve: int, position_m: float) -> Seen:
 
 
 def payload(
-    *driven: Valve, how: ValveAction = ValveAction.ON_AT, at_us: int = NOW + 20_000
+    *driven: ValveName, how: ValveAction = ValveAction.ON_AT, at_us: int = NOW + 20_000
 ) -> bytes:
     """A finished command frame that drives these valves; a time is low 32 bits."""
     fields: dict[str, object] = {f"{valve.name.lower()}_action": how for valve in driven}
@@ -93,7 +103,7 @@ def payload(
     return Transmitter(Node.TRANSMISSION_CONTROL).encode(command).data
 
 
-def ready(limits: GuardLimits = LIMITS, seen: Seen = NEUTRAL) -> Guard:
+def ready(limits: GuardLimits = LIMITS, seen: GuardInputs = NEUTRAL) -> Guard:
     """A guard past its self-test."""
     guard = Guard(limits)
     for _ in range(PROOF_STEPS):
@@ -102,7 +112,10 @@ def ready(limits: GuardLimits = LIMITS, seen: Seen = NEUTRAL) -> Guard:
 
 
 def blocked_row(
-    seen: Seen, *driven: Valve, how: ValveAction = ValveAction.ON_AT, at_us: int = NOW + 20_000
+    seen: GuardInputs,
+    *driven: ValveName,
+    how: ValveAction = ValveAction.ON_AT,
+    at_us: int = NOW + 20_000,
 ) -> int | None:
     guard = ready()
     passes = guard.passes(payload(*driven, how=how, at_us=at_us), seen)
@@ -111,7 +124,7 @@ def blocked_row(
     return guard.blocked_row
 
 
-def near(valve: Valve) -> Seen:
+def near(valve: ValveName) -> GuardInputs:
     """The moment at which this valve may be driven."""
     if valve in MAIN:
         return NEUTRAL._replace(speeds=speeds(gear=GEAR_OF[valve]))
@@ -123,16 +136,16 @@ def test_every_row_of_the_list_is_there_once() -> None:
     assert {row.number for row in ROWS if row.latches} == {1, 2}
 
 
-@pytest.mark.parametrize("valve", Valve)
+@pytest.mark.parametrize("valve", ValveName)
 @pytest.mark.parametrize("how", DRIVING)
-def test_one_valve_alone_at_its_moment_may_be_driven(valve: Valve, how: ValveAction) -> None:
+def test_one_valve_alone_at_its_moment_may_be_driven(valve: ValveName, how: ValveAction) -> None:
     assert blocked_row(near(valve), valve, how=how) is None
 
 
 @pytest.mark.parametrize("how", [ValveAction.OFF_NOW, ValveAction.OFF_AT])
 def test_switching_off_is_always_allowed(how: ValveAction) -> None:
     worst = place(place(NEUTRAL, 0, 0.012), 1, -0.012)._replace(clutch_closed=1.0, valid=False)
-    assert blocked_row(worst, *Valve, how=how) is None
+    assert blocked_row(worst, *ValveName, how=how) is None
 
 
 # -- what is driven --------------------------------------------------------------------------
@@ -165,18 +178,18 @@ def test_a_span_goes_from_activation_to_release() -> None:
 
 @pytest.mark.parametrize("pair", PAIRS)
 @pytest.mark.parametrize("how", DRIVING)
-def test_row_1_both_valves_of_a_sleeve(pair: tuple[Valve, Valve], how: ValveAction) -> None:
+def test_row_1_both_valves_of_a_sleeve(pair: tuple[ValveName, ValveName], how: ValveAction) -> None:
     assert blocked_row(NEUTRAL, *pair, how=how) == 1
 
 
 @pytest.mark.parametrize("both", list(product(MAIN[:2], MAIN[2:])))
-def test_row_2_two_sleeves_of_the_main_box(both: tuple[Valve, Valve]) -> None:
+def test_row_2_two_sleeves_of_the_main_box(both: tuple[ValveName, ValveName]) -> None:
     assert blocked_row(NEUTRAL, *both) == 2
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("own", MAIN)
-def test_row_2_a_sleeve_while_the_other_is_not_proven_neutral(own: Valve, side: float) -> None:
+def test_row_2_a_sleeve_while_the_other_is_not_proven_neutral(own: ValveName, side: float) -> None:
     """1.5 mm is proof."""
     for other_mm, row in ((1.4, None), (1.6, 2), (12.0, 2)):
         seen = place(near(own), 1 - SLEEVE[own], side * other_mm * 1e-3)
@@ -184,7 +197,7 @@ def test_row_2_a_sleeve_while_the_other_is_not_proven_neutral(own: Valve, side: 
 
 
 @pytest.mark.parametrize("own", MAIN)
-def test_row_3_slip_at_contact_far_outside_the_window(own: Valve) -> None:
+def test_row_3_slip_at_contact_far_outside_the_window(own: ValveName) -> None:
     """-60 and +120 rpm, and 10 rpm of doubt; drag may take more until contact, the brake none."""
     assert blocked_row(near(own), own) is None
     gear = GEAR_OF[own]
@@ -199,7 +212,7 @@ def braking(until_us: int) -> tuple[Guard, ValveCommand]:
     early = NEUTRAL._replace(
         now_us=NOW - 100_000, speeds=tuple(s._replace(time_us=NOW - 110_000) for s in speeds(1500))
     )
-    assert guard.passes(payload(Valve.BRAKE, how=ValveAction.ON_NOW), early)
+    assert guard.passes(payload(ValveName.BRAKE, how=ValveAction.ON_NOW), early)
     release = ValveCommand(
         brake_action=ValveAction.OFF_AT,
         brake_time_us=until_us & 0xFFFF_FFFF,
@@ -244,17 +257,17 @@ def test_row_3_knows_that_the_brakes_pressure_outlasts_its_release() -> None:
     for ago_us, row in ((5_000, None), (400_000, 3)):
         guard = ready()
         guard._state.brake_off_us = NOW - ago_us
-        guard.passes(payload(Valve.MAIN_SECOND), seen)
+        guard.passes(payload(ValveName.MAIN_SECOND), seen)
         assert guard.blocked_row == row
 
 
 def test_row_3_the_engine_may_bring_any_slip() -> None:
-    assert blocked_row(NEUTRAL._replace(clutch_closed=0.05), Valve.MAIN_SECOND) is None
-    assert blocked_row(NEUTRAL._replace(clutch_closed=0.06), Valve.MAIN_SECOND) == 3
+    assert blocked_row(NEUTRAL._replace(clutch_closed=0.05), ValveName.MAIN_SECOND) is None
+    assert blocked_row(NEUTRAL._replace(clutch_closed=0.06), ValveName.MAIN_SECOND) == 3
 
 
 @pytest.mark.parametrize("own", MAIN)
-def test_row_3_does_not_ask_once_the_gear_is_entered(own: Valve) -> None:
+def test_row_3_does_not_ask_once_the_gear_is_entered(own: ValveName) -> None:
     seen = NEUTRAL._replace(speeds=speeds(gear=GEAR_OF[own], slip_rpm=500.0))
     for way_mm, row in ((4.9, 3), (5.1, None)):
         assert blocked_row(place(seen, SLEEVE[own], WAY[own] * way_mm * 1e-3), own) == row
@@ -266,25 +279,25 @@ def test_row_4_engaging_on_a_lost_speed(shaft: int) -> None:
     lost[shaft] = None
     a, b, c, d = lost
     seen = NEUTRAL._replace(speeds=(a, b, c, d))
-    assert blocked_row(seen, Valve.MAIN_SECOND) == 4
+    assert blocked_row(seen, ValveName.MAIN_SECOND) == 4
     out = place(seen, 0, -0.012)
-    assert blocked_row(out, Valve.MAIN_SECOND) is None  # pulling a gear out needs no speed
+    assert blocked_row(out, ValveName.MAIN_SECOND) is None  # pulling a gear out needs no speed
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("sleeve", [0, 1])
 def test_row_5_the_brake_with_a_gear_in_mesh(sleeve: int, side: float) -> None:
-    assert blocked_row(place(NEUTRAL, sleeve, side * 1.4e-3), Valve.BRAKE) is None
-    assert blocked_row(place(NEUTRAL, sleeve, side * 1.6e-3), Valve.BRAKE) == 5
+    assert blocked_row(place(NEUTRAL, sleeve, side * 1.4e-3), ValveName.BRAKE) is None
+    assert blocked_row(place(NEUTRAL, sleeve, side * 1.6e-3), ValveName.BRAKE) == 5
 
 
 def test_row_5_the_brake_against_the_engine() -> None:
-    assert blocked_row(NEUTRAL._replace(clutch_closed=0.05), Valve.BRAKE) is None
-    assert blocked_row(NEUTRAL._replace(clutch_closed=0.06), Valve.BRAKE) == 5
+    assert blocked_row(NEUTRAL._replace(clutch_closed=0.05), ValveName.BRAKE) is None
+    assert blocked_row(NEUTRAL._replace(clutch_closed=0.06), ValveName.BRAKE) == 5
 
 
 def test_row_5_the_brake_while_a_gear_is_being_engaged() -> None:
-    assert blocked_row(NEUTRAL, Valve.BRAKE, Valve.MAIN_SECOND) == 5
+    assert blocked_row(NEUTRAL, ValveName.BRAKE, ValveName.MAIN_SECOND) == 5
 
 
 def test_row_5_a_release_still_to_come_counts_as_driven_until_then() -> None:
@@ -303,7 +316,7 @@ def test_row_5_a_release_still_to_come_counts_as_driven_until_then() -> None:
 
 
 def test_row_6_the_brake_for_too_long() -> None:
-    guard, on = ready(), payload(Valve.BRAKE, how=ValveAction.ON_NOW)
+    guard, on = ready(), payload(ValveName.BRAKE, how=ValveAction.ON_NOW)
     assert guard.passes(on, NEUTRAL)
     limit_us = LIMITS.brake_on_us
     for later_us, row in ((limit_us, None), (limit_us + 1, 6)):
@@ -320,7 +333,7 @@ def test_row_6_the_brake_for_too_much_energy() -> None:
     hot = NEUTRAL._replace(brake_pa=1.013e5 + 8.5e5)
     power_w = 100.0 * 2000.0 * RPM
     for energy_j, row in ((14_900.0, None), (15_100.0, 6)):
-        guard, on = ready(), payload(Valve.BRAKE, how=ValveAction.ON_NOW)
+        guard, on = ready(), payload(ValveName.BRAKE, how=ValveAction.ON_NOW)
         duration_us = round(energy_j / power_w * 1e6)
         for now_us in (NOW, NOW + duration_us):
             turning = tuple(s._replace(time_us=now_us) for s in speeds(2000))
@@ -338,17 +351,19 @@ def test_row_6_the_brake_at_too_low_a_speed() -> None:
         guard = ready()
         guard._state.spans = (Span(NOW - 200_000, FOREVER), *NO_SPANS[1:])
         seen = NEUTRAL._replace(speeds=speeds(layshaft_rpm))
-        guard.passes(payload(Valve.BRAKE), seen)
+        guard.passes(payload(ValveName.BRAKE), seen)
         assert guard.blocked_row == row
     at_rest = NEUTRAL._replace(speeds=speeds(105.0))
-    assert blocked_row(at_rest, Valve.BRAKE, at_us=NOW + 90_000) is None
-    assert blocked_row(at_rest._replace(speeds=speeds(95.0)), Valve.BRAKE, at_us=NOW + 90_000) == 6
+    assert blocked_row(at_rest, ValveName.BRAKE, at_us=NOW + 90_000) is None
+    assert (
+        blocked_row(at_rest._replace(speeds=speeds(95.0)), ValveName.BRAKE, at_us=NOW + 90_000) == 6
+    )
     a, _, c, d = speeds()
-    assert blocked_row(NEUTRAL._replace(speeds=(a, None, c, d)), Valve.BRAKE) == 6
+    assert blocked_row(NEUTRAL._replace(speeds=(a, None, c, d)), ValveName.BRAKE) == 6
 
 
-@pytest.mark.parametrize("valve", [v for v in Valve if v is not Valve.BRAKE])
-def test_row_7_a_valve_on_for_too_long(valve: Valve) -> None:
+@pytest.mark.parametrize("valve", [v for v in ValveName if v is not ValveName.BRAKE])
+def test_row_7_a_valve_on_for_too_long(valve: ValveName) -> None:
     """Resent every tick; off for one frame in between begins anew."""
     guard, on = ready(), payload(valve, how=ValveAction.ON_NOW)
     seen, limit_us = near(valve), LIMITS.valve_on_us
@@ -361,17 +376,17 @@ def test_row_7_a_valve_on_for_too_long(valve: Valve) -> None:
     assert guard.passes(on, seen)
 
 
-@pytest.mark.parametrize("valve", Valve)
-def test_row_7_nothing_is_held_after_the_inputs_are_lost(valve: Valve) -> None:
+@pytest.mark.parametrize("valve", ValveName)
+def test_row_7_nothing_is_held_after_the_inputs_are_lost(valve: ValveName) -> None:
     assert blocked_row(near(valve)._replace(valid=False), valve) == 7
 
 
-@pytest.mark.parametrize("valve", [Valve.RANGE_LOW, Valve.RANGE_HIGH])
+@pytest.mark.parametrize("valve", [ValveName.RANGE_LOW, ValveName.RANGE_HIGH])
 @pytest.mark.parametrize("sleeve", [0, 1])
-def test_row_8_the_range_moves_only_in_neutral(valve: Valve, sleeve: int) -> None:
+def test_row_8_the_range_moves_only_in_neutral(valve: ValveName, sleeve: int) -> None:
     assert blocked_row(place(NEUTRAL, sleeve, 1.4e-3), valve) is None
     assert blocked_row(place(NEUTRAL, sleeve, 1.6e-3), valve) == 8
-    assert blocked_row(NEUTRAL, valve, Valve.MAIN_SECOND) == 8
+    assert blocked_row(NEUTRAL, valve, ValveName.MAIN_SECOND) == 8
 
 
 def test_row_8_the_range_does_not_go_down_at_speed() -> None:
@@ -380,9 +395,9 @@ def test_row_8_the_range_does_not_go_down_at_speed() -> None:
     limit = LIMITS.main_max_rad_s / 3.75
     for share, row in ((0.99, None), (1.01, 8)):
         seen = NEUTRAL._replace(speeds=(a, b, c, Speed(NOW, share * limit)))
-        assert blocked_row(seen, Valve.RANGE_LOW) == row
-        assert blocked_row(seen, Valve.RANGE_HIGH) is None
-    assert blocked_row(NEUTRAL._replace(speeds=(a, b, c, None)), Valve.RANGE_LOW) == 8
+        assert blocked_row(seen, ValveName.RANGE_LOW) == row
+        assert blocked_row(seen, ValveName.RANGE_HIGH) is None
+    assert blocked_row(NEUTRAL._replace(speeds=(a, b, c, None)), ValveName.RANGE_LOW) == 8
 
 
 def test_row_9_a_gear_that_would_overspeed_the_input_shaft() -> None:
@@ -395,21 +410,21 @@ def test_row_9_a_gear_that_would_overspeed_the_input_shaft() -> None:
             main = share * limit
             turning = (None, Speed(NOW, main / ratio), Speed(NOW, main), None)
             seen = place(NEUTRAL, 2, position_mm * 1e-3)._replace(speeds=turning)
-            assert blocked_row(seen, Valve.MAIN_FIRST) == row
+            assert blocked_row(seen, ValveName.MAIN_FIRST) == row
 
 
 def test_row_9_a_splitter_step_that_would_overspeed_the_input_shaft() -> None:
     limit = 1.01 * SHEET.limits.input_max_rad_s * SHEET.split_mesh(Split.LOW).ratio
     for share, row in ((0.99, None), (1.01, 9)):
         seen = NEUTRAL._replace(speeds=(None, Speed(NOW, share * limit), None, None))
-        assert blocked_row(seen, Valve.SPLIT_LOW) == row
-        assert blocked_row(place(seen, 2, -0.012), Valve.SPLIT_HIGH) is None
+        assert blocked_row(seen, ValveName.SPLIT_LOW) == row
+        assert blocked_row(place(seen, 2, -0.012), ValveName.SPLIT_HIGH) is None
     unknown = NEUTRAL._replace(speeds=(None, None, None, None))
-    assert blocked_row(unknown, Valve.SPLIT_LOW) == 9
+    assert blocked_row(unknown, ValveName.SPLIT_LOW) == 9
 
 
 @pytest.mark.parametrize("valve", MAIN)
-def test_row_10_a_gear_is_not_pulled_out_under_torque(valve: Valve) -> None:
+def test_row_10_a_gear_is_not_pulled_out_under_torque(valve: ValveName) -> None:
     """From the clutch, or from the brake's pressure."""
     in_mesh = place(NEUTRAL, SLEEVE[valve], -WAY[valve] * 0.012)
     assert blocked_row(in_mesh, valve) is None
@@ -421,14 +436,14 @@ def test_row_10_a_gear_is_not_pulled_out_under_torque(valve: Valve) -> None:
 
 def test_row_10_nor_is_a_splitter_step() -> None:
     closed = NEUTRAL._replace(clutch_closed=1.0)
-    assert blocked_row(closed, Valve.SPLIT_LOW) == 10
-    assert blocked_row(closed, Valve.SPLIT_HIGH) is None  # it is in already
-    assert blocked_row(place(closed, 2, -0.012), Valve.SPLIT_HIGH) == 10
+    assert blocked_row(closed, ValveName.SPLIT_LOW) == 10
+    assert blocked_row(closed, ValveName.SPLIT_HIGH) is None  # it is in already
+    assert blocked_row(place(closed, 2, -0.012), ValveName.SPLIT_HIGH) == 10
 
 
 def test_a_valve_that_has_pulled_a_gear_out_may_stay_on_to_neutral_and_no_further() -> None:
     """Seen a read late: in neutral it is no engagement yet, 1.6 mm on it is."""
-    guard, on = ready(), payload(Valve.MAIN_CRAWL, how=ValveAction.ON_NOW)
+    guard, on = ready(), payload(ValveName.MAIN_CRAWL, how=ValveAction.ON_NOW)
     fast = NEUTRAL._replace(speeds=speeds(gear=MainGear.CRAWL, slip_rpm=200.0))
     assert guard.passes(on, place(fast, 1, 0.012))
     assert guard.passes(on, place(fast, 1, 0.0))
@@ -438,8 +453,8 @@ def test_a_valve_that_has_pulled_a_gear_out_may_stay_on_to_neutral_and_no_furthe
     assert not guard.passes(on, place(fast, 1, 0.0))  # and not again without having pulled
 
 
-@pytest.mark.parametrize("valve", Valve)
-def test_row_11_nothing_new_is_driven_without_air(valve: Valve) -> None:
+@pytest.mark.parametrize("valve", ValveName)
+def test_row_11_nothing_new_is_driven_without_air(valve: ValveName) -> None:
     for supply_pa, row in ((5.01e5, None), (4.99e5, 11)):
         assert blocked_row(near(valve)._replace(supply_pa=supply_pa), valve) == row
     guard = ready()
@@ -448,8 +463,10 @@ def test_row_11_nothing_new_is_driven_without_air(valve: Valve) -> None:
     assert guard.passes(payload(valve, how=ValveAction.ON_NOW), held)
 
 
-@pytest.mark.parametrize("valve", Valve)
-def test_row_12_nothing_is_driven_before_all_was_valid_three_steps_in_a_row(valve: Valve) -> None:
+@pytest.mark.parametrize("valve", ValveName)
+def test_row_12_nothing_is_driven_before_all_was_valid_three_steps_in_a_row(
+    valve: ValveName,
+) -> None:
     guard, seen = Guard(LIMITS), near(valve)
     for valid in (True, True, False, True, True):
         assert guard.passes(payload(), seen._replace(valid=valid))
@@ -474,18 +491,18 @@ def test_row_12_nothing_is_driven_before_all_was_valid_three_steps_in_a_row(valv
 def test_row_12_a_guard_whose_own_numbers_are_wrong_stays_shut(name: str, wrong: object) -> None:
     guard = Guard(dataclasses.replace(LIMITS, **{name: wrong}))
     for _ in range(10):
-        assert not guard.passes(payload(Valve.SPLIT_HIGH), NEUTRAL)
+        assert not guard.passes(payload(ValveName.SPLIT_HIGH), NEUTRAL)
         assert guard.blocked_row == 12
 
 
 @pytest.mark.parametrize("agreeing", MAIN)
-@pytest.mark.parametrize("valve", Valve)
+@pytest.mark.parametrize("valve", ValveName)
 def test_row_13_a_gear_that_turns_with_its_sleeve_is_taken_to_be_in(
-    agreeing: Valve, valve: Valve
+    agreeing: ValveName, valve: ValveName
 ) -> None:
     """Whatever the positions say: no brake, no range, no other sleeve; the gear itself may move."""
     seen = near(valve)._replace(agreeing=int(agreeing))
-    free = {agreeing, OTHER_END[agreeing], Valve.SPLIT_LOW, Valve.SPLIT_HIGH}
+    free = {agreeing, OTHER_END[agreeing], ValveName.SPLIT_LOW, ValveName.SPLIT_HIGH}
     assert blocked_row(seen, valve) == (None if valve in free else 13)
 
 
@@ -494,23 +511,23 @@ def test_row_13_a_gear_that_turns_with_its_sleeve_is_taken_to_be_in(
 
 @pytest.mark.parametrize(("mistake", "row"), [(PAIRS[1], 1), ((MAIN[0], MAIN[3]), 2)])
 def test_a_command_that_should_never_be_made_latches(
-    mistake: tuple[Valve, Valve], row: int
+    mistake: tuple[ValveName, ValveName], row: int
 ) -> None:
     """Rows 1 and 2 mean that the sequence is wrong: nothing is driven until it takes all back."""
     guard = ready()
     assert not guard.passes(payload(*mistake), NEUTRAL)
     for _ in range(3):
-        assert not guard.passes(payload(Valve.MAIN_SECOND), NEUTRAL)
+        assert not guard.passes(payload(ValveName.MAIN_SECOND), NEUTRAL)
         assert guard.blocked_row == row
     assert guard.blocks == 4
     assert guard.passes(payload(), NEUTRAL)
-    assert guard.passes(payload(Valve.MAIN_SECOND), NEUTRAL)
+    assert guard.passes(payload(ValveName.MAIN_SECOND), NEUTRAL)
 
 
 def test_a_row_that_depends_on_the_moment_does_not_latch() -> None:
     guard = ready()
-    assert not guard.passes(payload(Valve.BRAKE), NEUTRAL._replace(clutch_closed=0.5))
-    assert guard.passes(payload(Valve.BRAKE), NEUTRAL)
+    assert not guard.passes(payload(ValveName.BRAKE), NEUTRAL._replace(clutch_closed=0.5))
+    assert guard.passes(payload(ValveName.BRAKE), NEUTRAL)
 
 
 @pytest.mark.parametrize("length", [0, 5, 47, 49, 64])

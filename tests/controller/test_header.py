@@ -10,13 +10,13 @@ from pathlib import Path
 import pytest
 
 from meshpoint.controller.header import HeaderError, RunHeader, header_name, load_header
-from meshpoint.controller.settings import Aim, ControllerSettings, Limits
+from meshpoint.controller.settings import Aim, ControllerSettings, ShiftLimits
 from meshpoint.dbc import DBC_SHA256
 
 
 def test_a_header_comes_back_as_it_was_saved(header: RunHeader, tmp_path: Path) -> None:
     settings = ControllerSettings(
-        strategy_name="speed_window", aim=Aim(0.1), limits=Limits(attempts=2)
+        strategy_name="speed_window", aim=Aim(0.1), limits=ShiftLimits(attempts=2)
     )
     for saved in (header, dataclasses.replace(header, settings=settings)):
         path = saved.save(tmp_path / "new folder")

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from meshpoint.controller.calibration.learned import Drifts
+from meshpoint.controller.calibration.learned import DriftRecords
 from meshpoint.controller.planning.outlook import GearPredictor
-from meshpoint.controller.planning.phase_drift import FAR_RAD_S, LEAST_SHARE, PhaseDrifts
+from meshpoint.controller.planning.phase_drift import FAR_RAD_S, LEAST_SPREAD_SHARE, PhaseDrifts
 from meshpoint.gearbox import MainGear
 from tests.controller.test_strategy import GEAR, MAIN, predictor_at
 
@@ -71,7 +71,7 @@ def test_steady_phases_still_scatter_by_a_little() -> None:
     drifts = PhaseDrifts()
     for _ in range(200):
         contact(drifts, 0.02)
-    assert drifts.spread_share(GEAR) == LEAST_SHARE
+    assert drifts.spread_share(GEAR) == LEAST_SPREAD_SHARE
 
 
 @pytest.mark.parametrize("off_rad", [2.0 * FAR_RAD_S * 0.06, math.nan, math.inf])
@@ -85,7 +85,7 @@ def test_a_contact_that_no_drift_explains_teaches_nothing(off_rad: float) -> Non
 
 def test_what_was_learned_is_kept_and_taken_up_again() -> None:
     drifts, again = PhaseDrifts(), PhaseDrifts()
-    assert drifts.records() == Drifts()
+    assert drifts.records() == DriftRecords()
     for _ in range(5):
         contact(drifts, 0.06)
     again.restore(drifts.records())

@@ -17,7 +17,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.estimation.teeth import Found, WheelTeeth
-from meshpoint.controller.estimation.tooth_match import Memory, Seen, compare, turned
+from meshpoint.controller.estimation.tooth_match import (
+    PatternEquations,
+    ToothPattern,
+    compare,
+    turned,
+)
 from meshpoint.controller.motion.kinematics import raw_phase_rad, wrap_to_pitch
 from meshpoint.controller.phase.recall import ReferenceRecovery, SavedReferences
 from meshpoint.controller.phase.reference import Floated, PhaseReferences
@@ -53,14 +58,14 @@ def pattern(rng: np.random.Generator, sd_rad: float = 0.06 * DEG) -> np.ndarray:
     return errors - errors.mean()
 
 
-def seen(rng: np.random.Generator, errors: np.ndarray, looks: int) -> Seen:
+def seen(rng: np.random.Generator, errors: np.ndarray, looks: int) -> PatternEquations:
     """Equations of so many looks at each edge, the mean error not to be seen in them."""
     weight = looks / EDGE_SD**2
     normal = weight * (np.eye(2 * TEETH) - np.full((2 * TEETH, 2 * TEETH), 0.5 / TEETH))
     means = errors + rng.normal(0.0, EDGE_SD / math.sqrt(looks), 2 * TEETH)
     right = normal @ means
     scatter = (2 * TEETH) * (looks - 1)
-    return Seen(normal, right, scatter + float(means @ right), 2.0 * TEETH * looks)
+    return PatternEquations(normal, right, scatter + float(means @ right), 2.0 * TEETH * looks)
 
 
 @settings(max_examples=30, deadline=None)
@@ -70,7 +75,7 @@ def test_a_pattern_is_found_at_whatever_tooth_the_count_begins(
 ) -> None:
     rng = np.random.default_rng(seed)
     errors = pattern(rng)
-    memory = Memory(errors, 0.01 * DEG, 5000)
+    memory = ToothPattern(errors, 0.01 * DEG, 5000)
     verdict = compare(memory, seen(rng, turned(errors, teeth), looks), FREE_SD, False)
     assert verdict is not None
     assert not verdict.stranger
@@ -83,7 +88,7 @@ def test_a_pattern_is_found_at_whatever_tooth_the_count_begins(
 def test_a_wheel_without_a_pattern_is_never_certain(seed: int, looks: int) -> None:
     """What was learned of an ideal wheel is noise, and so is what is seen of it."""
     rng = np.random.default_rng(seed)
-    memory = Memory(pattern(rng, 0.01 * DEG), 0.01 * DEG, 5000)
+    memory = ToothPattern(pattern(rng, 0.01 * DEG), 0.01 * DEG, 5000)
     verdict = compare(memory, seen(rng, np.zeros(2 * TEETH), looks), FREE_SD, False)
     assert verdict is not None
     assert not verdict.certain
@@ -94,7 +99,7 @@ def test_a_wheel_without_a_pattern_is_never_certain(seed: int, looks: int) -> No
 @given(seed=st.integers(0, 1 << 30), looks=st.integers(2, 10))
 def test_another_wheel_is_never_taken_for_the_remembered_one(seed: int, looks: int) -> None:
     rng = np.random.default_rng(seed)
-    memory = Memory(pattern(rng), 0.01 * DEG, 5000)
+    memory = ToothPattern(pattern(rng), 0.01 * DEG, 5000)
     verdict = compare(memory, seen(rng, pattern(rng), looks), FREE_SD, False)
     assert verdict is not None
     assert not verdict.certain
@@ -105,14 +110,14 @@ def test_less_than_two_turns_of_the_wheel_say_nothing() -> None:
     rng = np.random.default_rng(1)
     errors = pattern(rng)
     few = seen(rng, errors, 2)._replace(edges=4.0 * TEETH - 1)
-    assert compare(Memory(errors, 0.01 * DEG, 1), few, FREE_SD, False) is None
+    assert compare(ToothPattern(errors, 0.01 * DEG, 1), few, FREE_SD, False) is None
 
 
 def test_missing_teeth_leave_one_turn_only() -> None:
     """Then even a wheel without pattern errors has its numbers, and a stranger is seen as one."""
     rng = np.random.default_rng(1)
     nothing = np.zeros(2 * TEETH)
-    ideal = Memory(nothing, 0.01 * DEG, 1)
+    ideal = ToothPattern(nothing, 0.01 * DEG, 1)
     same = compare(ideal, seen(rng, nothing, 4), FREE_SD, True)
     other = compare(ideal, seen(rng, pattern(rng), 4), FREE_SD, True)
     assert same is not None
@@ -163,7 +168,7 @@ class Bench:
 
     def restore(self, *gears: MainGear) -> None:
         """As after a restart: all of these were known."""
-        memory = [Memory(pattern, 1e-4, 1) for pattern in self.patterns]
+        memory = [ToothPattern(pattern, 1e-4, 1) for pattern in self.patterns]
         offsets = {gear: self.box.offset(gear) for gear in gears}
         self.recovery.restore(SavedReferences(memory[0], memory[1], offsets))
 
@@ -316,7 +321,7 @@ def test_a_wheel_that_was_exchanged_ends_the_wait_for_its_references() -> None:
     bench.find(main=False)
     bench.main.forget()
     bench.recovery.look(bench.events, bench.renumbered)
-    bench.main.memory = Memory(bench.patterns[1], 1e-4, 1)
+    bench.main.memory = ToothPattern(bench.patterns[1], 1e-4, 1)
     bench.find()
     assert bench.known() == set()
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from wheel import READ_US, capture
 
-from meshpoint.controller.sensing.sensor_clock import SensorClock
+from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.sensor_count import SLACK
 from meshpoint.controller.sensing.wheel_edges import WheelEdges
 from meshpoint.dbc.messages import EdgesMainFall, EdgesMainRise
@@ -70,7 +70,7 @@ def watched(
         return before + sorted({START_US + round(t * 1e6) for t in seen})
 
     rise, fall = times(course.rise_s), times(course.fall_s)
-    wheel, clock = WheelEdges(TEETH, DUTY), SensorClock()
+    wheel, clock = WheelEdges(TEETH, DUTY), SensorClockEstimate()
     ahead: list[int] = []
     for read_us in range(START_US, START_US + round(course.at_s * 1e6), READ_US):
         if not blind and deaf_s[0] < (read_us - START_US) * 1e-6 < deaf_s[1]:
@@ -185,7 +185,7 @@ def test_a_sensor_that_was_powered_up_anew_has_not_counted_on() -> None:
     later_us = START_US + 900_000
     edges = [later_us - 9_000 + 950 * k for k in range(9)]
     risen = EdgesMainRise(**capture(edges, 1, later_us))
-    wheel.read([risen], [], SensorClock(), later_us)
+    wheel.read([risen], [], SensorClockEstimate(), later_us)
     assert wheel.sensor.renumbered.uncounted == 1
 
 

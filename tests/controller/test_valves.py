@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.settings import ValveTiming
-from meshpoint.controller.shift.valve_board import Valve, ValveBoard
+from meshpoint.controller.shift.valve_board import ValveBoard, ValveName
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 
 T0 = (1 << 32) + 5_000_000
@@ -29,41 +29,41 @@ def test_a_new_board_drives_nothing() -> None:
 
 def test_an_activation_goes_out_with_its_time_in_32_bits_and_is_resent_unchanged() -> None:
     board = scheduled()
-    board.schedule(Valve.MAIN_SECOND, True, T0 + 20_123, T0)
+    board.schedule(ValveName.MAIN_SECOND, True, T0 + 20_123, T0)
     expected = ValveCommand(
         main_second_action=ValveAction.ON_AT, main_second_time_us=5_000_000 + 20_123
     )
     for now_us in (T0, T0 + 10_000, T0 + 30_000, T0 + 900_000):
         assert board.message(now_us) == expected
-    assert not board.driven(Valve.MAIN_SECOND, T0 + 20_122)
-    assert board.driven(Valve.MAIN_SECOND, T0 + 20_123)
+    assert not board.driven(ValveName.MAIN_SECOND, T0 + 20_122)
+    assert board.driven(ValveName.MAIN_SECOND, T0 + 20_123)
     assert board.next_switch_us(T0) is None
 
 
 def test_the_newest_activation_replaces_the_one_to_come() -> None:
     board = scheduled()
-    board.schedule(Valve.BRAKE, True, T0 + 20_000, T0)
-    board.schedule(Valve.BRAKE, True, T0 + 25_000, T0 + 10_000)
+    board.schedule(ValveName.BRAKE, True, T0 + 20_000, T0)
+    board.schedule(ValveName.BRAKE, True, T0 + 25_000, T0 + 10_000)
     assert board.message(T0 + 10_000).brake_time_us == 5_025_000
-    assert not board.driven(Valve.BRAKE, T0 + 24_999)
+    assert not board.driven(ValveName.BRAKE, T0 + 24_999)
 
 
 def test_a_release_that_is_planned_leaves_the_valve_driven_until_then() -> None:
     for board, now_action in ((scheduled(), ValveAction.OFF_AT), (immediate(), ValveAction.ON_NOW)):
-        board.schedule(Valve.BRAKE, True, T0, T0)
-        board.schedule(Valve.BRAKE, False, T0 + 50_000, T0 + 10_000)
+        board.schedule(ValveName.BRAKE, True, T0, T0)
+        board.schedule(ValveName.BRAKE, False, T0 + 50_000, T0 + 10_000)
         assert board.message(T0 + 20_000).brake_action is now_action
-        assert board.driven(Valve.BRAKE, T0 + 49_999)
-        assert not board.driven(Valve.BRAKE, T0 + 50_000)
+        assert board.driven(ValveName.BRAKE, T0 + 49_999)
+        assert not board.driven(ValveName.BRAKE, T0 + 50_000)
 
 
 def test_off_takes_a_command_back_at_once() -> None:
     for board in (scheduled(), immediate()):
-        board.schedule(Valve.BRAKE, True, T0, T0)
-        board.schedule(Valve.MAIN_THIRD, True, T0 + 20_000, T0)
-        board.off(Valve.MAIN_THIRD)
+        board.schedule(ValveName.BRAKE, True, T0, T0)
+        board.schedule(ValveName.MAIN_THIRD, True, T0 + 20_000, T0)
+        board.off(ValveName.MAIN_THIRD)
         assert board.message(T0 + 30_000).main_third_action is ValveAction.OFF_NOW
-        assert board.driven(Valve.BRAKE, T0 + 30_000)
+        assert board.driven(ValveName.BRAKE, T0 + 30_000)
         board.all_off()
         assert board.message(T0 + 30_000) == ValveCommand()
         assert board.next_switch_us(T0) is None
@@ -72,7 +72,7 @@ def test_off_takes_a_command_back_at_once() -> None:
 def test_a_release_long_past_carries_no_time_that_could_be_taken_for_the_future() -> None:
     """32 bits turn round every 72 minutes: an old time would come true again."""
     board = scheduled()
-    board.schedule(Valve.BRAKE, False, T0, T0)
+    board.schedule(ValveName.BRAKE, False, T0, T0)
     assert board.message(T0 + 50_000).brake_action is ValveAction.OFF_AT
     for later_us in (2_000_000, 1 << 31, (1 << 32) - 50_000):
         assert board.message(T0 + later_us).brake_action is ValveAction.OFF_NOW
@@ -80,8 +80,8 @@ def test_a_release_long_past_carries_no_time_that_could_be_taken_for_the_future(
 
 def test_hardware_that_cannot_schedule_is_told_at_the_moment() -> None:
     board = immediate()
-    board.schedule(Valve.MAIN_FIRST, True, T0 + 20_000, T0)
-    board.schedule(Valve.BRAKE, True, T0 + 7_000, T0)
+    board.schedule(ValveName.MAIN_FIRST, True, T0 + 20_000, T0)
+    board.schedule(ValveName.BRAKE, True, T0 + 7_000, T0)
     assert board.next_switch_us(T0) == T0 + 7_000
     assert board.next_switch_us(T0 + 7_000) == T0 + 20_000
     assert board.next_switch_us(T0 + 20_000) is None
@@ -93,7 +93,10 @@ def test_hardware_that_cannot_schedule_is_told_at_the_moment() -> None:
 
 COMMANDS = st.lists(
     st.tuples(
-        st.sampled_from(list(Valve)), st.booleans(), st.integers(0, 80_000), st.integers(1, 30_000)
+        st.sampled_from(list(ValveName)),
+        st.booleans(),
+        st.integers(0, 80_000),
+        st.integers(1, 30_000),
     ),
     max_size=20,
 )
@@ -102,12 +105,12 @@ COMMANDS = st.lists(
 @settings(deadline=None, max_examples=60)
 @given(commands=COMMANDS)
 def test_both_timings_drive_the_same_valves_at_the_same_times(
-    commands: list[tuple[Valve, bool, int, int]],
+    commands: list[tuple[ValveName, bool, int, int]],
 ) -> None:
     """Against the plain meaning: what is commanded for a moment holds from then on, and what was
     still to come is forgotten."""
     boards, now_us = (scheduled(), immediate()), T0
-    history: dict[Valve, list[tuple[int, bool]]] = {valve: [] for valve in Valve}
+    history: dict[ValveName, list[tuple[int, bool]]] = {valve: [] for valve in ValveName}
     for valve, on, ahead_us, pause_us in commands:
         for board in boards:
             board.schedule(valve, on, now_us + ahead_us, now_us)

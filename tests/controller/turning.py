@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from wheel import READ_US, capture
 
-from meshpoint.controller.sensing.sensor_clock import SensorClock
+from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import WheelEdges
 from meshpoint.dbc.messages import EdgesMainFall, EdgesMainRise
 
@@ -90,7 +90,7 @@ def run(
     rise = sorted({LEAD_US + round(t * 1e6) for t in rise_s})
     fall = sorted({LEAD_US + round(t * 1e6) for t in fall_s})
     wheel = WheelEdges(motion.teeth, motion.duty, motion.missing, most_rad_s2)
-    clock, seen = SensorClock(), Seen()
+    clock, seen = SensorClockEstimate(), Seen()
     before = [] if just_powered_up else [LEAD_US - 100_000 * k for k in range(27, 0, -1)]
     for read_us in range(LEAD_US, LEAD_US + round(motion.until_s * 1e6) + 1, READ_US):
         risen = EdgesMainRise(**capture(before + rise, 1, read_us))

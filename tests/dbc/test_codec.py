@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.dbc import DBC_PATH, Frame, Node
-from meshpoint.dbc.link import EncodeError, Receiver, Transmitter, Verdict
+from meshpoint.dbc.link import EncodeError, FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
     MESSAGE_TYPES,
     TC1,
@@ -127,9 +127,9 @@ def test_decodes_what_cantools_decodes(parsed: Parsed, drawn: st.DataObject) -> 
 
     are_in_range = all(is_in_range(s, expected[s.name]) for s in own_signals(parsed))
     if not (is_j1939 or are_in_range):
-        assert (verdict, message) == (Verdict.FORMAT, None)
+        assert (verdict, message) == (FrameVerdict.FORMAT, None)
         return
-    assert verdict is Verdict.OK
+    assert verdict is FrameVerdict.OK
     assert type(message) is MESSAGE_TYPES[parsed.name]
     for signal in own_signals(parsed):
         ours = field_value(message, signal)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from meshpoint.dbc.e2e import (
     DEFAULT_LIMITS,
     ChannelState,
-    Limits,
+    E2ELimits,
     Silence,
     StateMachine,
     Status,
@@ -71,7 +71,7 @@ def test_one_lost_frame_is_tolerated_and_two_are_not(last: int) -> None:
     assert verdicts == [REPEATED, OK, OK, *[WRONG] * 253]
 
 
-def feed(statuses: list[Status], limits: Limits = DEFAULT_LIMITS) -> StateMachine:
+def feed(statuses: list[Status], limits: E2ELimits = DEFAULT_LIMITS) -> StateMachine:
     machine = StateMachine(limits)
     for status in statuses:
         machine.update(status)
@@ -102,16 +102,16 @@ def test_a_channel_becomes_valid_after_three_good_frames(
 @pytest.mark.parametrize(
     ("limits", "statuses", "state"),
     [
-        (Limits(min_ok_to_enter=1), [OK], ChannelState.VALID),
-        (Limits(max_errors=0), [WRONG], ChannelState.INVALID),
-        (Limits(window=4, max_errors=4), [OK] * 3 + [WRONG] * 3, ChannelState.VALID),
-        (Limits(window=4, max_errors=4), [OK] * 3 + [WRONG] * 4, ChannelState.INVALID),
-        (Limits(window=4, max_errors=4, min_ok_to_stay=2), [OK, OK, OK, WRONG, WRONG], 2),
-        (Limits(window=4, max_errors=4, min_ok_to_stay=2), [OK, OK, OK, *[WRONG] * 3], 3),
+        (E2ELimits(min_ok_to_enter=1), [OK], ChannelState.VALID),
+        (E2ELimits(max_errors=0), [WRONG], ChannelState.INVALID),
+        (E2ELimits(window=4, max_errors=4), [OK] * 3 + [WRONG] * 3, ChannelState.VALID),
+        (E2ELimits(window=4, max_errors=4), [OK] * 3 + [WRONG] * 4, ChannelState.INVALID),
+        (E2ELimits(window=4, max_errors=4, min_ok_to_stay=2), [OK, OK, OK, WRONG, WRONG], 2),
+        (E2ELimits(window=4, max_errors=4, min_ok_to_stay=2), [OK, OK, OK, *[WRONG] * 3], 3),
     ],
 )
 def test_the_limits_of_the_standard_can_be_set(
-    limits: Limits, statuses: list[Status], state: ChannelState
+    limits: E2ELimits, statuses: list[Status], state: ChannelState
 ) -> None:
     assert feed(statuses, limits).state == state
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from meshpoint.dbc import Frame, Node
 from meshpoint.dbc.e2e import ChannelState, write_crc
 from meshpoint.dbc.layout import CODECS
-from meshpoint.dbc.link import EncodeError, Receiver, Transmitter, Verdict
+from meshpoint.dbc.link import EncodeError, FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
     EEC1,
     MESSAGE_TYPES,
@@ -41,7 +41,7 @@ def controller() -> Receiver:
     return Receiver(Node.TRANSMISSION_CONTROL)
 
 
-def verdicts(receiver: Receiver, frames: list[Frame]) -> list[Verdict]:
+def verdicts(receiver: Receiver, frames: list[Frame]) -> list[FrameVerdict]:
     return [receiver.receive(frame).verdict for frame in frames]
 
 
@@ -51,10 +51,10 @@ def test_a_node_hears_what_the_dbc_lists_it_for_and_nothing_else(node: Node) -> 
         frame = Transmitter(codec.spec.sender).encode(codec.message_type())
         received = Receiver(node).receive(frame)
         if node in codec.spec.receivers:
-            assert received.verdict is Verdict.OK
+            assert received.verdict is FrameVerdict.OK
             assert type(received.message) is codec.message_type
         else:
-            assert received == (Verdict.NOT_FOR_US, None)
+            assert received == (FrameVerdict.NOT_FOR_US, None)
 
 
 def test_the_controller_never_hears_the_reference() -> None:
@@ -62,7 +62,7 @@ def test_the_controller_never_hears_the_reference() -> None:
     for name, message_type in MESSAGE_TYPES.items():
         if name.startswith("Reference"):
             frame = Transmitter(Node.REFERENCE).encode(message_type())
-            assert receiver.receive(frame) == (Verdict.NOT_FOR_US, None)
+            assert receiver.receive(frame) == (FrameVerdict.NOT_FOR_US, None)
 
 
 def test_a_node_sends_its_own_messages_only() -> None:
@@ -80,9 +80,9 @@ def test_every_single_flipped_bit_is_noticed(codec: Any) -> None:
     for bit in range(8 * len(frame.data)):
         damaged = bytearray(frame.data)
         damaged[bit // 8] ^= 1 << bit % 8
-        assert receiver.receive(frame._replace(data=bytes(damaged))) == (Verdict.E2E, None)
+        assert receiver.receive(frame._replace(data=bytes(damaged))) == (FrameVerdict.E2E, None)
     assert receiver.e2e_errors == 8 * len(frame.data)
-    assert receiver.receive(frame).verdict is Verdict.OK
+    assert receiver.receive(frame).verdict is FrameVerdict.OK
 
 
 @settings(max_examples=150)
@@ -97,7 +97,10 @@ def test_two_and_three_flipped_bits_are_noticed(codec: Any, noise: bytes, bits: 
     write_crc(data, codec.spec.data_id, increment_counter=False)
     for bit in {bit % (8 * length) for bit in bits}:
         data[bit // 8] ^= 1 << bit % 8
-    assert Receiver(*Node).receive(Frame(codec.spec.can_id, bytes(data))) == (Verdict.E2E, None)
+    assert Receiver(*Node).receive(Frame(codec.spec.can_id, bytes(data))) == (
+        FrameVerdict.E2E,
+        None,
+    )
 
 
 @settings(max_examples=100)
@@ -113,7 +116,7 @@ def test_no_frame_can_upset_a_receiver(
     can_id: int, data: bytes, is_fd: bool, is_extended: bool
 ) -> None:
     received = Receiver(*Node).receive(Frame(can_id, data, is_fd, is_extended))
-    assert (received.message is not None) == (received.verdict is Verdict.OK)
+    assert (received.message is not None) == (received.verdict is FrameVerdict.OK)
 
 
 @pytest.mark.parametrize("name", MESSAGE_TYPES)
@@ -127,15 +130,18 @@ def test_wrong_length_and_frame_format_are_refused(name: str) -> None:
         frame._replace(data=frame.data + b"\0"),
         frame._replace(is_fd=not frame.is_fd),
     ]
-    assert verdicts(receiver, wrong) == [Verdict.FORMAT] * 4
+    assert verdicts(receiver, wrong) == [FrameVerdict.FORMAT] * 4
     assert receiver.format_errors == 4
-    assert receiver.receive(frame._replace(is_extended=False)) == (Verdict.FOREIGN, None)
+    assert receiver.receive(frame._replace(is_extended=False)) == (FrameVerdict.FOREIGN, None)
     assert receiver.foreign_frames == 1
 
 
 def test_foreign_frames_are_counted_and_those_for_others_are_not() -> None:
     receiver = controller()
-    assert receiver.receive(Frame(0x18FEF100, bytes(8), is_fd=False)) == (Verdict.FOREIGN, None)
+    assert receiver.receive(Frame(0x18FEF100, bytes(8), is_fd=False)) == (
+        FrameVerdict.FOREIGN,
+        None,
+    )
     receiver.receive(Transmitter(Node.TRANSMISSION_CONTROL).encode(ValveCommand()))
     counts = receiver.foreign_frames, receiver.format_errors, receiver.e2e_errors
     assert counts == (1, 0, 0)
@@ -144,18 +150,18 @@ def test_foreign_frames_are_counted_and_those_for_others_are_not() -> None:
 def test_a_repeated_frame_counts_once() -> None:
     receiver = controller()
     first, second = sensor_frames(2)
-    expected = [Verdict.OK, Verdict.REPEATED, Verdict.OK, Verdict.REPEATED]
+    expected = [FrameVerdict.OK, FrameVerdict.REPEATED, FrameVerdict.OK, FrameVerdict.REPEATED]
     assert verdicts(receiver, [first, first, second, second]) == expected
     assert receiver.e2e_errors == 2
 
 
 def test_one_lost_frame_is_tolerated_and_after_two_the_next_is_refused() -> None:
     frames = sensor_frames(10)
-    assert verdicts(controller(), [frames[0], frames[2], frames[4]]) == [Verdict.OK] * 3
+    assert verdicts(controller(), [frames[0], frames[2], frames[4]]) == [FrameVerdict.OK] * 3
     assert verdicts(controller(), [frames[0], frames[3], frames[4]]) == [
-        Verdict.OK,
-        Verdict.WRONG_SEQUENCE,
-        Verdict.OK,
+        FrameVerdict.OK,
+        FrameVerdict.WRONG_SEQUENCE,
+        FrameVerdict.OK,
     ]
 
 
@@ -163,17 +169,17 @@ def test_of_two_swapped_frames_the_late_one_is_refused() -> None:
     frames = sensor_frames(4)
     swapped = [frames[0], frames[2], frames[1], frames[3]]
     assert verdicts(controller(), swapped) == [
-        Verdict.OK,
-        Verdict.OK,
-        Verdict.WRONG_SEQUENCE,
-        Verdict.OK,
+        FrameVerdict.OK,
+        FrameVerdict.OK,
+        FrameVerdict.WRONG_SEQUENCE,
+        FrameVerdict.OK,
     ]
 
 
 def test_the_counter_is_one_more_with_every_frame_and_runs_over_its_end() -> None:
     frames = sensor_frames(600)
     assert [frame.data[2] for frame in frames] == [number % 256 for number in range(600)]
-    assert set(verdicts(controller(), frames)) == {Verdict.OK}
+    assert set(verdicts(controller(), frames)) == {FrameVerdict.OK}
 
 
 @settings(max_examples=100)
@@ -206,11 +212,14 @@ def test_after_a_restart_the_channel_recovers_by_itself(restarted: str) -> None:
     verdicts(receiver, sensor_frames(137))
     assert receiver.valid(GearboxSensors)
     if restarted == "sender":
-        assert verdicts(receiver, sensor_frames(4)) == [Verdict.WRONG_SEQUENCE, *[Verdict.OK] * 3]
+        assert verdicts(receiver, sensor_frames(4)) == [
+            FrameVerdict.WRONG_SEQUENCE,
+            *[FrameVerdict.OK] * 3,
+        ]
         assert receiver.valid(GearboxSensors)
     else:
         receiver = controller()
-        assert verdicts(receiver, sensor_frames(2, start=137)) == [Verdict.OK] * 2
+        assert verdicts(receiver, sensor_frames(2, start=137)) == [FrameVerdict.OK] * 2
         assert not receiver.valid(GearboxSensors)
         receiver.receive(sensor_frames(1, start=139)[0])
         assert receiver.valid(GearboxSensors)
@@ -251,7 +260,7 @@ def test_values_out_of_range_are_refused_counted_and_end_validity() -> None:
     frames = sensor_frames(13)
     verdicts(receiver, frames[:10])
     wrong = [out_of_range(frame) for frame in frames[10:]]
-    assert [receiver.receive(frame) for frame in wrong] == [(Verdict.FORMAT, None)] * 3
+    assert [receiver.receive(frame) for frame in wrong] == [(FrameVerdict.FORMAT, None)] * 3
     assert receiver.format_errors == 3
     assert not receiver.valid(GearboxSensors)
 
@@ -321,12 +330,12 @@ def test_events_may_come_with_any_gap_but_not_twice() -> None:
     bench = Receiver(Node.BENCH)
     arriving = [outcomes[0], outcomes[0], outcomes[1], outcomes[150], outcomes[199], outcomes[199]]
     assert verdicts(bench, arriving) == [
-        Verdict.OK,
-        Verdict.REPEATED,
-        Verdict.OK,
-        Verdict.OK,
-        Verdict.OK,
-        Verdict.REPEATED,
+        FrameVerdict.OK,
+        FrameVerdict.REPEATED,
+        FrameVerdict.OK,
+        FrameVerdict.OK,
+        FrameVerdict.OK,
+        FrameVerdict.REPEATED,
     ]
 
 
@@ -344,9 +353,9 @@ def test_an_event_of_a_sender_that_has_restarted_is_taken() -> None:
     """Its counter begins anew and may be that of the event before: 50 ms of silence of all that it
     sends by the clock tell the restart. While anything is heard, the same counter repeats."""
     bench, outcome = Receiver(Node.BENCH), ShiftOutcome(to_gear=10)
-    for silence_us, expected in ((30_000, Verdict.REPEATED), (80_000, Verdict.OK)):
+    for silence_us, expected in ((30_000, FrameVerdict.REPEATED), (80_000, FrameVerdict.OK)):
         before, now_us = Transmitter(Node.TRANSMISSION_CONTROL), 0
-        assert bench.receive(before.encode(outcome)).verdict is Verdict.OK
+        assert bench.receive(before.encode(outcome)).verdict is FrameVerdict.OK
         for now_us in range(0, 100_000, CYCLE_US):
             bench.receive(before.encode(ValveCommand()))
             bench.tick(now_us)
@@ -360,11 +369,11 @@ def test_an_event_of_a_sender_that_has_restarted_is_taken() -> None:
 def test_one_silent_message_of_a_sender_is_no_restart() -> None:
     bench, sender = Receiver(Node.BENCH), Transmitter(Node.TRANSMISSION_CONTROL)
     event = sender.encode(ShiftOutcome(to_gear=10))
-    assert bench.receive(event).verdict is Verdict.OK
+    assert bench.receive(event).verdict is FrameVerdict.OK
     for now_us in range(0, 500_000, CYCLE_US):
         bench.receive(sender.encode(ValveCommand()))
         if now_us < 100_000:
             bench.receive(sender.encode(ClutchCommand()))
         bench.tick(now_us)
     assert bench.state(ClutchCommand) is ChannelState.INVALID
-    assert bench.receive(event).verdict is Verdict.REPEATED
+    assert bench.receive(event).verdict is FrameVerdict.REPEATED

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.link import Receiver, Transmitter, Verdict
+from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
     BenchAction,
     BenchCommand,
@@ -59,7 +59,7 @@ class RigBench:
         for frame in frames:
             self.frames.append(frame)
             received = self._ears.receive(frame)
-            assert received.verdict is Verdict.OK, frame
+            assert received.verdict is FrameVerdict.OK, frame
             self.messages.append(received.message)
 
     def send(self, message: Any) -> None:

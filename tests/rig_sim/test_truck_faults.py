@@ -9,7 +9,7 @@ import pytest
 from rig_bench import RigBench, upshift
 from truck_bench import run, world
 
-from meshpoint.dbc.link import Received, Verdict
+from meshpoint.dbc.link import FrameVerdict, Received
 from meshpoint.dbc.messages import (
     BenchFault,
     EdgesMainRise,
@@ -268,7 +268,7 @@ def test_a_copy_of_a_faulty_truck_goes_on_as_the_truck_does_and_leaves_it_alone(
     bench.core.receive(bench._bench.encode(order))
     bench.run(80_000)
     copied = copy.deepcopy(bench)
-    copied._ears.receive = bench._ears.receive = lambda frame: Received(Verdict.OK, None)  # type: ignore[method-assign,assignment]
+    copied._ears.receive = bench._ears.receive = lambda frame: Received(FrameVerdict.OK, None)  # type: ignore[method-assign,assignment]
     copied.run(300_000, upshift)
     after_us = bench.core.truth.time_us
     bench.run(300_000, upshift)

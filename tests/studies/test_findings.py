@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from meshpoint.controller.motion.linear import LayshaftState, predict_linear
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.studies import prediction
-from meshpoint.testbench.studies.excitation import Figures, Point, figures, matched
+from meshpoint.testbench.studies.excitation import BrakePoint, Figures, figures, matched
 from meshpoint.testbench.studies.hardware import Bought, certainty
-from meshpoint.testbench.studies.jobs import Squares
-from meshpoint.testbench.studies.record import Finding, Given, Statement, Verdict
+from meshpoint.testbench.studies.jobs import ShiftErrors
+from meshpoint.testbench.studies.record import Finding, Given, Statement, ThesisVerdict
 from meshpoint.testbench.studies.registry import load
 from meshpoint.testbench.studies.settings import load_study_settings
 from meshpoint.testbench.studies.validation import Compared, time_constant_s
@@ -36,25 +36,25 @@ def conclude(name: str, **changed: Any) -> Finding:
 def test_zero_order_hold_equals_the_rig_and_a_predictor_that_is_not_it_is_found_out(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    assert conclude("hold").statements[0].verdict is Verdict.AGREES
+    assert conclude("hold").statements[0].verdict is ThesisVerdict.AGREES
 
     def wrong(state: LayshaftState, to_us: float, *_: Any) -> LayshaftState:
         return predict_linear(state, to_us)
 
     monkeypatch.setattr(prediction, "predict_hold", wrong)
-    assert conclude("hold").statements[0].verdict is Verdict.DIFFERS
+    assert conclude("hold").statements[0].verdict is ThesisVerdict.DIFFERS
 
 
 def test_friction_costs_too_much_in_our_gearbox_and_not_in_one_that_turns_more_easily() -> None:
     easy = replace(SHEET, shafts=replace(SHEET.shafts, friction_nms=0.03))
-    assert conclude("parameters").statements[1].verdict is Verdict.DIFFERS
-    assert conclude("parameters", sheet=easy).statements[1].verdict is Verdict.AGREES
+    assert conclude("parameters").statements[1].verdict is ThesisVerdict.DIFFERS
+    assert conclude("parameters", sheet=easy).statements[1].verdict is ThesisVerdict.AGREES
 
 
 def test_a_gearbox_whose_brake_is_weaker_does_not_reach_the_thesis_s_torque() -> None:
     weak = replace(SHEET, brake=replace(SHEET.brake, max_torque_nm=80.0))
-    assert conclude("torque").verdict is Verdict.AGREES
-    assert conclude("torque", sheet=weak).verdict is Verdict.DIFFERS
+    assert conclude("torque").verdict is ThesisVerdict.AGREES
+    assert conclude("torque", sheet=weak).verdict is ThesisVerdict.DIFFERS
 
 
 def test_early_contact_costs_more_than_late_because_the_brake_still_acts() -> None:
@@ -101,8 +101,8 @@ def test_the_time_constant_of_a_first_order_rise_is_found_again(
 
 def test_the_comparison_is_made_where_the_production_speed_is_as_wrong_as_the_thesis_s() -> None:
     found = [
-        Point(10.0, {"window": Figures(0.2, 4.845), "thesis": Figures(0.1, 1.0)}),
-        Point(20.0, {"window": Figures(0.3, 6.845), "thesis": Figures(0.3, 3.0)}),
+        BrakePoint(10.0, {"window": Figures(0.2, 4.845), "thesis": Figures(0.1, 1.0)}),
+        BrakePoint(20.0, {"window": Figures(0.3, 6.845), "thesis": Figures(0.3, 3.0)}),
     ]
     match = matched(found)
     assert match is not None
@@ -114,7 +114,7 @@ def test_the_comparison_is_made_where_the_production_speed_is_as_wrong_as_the_th
 
 def test_a_wheel_s_mean_tooth_offset_is_no_error_of_its_angle() -> None:
     offset, scatter = 0.01, 0.002
-    squares = Squares(2, 2 * offset, (offset - scatter) ** 2 + (offset + scatter) ** 2, 0.0)
+    squares = ShiftErrors(2, 2 * offset, (offset - scatter) ** 2 + (offset + scatter) ** 2, 0.0)
     assert np.radians(figures([[{"thesis": squares}]], "thesis").angle_deg) == pytest.approx(
         scatter
     )
@@ -131,5 +131,5 @@ def test_a_wheel_s_mean_tooth_offset_is_no_error_of_its_angle() -> None:
 def test_one_statement_that_differs_makes_the_study_differ(
     verdicts: tuple[Any, ...], overall: Any
 ) -> None:
-    statements = tuple(Statement("", "", Verdict(value), "") for value in verdicts)
+    statements = tuple(Statement("", "", ThesisVerdict(value), "") for value in verdicts)
     assert Finding(statements, {}).verdict.value == overall

@@ -26,7 +26,7 @@ from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.overview import wilson
 from meshpoint.testbench.report.page import page
 from meshpoint.testbench.report.phase import onto_branch, unwrapped_deg
-from meshpoint.testbench.report.run import Report, Run
+from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import report_data, report_provenance, write_report
 from meshpoint.testbench.results.rows import ShiftRow
 
@@ -44,7 +44,7 @@ def simulated() -> tuple[Report, list[ShiftRow]]:
     setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=3, shifts=4)
     collector = ReportCollector(SHEET)
     result = simulate(setup, lambda _time_us, frame: collector.receive(frame))
-    run = Run("target_phase", collector.finish(), [f"from {HOSTILE}"])
+    run = ReportRun("target_phase", collector.finish(), [f"from {HOSTILE}"])
     provenance = report_provenance(SHEET, seed=3, preset="thesis", log=HOSTILE)
     return Report(f"report of {HOSTILE}", HOSTILE, SHEET, [run], provenance), result.rows
 
@@ -197,7 +197,7 @@ def test_a_report_without_plotly_names_the_extra_before_the_run(
 def test_a_run_without_shifts_is_a_page_too(tmp_path: Path) -> None:
     pytest.importorskip("plotly")
     path = tmp_path / "report.html"
-    write_report(path, Report("empty", "", SHEET, [Run("target_phase", [])], {}))
+    write_report(path, Report("empty", "", SHEET, [ReportRun("target_phase", [])], {}))
     assert "No shift" in path.read_text(encoding="utf-8")
 
 

@@ -12,7 +12,7 @@ LATEST_RELEASE_US: Final = 1_000_000
 """No release is planned further ahead than this."""
 
 
-class Release(NamedTuple):
+class ReleasePlan(NamedTuple):
     """When to let the brake go, and when contact is expected with that, in sensor time."""
 
     release_us: int
@@ -35,7 +35,7 @@ class EngagementStrategy(Protocol):
         """The slip to have when the sleeve is fired: where drag alone would take too long to bring
         the slip down to it, the brake helps."""
 
-    def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> Release:
+    def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> ReleasePlan:
         """When to let the brake go; asked at every step while it is on.
 
         Not before `earliest_us`, nor more than `LATEST_RELEASE_US` after it."""

@@ -16,7 +16,7 @@ from functools import lru_cache
 from typing import Any, Final
 
 from meshpoint.controller.planning.outlook import GearPredictor
-from meshpoint.controller.planning.strategies.base import LATEST_RELEASE_US, Release
+from meshpoint.controller.planning.strategies.base import LATEST_RELEASE_US, ReleasePlan
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.strategy_file import (
     StrategyError,
@@ -54,7 +54,7 @@ class OwnStrategy:
         where, what = _place_of(self._file.path, made), "fire_slip_rad_s"
         return _number(where, what, found, -MOST_SLIP_RAD_S, MOST_SLIP_RAD_S)
 
-    def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> Release:
+    def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> ReleasePlan:
         """The user's release, checked."""
         method, found = self._asked("release", predictor, now_us, earliest_us)
         where = _place_of(self._file.path, method)
@@ -67,7 +67,7 @@ class OwnStrategy:
         release_us = _number(where, "release() release_us", found[0], earliest_us, last_us)
         last_us += LATEST_CONTACT_US
         contact_us = _number(where, "release() contact_us", found[1], earliest_us, last_us)
-        return Release(round(release_us), round(contact_us))
+        return ReleasePlan(round(release_us), round(contact_us))
 
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
         """The user's contact, checked."""

@@ -5,7 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.controller.planning.outlook import GearPredictor
-from meshpoint.controller.planning.strategies.base import Release, release_for_slip, settle_time_us
+from meshpoint.controller.planning.strategies.base import (
+    ReleasePlan,
+    release_for_slip,
+    settle_time_us,
+)
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 
@@ -21,10 +25,10 @@ class SpeedWindow:
         self._left_rad_s = window.release_slip_rad_s
         self._settle_us = settle_time_us(sheet, window.settle_time_constants)
 
-    def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> Release:  # noqa: ARG002
+    def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> ReleasePlan:  # noqa: ARG002
         """The set slip is left when the brake has died away."""
         at_us = release_for_slip(predictor, earliest_us, self._left_rad_s, self._settle_us)
-        return Release(at_us, at_us + round(self._settle_us))
+        return ReleasePlan(at_us, at_us + round(self._settle_us))
 
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
         """At once when the slip is inside the window; None while it is above."""

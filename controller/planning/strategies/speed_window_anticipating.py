@@ -8,7 +8,11 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.controller.planning.outlook import GearPredictor
-from meshpoint.controller.planning.strategies.base import Release, release_for_slip, settle_time_us
+from meshpoint.controller.planning.strategies.base import (
+    ReleasePlan,
+    release_for_slip,
+    settle_time_us,
+)
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 
@@ -27,10 +31,10 @@ class SpeedWindowAnticipating:
         self._left_rad_s = window.anticipate_release_rad_s
         self._settle_us = settle_time_us(sheet, window.settle_time_constants)
 
-    def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> Release:  # noqa: ARG002
+    def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> ReleasePlan:  # noqa: ARG002
         """The set slip would be left when the brake has died away."""
         at_us = release_for_slip(predictor, earliest_us, self._left_rad_s, self._settle_us)
-        return Release(at_us, at_us + round(self._settle_us))
+        return ReleasePlan(at_us, at_us + round(self._settle_us))
 
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:  # noqa: ARG002
         """When the slip has fallen to the one wanted, or the earliest time after that."""

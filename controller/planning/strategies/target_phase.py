@@ -13,7 +13,7 @@ from meshpoint.controller.planning.outlook import GearPredictor, Trajectory
 from meshpoint.controller.planning.plan_kernels import CONTACTS, TERMS, cheapest, expected_least
 from meshpoint.controller.planning.strategies.base import (
     US_PER_S,
-    Release,
+    ReleasePlan,
     release_for_slip,
     settle_time_us,
 )
@@ -71,13 +71,13 @@ class TargetPhase:
         fine = predictor.trajectory(around_us, FINE_US, FINE_STEPS)
         return round(self._cheapest(predictor, now_us, fine))
 
-    def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> Release:
+    def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> ReleasePlan:
         """Release and contact planned together: of the releases around the one that leaves
         `window.aim_slip_rpm`, the one of least expected cost."""
         slip, settle_us = self._window.aim_slip_rad_s, self._settle_us
         release_us = release_for_slip(predictor, earliest_us, slip, settle_us)
         if release_us > earliest_us + NEAR_US:
-            return Release(release_us, release_us + round(settle_us))
+            return ReleasePlan(release_us, release_us + round(settle_us))
         first_us = max(earliest_us, release_us - EARLIER_US)
         steps = range(first_us, release_us + LATER_US + 1, RELEASE_STEP_US)
         best = self._best_release(predictor, now_us, earliest_us, steps).release_us
@@ -88,10 +88,10 @@ class TargetPhase:
 
     def _best_release(
         self, predictor: GearPredictor, now_us: int, earliest_us: int, releases_us: range
-    ) -> Release:
+    ) -> ReleasePlan:
         """The release of least expected cost, and the contact that goes with it."""
         terms = self._terms(predictor)
-        least, best = math.inf, Release(releases_us[0], releases_us[0])
+        least, best = math.inf, ReleasePlan(releases_us[0], releases_us[0])
         for release_us in releases_us:
             fire_us = max(release_us + EARLIEST_US, earliest_us)
             first_us = float(fire_us + predictor.delay_us)
@@ -104,7 +104,7 @@ class TargetPhase:
             )
             if cost < least:
                 least = cost
-                best = Release(release_us, round(first_us + index * COARSE_US))
+                best = ReleasePlan(release_us, round(first_us + index * COARSE_US))
         return best
 
     def _cheapest(self, predictor: GearPredictor, now_us: int, trajectory: Trajectory) -> float:

@@ -266,7 +266,7 @@ def _pack(message: can.Message) -> bytes:
     return wire.pack(flags, message.arbitration_id, message.data, message.dlc)
 
 
-def _unpack(record: wire.Record, channel: str) -> can.Message:
+def _unpack(record: wire.WireRecord, channel: str) -> can.Message:
     flags, length, can_id, time_us, data = record
     return can.Message(
         timestamp=time_us * 1e-6,

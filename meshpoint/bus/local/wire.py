@@ -20,7 +20,6 @@ _MARK = 0xCA
 
 FD_LENGTHS = frozenset((*range(9), 12, 16, 20, 24, 32, 48, 64))
 CLASSIC_LENGTHS = frozenset(range(9))
-MAX_RECORD_BYTES = HEADER.size + max(FD_LENGTHS)
 
 
 class Flag(IntFlag):
@@ -41,7 +40,7 @@ class WireError(ValueError):
     """A record that is none: the stream cannot be trusted any further."""
 
 
-class Record(NamedTuple):
+class WireRecord(NamedTuple):
     """One frame on the stream."""
 
     flags: int
@@ -94,7 +93,7 @@ def missing_bytes(buffer: bytes | bytearray) -> int:
     return HEADER.size + _payload_bytes(mark, flags, length, zero, can_id) - len(buffer)
 
 
-def records(buffer: bytes | bytearray) -> Iterator[tuple[Record, int]]:
+def records(buffer: bytes | bytearray) -> Iterator[tuple[WireRecord, int]]:
     """The complete records in `buffer`, each with the offset behind it.
 
     Raises WireError at the first record that is none, after the good ones before it.
@@ -107,7 +106,7 @@ def records(buffer: bytes | bytearray) -> Iterator[tuple[Record, int]]:
         start = data_start + _payload_bytes(mark, flags, length, zero, can_id)
         if start > end:
             return
-        yield Record(flags, length, can_id, time_us, bytes(buffer[data_start:start])), start
+        yield WireRecord(flags, length, can_id, time_us, bytes(buffer[data_start:start])), start
 
 
 class Stamped(NamedTuple):

@@ -26,7 +26,6 @@ SPREAD: Final[Mapping[str, tuple[float, float]]] = {
     "air.supply_offset_bar": (-0.8, 0.3),
 }
 """Conditions of work of the preset truck, drawn evenly; everything else as built (`truck.toml`)."""
-NOISE_SD: Final = "sleeve.noise_sd_ms"
 
 
 def upshifts() -> tuple[tuple[int, int], ...]:

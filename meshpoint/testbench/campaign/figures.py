@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from meshpoint.testbench.campaign.intervals import rate_interval
-from meshpoint.testbench.campaign.record import Record
+from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.summary import by_strategy
 from meshpoint.testbench.report.layout import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, Figure
 from meshpoint.testbench.report.overview import gap_band, plain_layout
@@ -17,7 +17,7 @@ COLOURS: Final = (ORANGE, BLUE, PURPLE, GREEN, GREY, INK)
 BIN_PERCENT: Final = 2.5
 BINS: Final = 6
 LEAST_IN_A_BIN: Final = 5
-Value = Callable[[Record], float | None]
+Value = Callable[[JudgedShift], float | None]
 CURVES: Final[dict[str, tuple[str, Value]]] = {
     "slip": ("slip at first contact, rpm", lambda r: r.slip_rpm),
     "backlash": ("backlash, % of pitch", lambda r: r.backlash_percent),
@@ -25,7 +25,9 @@ CURVES: Final[dict[str, tuple[str, Value]]] = {
 }
 
 
-def phase_histogram(records: list[Record], names: tuple[str, ...], gap_percent: float) -> Figure:
+def phase_histogram(
+    records: list[JudgedShift], names: tuple[str, ...], gap_percent: float
+) -> Figure:
     """Phase at first contact, share of the shifts a bin."""
     edges = np.arange(-50.0, 50.0 + BIN_PERCENT, BIN_PERCENT)
     data = []
@@ -73,7 +75,7 @@ def frontier(points: list[tuple[str, dict[str, Any]]], names: tuple[str, ...]) -
     return {"data": data, "layout": layout}
 
 
-def gap_curve(records: list[Record], names: tuple[str, ...], title: str, of: Value) -> Figure:
+def gap_curve(records: list[JudgedShift], names: tuple[str, ...], title: str, of: Value) -> Figure:
     """Share of first contacts in a gap over something drawn, in bins of equally many shifts; where
     it takes few values, as in a sweep, one point a value."""
     data = []

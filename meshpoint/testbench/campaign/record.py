@@ -15,7 +15,7 @@ NO_OUTCOME = "no_outcome"
 
 
 @dataclass(frozen=True)
-class Record:
+class JudgedShift:
     """Phase error, slip and impacts are the rig's truth. None: it did not come to that."""
 
     sweep: str
@@ -80,11 +80,11 @@ class Conditions:
         }
         self._sheet = sheet
 
-    def record(self, planned: PlannedShift, row: ShiftRow | None, **key: Any) -> Record:
+    def record(self, planned: PlannedShift, row: ShiftRow | None, **key: Any) -> JudgedShift:
         """The record of a shift; `row` None: there was no outcome. `key`: sweep to strategy."""
         gear = DRIVE_GEARS[planned.to].main
         old = self._sheet.main_mesh(DRIVE_GEARS[planned.from_].main).ratio
-        return Record(
+        return JudgedShift(
             **key,
             from_gear=planned.from_,
             to_gear=planned.to,

@@ -5,23 +5,23 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-from meshpoint.testbench.campaign.record import Record
+from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.run import RunResult
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 from meshpoint.testbench.campaign.summary import curve_point, summarise
-from meshpoint.testbench.campaign.sweep import BASE, Point
+from meshpoint.testbench.campaign.sweep import BASE, SweepPoint
 
 
 class Collected:
     """The results of a campaign's jobs, in any order of coming."""
 
-    def __init__(self, spec: CampaignSpec, jobs: list[Job], records: list[Record]) -> None:
+    def __init__(self, spec: CampaignSpec, jobs: list[Job], records: list[JudgedShift]) -> None:
         self.jobs = jobs
         self._order = {name: k for k, name in enumerate(spec.names)}
-        self._records: dict[Job, list[Record]] = {}
+        self._records: dict[Job, list[JudgedShift]] = {}
         wanted = set(jobs)
         for record in records:
-            job = Job(record.seed, Point(record.sweep, record.sweep_value))
+            job = Job(record.seed, SweepPoint(record.sweep, record.sweep_value))
             if job in wanted:
                 self._records.setdefault(job, []).append(record)
         self._failed: dict[Job, RunResult] = {}
@@ -36,7 +36,7 @@ class Collected:
         return set(self._records)
 
     @property
-    def records(self) -> list[Record]:
+    def records(self) -> list[JudgedShift]:
         """All judged shifts in order of job, strategy and shift."""
         return [
             record
@@ -66,7 +66,7 @@ class Collected:
             self.cpu_s += result.cpu_s
             self.strategy_errors += result.strategy_errors
 
-    def at(self, point: Point) -> list[Record]:
+    def at(self, point: SweepPoint) -> list[JudgedShift]:
         """The records of one point of the sweep."""
         return [r for r in self.records if (r.sweep, r.sweep_value) == point]
 

@@ -12,7 +12,7 @@ from functools import cache
 from meshpoint.bus.settle import settle
 from meshpoint.testbench.campaign.draw import draw
 from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.campaign.record import Conditions, Record
+from meshpoint.testbench.campaign.record import Conditions, JudgedShift
 from meshpoint.testbench.campaign.spec import ORACLE, CampaignSpec, Job
 from meshpoint.testbench.results.rows import ShiftRow
 
@@ -22,7 +22,7 @@ class RunResult:
     """What came of a run. `error`: the run broke off, and this is its traceback."""
 
     job: Job
-    records: list[Record] = field(default_factory=list)
+    records: list[JudgedShift] = field(default_factory=list)
     shifts: int = 0
     """Made in closed loop, the learning ones included."""
     cpu_s: float = 0.0
@@ -66,7 +66,7 @@ def _shifts(spec: CampaignSpec, job: Job) -> RunResult:
     for _ in range(spec.learn):
         bench.shift()
     conditions = Conditions(spec.sheet, bench.as_built)
-    records: dict[str, list[Record]] = {name: [] for name in spec.names}
+    records: dict[str, list[JudgedShift]] = {name: [] for name in spec.names}
     made, errors = spec.learn, Counter[str]()
     for k, planned in enumerate(drawn.plan[spec.learn :]):
         if k > 0 and spec.own not in spec.names:

@@ -14,7 +14,7 @@ from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.campaign.sweep import BASE, Point, at_point
+from meshpoint.testbench.campaign.sweep import BASE, SweepPoint, at_point
 from meshpoint.testbench.provenance import product_version, provenance
 
 ORACLE: Final = "oracle"
@@ -29,7 +29,7 @@ class Job:
     """One run: its seed, and the point of the sweep it is made at."""
 
     seed: int
-    point: Point = BASE
+    point: SweepPoint = BASE
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class CampaignSpec:
     judged: int
     seed: int
     as_built: Mapping[str, float] = field(default_factory=dict)
-    sweep: tuple[Point, ...] = ()
+    sweep: tuple[SweepPoint, ...] = ()
     strategy_files: Mapping[str, StrategyFile] = field(default_factory=dict)
     """The users' own among `strategies`, by name."""
 
@@ -65,7 +65,7 @@ class CampaignSpec:
         seeds = range(SEEDS_APART * self.seed, SEEDS_APART * self.seed + runs)
         return [Job(seed, point) for point in (BASE, *self.sweep) for seed in seeds]
 
-    def at(self, point: Point) -> CampaignSpec:
+    def at(self, point: SweepPoint) -> CampaignSpec:
         """The campaign as it is made at a point of its sweep."""
         sheet, settings, fixed = at_point(point, self.sheet, self.settings, self.preset)
         as_built = {**self.as_built, **fixed}

@@ -15,9 +15,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args, get_type_hints
 
-from meshpoint.testbench.campaign.record import Record
+from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
-from meshpoint.testbench.campaign.sweep import Point
+from meshpoint.testbench.campaign.sweep import SweepPoint
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.results.output import folder_for
 
@@ -28,7 +28,7 @@ EXTRA: Final = "a campaign's table needs the extra: pip install 'meshpoint[campa
 TABLE: Final = "shifts.parquet"
 HEAD: Final = "campaign.json"
 PARTS: Final = "parts"
-FIELDS: Final = tuple(field.name for field in dataclasses.fields(Record))
+FIELDS: Final = tuple(field.name for field in dataclasses.fields(JudgedShift))
 
 
 class Store:
@@ -39,7 +39,7 @@ class Store:
         self._folder = folder_for(folder)
         self._parts = folder_for(folder / PARTS)
         self._count = 0
-        self.records: list[Record] = []
+        self.records: list[JudgedShift] = []
         """What was there already."""
         self._begin(spec, resume)
 
@@ -55,15 +55,15 @@ class Store:
 
     def done(self) -> set[Job]:
         """The runs that need not be made again."""
-        return {Job(r.seed, Point(r.sweep, r.sweep_value)) for r in self.records}
+        return {Job(r.seed, SweepPoint(r.sweep, r.sweep_value)) for r in self.records}
 
-    def add(self, records: list[Record]) -> None:
+    def add(self, records: list[JudgedShift]) -> None:
         """Some whole runs, safe on disk when this returns."""
         if records:
             self._count += 1
             _write(self._parts / f"{self._count:06d}.parquet", records)
 
-    def finish(self, records: list[Record]) -> None:
+    def finish(self, records: list[JudgedShift]) -> None:
         """All runs, in order; the parts are not needed any more."""
         _write(self.table, records)
         shutil.rmtree(self._parts)
@@ -102,11 +102,6 @@ def _plain(value: Any) -> Any:
     return json.loads(json.dumps(value))
 
 
-def check_parquet() -> None:
-    """CommandError where the extra is not installed."""
-    _parquet()
-
-
 def _parquet() -> Any:
     try:
         import pyarrow.parquet
@@ -119,7 +114,7 @@ def _schema() -> pa.Schema:
     import pyarrow as pa
 
     kinds = {int: pa.int64(), float: pa.float64(), str: pa.string(), bool: pa.bool_()}
-    hints = get_type_hints(Record)
+    hints = get_type_hints(JudgedShift)
     fields = []
     for name in FIELDS:
         hint = hints[name]
@@ -129,7 +124,7 @@ def _schema() -> pa.Schema:
     return pa.schema(fields)
 
 
-def _write(path: Path, records: Iterable[Record]) -> None:
+def _write(path: Path, records: Iterable[JudgedShift]) -> None:
     """Written beside, then renamed: a file with this name is whole."""
     import pyarrow as pa
 
@@ -142,11 +137,11 @@ def _write(path: Path, records: Iterable[Record]) -> None:
         raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def _read(path: Path) -> list[Record]:
+def _read(path: Path) -> list[JudgedShift]:
     import pyarrow as pa
 
     try:
         rows = _parquet().read_table(path, schema=_schema()).to_pylist()
     except (OSError, pa.ArrowException) as error:
         raise CommandError(f"{path}: not a part of a campaign: {error}") from error
-    return [Record(**row) for row in rows]
+    return [JudgedShift(**row) for row in rows]

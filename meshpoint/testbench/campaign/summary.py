@@ -16,7 +16,7 @@ from meshpoint.testbench.campaign.intervals import (
     quantile,
     rate_interval,
 )
-from meshpoint.testbench.campaign.record import Record
+from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.spec import ORACLE
 from meshpoint.testbench.results.rows import SOURCES
 
@@ -27,7 +27,7 @@ Figure = Callable[["Shots"], tuple[Floats, Integers]]
 class Shots:
     """The judged shifts of one strategy as arrays; `cluster` numbers their runs."""
 
-    def __init__(self, records: list[Record], runs: dict[int, int]) -> None:
+    def __init__(self, records: list[JudgedShift], runs: dict[int, int]) -> None:
         self.records = records
         self.cluster: Integers = np.array([runs[r.seed] for r in records], dtype=np.int64)
         self.is_gap = np.array([r.contact == "gap" for r in records], dtype=bool)
@@ -50,7 +50,7 @@ class Shots:
         return self._durations[has], self.cluster[has]
 
 
-def by_strategy(records: list[Record], names: tuple[str, ...]) -> dict[str, Shots]:
+def by_strategy(records: list[JudgedShift], names: tuple[str, ...]) -> dict[str, Shots]:
     """The records of one point of the sweep, by strategy."""
     seeds = sorted({record.seed for record in records})
     runs = {seed: number for number, seed in enumerate(seeds)}
@@ -130,7 +130,7 @@ def compare(shots: dict[str, Shots], bootstrap: Bootstrap) -> dict[str, Any]:
     return found
 
 
-def summarise(records: list[Record], names: tuple[str, ...]) -> dict[str, Any]:
+def summarise(records: list[JudgedShift], names: tuple[str, ...]) -> dict[str, Any]:
     """`strategies` and `ratios` for the records of one point of the sweep."""
     shots = by_strategy(records, names)
     bootstrap = Bootstrap(len({record.seed for record in records}))
@@ -140,7 +140,7 @@ def summarise(records: list[Record], names: tuple[str, ...]) -> dict[str, Any]:
     }
 
 
-def curve_point(records: list[Record], names: tuple[str, ...]) -> dict[str, Any]:
+def curve_point(records: list[JudgedShift], names: tuple[str, ...]) -> dict[str, Any]:
     """What a curve needs at one point: rate with its interval, time and energy a strategy."""
     found = {}
     for name, shots in by_strategy(records, names).items():

@@ -22,7 +22,7 @@ LIMIT_SDS: Final = 2.5
 MS: Final = 1e-3
 
 
-class Point(NamedTuple):
+class SweepPoint(NamedTuple):
     """A name and its value, in the units of the name."""
 
     name: str
@@ -33,13 +33,13 @@ class Point(NamedTuple):
         return f"{self.name}={self.value:g}"
 
 
-BASE: Final = Point("", 0.0)
+BASE: Final = SweepPoint("", 0.0)
 """Nothing changed."""
 Changed = tuple[GearboxSheet, ControllerSettings, dict[str, float]]
 
 
 def at_point(
-    point: Point, sheet: GearboxSheet, settings: ControllerSettings, preset: Preset
+    point: SweepPoint, sheet: GearboxSheet, settings: ControllerSettings, preset: Preset
 ) -> Changed:
     """Data sheet, controller settings and as-built values at a point. CommandError where the name
     is not known or the value is out of its range."""
@@ -67,13 +67,13 @@ def _delay_sd(
     return dataclasses.replace(sheet, sleeve=sleeve), settings, fixed
 
 
-def _within(point: Point, low: float, high: float) -> float:
+def _within(point: SweepPoint, low: float, high: float) -> float:
     if not low <= point.value <= high:
         raise TableError(f"allowed is a number from {low:g} to {high:g}")
     return point.value
 
 
-def _with_setting(settings: ControllerSettings, point: Point) -> ControllerSettings:
+def _with_setting(settings: ControllerSettings, point: SweepPoint) -> ControllerSettings:
     group_name, _, key = point.name.partition(".")
     group: Any = getattr(settings, group_name, None)
     if not dataclasses.is_dataclass(group):

@@ -8,7 +8,7 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
-from meshpoint.testbench.campaign.record import Record
+from meshpoint.testbench.campaign.record import JudgedShift
 
 
 def print_tables(out: Console, values: dict[str, Any]) -> None:
@@ -45,7 +45,7 @@ def _ratios(ratios: dict[str, Any]) -> Table:
     return table
 
 
-def records_table(title: str, records: list[Record]) -> Table:
+def records_table(title: str, records: list[JudgedShift]) -> Table:
     """Every judged shift of one run."""
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     for column in ("strategy", "shift", "contact", "reference", "result"):

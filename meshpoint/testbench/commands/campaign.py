@@ -22,7 +22,7 @@ from meshpoint.testbench.campaign.run import RunResult, run_one
 from meshpoint.testbench.campaign.runner import run_all
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 from meshpoint.testbench.campaign.store import Store
-from meshpoint.testbench.campaign.sweep import Point
+from meshpoint.testbench.campaign.sweep import SweepPoint
 from meshpoint.testbench.campaign.table import print_tables, records_table
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
@@ -222,9 +222,9 @@ def _strategies(text: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys(arguments.strategy_name(name) for name in text.split(",")))
 
 
-def _sweep(text: str) -> tuple[Point, ...]:
+def _sweep(text: str) -> tuple[SweepPoint, ...]:
     name, _, values = text.partition("=")
     try:
-        return tuple(Point(name, float(value)) for value in values.split(","))
+        return tuple(SweepPoint(name, float(value)) for value in values.split(","))
     except ValueError:
         raise argparse.ArgumentTypeError(f"{text!r}, allowed is NAME=V1,V2,...") from None

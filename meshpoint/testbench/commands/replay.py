@@ -24,7 +24,7 @@ from meshpoint.testbench.logs.counterfactual import Counterfactuals, counterfact
 from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
 from meshpoint.testbench.logs.replay_strategy import Chosen, header_for
 from meshpoint.testbench.report.collect import MADE, ReportCollector
-from meshpoint.testbench.report.run import Report, Run
+from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import aim_rad, check_report, report_provenance, write_report
 from meshpoint.testbench.results.output import complain_of_strategy, console, rows_table, write_json
 from meshpoint.testbench.results.rows import RowCollector, ShiftRow
@@ -266,7 +266,7 @@ def _report(
         subtitle=f"A recorded bus through the same controller, {what}; sensors, valves and truth "
         "are those of the log.",
         sheet=header.sheet,
-        runs=[Run(name, rows.report.finish(), notes if namespace.verify else [])],
+        runs=[ReportRun(name, rows.report.finish(), notes if namespace.verify else [])],
         provenance=report_provenance(
             header.sheet,
             seed=None,

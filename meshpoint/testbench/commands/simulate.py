@@ -18,7 +18,7 @@ from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.simulate import Result, Setup, simulate
 from meshpoint.testbench.report.collect import ReportCollector
-from meshpoint.testbench.report.run import Report, Run
+from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import (
     aim_rad,
     check_report,
@@ -151,7 +151,7 @@ def _report(setup: Setup, result: Result, collector: ReportCollector) -> Report:
         title=f"meshpoint simulate: {setup.shifts} shifts, {name}",
         subtitle=f"Simulated in virtual time by the rig's preset {setup.preset.value}.",
         sheet=setup.sheet,
-        runs=[Run(name, collector.finish(), notes)],
+        runs=[ReportRun(name, collector.finish(), notes)],
         provenance=report_provenance(
             setup.sheet, seed=setup.seed, preset=setup.preset.value,
             **{"run header": f"{setup.header.run_hash:016x}"},

@@ -16,7 +16,7 @@ from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.provenance import provenance
 from meshpoint.testbench.results.output import check_json, console, folder_for, write_json
 from meshpoint.testbench.studies.draw import check_extras
-from meshpoint.testbench.studies.record import Verdict
+from meshpoint.testbench.studies.record import ThesisVerdict
 from meshpoint.testbench.studies.registry import NAMES, chosen, load
 from meshpoint.testbench.studies.runner import StudyRecord, run_studies
 from meshpoint.testbench.studies.settings import StudySettings, load_study_settings, shipped_text
@@ -25,9 +25,9 @@ LIST = "list"
 PAGE = "studies.html"
 SETTINGS = "studies.toml"
 WORDS = {
-    Verdict.AGREES: "[green]agrees[/]",
-    Verdict.DIFFERS: "[red]differs[/]",
-    Verdict.NOT_COMPARABLE: "not comparable",
+    ThesisVerdict.AGREES: "[green]agrees[/]",
+    ThesisVerdict.DIFFERS: "[red]differs[/]",
+    ThesisVerdict.NOT_COMPARABLE: "not comparable",
 }
 MAX_WORKERS = 64
 

@@ -14,7 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.sensing.chain_kernels import STAMPS
-from meshpoint.controller.sensing.sensor_clock import SensorClock, wrap
+from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate, wrap
 from meshpoint.controller.sensing.wheel_edges import WheelEdges
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.logs.capture_files import (
@@ -151,7 +151,7 @@ def read_frame(edges_us: list[int], read_us: int) -> ReadFrame:
 def number_edges(capture: Capture, wheel: FoundWheel) -> NumberedEdges:
     """The capture's edges through the node's own conditioning, read every 10 ms."""
     edges = WheelEdges(wheel.teeth, DUTY_SHARE, wheel.missing, CRANK_RAD_S2)
-    clock = SensorClock()
+    clock = SensorClockEstimate()
     rise, fall = capture.rise_us.tolist(), capture.fall_us.tolist()
     ends = [*rise[:1], *fall[:1], *rise[-1:], *fall[-1:]]
     batches, parts, extra = [], [], []

@@ -12,7 +12,7 @@ from meshpoint.gearbox import GearboxSheet
 
 INK, GREY, GRID = "#1a1a1a", "#6b6b6b", "#e4e4e4"
 BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#aa4499"
-BLUE_BAND, GREEN_BAND, GAP_BAND = "rgba(0,114,178,.25)", "rgba(0,158,115,.25)", "#d5efe4"
+BLUE_BAND, GAP_BAND = "rgba(0,114,178,.25)", "#d5efe4"
 FONT: Final = {"family": "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif", "color": INK}
 SLIP_TOP_RPM: Final = 60.0
 HEIGHT: Final = 1240

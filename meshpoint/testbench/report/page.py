@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from meshpoint.testbench.report.html import NUMBER, Cell, definitions, document, table, table_row
 from meshpoint.testbench.report.overview import shift_key, wilson
-from meshpoint.testbench.report.run import Report, Run, account, figure, shift_title
+from meshpoint.testbench.report.run import Report, ReportRun, account, figure, shift_title
 from meshpoint.testbench.results.rows import ShiftRow, Summary
 
 
@@ -44,7 +44,7 @@ the shift. Phase counts on over the pitches, so every gap that goes by is a band
 reference, which the controller never reads.</p>"""
 
 
-def _notes(runs: list[Run]) -> str:
+def _notes(runs: list[ReportRun]) -> str:
     items = "".join(f"<li>{escape(note)}</li>\n" for run in runs for note in run.notes)
     return f"<ul>\n{items}</ul>" if items else ""
 
@@ -55,7 +55,7 @@ def _number(value: float | None, digits: int, signed: bool = False) -> Cell:
     return figure(value, digits, signed), NUMBER
 
 
-def _summary(runs: list[Run]) -> str:
+def _summary(runs: list[ReportRun]) -> str:
     head = [("strategy", "")] + [
         (name, NUMBER)
         for name in (
@@ -91,7 +91,7 @@ SHIFT_HEAD: Final = [
 ]  # fmt: skip
 
 
-def _shifts(runs: list[Run]) -> str:
+def _shifts(runs: list[ReportRun]) -> str:
     rows = []
     for r, run in enumerate(runs):
         if len(runs) > 1:

@@ -10,7 +10,7 @@ from meshpoint.testbench.results.rows import DEG, RPM, Summary, summarise
 
 
 @dataclass(frozen=True)
-class Run:
+class ReportRun:
     """The shifts of one strategy, as it was asked for."""
 
     name: str
@@ -30,7 +30,7 @@ class Report:
     title: str
     subtitle: str
     sheet: GearboxSheet
-    runs: list[Run]
+    runs: list[ReportRun]
     provenance: dict[str, str]
 
 

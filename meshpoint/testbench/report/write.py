@@ -17,7 +17,7 @@ from meshpoint.testbench.report.figures import shift_figure
 from meshpoint.testbench.report.layout import common_layout
 from meshpoint.testbench.report.overview import contacts_figure, predictions_figure, shift_key
 from meshpoint.testbench.report.page import page, shift_words
-from meshpoint.testbench.report.run import Report, Run
+from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.results.output import check_json, folder_for
 from meshpoint.testbench.results.rows import is_aimed
 
@@ -58,12 +58,12 @@ def report_provenance(
     }
 
 
-def gather(name: str, frames: Iterable[Frame], header: RunHeader, notes: list[str]) -> Run:
+def gather(name: str, frames: Iterable[Frame], header: RunHeader, notes: list[str]) -> ReportRun:
     """A run from the frames of its bus."""
     collector = ReportCollector(header.sheet, aim_rad(header), header.settings)
     for frame in frames:
         collector.receive(frame)
-    return Run(name, collector.finish(), notes)
+    return ReportRun(name, collector.finish(), notes)
 
 
 def aim_rad(header: RunHeader) -> float:

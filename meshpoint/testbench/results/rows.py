@@ -251,6 +251,7 @@ def summarise(strategy: str, rows: list[ShiftRow]) -> Summary:
         phase_error_rms_deg=(
             math.sqrt(sum(e * e for e in errors) / len(errors)) if errors else None
         ),
-        # Only for one that aims does another one ever stand in.
-        aims=strategy in AIMING or any(row.strategy != strategy for row in rows),
+        # Of a user's own, only for one that aims does another one ever stand in.
+        aims=strategy in AIMING
+        or (is_file_name(strategy) and any(row.strategy != strategy for row in rows)),
     )

@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from meshpoint.controller.settings import ControllerSettings, ThesisFilter
 from meshpoint.gearbox.tables import count, group, quantity
-from meshpoint.testbench.studies.bound_runs import NAMES, Shifts, Squares
+from meshpoint.testbench.studies.bound_runs import NAMES, ErrorSums, Shifts
 from meshpoint.testbench.studies.bound_scene import Scene
 from meshpoint.testbench.studies.record import (
     Chart,
@@ -25,7 +25,7 @@ from meshpoint.testbench.studies.record import (
     Study,
     Style,
     Table,
-    Verdict,
+    ThesisVerdict,
 )
 from meshpoint.testbench.studies.simulated import DEG, RPM
 
@@ -101,7 +101,7 @@ def _conclude(given: Given[Settings]) -> Finding:
 
 
 def _rows(given: Given[Settings], as_built: bool) -> list[dict[str, Any]]:
-    total = dict.fromkeys(NAMES, Squares())
+    total = dict.fromkeys(NAMES, ErrorSums())
     for job in _of_case(given, as_built):
         for name, squares in given.results[job].items():
             total[name] = total[name].plus(squares)
@@ -118,7 +118,7 @@ def _rows(given: Given[Settings], as_built: bool) -> list[dict[str, Any]]:
     return rows
 
 
-def _figures(squares: Squares) -> tuple[float, float, float]:
+def _figures(squares: ErrorSums) -> tuple[float, float, float]:
     """RMS of angle (deg), speed (rpm), and angle ahead (deg)."""
     return (
         math.sqrt(squares.theta / squares.samples) / DEG,
@@ -142,7 +142,7 @@ def _statements(own: Settings, rows: Mapping[str, list[dict[str, Any]]]) -> tupl
         Statement(
             f"(not in the thesis) {what}: at most {most:g} {unit}",
             f"{value:.3f} {unit}",
-            Verdict.AGREES if value <= most else Verdict.DIFFERS,
+            ThesisVerdict.AGREES if value <= most else ThesisVerdict.DIFFERS,
             "the bound is that of the simulated excitation, teeth and parameters known",
         )
         for what, value, most, unit in wanted

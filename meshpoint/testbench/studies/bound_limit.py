@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from meshpoint.controller.motion.linear_kernels import Vector
-from meshpoint.testbench.studies.bound_scene import OMEGA, PRESSURE, THETA, Run, Scene
+from meshpoint.testbench.studies.bound_scene import OMEGA, PRESSURE, THETA, Scene, SceneRun
 
 QUANTUM_VARIANCE_S2 = 1e-12 / 12.0
 """Of rounding to whole microseconds."""
@@ -31,7 +31,7 @@ class Limit(NamedTuple):
 
 
 def limit(
-    scene: Scene, run: Run, start: Vector, grid_us: Vector, batch_us: float, ahead_us: float
+    scene: Scene, run: SceneRun, start: Vector, grid_us: Vector, batch_us: float, ahead_us: float
 ) -> Limit:
     """The bound at each time of `grid_us` from batches delivered every `batch_us`; start (4, 4) is
     the covariance at time 0."""
@@ -62,7 +62,7 @@ def limit(
 class _Flow:
     """Covariance over a time: whole microseconds, so put together of powers of two of them."""
 
-    def __init__(self, scene: Scene, run: Run) -> None:
+    def __init__(self, scene: Scene, run: SceneRun) -> None:
         a, b, g = run.parameters
         rate = 1.0 / scene.disturbance_s
         self._flow = np.zeros((STATES, STATES))

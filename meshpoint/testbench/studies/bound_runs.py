@@ -42,9 +42,9 @@ from meshpoint.testbench.studies.bound_scene import (
     STEP_S,
     THETA,
     Parameters,
-    Run,
     Scene,
-    Wheel,
+    SceneRun,
+    SceneWheel,
     draw_run,
     draw_wheel,
 )
@@ -69,7 +69,7 @@ KNOWN: Final[dict[str, Any]] = {
 """The filter's tuning where its parameters are known: nothing else wanders."""
 
 
-class Squares(NamedTuple):
+class ErrorSums(NamedTuple):
     """Sums of squared errors (rad2, rad2/s2, rad2 ahead) and their numbers."""
 
     theta: float = 0.0
@@ -78,9 +78,9 @@ class Squares(NamedTuple):
     ahead: float = 0.0
     predictions: int = 0
 
-    def plus(self, other: Squares) -> Squares:
+    def plus(self, other: ErrorSums) -> ErrorSums:
         """Both together."""
-        return Squares(
+        return ErrorSums(
             self.theta + other.theta,
             self.omega + other.omega,
             self.samples + other.samples,
@@ -103,15 +103,15 @@ class Shifts:
     learn_s: float
     earlier_shifts: int
 
-    def run(self) -> dict[str, Squares]:
+    def run(self) -> dict[str, ErrorSums]:
         """Sums of squared errors by estimator, the bound among them."""
-        total = dict.fromkeys(NAMES, Squares())
+        total = dict.fromkeys(NAMES, ErrorSums())
         for number in range(self.first, self.last):
             for name, squares in self._shift(number).items():
                 total[name] = total[name].plus(squares)
         return total
 
-    def _shift(self, number: int) -> dict[str, Squares]:
+    def _shift(self, number: int) -> dict[str, ErrorSums]:
         rng = Generator(PCG64([self.seed, number, int(self.as_built)]))
         scene = self.scene
         wheel = draw_wheel(scene, rng)
@@ -209,7 +209,7 @@ class _Bench:
         thesis = layshaft_model(sheet, split)
         self.tracker.set_models(LayshaftModels(motion, thesis, sheet.inertia_kgm2(split)))
 
-    def learn_teeth(self, wheel: Wheel, learn_s: float, rng: Generator) -> None:
+    def learn_teeth(self, wheel: SceneWheel, learn_s: float, rng: Generator) -> None:
         """Some seconds at a speed that is held, the disturbances as ever."""
         scene = self.scene
         held = replace(scene, before_s=learn_s, after_s=1e-3, from_low_rad_s=scene.from_high_rad_s)
@@ -227,7 +227,7 @@ class _Bench:
         teeth.learner.take(batch, teeth.place(batch), NO_PRESSURES, none, model)
         teeth.end_window()
 
-    def drive(self, run: Run, each: Callable[[float], None] | None = None) -> None:
+    def drive(self, run: SceneRun, each: Callable[[float], None] | None = None) -> None:
         """One shift from its first edge to its end; `each` is told the time after every batch.
 
         The layshaft is known to be free from half of the time before the brake on."""
@@ -265,7 +265,9 @@ class _Bench:
         return predict(state, to_us, self.brake.arrays(), self.tracker.model)
 
 
-def batch_of(scene: Scene, run: Run, from_us: float, to_us: float, offset_us: float) -> EdgeBatch:
+def batch_of(
+    scene: Scene, run: SceneRun, from_us: float, to_us: float, offset_us: float
+) -> EdgeBatch:
     """The edges of a time, as `meshpoint.controller.sensing.wheel_edges` gives them."""
     inside = (run.edge_us > from_us) & (run.edge_us <= to_us)
     number = run.edge[inside]
@@ -273,12 +275,12 @@ def batch_of(scene: Scene, run: Run, from_us: float, to_us: float, offset_us: fl
     return EdgeBatch(run.edge_us[inside] + offset_us, theta, number // 2, number % 2)
 
 
-def _pressures(run: Run, from_us: float, to_us: float, offset_us: float) -> Pressures:
+def _pressures(run: SceneRun, from_us: float, to_us: float, offset_us: float) -> Pressures:
     inside = (run.pressure_us > from_us) & (run.pressure_us <= to_us)
     return Pressures(run.pressure_us[inside] + offset_us, run.pressure_pa[inside])
 
 
-def _score(bench: _Bench, run: Run) -> Squares:
+def _score(bench: _Bench, run: SceneRun) -> ErrorSums:
     """Errors from brake on to the end, each from batches delivered before; and of predictions whose
     horizon holds the brake's release."""
     sums = np.zeros(3)
@@ -298,17 +300,19 @@ def _score(bench: _Bench, run: Run) -> Squares:
             numbers[1] += 1
 
     bench.drive(run, each)
-    return Squares(float(sums[0]), float(sums[1]), int(numbers[0]), float(sums[2]), int(numbers[1]))
+    return ErrorSums(
+        float(sums[0]), float(sums[1]), int(numbers[0]), float(sums[2]), int(numbers[1])
+    )
 
 
-def _bound(scene: Scene, run: Run) -> Squares:
+def _bound(scene: Scene, run: SceneRun) -> ErrorSums:
     first_us = math.ceil(run.on_s * 1e6 / GRID_US) * GRID_US
     grid_us = np.arange(first_us, run.end_s * 1e6, GRID_US)
     sigma = scene.disturbance_nm / scene.inertia_kgm2
     start = np.diag(np.square([*START_SD, sigma]))
     least = limit(scene, run, start, grid_us, BATCH_US, AHEAD_US)
     ahead = np.array([time_us % BATCH_US == 0.0 and _predicts(run, time_us) for time_us in grid_us])
-    return Squares(
+    return ErrorSums(
         float(least.theta_rad2.sum()),
         float(least.omega_rad2_s2.sum()),
         grid_us.size,
@@ -317,12 +321,12 @@ def _bound(scene: Scene, run: Run) -> Squares:
     )
 
 
-def _predicts(run: Run, time_us: float) -> bool:
+def _predicts(run: SceneRun, time_us: float) -> bool:
     """Whether the brake's release lies within the prediction's horizon."""
     return time_us <= run.off_s * 1e6 < time_us + AHEAD_US < run.end_s * 1e6
 
 
-def _true(run: Run, state: int, time_us: float) -> float:
+def _true(run: SceneRun, state: int, time_us: float) -> float:
     """Truth between grid points: angle by the speed's trapezoid, else linear."""
     at = min(int(time_us * 1e-6 / STEP_S), run.time_s.size - 2)
     left_s = time_us * 1e-6 - run.time_s[at]

@@ -57,7 +57,7 @@ class Scene:
     built."""
 
 
-class Wheel(NamedTuple):
+class SceneWheel(NamedTuple):
     """Errors of the 2 z edges, mean zero: rising edge of tooth k at 2 k, falling at 2 k + 1."""
 
     error_rad: Vector
@@ -71,7 +71,7 @@ class Parameters(NamedTuple):
     g: float
 
 
-class Run(NamedTuple):
+class SceneRun(NamedTuple):
     """A shift as it was: state on the grid of STEP_S, edges and pressure as sensors give them."""
 
     time_s: Vector
@@ -89,17 +89,17 @@ class Run(NamedTuple):
     pressure_pa: Vector
 
 
-def draw_wheel(scene: Scene, rng: Generator) -> Wheel:
+def draw_wheel(scene: Scene, rng: Generator) -> SceneWheel:
     """A wheel."""
     edges = 2 * scene.teeth
     turn = 2.0 * np.pi * np.arange(edges) / edges
     error = scene.pitch_error_rad * rng.standard_normal(edges)
     error += math.sqrt(2.0) * scene.eccentricity_rad * np.sin(turn + rng.uniform(0.0, 2.0 * np.pi))
     error[1::2] += scene.duty_bias_rad
-    return Wheel(error - error.mean())
+    return SceneWheel(error - error.mean())
 
 
-def draw_run(scene: Scene, wheel: Wheel, parameters: Parameters, rng: Generator) -> Run:
+def draw_run(scene: Scene, wheel: SceneWheel, parameters: Parameters, rng: Generator) -> SceneRun:
     """One shift: free, braked until the speed will end near the drawn one, free again."""
     start = rng.uniform(scene.from_low_rad_s, scene.from_high_rad_s)
     end = rng.uniform(scene.to_low_rad_s, scene.to_high_rad_s)
@@ -117,7 +117,7 @@ def draw_run(scene: Scene, wheel: Wheel, parameters: Parameters, rng: Generator)
     sample_us = np.arange(10_000.0, time_s[-1] * 1e6, 10_000.0)
     pressure = np.interp(sample_us * 1e-6, time_s, state[:, PRESSURE])
     pressure += scene.pressure_sd_pa * rng.standard_normal(pressure.size)
-    return Run(
+    return SceneRun(
         time_s,
         state,
         on_s,
@@ -165,7 +165,7 @@ def discrete(scene: Scene, parameters: Parameters, step_s: float) -> tuple[Vecto
 
 
 def _edges(
-    scene: Scene, wheel: Wheel, time_s: Vector, state: Vector, rng: Generator
+    scene: Scene, wheel: SceneWheel, time_s: Vector, state: Vector, rng: Generator
 ) -> tuple[Integers, Vector]:
     """Numbers and captured times of all edges: crossings of a cubic between grid points."""
     half = np.pi / scene.teeth

@@ -18,7 +18,7 @@ from meshpoint.testbench.studies.record import (
     Panel,
     Statement,
     Table,
-    Verdict,
+    ThesisVerdict,
 )
 from meshpoint.testbench.studies.sensitivity import CAP, Release, capped, easiest_first, gear_name
 
@@ -47,7 +47,7 @@ def by_gear(
     first = Statement(
         "the error scales with the gear; aiming is easiest on crawl and first gear (7.3)",
         f"from easiest to hardest: {', '.join(order)}",
-        Verdict.AGREES if tuple(order[:2]) == EASY else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if tuple(order[:2]) == EASY else ThesisVerdict.DIFFERS,
         "a gear turns i_gear times the layshaft's angle, and i_gear rises from crawl to third",
     )
     easiest, hardest = costs[MAIN_GEARS[0]], costs[MAIN_GEARS[-1]]
@@ -55,7 +55,7 @@ def by_gear(
         f"the filter's {rms_error:g} {unit} costs {low:g} to {high:g} % of a cog gap (7.4)",
         f"{easiest:.1f} to {hardest:.1f} %; hardest over easiest {hardest / easiest:.2f}, "
         f"thesis {high / low:.2f}",
-        Verdict.NOT_COMPARABLE,
+        ThesisVerdict.NOT_COMPARABLE,
         f"ours is {easiest / low:.2f} and {hardest / high:.2f} times the thesis's: the tooth "
         "counts and ratios of its gearbox are not published, ours are chosen so that crawl "
         "against third comes near",

@@ -11,7 +11,7 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.studies.jobs import ClosedLoop, Delay, LoopResult
+from meshpoint.testbench.studies.jobs import Delay, LoopJob, LoopResult
 from meshpoint.testbench.studies.record import (
     Chart,
     Finding,
@@ -22,7 +22,7 @@ from meshpoint.testbench.studies.record import (
     Study,
     Style,
     Table,
-    Verdict,
+    ThesisVerdict,
     rms,
 )
 
@@ -43,9 +43,9 @@ class Settings:
     """This share of all must lie within the thesis's +-5 ms."""
 
 
-def _runs(given: Given[Settings]) -> tuple[ClosedLoop, ...]:
+def _runs(given: Given[Settings]) -> tuple[LoopJob, ...]:
     return tuple(
-        ClosedLoop(
+        LoopJob(
             given.sheet,
             ControllerSettings(),
             Preset.TRUCK,
@@ -74,7 +74,9 @@ def _conclude(given: Given[Settings]) -> Finding:
         f"{mean:.1f} ms on average, median {np.median(measured):.1f} ms, standard deviation "
         f"{measured.std():.1f} ms, over "
         f"{measured.size} engagements of {own.trucks} trucks as the position sensor shows them",
-        Verdict.AGREES if abs(mean - THESIS_MS) <= 1e3 * own.tolerance_s else Verdict.DIFFERS,
+        ThesisVerdict.AGREES
+        if abs(mean - THESIS_MS) <= 1e3 * own.tolerance_s
+        else ThesisVerdict.DIFFERS,
         f"agrees within {1e3 * own.tolerance_s:g} ms. The rig's delay law has the thesis's mean by "
         f"construction (truth {true.mean():.1f} ms); what is tested is the measurement. It is off "
         f"by {gap:.2f} ms RMS where the tooth met a gap: the position sensor's offset and gain, "
@@ -86,7 +88,7 @@ def _conclude(given: Given[Settings]) -> Finding:
         f"{100 * within:.0f} % of the measured and {100 * _within(true):.0f} % of the true delays "
         f"lie within +-{THESIS_SPREAD_MS:g} ms; measured from {measured.min():.1f} to "
         f"{measured.max():.1f} ms, true from {true.min():.1f} to {true.max():.1f} ms",
-        Verdict.AGREES if within >= own.within_share else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if within >= own.within_share else ThesisVerdict.DIFFERS,
         f"about is taken as {100 * own.within_share:g} % of all. The truck's delays differ by "
         "gear, supply pressure, oil temperature and chance; the thesis gives no distribution",
     )

@@ -17,7 +17,7 @@ from meshpoint.testbench.studies.record import (
     Statement,
     Study,
     Table,
-    Verdict,
+    ThesisVerdict,
 )
 from meshpoint.testbench.studies.sensitivity import Release
 from meshpoint.testbench.studies.simulated import DEG, RPM
@@ -94,7 +94,7 @@ def _size(low: float, high: float, given: Given[Settings]) -> Statement:
     return Statement(
         f"+-5 ms costs {LOW_PCT:g} to {HIGH_PCT:g} % of a cog gap at 10 to 40 rpm",
         f"{low:.1f} to {high:.1f} %, the mean of early and late",
-        Verdict.AGREES if near else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if near else ThesisVerdict.DIFFERS,
         f"agrees within {100 * own.tolerance_share:g} %; the mean of both sides is slip times 5 ms "
         f"over the pitch (here {dog.pitch_rad / DEG:g} deg, {dog.teeth} teeth). The pitch of the "
         "sheet `thesis` was taken from these figures, so this shows consistency and is no "
@@ -108,7 +108,7 @@ def _sides(at: dict[float, Vector]) -> Statement:
     return Statement(
         "errors are larger for delays that are shorter than expected",
         f"early costs up to {worst:.1f} % of pitch more than late",
-        Verdict.AGREES if larger_early else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if larger_early else ThesisVerdict.DIFFERS,
         "the brake still dies away, so the slip was larger before the nominal contact than it is "
         "after it",
     )

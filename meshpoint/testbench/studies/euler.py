@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from meshpoint.testbench.studies.prediction import Predictions, Settings
-from meshpoint.testbench.studies.record import Finding, Given, Statement, Study, Verdict
+from meshpoint.testbench.studies.record import Finding, Given, Statement, Study, ThesisVerdict
 
 
 def _conclude(given: Given[Settings]) -> Finding:
@@ -15,7 +15,7 @@ def _conclude(given: Given[Settings]) -> Finding:
         "the prediction is late by 45 ms when the brake's input changes",
         f"error up to {predictions.around(values)}, within 45 ms; up to {elsewhere:.1f} rpm "
         "elsewhere",
-        Verdict.AGREES if around > elsewhere else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if around > elsewhere else ThesisVerdict.DIFFERS,
         "a switch after the prediction was made is not in it",
     )
     key = "engaging_speed_rms_rpm"
@@ -24,7 +24,7 @@ def _conclude(given: Given[Settings]) -> Finding:
         f"{values[key]:.2f} rpm RMS against {linear_values[key]:.2f} rpm, "
         f"{values['engaging_angle_rms_percent_of_pitch']:.2f} % of pitch against "
         f"{linear_values['engaging_angle_rms_percent_of_pitch']:.2f} %",
-        Verdict.AGREES if values[key] < linear_values[key] else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if values[key] < linear_values[key] else ThesisVerdict.DIFFERS,
         "it knows pressure and friction; what is left is its step, see study step",
     )
     chart = predictions.chart("euler", "Prediction by Euler's method, 45 ms ahead", euler, linear)

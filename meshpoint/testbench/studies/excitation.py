@@ -24,11 +24,11 @@ from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.studies.jobs import (
     AsBuilt,
-    ClosedLoop,
+    LoopJob,
     LoopResult,
     Scores,
+    ShiftErrors,
     ShiftTrace,
-    Squares,
 )
 from meshpoint.testbench.studies.record import Given, Table
 from meshpoint.testbench.studies.simulated import DEG, RPM
@@ -71,7 +71,7 @@ class Figures(NamedTuple):
     speed_rpm: float
 
 
-class Point(NamedTuple):
+class BrakePoint(NamedTuple):
     """What all estimators came to with one brake."""
 
     brake_nm: float
@@ -89,7 +89,7 @@ def brakes_nm(own: Settings) -> list[float]:
     return [float(f"{value:.4g}") for value in spaced]
 
 
-def runs(given: Given[Settings]) -> tuple[ClosedLoop, ...]:
+def runs(given: Given[Settings]) -> tuple[LoopJob, ...]:
     """Every brake on every truck."""
     return tuple(
         _run(given, brake_nm, truck)
@@ -98,13 +98,13 @@ def runs(given: Given[Settings]) -> tuple[ClosedLoop, ...]:
     )
 
 
-def _run(given: Given[Settings], brake_nm: float, truck: int) -> ClosedLoop:
+def _run(given: Given[Settings], brake_nm: float, truck: int) -> LoopJob:
     own, sheet = given.own, given.sheet
     settings = ControllerSettings()
     patient = replace(settings.limits, synchronise_ms=PATIENCE_MS)
     as_built: AsBuilt = (("drag.constant_nm", own.drag_nm),)
     keep = own.learning_shifts + SHOWN if truck == 0 else 0
-    return ClosedLoop(
+    return LoopJob(
         replace(
             sheet,
             shafts=replace(sheet.shafts, friction_nms=own.friction_nms),
@@ -119,7 +119,7 @@ def _run(given: Given[Settings], brake_nm: float, truck: int) -> ClosedLoop:
     )
 
 
-def points(given: Given[Settings]) -> list[Point]:
+def points(given: Given[Settings]) -> list[BrakePoint]:
     """All brakes, over all trucks and the shifts that count."""
     found = []
     for brake_nm in brakes_nm(given.own):
@@ -127,7 +127,9 @@ def points(given: Given[Settings]) -> list[Point]:
         for truck in range(given.own.trucks):
             result: LoopResult = given.results[_run(given, brake_nm, truck)]
             trucks.append(result.scores[given.own.learning_shifts :])
-        found.append(Point(brake_nm, {name: figures(trucks, name) for name in ESTIMATOR_NAMES}))
+        found.append(
+            BrakePoint(brake_nm, {name: figures(trucks, name) for name in ESTIMATOR_NAMES})
+        )
     return found
 
 
@@ -150,9 +152,9 @@ def figures(trucks: list[list[Scores]], estimator: str) -> Figures:
     )
 
 
-def _total(scores: list[Scores], estimator: str) -> Squares:
+def _total(scores: list[Scores], estimator: str) -> ShiftErrors:
     squares = [score[estimator] for score in scores if estimator in score]
-    return Squares(
+    return ShiftErrors(
         sum(each.samples for each in squares),
         sum(each.angle_rad for each in squares),
         sum(each.angle_rad2 for each in squares),
@@ -163,12 +165,11 @@ def _total(scores: list[Scores], estimator: str) -> Squares:
 class Matched(NamedTuple):
     """Where the production speed's error is the thesis's: interpolated between two brakes."""
 
-    baseline_rpm: float
     brake_nm: float
     figures: dict[str, Figures]
 
 
-def matched(found: list[Point]) -> Matched | None:
+def matched(found: list[BrakePoint]) -> Matched | None:
     """At the mean of the thesis's two shifts; None where no two brakes enclose it."""
     wanted = sum(THESIS_BASELINE_RPM) / len(THESIS_BASELINE_RPM)
     for below, above in pairwise(found):
@@ -180,11 +181,11 @@ def matched(found: list[Point]) -> Matched | None:
                 for name, pair in _pairs(below, above).items()
             }
             brake_nm = below.brake_nm + share * (above.brake_nm - below.brake_nm)
-            return Matched(wanted, brake_nm, between)
+            return Matched(brake_nm, between)
     return None
 
 
-def _pairs(below: Point, above: Point) -> dict[str, tuple[Figures, Figures]]:
+def _pairs(below: BrakePoint, above: BrakePoint) -> dict[str, tuple[Figures, Figures]]:
     return {name: (below.figures[name], above.figures[name]) for name in below.figures}
 
 
@@ -196,7 +197,7 @@ class Shown(NamedTuple):
     traces: list[ShiftTrace]
 
 
-def shown(given: Given[Settings], found: list[Point]) -> Shown:
+def shown(given: Given[Settings], found: list[BrakePoint]) -> Shown:
     """The shifts that stand beside the thesis's."""
     wanted = sum(THESIS_BASELINE_RPM) / len(THESIS_BASELINE_RPM)
     nearest = min(found, key=lambda point: abs(point.figures[BASELINE].speed_rpm - wanted))
@@ -209,7 +210,7 @@ def shown(given: Given[Settings], found: list[Point]) -> Shown:
     )
 
 
-def curves(found: list[Point]) -> Table:
+def curves(found: list[BrakePoint]) -> Table:
     """RMS of all estimators by brake."""
     names = list(found[0].figures)
     columns = ["brake, Nm"]

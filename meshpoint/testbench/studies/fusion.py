@@ -29,7 +29,7 @@ from meshpoint.testbench.studies.record import (
     Study,
     Style,
     Table,
-    Verdict,
+    ThesisVerdict,
 )
 
 TIGHT: Final[AsBuilt] = tuple(sorted((k, v) for k, v in linear().items() if k.startswith("lash.")))
@@ -103,7 +103,7 @@ def _statements(
     for case, by_name in found.items():
         without, with_ = by_name[alone], by_name[fused]
         better = with_.angle_deg < without.angle_deg, with_.speed_rpm < without.speed_rpm
-        verdict = Verdict.AGREES if all(better) else Verdict.DIFFERS
+        verdict = ThesisVerdict.AGREES if all(better) else ThesisVerdict.DIFFERS
         statements.append(
             Statement(
                 CLAIM.format(further, own),

@@ -35,7 +35,7 @@ from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.testbench.results.estimation import ENCODER_STEP_US, EstimationScore, Sample
 from meshpoint.testbench.results.rows import ShiftRow
-from meshpoint.testbench.studies.jobs import AsBuilt, Squares
+from meshpoint.testbench.studies.jobs import AsBuilt, ShiftErrors
 
 LAYSHAFT, WITH_INPUT = "layshaft alone", "layshaft and input"
 MAIN, WITH_PROPELLER = "main alone", "main and propeller"
@@ -44,7 +44,7 @@ AHEAD: Final = ", 45 ms ahead"
 AHEAD_US: Final = 45_000
 READ_US: Final = 10_000
 CROSSING: Final = {"crossing": Estimator.CROSSING}
-Fused = dict[str, Squares]
+Fused = dict[str, ShiftErrors]
 
 
 @dataclass(frozen=True)
@@ -99,8 +99,8 @@ class _Listener:
         self._pitch_rad = sheet.wheels.main.pitch_rad
         self._truth: list[ReferencePhase] = []
         self._layshaft_pitch_rad = sheet.wheels.layshaft.pitch_rad
-        self._layshaft, self._main = Squares(), Squares()
-        self._layshaft_ahead, self._main_ahead = Squares(), Squares()
+        self._layshaft, self._main = ShiftErrors(), ShiftErrors()
+        self._layshaft_ahead, self._main_ahead = ShiftErrors(), ShiftErrors()
         self.squares = {
             layshaft: self._layshaft,
             main: self._main,
@@ -171,7 +171,7 @@ class _Listener:
                     self._put_main(self._main_ahead, each.main, truth, time_us)
 
     def _put_main(
-        self, squares: Squares, state: ShaftState, truth: ReferencePhase, time_us: int
+        self, squares: ShiftErrors, state: ShaftState, truth: ReferencePhase, time_us: int
     ) -> None:
         error = wrap_to_pitch(state.theta_at(time_us) - truth.main_angle_rad, self._pitch_rad)
         squares.put(error, state.omega_at(time_us) - truth.main_speed_rad_s)

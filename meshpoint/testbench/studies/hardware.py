@@ -19,19 +19,19 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.studies.excitation import Figures, figures
-from meshpoint.testbench.studies.jobs import AsBuilt, ClosedLoop, LoopResult, Scores
+from meshpoint.testbench.studies.jobs import AsBuilt, LoopJob, LoopResult, Scores
 from meshpoint.testbench.studies.record import (
     Chart,
     Finding,
     Given,
-    Job,
     Line,
     Panel,
     Statement,
     Study,
+    StudyJob,
     Style,
     Table,
-    Verdict,
+    ThesisVerdict,
     rms,
 )
 
@@ -107,9 +107,9 @@ def _variants(given: Given[Settings]) -> dict[str, Variant]:
     }
 
 
-def _run(given: Given[Settings], variant: Variant, number: int) -> ClosedLoop:
+def _run(given: Given[Settings], variant: Variant, number: int) -> LoopJob:
     own = given.own
-    return ClosedLoop(
+    return LoopJob(
         variant.sheet,
         variant.settings,
         Preset.TRUCK,
@@ -119,7 +119,7 @@ def _run(given: Given[Settings], variant: Variant, number: int) -> ClosedLoop:
     )
 
 
-def _jobs(given: Given[Settings]) -> tuple[Job, ...]:
+def _jobs(given: Given[Settings]) -> tuple[StudyJob, ...]:
     return tuple(
         _run(given, variant, number)
         for variant in _variants(given).values()
@@ -196,7 +196,7 @@ def _statement(name: str, ours: Bought, base: Bought) -> Statement:
         f"{ours.duration_ms:.0f} ms against {base.duration_ms:.0f}; estimated angle "
         f"{ours.estimate.angle_deg:.3f} deg against {base.estimate.angle_deg:.3f}, speed "
         f"{ours.estimate.speed_rpm:.2f} rpm against {base.estimate.speed_rpm:.2f}",
-        Verdict.NOT_COMPARABLE,
+        ThesisVerdict.NOT_COMPARABLE,
         f"{REASONS[key]}. {certainty(ours, base)}. The thesis announces such an analysis and has "
         "none",
     )

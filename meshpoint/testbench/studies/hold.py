@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from meshpoint.testbench.studies.prediction import Predictions, Settings
-from meshpoint.testbench.studies.record import Finding, Given, Statement, Study, Verdict
+from meshpoint.testbench.studies.record import Finding, Given, Statement, Study, ThesisVerdict
 
 EXACT_RPM = 1e-6
 
@@ -18,7 +18,7 @@ def _conclude(given: Given[Settings]) -> Finding:
     exact = Statement(
         "exactly the simulated value in each sampling point, except when the input changes",
         f"at most {elsewhere:.1e} rpm off where no switch lies within the horizon",
-        Verdict.AGREES if elsewhere < EXACT_RPM else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if elsewhere < EXACT_RPM else ThesisVerdict.DIFFERS,
         f"exact is taken as {EXACT_RPM:g} rpm. The simulated value is the rig's closed form, "
         "written independently of the predictor's",
     )
@@ -26,7 +26,7 @@ def _conclude(given: Given[Settings]) -> Finding:
     delayed = Statement(
         "as with Euler there is a delay when the brake is engaged and disengaged",
         f"error up to {predictions.around(values)}, within 45 ms",
-        Verdict.AGREES if around > elsewhere else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if around > elsewhere else ThesisVerdict.DIFFERS,
         "the thesis's predictor holds the input; a switch in the horizon is not in it",
     )
     known = float(np.abs(future.speed_error_rpm).max())
@@ -35,7 +35,7 @@ def _conclude(given: Given[Settings]) -> Finding:
         "(not in the thesis) the node knows its own commands of the next 45 ms",
         f"with them at most {known:.1e} rpm and {known_pct:.1e} % of pitch off everywhere, the "
         "switches included",
-        Verdict.NOT_COMPARABLE,
+        ThesisVerdict.NOT_COMPARABLE,
         "valve commands carry an activation time, so each switch is a step of its own",
     )
     values |= {"known_future_most_rpm": known, "known_future_most_percent_of_pitch": known_pct}

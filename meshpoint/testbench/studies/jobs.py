@@ -40,7 +40,7 @@ class Delay(NamedTuple):
 
 
 @dataclass
-class Squares:
+class ShiftErrors:
     """Sums of squared errors of one estimator over one shift, for 5.10."""
 
     samples: int = 0
@@ -61,7 +61,7 @@ class Squares:
         self.speed_rad2_s2 += omega_error_rad_s**2
 
 
-Scores = dict[str, Squares]
+Scores = dict[str, ShiftErrors]
 """One shift's sums by estimator."""
 
 
@@ -100,7 +100,7 @@ class LoopResult:
 
 
 @dataclass(frozen=True)
-class ClosedLoop:
+class LoopJob:
     """A job: controller, rig and bench for some shifts; traces of the first `keep`."""
 
     sheet: GearboxSheet
@@ -151,7 +151,7 @@ def linear_with_teeth() -> AsBuilt:
 class _Collector:
     """Reads delays off the outcomes, and keeps what traces and scores need."""
 
-    def __init__(self, job: ClosedLoop) -> None:
+    def __init__(self, job: LoopJob) -> None:
         self._receiver = Receiver(*Node)
         self._job = job
         self._trace = ShiftTrace()
@@ -191,7 +191,7 @@ class _Collector:
 
     def sample(self, sample: Sample) -> None:
         """An estimator was scored."""
-        self._squares.setdefault(sample.estimator, Squares()).add(sample)
+        self._squares.setdefault(sample.estimator, ShiftErrors()).add(sample)
         if self._keeps:
             self._trace.samples.append(sample)
 

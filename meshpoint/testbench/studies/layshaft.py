@@ -15,7 +15,7 @@ from meshpoint.testbench.studies.record import (
     Statement,
     Study,
     Table,
-    Verdict,
+    ThesisVerdict,
     rms,
 )
 from meshpoint.testbench.studies.validation import (
@@ -45,7 +45,7 @@ def _conclude(given: Given[Settings]) -> Finding:
         f"RMS deviation {deviation:.1f} rpm = {100 * share:.1f} % of the {taken:.0f} rpm taken "
         f"away; {at_end:+.1f} rpm on average at contact, at most {worst:.1f} rpm, over "
         f"{len(compared)} shifts; with the sheet's tau {rms(by_sheet):.1f} rpm",
-        Verdict.AGREES if share <= limit else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if share <= limit else ThesisVerdict.DIFFERS,
         f"well is taken as RMS <= {100 * limit:g} % of the speed taken away (the thesis gives a "
         "picture, no figure). tau is from the "
         "valve's step response, as in study valve; the truck rig's inertia, brake torque, its "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from meshpoint.testbench.studies.prediction import Predictions, Settings
-from meshpoint.testbench.studies.record import Finding, Given, Statement, Study, Verdict
+from meshpoint.testbench.studies.record import Finding, Given, Statement, Study, ThesisVerdict
 
 
 def _conclude(given: Given[Settings]) -> Finding:
@@ -18,7 +18,7 @@ def _conclude(given: Given[Settings]) -> Finding:
         f"in the {given.own.engaging_ms} ms in which a gear would be engaged the error is "
         f"{values['engaging_speed_rms_rpm']:.1f} rpm and {angle_pct:.1f} % of pitch RMS; up to "
         f"{predictions.around(values)}",
-        Verdict.AGREES if angle_pct > half_gap_pct else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if angle_pct > half_gap_pct else ThesisVerdict.DIFFERS,
         f"ineffective is taken as an angle error of more than half a gap ({half_gap_pct:g} % of "
         "pitch): residual pressure and drag go on slowing the layshaft",
     )

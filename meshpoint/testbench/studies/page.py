@@ -12,14 +12,22 @@ from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.report.html import NUMBER, Cell, definitions, document, table, table_row
 from meshpoint.testbench.report.layout import FONT, GREY, GRID
 from meshpoint.testbench.studies.draw import chart_extent, colours, log_ticks, panel_extent, wrapped
-from meshpoint.testbench.studies.record import Chart, Line, Panel, Style, Table, Verdict, figures
+from meshpoint.testbench.studies.record import (
+    Chart,
+    Line,
+    Panel,
+    Style,
+    Table,
+    ThesisVerdict,
+    figures,
+)
 from meshpoint.testbench.studies.runner import StudyRecord
 
 PANEL_PX, FRAME_PX, GAP = 270, 110, 0.06
 VERDICTS: Final = {
-    Verdict.AGREES: ("agrees", "gap"),
-    Verdict.DIFFERS: ("differs", "tooth"),
-    Verdict.NOT_COMPARABLE: ("not comparable", ""),
+    ThesisVerdict.AGREES: ("agrees", "gap"),
+    ThesisVerdict.DIFFERS: ("differs", "tooth"),
+    ThesisVerdict.NOT_COMPARABLE: ("not comparable", ""),
 }
 INTRODUCTION: Final = """Every figure and table of the 2019 Linköping thesis (Modeling and control
 of engaging gears in gearboxes without synchromesh towards specific angles between gear and coupling
@@ -71,7 +79,7 @@ def _overview(records: Sequence[StudyRecord]) -> str:
     return table(head, rows)
 
 
-def _verdict(verdict: Verdict) -> Cell:
+def _verdict(verdict: ThesisVerdict) -> Cell:
     return VERDICTS[verdict]
 
 

@@ -20,7 +20,7 @@ from meshpoint.testbench.studies.record import (
     Statement,
     Study,
     Table,
-    Verdict,
+    ThesisVerdict,
 )
 from meshpoint.testbench.studies.sensitivity import Release
 
@@ -111,7 +111,7 @@ def _order(at: dict[str, float], own: Settings) -> Statement:
         "mu has the largest effect, the moments of inertia a smaller one, c the smallest",
         ", ".join(f"{name} {value:.1f} %" for name, value in at.items())
         + f" of pitch at +-{100 * own.compared_share:g} %",
-        Verdict.AGREES if ordered else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if ordered else ThesisVerdict.DIFFERS,
         "the brake does nearly all the slowing, and each inertia is a part of the whole (4.13); "
         "the thesis gives no figures to compare the sizes with",
     )
@@ -124,7 +124,7 @@ def _friction(at: dict[str, float], own: Settings, sheet: GearboxSheet) -> State
     return Statement(
         f"an error of c within 10 % costs less than {LIMIT_PCT:g} % of a pitch",
         f"{at[C]:.2f} % at +-{100 * own.compared_share:g} %",
-        Verdict.AGREES if within else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if within else ThesisVerdict.DIFFERS,
         f"the effect goes with c times speed: with the sheet's c = {c:g} Nms, a representative "
         f"value, that is {1 / share:.2f} times the thesis's limit, which would hold up to about "
         f"c = {c * share:.3f} Nms at this speed (the thesis does not give its c)",
@@ -136,7 +136,7 @@ def _split(at: dict[str, float], own: Settings) -> Statement:
         "an error of J_IS costs more with the low split (7.3)",
         f"{at[J_IS_LOW]:.1f} % with low, {at[J_IS_HIGH]:.1f} % with high split at "
         f"+-{100 * own.compared_share:g} %",
-        Verdict.AGREES if at[J_IS_LOW] > at[J_IS_HIGH] else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if at[J_IS_LOW] > at[J_IS_HIGH] else ThesisVerdict.DIFFERS,
         "J_IS counts over i_split squared (4.13), and a larger share of the whole with low split; "
         "but a larger inertia is also slowed less",
     )

@@ -19,7 +19,7 @@ DIGITS: Final = 9
 """Significant digits of figures: less than the last bits, in which processors may differ."""
 
 
-class Verdict(Enum):
+class ThesisVerdict(Enum):
     """Whether ours agrees with the thesis. The value is what the JSON says."""
 
     AGREES = True
@@ -33,7 +33,7 @@ class Statement:
 
     thesis: str
     ours: str
-    verdict: Verdict
+    verdict: ThesisVerdict
     reason: str
 
 
@@ -104,16 +104,16 @@ class Finding:
     tables: tuple[Table, ...] = ()
 
     @property
-    def verdict(self) -> Verdict:
+    def verdict(self) -> ThesisVerdict:
         """Differs where any statement does; else agrees where any does."""
         verdicts = {statement.verdict for statement in self.statements}
-        for verdict in (Verdict.DIFFERS, Verdict.AGREES):
+        for verdict in (ThesisVerdict.DIFFERS, ThesisVerdict.AGREES):
             if verdict in verdicts:
                 return verdict
-        return Verdict.NOT_COMPARABLE
+        return ThesisVerdict.NOT_COMPARABLE
 
 
-class Job(Protocol):
+class StudyJob(Protocol):
     """A piece of work worth a process of its own: a frozen dataclass, equal where its result is.
 
     Equal jobs of several studies are done once."""
@@ -159,10 +159,10 @@ class Given(Generic[S]):
     common: Common
     own: S
     sheet: GearboxSheet
-    results: Mapping[Job, Any] = field(default_factory=dict)
+    results: Mapping[StudyJob, Any] = field(default_factory=dict)
 
 
-def no_jobs(_given: Given[Any]) -> tuple[Job, ...]:
+def no_jobs(_given: Given[Any]) -> tuple[StudyJob, ...]:
     """Most studies take less time than a process needs to start."""
     return ()
 
@@ -180,7 +180,7 @@ class Study(Generic[S]):
     studies.toml."""
     conclude: Callable[[Given[S]], Finding]
     """From settings and the results of the jobs to the finding."""
-    jobs: Callable[[Given[S]], tuple[Job, ...]] = no_jobs
+    jobs: Callable[[Given[S]], tuple[StudyJob, ...]] = no_jobs
 
 
 def figures(values: Any) -> Any:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from meshpoint.testbench.studies.draw import write_files
-from meshpoint.testbench.studies.record import Finding, Given, Job, Study, Verdict, figures
+from meshpoint.testbench.studies.record import Finding, Given, Study, StudyJob, figures
 from meshpoint.testbench.studies.registry import load
 from meshpoint.testbench.studies.settings import StudySettings, si_values
 
@@ -100,7 +100,7 @@ class _Schedule:
         self,
         studies: list[Study[Any]],
         given: dict[str, Given[Any]],
-        jobs: dict[str, tuple[Job, ...]],
+        jobs: dict[str, tuple[StudyJob, ...]],
         folder: Path,
         progress: Progress,
     ) -> None:
@@ -109,8 +109,10 @@ class _Schedule:
         self._jobs = jobs
         self._folder = folder
         self._progress = progress
-        self._unique: list[Job] = list(dict.fromkeys(job for own in jobs.values() for job in own))
-        self._results: dict[Job, Any] = {}
+        self._unique: list[StudyJob] = list(
+            dict.fromkeys(job for own in jobs.values() for job in own)
+        )
+        self._results: dict[StudyJob, Any] = {}
         self._total = len(self._unique) + len(studies)
         self._done = 0
 
@@ -138,7 +140,9 @@ class _Schedule:
         return [records[study.name] for study in self._studies]
 
     def _run(self, pool: ProcessPoolExecutor, records: dict[str, StudyRecord]) -> None:
-        pending: dict[Future[Any], Job | str] = {pool.submit(job.run): job for job in self._unique}
+        pending: dict[Future[Any], StudyJob | str] = {
+            pool.submit(job.run): job for job in self._unique
+        }
         waiting = [study.name for study in self._studies]
         while pending or waiting:
             for name in [name for name in waiting if self._ready(self._jobs[name])]:
@@ -153,7 +157,7 @@ class _Schedule:
                     self._results[ended] = future.result()
                     self._count(type(ended).__name__)
 
-    def _ready(self, jobs: Iterable[Job]) -> bool:
+    def _ready(self, jobs: Iterable[StudyJob]) -> bool:
         return all(job in self._results for job in jobs)
 
     def _conclusion(self, name: str) -> _Conclude:
@@ -165,4 +169,4 @@ class _Schedule:
         self._progress(name, self._done, self._total)
 
 
-__all__ = ["StudyRecord", "Verdict", "run_studies"]
+__all__ = ["StudyRecord", "run_studies"]

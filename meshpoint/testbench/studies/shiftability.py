@@ -25,7 +25,7 @@ from meshpoint.testbench.studies.record import (
     Statement,
     Study,
     Style,
-    Verdict,
+    ThesisVerdict,
 )
 from meshpoint.testbench.studies.simulated import RPM
 from meshpoint.testbench.studies.teeth import Engagements, Tried
@@ -147,7 +147,7 @@ def _signs(compared: dict[str, float], own: Settings) -> Statement:
         "sleeve and more backlash, less with more overlap",
         f"at {own.compared_rad_s / RPM:.0f} rpm: "
         + ", ".join(f"{name} {100 * value:.1f} %" for name, value in compared.items()),
-        Verdict.AGREES if right else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if right else ThesisVerdict.DIFFERS,
         "signs are compared, not sizes: no absolute curve is published. More teeth are taken at "
         "the same width of a gap; with the gap the same share of the pitch they would not help",
     )
@@ -159,7 +159,7 @@ def _falls(clean: list[float], rpm: list[float]) -> Statement:
         "published: it falls with slip",
         f"from {100 * clean[0]:.1f} % at {rpm[0]:.1f} rpm to {100 * clean[-1]:.1f} % at "
         f"{rpm[-1]:.0f} rpm",
-        Verdict.AGREES if falls and clean[-1] < clean[0] else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if falls and clean[-1] < clean[0] else ThesisVerdict.DIFFERS,
         "while the sleeve moves through the overlap the tooth moves on toward the flank; phases "
         "are spread evenly, so by luck the gap's share of the pitch is the most",
     )
@@ -172,7 +172,7 @@ def _low_slip(engaged: list[float], rpm: list[float]) -> Statement:
         "all, tooth on tooth",
         f"{100 * engaged[0]:.0f} % engage at {rpm[0]:.1f} rpm, {100 * engaged[best]:.0f} % at "
         f"{rpm[best]:.0f} rpm",
-        Verdict.AGREES if engaged[0] < engaged[best] else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if engaged[0] < engaged[best] else ThesisVerdict.DIFFERS,
         "friction on the faces brings the two to rest before the tooth has slid off",
     )
 
@@ -187,7 +187,7 @@ def _good_slips(engaged: list[float], rpm: list[float], own: Settings) -> Statem
         "fast, and the teeth slide across each other",
         f"at least {100 * own.likely_share:g} % engage at {ours}; {100 * engaged[-1]:.0f} % at "
         f"{rpm[-1]:.0f} rpm",
-        Verdict.AGREES if between else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if between else ThesisVerdict.DIFFERS,
         "agrees where the two ranges overlap; where ours begins and ends depends on friction, "
         "inertia and the time that is allowed",
     )

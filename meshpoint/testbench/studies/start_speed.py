@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from meshpoint.gearbox.tables import count, quantity
-from meshpoint.testbench.studies.by_gear import by_gear
-from meshpoint.testbench.studies.record import Finding, Given, Study
-from meshpoint.testbench.studies.sensitivity import Release
 from meshpoint.testbench.studies.simulated import RPM
+from meshpoint.testbench.studies.start_error import StartError, start_error_study
 
 THESIS = (4.32, 4.0, 18.0)
 """RMS speed error of table 6.1 (mean of the two shifts), and its cost by section 7.4."""
@@ -24,16 +20,7 @@ class Settings:
     points: int = count("points", 2, 1000)
 
 
-def _effect(release: Release, error_rpm: float) -> float:
-    state = release.state
-    return release.angle_error_pct(
-        state=state._replace(omega_rad_s=state.omega_rad_s + error_rpm * RPM)
-    )
-
-
-def _conclude(given: Given[Settings]) -> Finding:
-    errors = np.linspace(0.0, given.own.widest_rad_s / RPM, given.own.points)
-    return by_gear(given, "start_speed", "rpm", errors, _effect, THESIS)
-
-
-STUDY = Study("start_speed", "Sensitivity: initial speed", ("figure 6.10",), Settings, _conclude)
+STUDY = start_error_study(
+    "start_speed", "Sensitivity: initial speed", "figure 6.10", Settings,
+    StartError("omega_rad_s", "widest_rad_s", "rpm", RPM, THESIS),
+)  # fmt: skip

@@ -24,7 +24,7 @@ from meshpoint.testbench.studies.record import (
     Study,
     Style,
     Table,
-    Verdict,
+    ThesisVerdict,
 )
 from meshpoint.testbench.studies.sensitivity import Release
 
@@ -194,7 +194,7 @@ def _euler_statement(
         f"{own.wanted_pct:g} % of pitch needs steps of {1e3 * enough_s:.2g} ms: {sum(euler)} "
         f"operations, against {total} for the ZOH in closed form; the error goes with the step to "
         f"the power of {order:.2f}",
-        Verdict.AGREES if sum(euler) > total else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if sum(euler) > total else ThesisVerdict.DIFFERS,
         "counted by running the product's predictors on numbers that count; an exp counts as one, "
         "though it takes as long as some tens of multiplications",
     )
@@ -209,7 +209,7 @@ def _storage_statement(own: Settings, costs: dict[str, Cost], storage: dict[str,
         f"worked out live in closed form: {closed.arithmetic} operations and {closed.functions} "
         f"exponentials, {_model_bytes()} bytes; stored for horizons up to "
         f"{1e3 * own.horizon_s:g} ms: {stored.arithmetic} operations, {sizes}",
-        Verdict.DIFFERS if sum(closed) <= sum(euler) else Verdict.AGREES,
+        ThesisVerdict.DIFFERS if sum(closed) <= sum(euler) else ThesisVerdict.AGREES,
         "difficult is taken as more operations than Euler's method at the wanted accuracy. The "
         "model's matrix is triangular, so its exponential has a closed form "
         "(controller/motion/linear_kernels.py): nothing is difficult to work out live, and "

@@ -15,19 +15,19 @@ import numpy as np
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.studies.jobs import ClosedLoop, LoopResult
+from meshpoint.testbench.studies.jobs import LoopJob, LoopResult
 from meshpoint.testbench.studies.record import (
     Chart,
     Finding,
     Given,
-    Job,
     Line,
     Panel,
     Statement,
     Study,
+    StudyJob,
     Style,
     Table,
-    Verdict,
+    ThesisVerdict,
 )
 from meshpoint.testbench.studies.simulated import RPM
 from meshpoint.testbench.studies.teeth import Engagements, Tried
@@ -67,10 +67,10 @@ def _teeth_job(given: Given[Settings]) -> Engagements:
     return Engagements(given.sheet, (), _slips(own), own.phases, 1e6 * own.patience_s)
 
 
-def _loop_jobs(given: Given[Settings], target: float) -> list[ClosedLoop]:
+def _loop_jobs(given: Given[Settings], target: float) -> list[LoopJob]:
     settings = ControllerSettings()
     return [
-        ClosedLoop(
+        LoopJob(
             given.sheet,
             replace(
                 settings,
@@ -85,7 +85,7 @@ def _loop_jobs(given: Given[Settings], target: float) -> list[ClosedLoop]:
     ]
 
 
-def _jobs(given: Given[Settings]) -> tuple[Job, ...]:
+def _jobs(given: Given[Settings]) -> tuple[StudyJob, ...]:
     loops = (job for target in _targets(given.own) for job in _loop_jobs(given, target))
     return (_teeth_job(given), *loops)
 
@@ -171,7 +171,7 @@ def _teeth_statement(teeth: dict[float, list[Tried]], half_gap_deg: float) -> St
     return Statement(
         CLAIM,
         f"the teeth alone, phases spread evenly: {'; '.join(words)}",
-        Verdict.NOT_COMPARABLE,
+        ThesisVerdict.NOT_COMPARABLE,
         f"the thesis has no figure. In the gap (+-{half_gap_deg:.2f} deg) the flank takes what the "
         "slip brings, J dw^2 (1 - e^2) / 2, wherever in the gap the tooth came in; on a tooth the "
         "faces take some of the slip first. The angle decides whether faces rub, how long, and "
@@ -186,7 +186,10 @@ def _figure(value: float | None, digits: int) -> str:
 def _loop_statement(rows: list[_Row]) -> Statement:
     if not rows:
         return Statement(
-            CLAIM, "no shift could aim", Verdict.NOT_COMPARABLE, "the reference stayed unknown"
+            CLAIM,
+            "no shift could aim",
+            ThesisVerdict.NOT_COMPARABLE,
+            "the reference stayed unknown",
         )
     shown = (rows[0], rows[len(rows) // 2], rows[-1])
     words = (
@@ -198,7 +201,7 @@ def _loop_statement(rows: list[_Row]) -> Statement:
     return Statement(
         CLAIM,
         f"closed loop: {'; '.join(words)}",
-        Verdict.NOT_COMPARABLE,
+        ThesisVerdict.NOT_COMPARABLE,
         f"over the shifts of each target that could aim, {known} at least, so that one shift is "
         f"{100.0 / known:.0f} %; the strategy is told to hold the target before all else. Near the "
         "gap's edges the spread of delay and estimate puts teeth on faces",

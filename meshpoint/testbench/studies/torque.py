@@ -18,7 +18,7 @@ from meshpoint.testbench.studies.record import (
     Panel,
     Statement,
     Study,
-    Verdict,
+    ThesisVerdict,
 )
 
 THESIS_NM = 100.0
@@ -52,7 +52,7 @@ def _conclude(given: Given[Settings]) -> Finding:
         f"a step at the valve gives {THESIS_NM:.0f} Nm at the supply's full pressure, after the "
         "valve's delay",
         f"{most_nm:.2f} Nm after {own.until_ms} ms; first reaction after {first_ms:.1f} ms",
-        Verdict.AGREES if near else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if near else ThesisVerdict.DIFFERS,
         f"C_db = T_max / p_max (4.4) makes the end value the sheet's {sheet.brake.max_torque_nm:g} "
         "Nm by construction; delay and time constant are the sheet's, the thesis gives neither",
     )

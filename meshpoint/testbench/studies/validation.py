@@ -19,7 +19,7 @@ from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.studies.jobs import ClosedLoop, LoopResult, ShiftTrace
+from meshpoint.testbench.studies.jobs import LoopJob, LoopResult, ShiftTrace
 from meshpoint.testbench.studies.record import Given
 
 RPM: Final = np.pi / 30.0
@@ -54,13 +54,11 @@ class Compared(NamedTuple):
         return self.model - self.measured
 
 
-def truck_run(given: Given[Settings]) -> tuple[ClosedLoop, ...]:
+def truck_run(given: Given[Settings]) -> tuple[LoopJob, ...]:
     """One run, the same for all studies that ask for as many shifts."""
     shifts = given.own.shifts
     settings = ControllerSettings()
-    return (
-        ClosedLoop(given.sheet, settings, Preset.TRUCK, given.common.seed, shifts, keep=shifts),
-    )
+    return (LoopJob(given.sheet, settings, Preset.TRUCK, given.common.seed, shifts, keep=shifts),)
 
 
 def traces(given: Given[Settings]) -> list[ShiftTrace]:

@@ -16,7 +16,7 @@ from meshpoint.testbench.studies.record import (
     Study,
     Style,
     Table,
-    Verdict,
+    ThesisVerdict,
     rms,
 )
 from meshpoint.testbench.studies.validation import (
@@ -50,7 +50,7 @@ def _conclude(given: Given[Settings]) -> Finding:
         f"tau = {1e3 * tau_s:.0f} ms from the step response: RMS deviation {100 * share:.1f} % of "
         f"the supply's {supply_bar:g} bar, at most {worst:.2f} bar, over {len(shifts)} shifts; "
         f"with the sheet's {1e3 * sheet.brake.time_constant_s:.0f} ms {100 * sheet_share:.1f} %",
-        Verdict.AGREES if share <= limit else Verdict.DIFFERS,
+        ThesisVerdict.AGREES if share <= limit else ThesisVerdict.DIFFERS,
         f"slight is taken as RMS <= {100 * limit:g} % of supply; the thesis takes tau from a step "
         "response of the component (4.2.1), so the verdict is on that. The measured valve is the "
         "truck rig's: ISO 6358 flow, choked and then a tail, faster out than in, where the model "
