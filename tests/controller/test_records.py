@@ -1,0 +1,157 @@
+"""Records of the kernels: names over flat memory, compiled and as plain Python."""
+
+from __future__ import annotations
+
+import ast
+import copy
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pytest
+
+from meshpoint.controller.records import Integers, Memory, Over, Records, Vector, filled, layout_of
+
+ROOT = Path(__file__).parents[2]
+MOST_ARGUMENTS, MOST_LINES = 6, 70
+
+
+class Point:
+    """A record in a record."""
+
+    x_m: float
+    y_m: float
+
+
+class Whole:
+    """One of everything."""
+
+    time_us: int
+    points: Annotated[Records[Point], 2]
+    marks: Annotated[Integers, 3]
+    share: float
+    all_m: Annotated[Vector, Over("points"), 2, 2]
+
+
+WHOLE = layout_of(Whole)
+
+
+def test_names_stand_on_flat_memory() -> None:
+    memory = Memory(WHOLE)
+    whole = memory.flat.view(WHOLE)[0]
+    whole.time_us, whole.share = (1 << 62) + 1, 0.25
+    whole.points[1].y_m = 7.0
+    whole.marks[2] = 5
+    assert memory.flat.size == 1 + 4 + 3 + 1
+    assert memory.part("time_us")[0] == (1 << 62) + 1
+    assert memory.part("all_m").tolist() == [[0.0, 0.0], [0.0, 7.0]]
+    assert memory.part("marks").tolist() == [0, 0, 5]
+    assert memory.flat[-1] == 0.25
+
+
+def test_a_copy_has_memory_of_its_own() -> None:
+    memory = Memory(WHOLE)
+    memory.part("share")[0] = 1.0
+    twice = copy.deepcopy([memory, memory])
+    assert twice[0] is twice[1]
+    memory.part("share")[0] = 2.0
+    assert twice[0].part("share")[0] == 1.0
+    twice[0].part("share")[0] = 3.0
+    assert twice[0].flat[-1] == 3.0
+    assert memory.flat[-1] == 2.0
+
+
+def test_a_record_is_filled_by_every_name_in_order() -> None:
+    point = layout_of(Point)
+    assert filled(point, x_m=1, y_m=2.0).tolist() == [1.0, 2.0]
+    for wrong in ({"x_m": 1.0}, {"y_m": 1.0, "x_m": 2.0}, {"x_m": 1.0, "z_m": 2.0}):
+        with pytest.raises(KeyError):
+            filled(point, **wrong)
+
+
+RUN = """
+import json, sys, numpy as np
+from meshpoint.controller.estimation.crossing_filter import CrossingFilter, FurtherEdges, Pressures
+from meshpoint.controller.sensing.gate_kernels import gate_edges
+from meshpoint.controller.sensing.gate_layout import new_gate, teeth_of
+from meshpoint.controller.sensing.wheel_edges import EdgeBatch
+from meshpoint.controller.motion.models import diagonal, first_order_law, following_motion
+from meshpoint.controller.planning.plan_kernels import CONTACTS, MEETING, TERMS, course, expected_least
+from meshpoint.controller.records import filled
+from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.controller.estimation.teeth import WheelTeeth
+rng = np.random.default_rng(4)
+tuning = CrossingFilterTuning()
+model = following_motion(30.0, 0.05, 50.0).with_law(first_order_law(16.7, 8e5))
+switches = np.array([[20e3, 60e3], [1.0, 0.0]])
+edges = np.array((np.cumsum(rng.uniform(400.0, 600.0, 200)), np.pi / 45 * np.arange(1, 201)))
+further = FurtherEdges(edges[:, ::4] + [[50.0], [0.3]], 1e-3)
+pressures = Pressures(np.arange(10e3, 100e3, 10e3), rng.uniform(0.0, 2e5, 9))
+shaft = CrossingFilter(tuning)
+x = np.array([0.0, 140.0, 0.0, 0.0, 1.0, 0.0])
+p = diagonal(1e-2, 5.0, 1e4, 30.0, 0.1, 30.0)
+shaft.begin(0.0, x, p)
+shaft.set_mesh(1e-8, 1e-6, 1e4)
+shaft.take(edges, 1e-3, pressures, switches, model, further)
+teeth = WheelTeeth(45, tuning)
+teeth.learner.begin(0.0, x, p)
+batch = EdgeBatch(edges[0], edges[1], np.arange(200) // 2, np.arange(200) % 2)
+teeth.learner.take(batch, teeth.place(batch), pressures, switches, model)
+window = teeth.learner.so_far()
+gate, wheel = new_gate(2 * np.pi / 60, 0.5, 300.0, 170.0, 3), teeth_of(60, (58, 59))
+missing = np.array([k for k in range(400) if k % 60 not in (58, 59)])
+rises = np.array((np.arange(missing.size), 1000 + 500 * missing))
+falls = rises + np.array([[0], [250]])
+gate.given[:] = rises.shape[1]
+found, numbers = np.zeros((2, 800)), np.zeros((3, 800), np.int64)
+n = gate_edges(gate.flat, wheel, rises, falls, found, numbers)
+ahead = np.empty((2, 20))
+meeting = filled(MEETING, layshaft_us=0.0, first_us=1e3, step_us=2e3, i_gear=0.775,
+    reference_rad=0.1, main_us=0.0, main_rad=1.0, main_rad_s=100.0, main_rad_s2=-3.0)
+course(x.copy(), switches, model.flat, meeting, ahead)
+contacts = filled(CONTACTS, wait_s=0.02, step_s=2e-3, variance_rad2=1e-6, growth_rad2_s=1e-5)
+terms = filled(TERMS, pitch_rad=0.13, half_gap_rad=0.013, target_rad=0.0, overlap_s=2e-3,
+    delay_sd_s=1e-3, miss_s=0.2, block_s=0.1, block_slip_rad_s=1.0, energy_s3_rad2=1e-3,
+    aim_s=1e-3, slip_low_rad_s=-1.0, slip_high_rad_s=50.0)
+least = expected_least(ahead[0], ahead[1], contacts, terms, 0.01)
+print(json.dumps([shaft.x.tolist(), shaft.p.tolist(), list(shaft.offset),
+    shaft.agreement.tolist(), window.normal.tolist(), window.right.tolist(), n,
+    found[:, :n].tolist(), numbers[:2, :n].tolist(), ahead.tolist(), least]))
+"""
+
+
+def test_compiled_and_plain_python_agree() -> None:
+    """Filter with a further wheel, teeth, gate with missing teeth, and plan."""
+
+    def run(disabled: str) -> list[np.ndarray]:
+        environment = os.environ | {"NUMBA_DISABLE_JIT": disabled}
+        command = [sys.executable, "-c", RUN]
+        done = subprocess.run(command, env=environment, cwd=ROOT, capture_output=True, check=True)
+        return [np.array(part, dtype=float) for part in json.loads(done.stdout)]
+
+    compiled, plain = run("0"), run("1")
+    assert compiled[6] > 300
+    assert compiled[3][1] > 100
+    for ours, theirs in zip(compiled, plain, strict=True):
+        assert np.allclose(ours, theirs, rtol=1e-9, atol=1e-12 * np.abs(theirs).max())
+
+
+def test_kernels_take_few_arguments_and_fit_a_screen() -> None:
+    kernels = [
+        (path.name, node)
+        for path in sorted((ROOT / "controller").rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef)
+        and any(
+            getattr(mark, "id", "") in {"bare", "compiled", "inlined"}
+            for mark in node.decorator_list
+        )
+    ]
+    assert len(kernels) > 40
+    for name, node in kernels:
+        assert len(node.args.args) <= MOST_ARGUMENTS, (name, node.name)
+        assert (node.end_lineno or 0) - node.lineno < MOST_LINES, (name, node.name)
