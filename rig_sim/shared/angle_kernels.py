@@ -16,9 +16,9 @@ from meshpoint.rig_sim.shared.capture_records import (
     RING,
     STAMPS,
     Captured,
-    Clock,
     Reading,
 )
+from meshpoint.rig_sim.thesis.closed_form import ClockPieces
 
 Floats = npt.NDArray[np.float64]
 
@@ -76,7 +76,7 @@ def wrapped(angle: float, pitch: float) -> float:
 
 
 @compiled
-def _clock_before(clock: Clock, time_us: float) -> int:
+def _clock_before(clock: ClockPieces, time_us: float) -> int:
     index = PIECES - 1
     while index > 0 and time_us < clock.pieces[index].since_us:
         index -= 1
@@ -88,7 +88,7 @@ def _clock_before(clock: Clock, time_us: float) -> int:
 def read_ring(
     now_us: float,
     on_us: float,
-    clocks: Sequence[Clock],
+    clocks: Sequence[ClockPieces],
     edges: Sequence[Captured],
     readings: Sequence[Reading],
 ) -> None:

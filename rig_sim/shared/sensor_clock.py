@@ -12,7 +12,8 @@ import math
 from typing import Final
 
 from meshpoint.rig_sim.records import Memory
-from meshpoint.rig_sim.shared.capture_records import PIECES, Clock
+from meshpoint.rig_sim.shared.capture_records import PIECES
+from meshpoint.rig_sim.thesis.closed_form import ClockPieces
 
 PPM: Final = 1e-6
 
@@ -24,7 +25,7 @@ class SensorClock:
     """
 
     def __init__(self, start_us: int) -> None:
-        self.memory = Memory(Clock(pieces=((0.0, start_us, 1.0),) * PIECES))
+        self.memory = Memory(ClockPieces(pieces=((0.0, start_us, 1.0),) * PIECES))
         self._since_us, self._base_us, self._rate = 0.0, start_us, 1.0
 
     def at(self, time_us: float) -> int:

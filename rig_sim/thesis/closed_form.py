@@ -22,7 +22,14 @@ from meshpoint.rig_sim.shared.angle_kernels import (
     settled,
     wrapped,
 )
-from meshpoint.rig_sim.shared.capture_records import CHANNELS, RING, Captured, Clock, Reading
+from meshpoint.rig_sim.shared.capture_records import (
+    CHANNELS,
+    PIECES,
+    RING,
+    Captured,
+    ClockPiece,
+    Reading,
+)
 
 ACCELERATED, FREE = range(2)
 
@@ -66,12 +73,18 @@ class Piece(Record):
     wheels: Annotated[Row[WheelTurn], 4]
 
 
-class Wheels(Record):
+class SensorWheels(Record):
     """The sensor wheels and their edges; preset thesis."""
 
     teeth: Annotated[Row[int], 4]
     offsets: Annotated[Row[float], CHANNELS]  # where in the pitch: 0 rising, the duty for falling
     captured: Captured
+
+
+class ClockPieces(Record):
+    """The newest pieces of the sensor clock, the newest last."""
+
+    pieces: Annotated[Row[ClockPiece], PIECES]
 
 
 @compiled
@@ -250,7 +263,7 @@ def time_of_exit(
 
 
 @compiled
-def capture_edges(pieces: Sequence[Piece], sensors: Sequence[Wheels]) -> None:
+def capture_edges(pieces: Sequence[Piece], sensors: Sequence[SensorWheels]) -> None:
     """Put all edges of a piece of motion into the capture rings; two channels a wheel. Times are
     rounded down, as by a 1 us timer."""
     piece, wheels = pieces[0], sensors[0]
@@ -284,7 +297,7 @@ def warm_up() -> None:
     time_of_stop(motion, 0.01)
     time_of_exit(motion, motion, 1.0, 0.0, (-1.0, 1.0), 0.01)
     motion_at(motion, 0.01)
-    wheels = Wheels(teeth=(1, 1, 1, 1))
+    wheels = SensorWheels(teeth=(1, 1, 1, 1))
     capture_edges(Memory(Piece()).array, Memory(wheels).array)
     edges, reading = Memory(Captured()).array, Memory(Reading()).array
-    read_ring(0.0, 0.0, Memory(Clock()).array, edges, reading)
+    read_ring(0.0, 0.0, Memory(ClockPieces()).array, edges, reading)

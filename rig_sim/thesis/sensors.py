@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from enum import IntEnum
 
-from meshpoint.gearbox import sheet as sheets
+from meshpoint.gearbox.sheet import Wheels
 from meshpoint.rig_sim.records import Memory
 from meshpoint.rig_sim.settings import SettingsError
 from meshpoint.rig_sim.shared.angle_kernels import TAU, settled
@@ -22,7 +22,7 @@ from meshpoint.rig_sim.shared.edge_ring import (
     RingReader,
 )
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
-from meshpoint.rig_sim.thesis.closed_form import Piece, Wheels, capture_edges, motion_at
+from meshpoint.rig_sim.thesis.closed_form import Piece, SensorWheels, capture_edges, motion_at
 from meshpoint.rig_sim.thesis.plant import US, Segment
 
 
@@ -38,12 +38,14 @@ class Shaft(IntEnum):
 class EdgeCapture:
     """Eight capture channels: rising and falling edges of four wheels."""
 
-    def __init__(self, wheels: sheets.Wheels, angles: tuple[Angle, ...]) -> None:
+    def __init__(self, wheels: Wheels, angles: tuple[Angle, ...]) -> None:
         order = (wheels.input_, wheels.layshaft, wheels.main, wheels.propeller)
         if any(wheel.missing for wheel in order):
             raise SettingsError("preset thesis: wheels.*.missing, allowed are whole wheels only")
         offsets = [offset for wheel in order for offset in (0.0, wheel.duty_share)]
-        self._wheels = Memory(Wheels(teeth=tuple(w.teeth for w in order), offsets=tuple(offsets)))
+        self._wheels = Memory(
+            SensorWheels(teeth=tuple(w.teeth for w in order), offsets=tuple(offsets))
+        )
         self._captured = Memory(self._wheels.record.captured)
         self._piece = Memory(Piece())
         self._reader = RingReader()

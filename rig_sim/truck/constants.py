@@ -12,7 +12,7 @@ from meshpoint.rig_sim.parts.pneumatics import choked_rate
 from meshpoint.rig_sim.parts.vehicle import GRAVITY_M_S2
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt
-from meshpoint.rig_sim.truck.layout import Parameters
+from meshpoint.rig_sim.truck.layout import PlantParameters
 
 CELSIUS: Final = 273.15
 LITRE: Final = 1e-3
@@ -20,7 +20,7 @@ AIR_KG_M3: Final = 1.2
 FADE_FROM_C: Final = 40.0
 
 
-def load_parameters(p: Parameters, sheet: GearboxSheet, built: AsBuilt) -> None:
+def load_parameters(p: PlantParameters, sheet: GearboxSheet, built: AsBuilt) -> None:
     """Fill in what the kernels take as built."""
     p.step_us = built["numerics.step_us"]
     p.pitch_rad = sheet.dog.pitch_rad
@@ -33,7 +33,7 @@ def load_parameters(p: Parameters, sheet: GearboxSheet, built: AsBuilt) -> None:
     _load_engine(p, built)
 
 
-def _load_shafts(p: Parameters, sheet: GearboxSheet, built: AsBuilt) -> None:
+def _load_shafts(p: PlantParameters, sheet: GearboxSheet, built: AsBuilt) -> None:
     p.inertia_kgm2[:] = (
         built["engine.inertia_kgm2"],
         sheet.shafts.input_inertia_kgm2,
@@ -53,7 +53,7 @@ def _load_shafts(p: Parameters, sheet: GearboxSheet, built: AsBuilt) -> None:
     p.gear_drag_nms = built["drag.gear_nms"]
 
 
-def _load_vehicle(p: Parameters, built: AsBuilt) -> None:
+def _load_vehicle(p: PlantParameters, built: AsBuilt) -> None:
     road, twisting = p.road, p.twisting
     weight_n = built["vehicle.mass_kg"] * GRAVITY_M_S2
     slope = math.atan(built["vehicle.slope_percent"] / 100.0)
@@ -68,7 +68,7 @@ def _load_vehicle(p: Parameters, built: AsBuilt) -> None:
         p.inertia_kgm2[at.PROPELLER] += twisting.vehicle_kgm2
 
 
-def _load_air(p: Parameters, sheet: GearboxSheet, built: AsBuilt) -> None:
+def _load_air(p: PlantParameters, sheet: GearboxSheet, built: AsBuilt) -> None:
     air = p.air
     volume_m3 = built["air.brake_volume_l"] * LITRE
     polytropic = built["air.polytropic"]
@@ -82,7 +82,7 @@ def _load_air(p: Parameters, sheet: GearboxSheet, built: AsBuilt) -> None:
     air.recovery = 1.0 / built["air.recovery_s"]
 
 
-def _load_brake(p: Parameters, sheet: GearboxSheet, built: AsBuilt) -> None:
+def _load_brake(p: PlantParameters, sheet: GearboxSheet, built: AsBuilt) -> None:
     brake = p.brake
     brake.gain_nm_pa = sheet.brake_nm_per_pa
     brake.touch_pa = built["air.touch_bar"] * BAR
@@ -94,7 +94,7 @@ def _load_brake(p: Parameters, sheet: GearboxSheet, built: AsBuilt) -> None:
     brake.cooling_w_k = built["disc.cooling_w_k"]
 
 
-def _load_engine(p: Parameters, built: AsBuilt) -> None:
+def _load_engine(p: PlantParameters, built: AsBuilt) -> None:
     engine = p.engine
     engine.lag_rate = 1e3 / built["engine.lag_ms"]
     engine.limit_nm_s = built["engine.rate_nm_s"]

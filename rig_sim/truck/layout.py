@@ -82,7 +82,7 @@ class TwistingShafts(Record):
     vehicle_kgm2: float  # at the propeller shaft
 
 
-class Parameters(Record):
+class PlantParameters(Record):
     """What stays as built."""
 
     step_us: float
@@ -197,7 +197,7 @@ class Rig(Record):
     contacts: Annotated[Row[Contact], CONTACTS]
     laps: Annotated[Row[int], BODIES]  # whole turns
     captured: Captured
-    p: Parameters
+    p: PlantParameters
     watches: Annotated[Row[Watch], WATCHES]
     hall: Annotated[Row[Hall], CHANNELS]
     jitter_s: Annotated[Row[float], JITTERS]  # turned into angle at the present speed
