@@ -2,9 +2,16 @@
 computed, not how fast a busy machine computes it.
 
 Look for new examples with `pytest --hypothesis-profile=explore`.
+
+Makes `patience` importable, by which live tests wait.
 """
 
+import sys
+from pathlib import Path
+
 from hypothesis import HealthCheck, settings
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("explore", UNTIMED)

@@ -32,7 +32,8 @@ LONGEST_TICK_US = 2_000.0
 """Of bus time, at speed 1 and below. A pacemaker that was itself stopped goes on from where it was,
 not from where it would be."""
 GIVEN_UP_S = 1.0
-"""A node that does not move for this long, by the pacemaker's time, is not waited for any more."""
+"""A node that does not move for this long, by the pacemaker's time at speed 1 and above, is not
+waited for any more. Slower bus time is for slower machines: there it is as much longer."""
 
 _ABSENT = -1
 _WORDS = 1 + len(PACED_NODES)
@@ -138,6 +139,7 @@ class Pacemaker:
     def __init__(self, speed: float) -> None:
         self.now_us = 0.0
         self._speed = speed
+        self._given_up_us = GIVEN_UP_S * 1e6 / min(1.0, speed)
         self._seen: list[int | None] = [None] * len(PACED_NODES)
         self._still_us = [0.0] * len(PACED_NODES)
 
@@ -149,7 +151,7 @@ class Pacemaker:
             moved = promise_us != self._seen[node]
             self._seen[node] = promise_us
             self._still_us[node] = 0.0 if moved else self._still_us[node] + elapsed_us
-            if promise_us is not None and self._still_us[node] < GIVEN_UP_S * 1e6:
+            if promise_us is not None and self._still_us[node] < self._given_up_us:
                 until_us = min(until_us, promise_us + SLACK_US * max(1.0, self._speed))
         self.now_us = max(self.now_us, until_us)
         return int(self.now_us)

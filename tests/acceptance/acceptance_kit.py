@@ -12,7 +12,6 @@ import json
 import os
 import queue
 import re
-import resource
 import shutil
 import signal
 import subprocess
@@ -28,6 +27,7 @@ from typing import Any, NamedTuple
 import can
 import cantools.database
 from e2e import p05
+from patience import HANG_S, Patience
 
 ROOT = Path(__file__).resolve().parents[2]
 DBC_FILE = ROOT / "dbc" / "meshpoint.dbc"
@@ -62,7 +62,6 @@ class Outcome(NamedTuple):
     code: int
     out: str
     err: str
-    wall_s: float
 
     @property
     def text(self) -> str:
@@ -110,7 +109,7 @@ def kill_group(process: subprocess.Popen[str]) -> None:
     with contextlib.suppress(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
     with contextlib.suppress(subprocess.TimeoutExpired):
-        process.communicate(timeout=5)
+        process.communicate(timeout=HANG_S)
 
 
 class PreparedCommands:
@@ -144,7 +143,6 @@ class PreparedCommands:
         }
         process = self._take()
         assert process.stdin is not None and process.stdout is not None
-        began = time.monotonic()
         process.stdin.write(json.dumps(request) + "\n")
         process.stdin.flush()
         answer = process.stdout.readline()
@@ -152,10 +150,7 @@ class PreparedCommands:
         self._idle.put(process)
         code = json.loads(answer)
         assert code is not None, f"{arguments} did not end within {timeout_s:g} s"
-        wall_s = time.monotonic() - began
-        return Outcome(
-            code, out.read_text(errors="replace"), err.read_text(errors="replace"), wall_s
-        )
+        return Outcome(code, out.read_text(errors="replace"), err.read_text(errors="replace"))
 
     def close(self) -> None:
         for process in self.all:
@@ -166,7 +161,7 @@ class PreparedCommands:
 PREPARED = PreparedCommands()
 
 
-def run(*arguments: object, cwd: Path | None = None, timeout_s: float = 60.0) -> Outcome:
+def run(*arguments: object, cwd: Path | None = None, timeout_s: float = HANG_S) -> Outcome:
     """Run a command to its end; a command that does not end in time fails the test."""
     with tempfile.TemporaryDirectory(prefix="meshpoint-") as scratch:
         folder = Path(scratch)
@@ -177,27 +172,21 @@ def run(*arguments: object, cwd: Path | None = None, timeout_s: float = 60.0) ->
         return run_whole(*arguments, cwd=cwd or folder, timeout_s=timeout_s)
 
 
-def run_whole(*arguments: object, cwd: Path, timeout_s: float = 60.0) -> Outcome:
+def run_whole(*arguments: object, cwd: Path, timeout_s: float = HANG_S) -> Outcome:
     """The same by a fresh interpreter."""
-    began = time.monotonic()
     process = start(*arguments, cwd=cwd)
     try:
         out, err = process.communicate(timeout=timeout_s)
     except subprocess.TimeoutExpired:
         kill_group(process)
         raise AssertionError(f"{arguments} did not end within {timeout_s:g} s") from None
-    return Outcome(process.returncode, out, err, time.monotonic() - began)
+    return Outcome(process.returncode, out, err)
 
 
-def run_many(commands: Sequence[Sequence[object]], timeout_s: float = 60.0) -> list[Outcome]:
+def run_many(commands: Sequence[Sequence[object]]) -> list[Outcome]:
     """Run commands, two at a time."""
     with ThreadPoolExecutor(max_workers=2) as pool:
-        return list(pool.map(lambda command: run(*command, timeout_s=timeout_s), commands))
-
-
-def children_cpu_s() -> float:
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+        return list(pool.map(lambda command: run(*command), commands))
 
 
 def assert_ended_well(outcome: Outcome) -> None:
@@ -460,28 +449,27 @@ class Listener:
         condition: Callable[[dict[str, Any]], bool] = lambda values: True,
         *,
         since: int = 0,
-        timeout_s: float = 10.0,
     ) -> int:
         """Position of the first frame of `name` from `since` on for which the condition holds."""
         wanted = self.wire.ids[name]
-        deadline = time.monotonic() + timeout_s
+        patience = Patience()
         position = since
-        last: dict[str, Any] | None = None
         while True:
             with self._news:
                 if position >= len(self.frames):
                     self._news.wait(0.05)
                 count = len(self.frames)
             for index in range(position, count):
-                if self.frames[index].can_id == wanted:
-                    last = self.wire.decode(self.frames[index])
-                    if condition(last):
-                        return index
+                frame = self.frames[index]
+                if frame.can_id == wanted and condition(self.wire.decode(frame)):
+                    return index
             position = max(position, count)
-            if time.monotonic() > deadline:
-                raise AssertionError(
-                    f"no such {name} within {timeout_s:g} s; {count} frames seen, last: {last}"
-                )
+            patience.check(f"such a {name}", lambda: self._seen(wanted))
+
+    def _seen(self, can_id: int) -> str:
+        found = [frame for frame in self.frames if frame.can_id == can_id]
+        last = self.wire.decode(found[-1]) if found else None
+        return f"{len(self.frames)} frames seen, of these {len(found)}, the last: {last}"
 
     def of(self, name: str, since: int = 0, until: int | None = None) -> list[dict[str, Any]]:
         wanted = self.wire.ids[name]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -86,28 +85,3 @@ def channel() -> Iterator[str]:
     """A private channel: a socket path short enough for the system's limit."""
     with tempfile.TemporaryDirectory(prefix="mp-", ignore_cleanup_errors=True) as folder:
         yield f"unix:{folder}/bus.sock"
-
-
-STALL_LIMIT_S = 0.04
-"""A valve command expires 100 ms after the last: a machine that stops its processes for half of
-that now and then cannot run the nodes in real time, whatever they do."""
-PROBE_S = 3.0
-
-
-@pytest.fixture(scope="session")
-def longest_stall_s() -> float:
-    """How long this machine keeps a waking process from the processor, at worst over 3 s."""
-    end = time.perf_counter() + PROBE_S
-    longest = 0.0
-    while (before := time.perf_counter()) < end:
-        time.sleep(0.001)
-        longest = max(longest, time.perf_counter() - before - 0.001)
-    return longest
-
-
-@pytest.fixture
-def real_time(longest_stall_s: float) -> None:
-    """For a test by the wall clock: it wants a machine that keeps time."""
-    stall_s = longest_stall_s
-    if stall_s > STALL_LIMIT_S:
-        pytest.skip(f"this machine stops processes for {1e3 * stall_s:.0f} ms: no real time here")

@@ -6,7 +6,6 @@ import math
 import re
 import struct
 import threading
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,8 +25,7 @@ from acceptance_kit import (
     strict_json,
     verdict_of,
 )
-
-pytestmark = pytest.mark.timeout(120)
+from patience import HANG_S
 
 SHIFTS_VIRTUAL = 4
 SHIFTS_TWO_PROCESSES = 2
@@ -54,14 +52,14 @@ class Demo(NamedTuple):
 def one_process(tmp_path_factory: pytest.TempPathFactory) -> Demo:
     folder = tmp_path_factory.mktemp("demo") / "virtual"
     arguments = ["-i", "virtual", "--shifts", SHIFTS_VIRTUAL, "--seed", 1, "--out", folder]
-    return Demo(run("demo", *arguments, timeout_s=80), folder, SHIFTS_VIRTUAL)
+    return Demo(run("demo", *arguments), folder, SHIFTS_VIRTUAL)
 
 
 @pytest.fixture(scope="session")
 def two_processes(tmp_path_factory: pytest.TempPathFactory) -> Demo:
     folder = tmp_path_factory.mktemp("demo") / "default"
     arguments = ["--shifts", SHIFTS_TWO_PROCESSES, "--seed", 2, "--out", folder]
-    return Demo(run("demo", *arguments, timeout_s=80), folder, SHIFTS_TWO_PROCESSES)
+    return Demo(run("demo", *arguments), folder, SHIFTS_TWO_PROCESSES)
 
 
 @pytest.fixture(scope="session", params=["one_process", "two_processes"])
@@ -190,10 +188,9 @@ def witnessed(channel: str, tmp_path: Path) -> Iterator[Witness]:
     thread.start()
     arguments = ["-i", "meshpoint", "-c", channel, "--shifts", 1, "--seed", 3, "--out", folder]
     process = start("demo", *arguments, cwd=tmp_path)
-    began = time.monotonic()
     try:
-        out, err = process.communicate(timeout=60)
-        outcome = Outcome(process.returncode, out, err, time.monotonic() - began)
+        out, err = process.communicate(timeout=HANG_S)
+        outcome = Outcome(process.returncode, out, err)
         stop.set()
         thread.join(2)
         writer.stop()

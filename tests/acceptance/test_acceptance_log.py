@@ -19,8 +19,6 @@ from acceptance_kit import (
     us_between,
 )
 
-pytestmark = pytest.mark.timeout(120)
-
 GAP_CONTACT, TOOTH_CONTACT, LOCKED = 1, 2, 4
 ENGAGED = 1
 

@@ -21,8 +21,6 @@ from acceptance_kit import (
     write_lines,
 )
 
-pytestmark = pytest.mark.timeout(120)
-
 
 def verify(log: Path) -> Outcome:
     return run("replay", log, "--verify")

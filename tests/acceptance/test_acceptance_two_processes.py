@@ -25,8 +25,7 @@ from acceptance_kit import (
     us_between,
     words,
 )
-
-pytestmark = pytest.mark.timeout(90)
+from patience import HANG_S, until
 
 IN_GEAR = 1
 ENGAGED = 1
@@ -66,7 +65,7 @@ class Bench:
         return process
 
     def request(self, gear: int) -> Outcome:
-        return run("request", gear, "-i", "meshpoint", "-c", self.channel, timeout_s=20)
+        return run("request", gear, "-i", "meshpoint", "-c", self.channel)
 
     def in_gear(self, gear: int, since: int = 0) -> int:
         """Wait until the controller stands in this gear, with every channel valid."""
@@ -81,7 +80,6 @@ class Bench:
                 and status["InvalidChannels"] == 0
             ),
             since=since,
-            timeout_s=40,
         )
 
     def start_shift(self, gear: int) -> None:
@@ -109,10 +107,9 @@ def nothing_driven(status: dict[str, Any]) -> bool:
 
 def end(process: subprocess.Popen[str], number: int) -> Outcome:
     """Signal a node and wait for its end."""
-    began = time.monotonic()
     os.kill(process.pid, number)
-    out, err = process.communicate(timeout=10)
-    return Outcome(process.returncode, out, err, time.monotonic() - began)
+    out, err = process.communicate(timeout=HANG_S)
+    return Outcome(process.returncode, out, err)
 
 
 @pytest.fixture
@@ -218,7 +215,6 @@ def test_a_signal_in_mid_shift_ends_both_nodes_with_the_valves_off(
     for node in (bench.controller, bench.rig):
         outcome = end(node, number)
         assert_ended_well(outcome)
-        assert outcome.wall_s < 5.0
         time.sleep(0.1)
     assert all_off(bench.listener.of("ValveCommand", since)[-1])
     assert nothing_driven(bench.listener.of("ValveStatus", since)[-1])
@@ -229,9 +225,14 @@ def test_the_valves_expire_when_the_controller_is_killed(bench: Bench) -> None:
     bench.start_shift(10)
     bench.braking(since)
     os.kill(bench.controller.pid, signal.SIGKILL)
-    bench.controller.wait(5)
-    time.sleep(4.0)  # bus time stands for a second before it gives a node up
+    bench.controller.wait(HANG_S)
     listener, wire = bench.listener, bench.wire
+    # Bus time stands for a second before it gives a node up. Then the valves stay off.
+    off = listener.wait("ValveStatus", nothing_driven, since=listener.position())
+    off_us = wire.decode(listener.frames[off])["SampleTime"]
+    listener.wait(
+        "ValveStatus", lambda s: us_between(off_us, s["SampleTime"]) > 10 * EXPIRY_US, since=off
+    )
     valve_command = wire.ids["ValveCommand"]
     last = max(
         index for index, frame in enumerate(listener.frames) if frame.can_id == valve_command
@@ -250,7 +251,7 @@ def test_the_valves_expire_when_the_controller_is_killed(bench: Bench) -> None:
 def test_a_controller_that_starts_anew_finds_its_gear(bench: Bench) -> None:
     bench.in_gear(8)
     os.kill(bench.controller.pid, signal.SIGKILL)
-    bench.controller.wait(5)
+    bench.controller.wait(HANG_S)
     since = bench.listener.position()
     bench.controller = bench.node("controller")
     since = bench.in_gear(8, since=since)
@@ -290,26 +291,37 @@ def test_a_bus_that_goes_away_is_said_and_found_again(bench: Bench, wire: Wire) 
 
 
 def test_a_request_that_nobody_hears_ends_by_itself(channel: str) -> None:
-    outcome = run("request", 10, "-i", "meshpoint", "-c", channel, timeout_s=20)
+    outcome = run("request", 10, "-i", "meshpoint", "-c", channel)
     assert "Traceback" not in outcome.err
     assert outcome.code != 0, "nobody answered, and the command calls it a success"
 
 
-@pytest.mark.usefixtures("real_time")
 def test_speed_scales_the_clocks_of_both(channel: str, wire: Wire, tmp_path: Path) -> None:
+    """Over the wall's time as the same frames came, for as long as it takes: what the machine makes
+    late counts the less the longer it lasts, while a clock not scaled stays wrong."""
     rig = start("rig", "--speed", 2, "-i", "meshpoint", "-c", channel, cwd=tmp_path)
     controller = start("controller", "--speed", 2, "-i", "meshpoint", "-c", channel, cwd=tmp_path)
     listener = Listener(channel, wire)
+
+    def speed(name: str, clock: str) -> float:
+        wanted = wire.ids[name]
+        frames = [frame for frame in listener.frames[first:] if frame.can_id == wanted]
+        if len(frames) < 300:
+            return 0.0
+        one, other = (wire.decode(frame)[clock] for frame in (frames[0], frames[-1]))
+        return us_between(one, other) / 1e6 / (frames[-1].time_s - frames[0].time_s)
+
+    def speeds() -> list[float]:
+        return [speed("ControllerStatus", "StepTime"), speed("EdgesMainRise", "ReadTime")]
+
     try:
-        first = listener.wait("ControllerStatus", lambda s: s["State"] == IN_GEAR, timeout_s=20)
-        begin = wire.decode(listener.frames[first])
-        time.sleep(1.5)
-        frame = listener.last("ControllerStatus")
-        wall_s = frame.time_s - listener.frames[first].time_s
-        stepped_s = (wire.decode(frame)["StepTime"] - begin["StepTime"]) / 1e6
-        assert stepped_s / wall_s == pytest.approx(2.0, rel=0.1)
-        reads = [wire.decode(f) for f in listener.frames if f.can_id == wire.ids["EdgesMainRise"]]
-        assert reads[-1]["ReadTime"] != reads[0]["ReadTime"]
+        first = listener.wait("ControllerStatus", lambda s: s["State"] == IN_GEAR)
+        until(
+            lambda: speeds() == pytest.approx([2.0, 2.0], rel=0.1),
+            "both clocks twice as fast as the wall",
+            say=speeds,
+            poll_s=0.5,
+        )
     finally:
         listener.close()
         for process in (rig, controller):

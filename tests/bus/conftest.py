@@ -5,17 +5,19 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from patience import HANG_S, until
 
 from meshpoint.bus.local.channel import parse_channel
 from meshpoint.bus.local.launch import connect
 from meshpoint.bus.local.plugin import MeshpointBus
 from meshpoint.bus.local.register import register_interface
+
+sys.path.insert(0, str(Path(__file__).parent))
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -49,20 +51,21 @@ def end_process(process: Process) -> None:
     process.communicate()
 
 
+def serves(channel: str, process: Process) -> bool:
+    assert process.poll() is None, f"the hub has ended with {process.returncode}"
+    try:
+        connect(parse_channel(channel), HANG_S, start=False).close()
+    except OSError:
+        return False
+    return True
+
+
 @contextmanager
 def running_hub(directory: Path) -> Iterator[tuple[str, Process]]:
     channel = f"unix:{directory}/bus.sock"
     process = start_process("-m", "meshpoint.bus.local.hub", channel, "--linger", "1000")
     try:
-        deadline = time.monotonic() + 60.0
-        while True:
-            try:
-                connect(parse_channel(channel), 1.0, start=False).close()
-            except OSError:
-                assert time.monotonic() < deadline, "the hub does not come up"
-                time.sleep(0.01)
-            else:
-                break
+        until(lambda: serves(channel, process), "the hub is up")
         yield channel, process
     finally:
         end_process(process)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import asyncio
+import select
+import selectors
 import sys
-import time
 
 import pytest
 
@@ -14,18 +15,21 @@ SHORT_S = 0.0003
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="the loop of Windows has its own granularity")
-def test_a_timer_of_a_third_of_a_millisecond_takes_no_millisecond() -> None:
-    """The best of a hundred: whole milliseconds, rounded up, would make each take one or more."""
+def test_a_timer_of_a_third_of_a_millisecond_waits_for_no_whole_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """What the operating system is asked to wait: epoll takes whole milliseconds, rounded up."""
+    asked_s: list[float] = []
 
-    async def sleeps_s() -> list[float]:
-        taken = []
-        for _ in range(100):
-            begin = time.perf_counter()
-            await asyncio.sleep(SHORT_S)
-            taken.append(time.perf_counter() - begin)
-        return taken
+    def recorded(read: object, write: object, both: object, timeout: float | None = None) -> object:
+        if timeout:
+            asked_s.append(timeout)
+        return select.select(read, write, both, timeout)  # type: ignore[call-overload]
 
-    assert SHORT_S <= min(run(sleeps_s())) < 0.0008
+    monkeypatch.setattr(selectors.SelectSelector, "_select", staticmethod(recorded))
+    run(asyncio.sleep(SHORT_S))
+    assert asked_s, "the loop did not wait by select"
+    assert 0.0 < max(asked_s) <= SHORT_S
 
 
 def test_it_returns_and_raises_what_the_coroutine_does() -> None:

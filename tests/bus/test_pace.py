@@ -9,6 +9,7 @@ import time
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from patience import HANG_S
 
 from meshpoint.bus.core import Step
 from meshpoint.bus.driver import run_node
@@ -60,6 +61,19 @@ def test_a_node_that_died_is_waited_for_a_second_and_then_no_more():
     for _ in range(900):
         now_us = pacemaker.advance(1_000.0, [2_000, None, None])
     assert now_us > 700_000
+
+
+@pytest.mark.parametrize(("speed", "waits_s"), [(0.05, 20.0), (0.5, 2.0), (1.0, 1.0), (4.0, 1.0)])
+def test_a_machine_for_which_time_was_slowed_is_given_as_much_longer(speed, waits_s):
+    """On an emulated processor, itself kept from running, one step may take seconds."""
+    pacemaker = Pacemaker(speed)
+    tick_us = 1_000.0 / min(1.0, speed)
+    for _ in range(round(0.99 * waits_s * 1e6 / tick_us)):
+        stood_us = pacemaker.advance(tick_us, [2_000, None, None])
+    assert stood_us <= 2_000 + SLACK_US * max(1.0, speed)
+    for _ in range(round(0.5 * waits_s * 1e6 / tick_us)):
+        now_us = pacemaker.advance(tick_us, [2_000, None, None])
+    assert now_us > 300_000
 
 
 def test_a_file_that_is_no_pace_file_is_refused_by_name(tmp_path):
@@ -117,7 +131,7 @@ def test_a_process_that_was_stopped_is_not_late_on_paced_time(tmp_path):
     with subprocess.Popen(
         [sys.executable, "-m", "meshpoint.bus.pace", str(path)], stdin=subprocess.PIPE
     ) as pacemaker:
-        asyncio.run(asyncio.wait_for(run(), 60))
+        asyncio.run(asyncio.wait_for(run(), HANG_S))
         pacemaker.stdin.close()
     assert pacemaker.returncode == 0
     assert max(core.late_us) <= HEARTBEAT_US + SLACK_US

@@ -12,6 +12,7 @@ import can
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from patience import HANG_S, until_async
 
 from meshpoint.bus.local.plugin import MeshpointBus
 from meshpoint.bus.local.wire import FD_LENGTHS
@@ -44,6 +45,7 @@ def test_every_kind_of_message_arrives_as_it_was_sent(join: Join) -> None:
     @given(st.lists(messages(), min_size=1, max_size=20), st.booleans())
     @settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
     def check(batch: list[can.Message], drained: bool) -> None:
+        began_s = time.time_ns() // 1000 / 1e6  # as the hub stamps, in whole microseconds
         for message in batch:
             sender.send(message)
         received: list[can.Message] = []
@@ -51,12 +53,12 @@ def test_every_kind_of_message_arrives_as_it_was_sent(join: Join) -> None:
             if drained:
                 received += receiver.drain()
             else:
-                message_or_none = receiver.recv(30.0)
+                message_or_none = receiver.recv(HANG_S)
                 assert message_or_none is not None
                 received.append(message_or_none)
         for before, after in zip(batch, received, strict=True):
             assert after.equals(before, timestamp_delta=None, check_channel=False)
-            assert after.timestamp == pytest.approx(time.time(), abs=60.0)
+            assert began_s <= after.timestamp <= time.time()
 
     check()
 
@@ -66,7 +68,7 @@ def test_the_descriptor_is_readable_exactly_while_messages_wait(join: Join) -> N
     for number in range(5):
         sender.send(can.Message(arbitration_id=number, data=bytes(8)))
     for number in range(5):
-        assert select.select([receiver], [], [], 2.0)[0], f"message {number} is hidden"
+        assert select.select([receiver], [], [], HANG_S)[0], f"message {number} is hidden"
         message = receiver.recv(0.0)
         assert message is not None
         assert message.arbitration_id == number
@@ -82,10 +84,7 @@ async def test_a_notifier_in_an_event_loop_gets_every_message_without_delay(join
     notifier = can.Notifier(receiver, [got.append], loop=asyncio.get_running_loop())
     for number in range(50):
         sender.send(can.Message(arbitration_id=number))
-    for _ in range(400):
-        await asyncio.sleep(0.005)
-        if len(got) == 50:
-            break
+    await until_async(lambda: len(got) == 50, "every message")
     notifier.stop()
     assert [message.arbitration_id for message in got] == list(range(50))
 
@@ -95,7 +94,7 @@ def test_filters_apply_to_single_messages_and_to_drained_ones(join: Join) -> Non
     receiver.set_filters([{"can_id": 0x100, "can_mask": 0x700, "extended": True}])
     for number in (0x0FF, 0x100, 0x2FF, 0x1FF, 0x000, 0x101):
         sender.send(can.Message(arbitration_id=number))
-    first = receiver.recv(30.0)
+    first = receiver.recv(HANG_S)
     assert first is not None
     found = [first.arbitration_id]
     while len(found) < 3:
@@ -121,7 +120,7 @@ def test_a_frame_that_no_bus_could_carry_is_refused_and_harms_nobody(
     with pytest.raises(ValueError, match="0x"):
         sender.send(message)
     sender.send(can.Message(arbitration_id=2))
-    received = receiver.recv(30.0)
+    received = receiver.recv(HANG_S)
     assert received is not None
     assert received.arbitration_id == 2
 
@@ -132,7 +131,7 @@ def test_a_hub_that_goes_away_is_an_operation_error_for_sender_and_receiver(
     receiver, sender, drainer = (join(hub[0]) for _ in range(3))
     hub[1].kill()
     with pytest.raises(can.CanOperationError, match="hub"):
-        receiver.recv(30.0)
+        receiver.recv(HANG_S)
     with pytest.raises(can.CanOperationError, match="not connected"):
         receiver.recv(0.0)
     with pytest.raises(can.CanOperationError):
@@ -170,5 +169,5 @@ def test_the_default_bus_is_private_to_the_user(
     with MeshpointBus() as node, MeshpointBus() as other:
         assert node.channel_info == f"meshpoint channel unix:{place}/meshpoint/default.sock"
         node.send(can.Message(arbitration_id=4))
-        assert other.recv(30.0) is not None
+        assert other.recv(HANG_S) is not None
     assert (place / "meshpoint").stat().st_mode & 0o077 == 0

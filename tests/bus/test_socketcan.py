@@ -5,12 +5,12 @@ import asyncio
 import itertools
 import shutil
 import subprocess
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import can
 import pytest
+from patience import until_async
 
 from meshpoint.bus.clock import Clock
 from meshpoint.bus.core import Step
@@ -71,11 +71,10 @@ class Talker:
         return Step([], [])
 
 
-async def until(condition: Callable[[], object]) -> None:
-    deadline = time.monotonic() + 30.0
-    while not condition():
-        assert time.monotonic() < deadline
-        await asyncio.sleep(0.01)
+def listens(device: str) -> bool:
+    """Whether somebody takes all frames of the device, as the kernel's table says."""
+    table = Path("/proc/net/can/rcvlist_all")
+    return table.exists() and device in table.read_text()
 
 
 @pytest.mark.asyncio
@@ -105,7 +104,11 @@ async def test_nodes_on_socketcan_survive_a_link_that_goes_down_and_a_device_tha
     def back() -> int:
         return sum("bus is back" in event for event in events)
 
-    await until(lambda: all(len(talker.heard) > 50 for talker in talkers))
+    await until_async(
+        lambda: all(len(talker.heard) > 50 for talker in talkers),
+        "fifty frames each",
+        say=lambda: events,
+    )
     heard = talkers[0].heard
     assert {(f.can_id, len(f.data), f.is_fd, f.is_extended) for f in heard} == {
         (0x18FF0002, 48, True, True),
@@ -115,18 +118,26 @@ async def test_nodes_on_socketcan_survive_a_link_that_goes_down_and_a_device_tha
     assert numbers == sorted(numbers)
 
     ip("set", device, "down")
-    await until(lambda: all(count.outages == 1 for count in counts))
+    await until_async(
+        lambda: all(count.outages == 1 for count in counts), "the bus lost", say=lambda: events
+    )
     await asyncio.sleep(1.2)  # reopened meanwhile, in vain
     assert back() == 0
     ip("set", device, "up")
-    await until(lambda: back() == 2)
+    await until_async(lambda: back() == 2, "both back", say=lambda: events)
 
     ip("del", device)
-    await until(lambda: all(count.outages == 2 for count in counts))
+    await until_async(
+        lambda: all(count.outages == 2 for count in counts), "the bus lost", say=lambda: events
+    )
     create()
-    await until(lambda: back() == 4)
+    await until_async(lambda: back() == 4, "both back", say=lambda: events)
     before = [len(talker.heard) for talker in talkers]
-    await until(lambda: all(len(t.heard) > n + 20 for t, n in zip(talkers, before, strict=True)))
+    await until_async(
+        lambda: all(len(t.heard) > n + 20 for t, n in zip(talkers, before, strict=True)),
+        "frames of the new device",
+        say=lambda: events,
+    )
 
     stop.set()
     await asyncio.gather(*nodes)
@@ -141,15 +152,28 @@ async def test_a_log_of_candump_holds_what_a_node_sent(
         pytest.skip("candump is not installed")
     log = tmp_path / "candump.log"
     with log.open("w") as output:
-        candump = subprocess.Popen(["candump", "-L", device], stdout=output)
-    stop = asyncio.Event()
+        candump = subprocess.Popen(["stdbuf", "-oL", "candump", "-L", device], stdout=output)
+    await until_async(lambda: listens(device), "candump on the device")
+    stop, counts = asyncio.Event(), NodeStatistics()
     node = asyncio.ensure_future(
-        run_node(Talker(1), opener(device), Clock(), on_event=print, stop=stop, name="node")
+        run_node(
+            Talker(1),
+            opener(device),
+            Clock(),
+            on_event=print,
+            stop=stop,
+            name="node",
+            statistics=counts,
+        )
     )
-    await asyncio.sleep(1.0)
+    await until_async(lambda: counts.frames_sent >= 200, "200 frames")
     stop.set()
-    counts = await node
-    await asyncio.sleep(0.5)
+    await node
+
+    def lines() -> int:
+        return log.read_bytes().count(b"\n")
+
+    await until_async(lambda: lines() >= counts.frames_sent, "all of them in the log", say=lines)
     candump.terminate()
     candump.wait()
     frames = [frame for _, frame in read_log(log)]

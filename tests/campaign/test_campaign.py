@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from campaigns import SMALL, Outcome, campaign
+from patience import HANG_S
 
 from meshpoint.testbench.campaign import runner
 from meshpoint.testbench.campaign.loop import ClosedLoop
@@ -34,11 +35,17 @@ def test_two_workers_give_the_same_bytes_as_one(by_one: Outcome, tmp_path: Path)
 
 @pytest.fixture
 def cluster() -> Iterator[str]:
+    import dask
     from dask.distributed import LocalCluster
 
-    with LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
-    ) as local:
+    # A busy machine may take long to start a worker; none but a hang takes so long.
+    patient = {f"distributed.comm.timeouts.{which}": f"{HANG_S:g}s" for which in ("connect", "tcp")}
+    with (
+        dask.config.set(patient),
+        LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as local,
+    ):
         yield local.scheduler_address
 
 

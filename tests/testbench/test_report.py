@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from patience import HANG_S
 from scipy.stats import binomtest
 
 from meshpoint.controller.settings import ControllerSettings
@@ -237,7 +238,7 @@ def browse(url: str, folder: Path) -> tuple[str, list[str]]:
             f"--user-data-dir={folder / 'profile'}", "--host-resolver-rules=MAP * ~NOTFOUND",
             "--virtual-time-budget=5000", "--window-size=1400,2400", "--dump-dom", url,
         ],
-        capture_output=True, text=True, timeout=100, check=True,
+        capture_output=True, text=True, timeout=HANG_S, check=True,
     )  # fmt: skip
     return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
 

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import shutil
+import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parents[1])]
 
 TOOLS = ("candump", "cansend", "cangen", "ip")
 
@@ -28,5 +33,15 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     if reason is None:
         return
     for item in items:
-        if Path(__file__).parent in item.path.parents:
+        if HERE in item.path.parents:
             item.add_marker(pytest.mark.skip(reason=reason))
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[object]:
+    """Rig and controller of this test alone, in gear 14, and candump beside them."""
+    from vcan_bench import Bench
+
+    with Bench(tmp_path) as bench:
+        bench.dump.in_gear(14)
+        yield bench

@@ -10,28 +10,45 @@ import sys
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import cantools.database
+from patience import POLL_S, Patience, until
 
+from meshpoint.bus.pace import PaceFile
 from meshpoint.testbench.cli import build_parser, main
 
-build_parser()  # loads all commands, before anything is forked
+for _name in ("pace", "rig", "controller", "request", "replay"):
+    build_parser(_name)  # loads the command, before anything is forked
 
 ROOT = Path(__file__).resolve().parents[2]
 DBC = cantools.database.load_file(ROOT / "dbc" / "meshpoint.dbc")
 EMULATED = os.environ.get("WITH_VCAN") == "qemu"
-SPEED = "0.05" if EMULATED else "1"
-"""Bus time over wall time: an emulated processor is some twenty times slower."""
-POLL_S = 0.5 if EMULATED else 0.1
-PATIENCE_S = 400.0 if EMULATED else 60.0
+SPEED = 0.1 if EMULATED else 1.0
+"""Bus time over wall time: an emulated processor is some twenty times slower. Where that is too
+fast for the machine, bus time waits for the nodes."""
+PATIENCE_BUS_S = 20.0
+"""A shift takes half a second of bus time."""
+AGAIN_BUS_S = 0.5
+"""A request on which the controller does not act by then is sent again."""
+GAP_MS = "500" if EMULATED else "20"
+"""Between two frames of other traffic, which goes by the wall clock: bus time waits for a node that
+has too many to read."""
+LOOK_S = 0.2 if EMULATED else POLL_S
+"""Looking costs processor time, which the nodes want."""
 BUS = ["-i", "socketcan", "-c", "vcan0", "--fd"]
 VALVES = ("Brake", "SplitLow", "SplitHigh", "MainFirst", "MainSecond", "MainCrawl", "MainThird",
           "RangeLow", "RangeHigh")  # fmt: skip
 IN_GEAR = 1
+ENGAGED = 1
+LATE_FAULTS = {1: "SpeedStale", 2: "PositionStale", 3: "ValveLinkLost"}
+"""What the controller says of a shift when the other node's frames were late: not a failure of
+either, and asked again."""
 Values = dict[str, Any]
+Accept = Callable[[Values], bool]
 
 
 class Seen(NamedTuple):
@@ -39,6 +56,11 @@ class Seen(NamedTuple):
 
     can_id: int
     data: bytes
+
+    @property
+    def name(self) -> str:
+        """As the DBC calls it."""
+        return str(DBC.get_message_by_frame_id(self.can_id).name)
 
     @property
     def values(self) -> Values:
@@ -57,11 +79,19 @@ def parse(line: str) -> Seen:
     return Seen(int(can_id, 16), bytes.fromhex(data))
 
 
+def tag(name: str) -> str:
+    """What marks a message's line."""
+    return f" {DBC.get_message_by_name(name).frame_id:08X}#"
+
+
 class Candump:
     """`candump -L vcan0` into a file, read while it grows."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(
+        self, path: Path, patience: Callable[[], Patience], say: Callable[[], str]
+    ) -> None:
         self.path = path
+        self._patience, self._say = patience, say
         self._file = path.open("wb")
         # -D: a device that goes down and up again does not end it. Line by line, to be read live.
         self._process = subprocess.Popen(
@@ -86,21 +116,26 @@ class Candump:
         self._take()
         self._unread.clear()
 
-    def wait(self, name: str, accept: Callable[[Values], bool] = lambda _values: True) -> Values:
-        """The first message of this name, from the mark on, that is accepted; the mark moves on."""
-        can_id = DBC.get_message_by_name(name).frame_id
-        tag = f" {can_id:08X}#"
-        end_s = time.monotonic() + PATIENCE_S
-        while time.monotonic() < end_s:
+    def messages(self, names: set[str], what: str) -> Iterator[tuple[str, Values]]:
+        """Every message of these names from the mark on, which moves on; waits for the next for as
+        long as a test has patience."""
+        patience, tags = self._patience(), {tag(name): name for name in names}
+        while True:
             self._take()
             while self._unread:
                 line = self._unread.popleft()
-                if tag in line:
-                    values = parse(line).values
-                    if accept(values):
-                        return values
-            time.sleep(POLL_S)
-        raise AssertionError(f"no {name} as awaited within {PATIENCE_S:.0f} s")
+                name = next((name for tag, name in tags.items() if tag in line), None)
+                if name is not None:
+                    yield name, parse(line).values
+            patience.check(what, self._say)
+            time.sleep(LOOK_S)
+
+    def wait(self, name: str, accept: Accept = lambda _values: True, what: str = "") -> Values:
+        """The first message of this name, from the mark on, that is accepted."""
+        for _, values in self.messages({name}, what or f"{name} as awaited"):
+            if accept(values):
+                return values
+        raise AssertionError("there is no end of messages")
 
     def in_gear(self, gear: int) -> Values:
         """Waits until the controller reports the gear with all its channels valid."""
@@ -111,6 +146,7 @@ class Candump:
                 and status["CurrentGear"] == gear
                 and status["InvalidChannels"] == 0
             ),
+            f"the controller in gear {gear}",
         )
 
     def stop(self) -> None:
@@ -128,6 +164,7 @@ class Command:
     takes most of a minute, each time."""
 
     def __init__(self, folder: Path, name: str, *arguments: str) -> None:
+        self.name = name
         self._said = folder / f"{name}.err"
         self._printed = folder / f"{name}.out"
         self.pid = os.fork()
@@ -169,11 +206,9 @@ class Command:
         return self.returncode
 
     def wait(self) -> int:
-        """Waits for its end."""
-        end_s = time.monotonic() + PATIENCE_S
+        """Waits for its end; a hang is for pytest's time limit to find."""
         while (code := self.poll()) is None:
-            assert time.monotonic() < end_s, f"still running: {self.said}"
-            time.sleep(POLL_S)
+            time.sleep(LOOK_S)
         return code
 
     def signal(self, number: int) -> None:
@@ -182,16 +217,19 @@ class Command:
             os.kill(self.pid, number)
 
 
-class Nodes:
-    """Rig in gear 14 and controller, on bus time that waits for both."""
+class Bench:
+    """Rig in gear 14 and controller on bus time that waits for both, and candump."""
 
     def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        fresh_vcan0()
         pace = folder / "pace.time"
-        self._pace = Command(folder, "pace", str(pace), "--speed", SPEED)
-        while not pace.exists():
-            assert self._pace.poll() is None, self._pace.said
-            time.sleep(POLL_S)
-        common = ["--pace", str(pace), "--speed", SPEED, *BUS]
+        self._pace = Command(folder, "pace", str(pace), "--speed", str(SPEED))
+        until(lambda: self._pace.poll() is not None or pace.exists(), "a bus time")
+        assert self._pace.poll() is None, self._pace.said
+        self._time = PaceFile(pace)
+        self.dump = Candump(folder / "candump.log", self.patience, self.story)
+        common = ["--pace", str(pace), "--speed", str(SPEED), *BUS]
         # kernels are not compiled in the emulated machine: the truck's take it too long there
         gear = ["--preset", "thesis", "--gear", "14", "--main-speed", "300"]
         self.rig = Command(folder, "rig", *gear, *common)
@@ -200,12 +238,68 @@ class Nodes:
         headers = ["--header-dir", str(folder)]
         self.controller = Command(folder, "controller", *headers, *cheap, *common)
 
-    def wait_said(self, node: Command, text: str, times: int = 1) -> None:
-        """Waits until a node has said something so often."""
-        end_s = time.monotonic() + PATIENCE_S
-        while node.said.count(text) < times:
-            assert time.monotonic() < end_s, f"{text!r} was not said: {node.said}"
-            time.sleep(POLL_S)
+    def __enter__(self) -> Bench:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.stop()
+        self.dump.stop()
+        with suppress(subprocess.CalledProcessError):
+            fresh_vcan0()
+
+    @contextmanager
+    def another_candump(self) -> Iterator[Candump]:
+        """For a device that was made anew: the first candump hears the old one."""
+        dump = Candump(self.folder / "again.log", self.patience, self.story)
+        try:
+            yield dump
+        finally:
+            dump.stop()
+
+    def bus_s(self) -> float:
+        """Bus time; whoever waits for it learns when its pacemaker has ended."""
+        assert self._pace.poll() is None, f"bus time has ended: {self._pace.said}"
+        return self._time.now_us / 1e6
+
+    def patience(self) -> Patience:
+        """In bus time: it waits for nodes which the machine keeps from running."""
+        return Patience(PATIENCE_BUS_S, self.bus_s)
+
+    def story(self) -> str:
+        """What the nodes said and where the controller stood last."""
+        status = next((one for one in reversed(self.dump.lines()) if STATUS in one), None)
+        last = parse(status).values if status else "none"
+        said = "\n".join(f"{n.name} said: {n.said}" for n in (self.rig, self.controller))
+        return f"\n{said}\nthe last status: {last}"
+
+    def shift(self, gear: int, name: str = "ShiftOutcome", accept: Accept = bool) -> Values:
+        """Asks for a gear by cansend, again where the request was lost or a node was late, and
+        waits for a message of the shift. A shift that ends otherwise fails the test."""
+        what, asked_s, acting = f"{name} of the shift to {gear}", -AGAIN_BUS_S, False
+        for seen, values in self.dump.messages({name, "ShiftOutcome", "ControllerStatus"}, what):
+            if seen == name and accept(values) and (name != "ShiftOutcome" or ended_well(values)):
+                return values
+            if seen == "ShiftOutcome":
+                assert values["Fault"] in LATE_FAULTS or ended_well(values), (
+                    f"{what}: it ended with {values}{self.story()}"
+                )
+                acting = False
+            elif seen == "ControllerStatus":
+                acting = values["TargetGear"] == gear
+            if not acting and self.bus_s() - asked_s >= AGAIN_BUS_S:
+                ask_by_cansend(gear)
+                asked_s = self.bus_s()
+        raise AssertionError("there is no end of messages")
+
+    def wait_said(self, text: str) -> None:
+        """Waits until both nodes have said something."""
+        until(
+            lambda: all(text in node.said for node in (self.rig, self.controller)),
+            f"{text!r}, from both nodes",
+            patience=self.patience(),
+            say=self.story,
+            poll_s=LOOK_S,
+        )
 
     def stop(self) -> list[int]:
         """Ends both nodes as a user would; their exit codes."""
@@ -218,6 +312,23 @@ class Nodes:
         return codes
 
 
+STATUS = tag("ControllerStatus")
+
+
+def ended_well(outcome: Values) -> bool:
+    """Whether a ShiftOutcome is one of a gear engaged."""
+    return bool(outcome["Result"] == ENGAGED)
+
+
+def ask_by_cansend(gear: int) -> None:
+    """J1939 TC1 as any tool on the bus would send it."""
+    message = DBC.get_message_by_name("TC1")
+    data = message.encode({signal.name: signal.maximum for signal in message.signals}, strict=False)
+    values = message.decode(data, decode_choices=False) | {"RequestedGear": gear}
+    data = message.encode(values, strict=False)
+    subprocess.run(["cansend", "vcan0", f"{message.frame_id:08X}#{data.hex()}"], check=True)
+
+
 def meshpoint(folder: Path, *arguments: str) -> Command:
     """One command, to its end."""
     command = Command(folder, *arguments)
@@ -228,3 +339,13 @@ def meshpoint(folder: Path, *arguments: str) -> Command:
 def ip(*arguments: str) -> None:
     """`ip link ...`, as root."""
     subprocess.run(["ip", "link", *arguments], check=True)
+
+
+def fresh_vcan0() -> None:
+    """vcan0 there and up, whatever a test before this one did to it."""
+    net = Path("/sys/class/net/vcan0")
+    if not net.exists():
+        ip("add", "dev", "vcan0", "type", "vcan")
+        ip("set", "vcan0", "mtu", "72")
+    if not int((net / "flags").read_text(), 16) & 1:
+        ip("set", "vcan0", "up")

@@ -1,0 +1,43 @@
+"""What a shift's fault code means, and what to do: one line each, for people at a bench."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from meshpoint.dbc.messages import FaultCode
+
+LATE: Final = frozenset(
+    {FaultCode.SPEED_STALE, FaultCode.POSITION_STALE, FaultCode.VALVE_LINK_LOST}
+)
+"""What the controller finds when the other node's frames stay away or come late. A request that
+ends so may be asked again: nothing is broken."""
+LATE_ADVICE: Final = (
+    "a node was late or is not there: free the machine, or let bus time wait for both nodes "
+    "(`meshpoint pace FILE`, and `--pace FILE` for rig and controller)"
+)
+MEANING: Final[dict[FaultCode, str]] = {
+    FaultCode.NONE: "no fault",
+    FaultCode.SPEED_STALE: "no fresh edges of layshaft or main shaft",
+    FaultCode.POSITION_STALE: "no fresh sleeve positions",
+    FaultCode.VALVE_LINK_LOST: "no fresh valve status",
+    FaultCode.CLUTCH_STUCK: "the clutch did not open or close in time: see its position and air",
+    FaultCode.DISENGAGE_FAILED: "the old gear did not come out in time: torque in the mesh, or air",
+    FaultCode.SYNCHRONISE_FAILED: "the speeds did not come together in time: brake, or engine",
+    FaultCode.ENGAGE_FAILED: "the sleeve did not go in, in all the attempts that are allowed",
+    FaultCode.GUARD_BLOCKED: "the guard blocked the valve commands; the controller's own lines "
+    "name the row (docs/guard.md). Frames that come late are one cause",
+    FaultCode.REQUEST_IMPOSSIBLE: "no such gear, or a sleeve stands between two gears",
+    FaultCode.LOW_SUPPLY: "too little air: wait until the supply is up",
+    FaultCode.INPUT_OVERSPEED: "the input shaft would turn too fast in that gear: slow down first",
+    FaultCode.DISENGAGE_REFUSED: "a sleeve stays in while there is torque: open the clutch",
+    FaultCode.BRAKE_LIMIT: "the layshaft brake was on for as long, or as hot, as it may be",
+    FaultCode.SPLITTER_FAILED: "the splitter did not move in time",
+    FaultCode.RANGE_FAILED: "the range did not move in time",
+    FaultCode.ENGINE_FAILED: "the engine did not come to the speed it was asked for",
+}
+
+
+def explain(fault: FaultCode) -> str:
+    """The code's name, what it means and, where a node was late, what to do."""
+    line = f"{fault.name.lower()}: {MEANING[fault]}"
+    return f"{line}; {LATE_ADVICE}" if fault in LATE else line
