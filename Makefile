@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test acceptance vcan test-containers lint types contracts stubs bench clean
+.PHONY: demo test acceptance vcan test-containers lint types reference contracts stubs bench clean
 
 $(VENV)/run.stamp: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -41,6 +41,10 @@ lint: $(VENV)/test.stamp
 types: $(VENV)/test.stamp
 	$(BIN)/mypy
 	$(BIN)/python -m meshpoint.dbc.stubs --check
+
+# docs/reference/, from the code
+reference: $(VENV)/test.stamp
+	$(BIN)/python -m meshpoint.testbench.reference docs/reference
 
 contracts: $(VENV)/test.stamp
 	$(BIN)/lint-imports

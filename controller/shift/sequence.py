@@ -68,8 +68,9 @@ class ShiftSequence(ShiftDesk):
         board: ValveBoard,
         brake: BrakeInput,
         references: PhaseReferences,
+        armed: bool = True,
     ) -> None:
-        super().__init__(sheet, settings, board, brake, references)
+        super().__init__(sheet, settings, board, brake, references, armed)
 
     def step(self, moment: Moment) -> None:
         """One decision. Goes on through states that have nothing to wait for."""
@@ -129,6 +130,8 @@ class ShiftSequence(ShiftDesk):
         """Why a shift is not begun; None where it is."""
         if number not in DRIVE_GEARS:
             return FaultCode.REQUEST_IMPOSSIBLE, "gears are 1 to 14"
+        if not self.armed:
+            return FaultCode.GUARD_BLOCKED, "the outputs are not armed (--arm)"
         if not _knows_the_gear(moment.view):
             return FaultCode.REQUEST_IMPOSSIBLE, "a sleeve stands between two gears"
         if moment.lost is not FaultCode.NONE:

@@ -15,28 +15,34 @@ from meshpoint.gearbox.tables import TableError
 from meshpoint.rig_sim.settings import SettingsError
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.parsing import Parser
 from meshpoint.testbench.provenance import product_version
+from meshpoint.testbench.results.output import check_writable
 
 DESCRIPTION = """\
 A transmission controller that fires a dog-clutch sleeve so that tooth meets gap, and a virtual
 gearbox rig to prove it against, as two nodes on a CAN bus."""
 EPILOG = """\
 start here:
-  meshpoint demo                        both nodes as processes, both strategies, a plot
-  meshpoint simulate --shifts 20        the same in virtual time
-  meshpoint rig &  meshpoint controller &  meshpoint request 10
+  meshpoint demo                  both nodes, both strategies, a picture
+  meshpoint simulate --shifts 20  the same in virtual time
+  meshpoint up                    both nodes until Ctrl-C; in another terminal:
+  meshpoint request 10            asks for gear 10
+  meshpoint help bus              which bus a command opens
 
 exit codes:
-  0  done                               3  not verifiable (replay --verify), with the reason
-  1  ran, but failed: a shift that did  130  interrupted
-     not end, a replay that differs
-  2  bad input: what was found and what is allowed is on standard error"""
+  0    done
+  1    ran, but failed: a shift that did not end, a replay that differs
+  2    bad input: what was found and what is allowed is on standard error
+  3    not verifiable (replay --verify), with the reason
+  130  interrupted"""
 USER_ERRORS = (BusOpenError, CommandError, HeaderError, LogError, SettingsError, TableError)
 MODULES = {
     "demo": "demo",
     "simulate": "simulate",
     "campaign": "campaign",
     "replay": "replay",
+    "up": "up",
     "controller": "nodes",
     "rig": "nodes",
     "request": "request",
@@ -46,6 +52,9 @@ MODULES = {
     "calibration": "calibration",
     "captures": "captures",
     "study": "study",
+    "settings": "settings",
+    "dbc": "dbc",
+    "help": "help",
 }
 """The module of `meshpoint.testbench.commands` that holds each command, in the order of the help."""
 
@@ -53,12 +62,7 @@ MODULES = {
 def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     """The parser with all commands, or with that of one command alone: loading all of them would
     take a node longer than all else that it does before its first step."""
-    parser = argparse.ArgumentParser(
-        prog="meshpoint",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
+    parser = Parser(prog="meshpoint", description=DESCRIPTION, epilog=EPILOG)
     parser.add_argument("--version", action="version", version=f"meshpoint {product_version()}")
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
@@ -72,8 +76,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns its exit code."""
     given = sys.argv[1:] if arguments is None else list(arguments)
     parser = build_parser(next((word for word in given if not word.startswith("-")), None))
-    namespace = parser.parse_args(given)
+    namespace, unknown = parser.parse_known_args(given)
+    if unknown:
+        parser.prog = f"{parser.prog} {namespace.command}"
+        parser.error(f"unknown argument {' '.join(unknown)}")
     try:
+        for target in ("json", "report"):
+            path = getattr(namespace, target, None)
+            check_writable(None if path is None else str(path))
         code: int = namespace.run(namespace)
     except USER_ERRORS as error:
         if namespace.debug:

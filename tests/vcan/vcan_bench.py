@@ -198,7 +198,7 @@ class Nodes:
         # nor are the controller's: there the bus is under test, with what is cheapest to compute
         cheap = ["--estimator", "thesis", "--strategy", "speed_window"] if EMULATED else []
         headers = ["--header-dir", str(folder)]
-        self.controller = Command(folder, "controller", *headers, *cheap, *common)
+        self.controller = Command(folder, "controller", "--arm", *headers, *cheap, *common)
 
     def wait_said(self, node: Command, text: str, times: int = 1) -> None:
         """Waits until a node has said something so often."""

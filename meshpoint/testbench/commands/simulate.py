@@ -15,6 +15,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench import arguments
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.interrupt import interruptible
 from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.simulate import Result, Setup, simulate
 from meshpoint.testbench.report.collect import ReportCollector
@@ -27,7 +28,6 @@ from meshpoint.testbench.report.write import (
     write_report,
 )
 from meshpoint.testbench.results.output import (
-    check_json,
     complain,
     console,
     rows_table,
@@ -75,7 +75,6 @@ def run(namespace: argparse.Namespace) -> int:
         calibration=calibration,
     )
     out = console(namespace.json)
-    check_json(namespace.json)
     check_report(namespace.report)
     collector = None
     if namespace.report is not None:
@@ -104,7 +103,8 @@ def run(namespace: argparse.Namespace) -> int:
         def on_row(_row: ShiftRow) -> None:
             progress.advance(task)
 
-        result = simulate(setup, on_frame, on_row, keep=_keep(writer, unwritten))
+        stop = stack.enter_context(interruptible())
+        result = simulate(setup, on_frame, on_row, keep=_keep(writer, unwritten), stop=stop)
     if collector is not None:
         write_report(namespace.report, _report(setup, result, collector))
     if namespace.json is not None:
@@ -113,6 +113,9 @@ def run(namespace: argparse.Namespace) -> int:
         out.print(f"log {written(log)}", markup=False)
     if namespace.json != "-":
         _show(out, setup, result)
+    if result.interrupted:
+        complain(f"interrupted: {len(result.rows)} of {setup.shifts} shifts are in the results")
+        return Exit.INTERRUPTED
     return Exit.DONE if not (result.stuck or unwritten) else Exit.FAILED
 
 

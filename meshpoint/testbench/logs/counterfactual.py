@@ -12,6 +12,7 @@ from typing import Any
 from rich.table import Table
 
 from meshpoint.dbc.messages import PhaseReference, ShiftOutcome, ShiftResult
+from meshpoint.testbench.results.output import broken
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.testbench.results.rows import DEG
 
@@ -80,8 +81,8 @@ def counterfactual_table(title: str, pairs: list[Counterfactual]) -> Table:
         table.add_column(column, justify="right")
     for side in ("", "log:\n"):
         table.add_column(f"{side}strategy", no_wrap=True)
-        table.add_column(f"{side}fired\nms", justify="right")
-        table.add_column(f"{side}predicted\ndeg", justify="right")
+        table.add_column(f"{side}fired\nms", justify="right", no_wrap=True)
+        table.add_column(f"{side}predicted\ndeg", justify="right", no_wrap=True)
     for pair in pairs:
         sides = [text for command in (pair.other, pair.recorded) for text in _cells(command)]
         table.add_row(str(pair.from_), str(pair.to), *sides)
@@ -104,7 +105,7 @@ def _cells(command: Command | None) -> list[str]:
         return ["-", "-", "-"]
     fired, phase = command.fired_ms, command.predicted_phase_deg
     return [
-        command.strategy,
+        broken(command.strategy),
         "-" if fired is None else f"{fired:.1f}",
         "-" if phase is None else f"{phase:+.2f}",
     ]

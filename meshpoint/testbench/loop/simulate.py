@@ -72,10 +72,12 @@ class Result:
     """What was drawn for the rig; None for the preset thesis."""
     cold_start: bool = True
     """The controller started without a calibration."""
+    interrupted: bool = False
+    """It was ended before its last shift."""
 
     def to_json(self, strategy: str) -> dict[str, Any]:
         """As `simulate --json` prints it."""
-        return {
+        values = {
             "shifts": [row.to_json() for row in self.rows],
             "summary": summarise(strategy, self.rows).to_json(),
             "estimation": self.estimation,
@@ -83,7 +85,9 @@ class Result:
             "bus_load": round(self.bus_load, 4),
             "cold_start": self.cold_start,
             "provenance": self.provenance,
-        } | ({} if self.as_built is None else {"as_built": self.as_built})
+        }
+        values |= {} if self.as_built is None else {"as_built": self.as_built}
+        return values | ({"interrupted": True} if self.interrupted else {})
 
 
 def not_addressed_to(*nodes: Node) -> frozenset[int]:
@@ -109,11 +113,12 @@ def simulate(
     on_event: Callable[[int, int, str], None] | None = None,
     monitor: Monitor | None = None,
     keep: Keep | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Result:
     """Runs all shifts. A function of `setup`: same setup, same frames, same rows.
 
     `monitor` is one of the caller's making that hears more; `keep` gets the calibration whenever
-    the controller knows more, and at the end."""
+    the controller knows more, and at the end; `stop`, looked at after every step, ends it early."""
     monitor = monitor or Monitor(setup.sheet, setup.settings)
     plan = plan_shifts(setup.sheet, list(setup.pairs), setup.shifts, LAYSHAFT_RAD_S)
     bench = BenchCore(plan)
@@ -149,7 +154,7 @@ def simulate(
     driver = VirtualTime(cores, tick_phases(setup.seed), take, on_event, filters)
     settle()
     if plan:
-        driver.run(lambda: bench.done, LIMIT_US_PER_SHIFT * len(plan))
+        driver.run(lambda: bench.done or stop(), LIMIT_US_PER_SHIFT * len(plan))
     controller.shutdown(driver.now_us)
     return Result(
         rows=monitor.rows.rows,
@@ -160,4 +165,5 @@ def simulate(
         stuck=bench.gave_up,
         as_built=rig.as_built,
         cold_start=setup.calibration is None,
+        interrupted=bool(plan) and not bench.done and stop(),
     )
