@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test acceptance vcan test-containers lint types contracts stubs bench clean
+.PHONY: demo test acceptance vcan test-containers lint types reference contracts stubs bench clean
 
 $(VENV)/run.stamp: pyproject.toml setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -44,6 +44,10 @@ types: $(VENV)/test.stamp
 	tools/linked-tree
 	$(BIN)/mypy
 	$(BIN)/python -m meshpoint.dbc.stubs --check
+
+# docs/reference/, from the code
+reference: $(VENV)/test.stamp
+	$(BIN)/python -m meshpoint.testbench.commands.reference docs/reference
 
 contracts: $(VENV)/test.stamp
 	tools/linked-tree

@@ -61,6 +61,11 @@ FRESH_US: Final = 45_000
 """A sample older than this is lost, even where frames with live counters go on repeating it."""
 QUIET_US: Final = 8_000
 """A step's last frames may wait for so long behind the sensors' before they are on the bus."""
+UNARMED: Final = (
+    "outputs not armed: all valves stay off, clutch and engine are not commanded, requests are "
+    "refused (--arm)"
+)
+"""Said once, at the first step."""
 SPEEDS: Final = (EdgesLayshaftRise, EdgesMainRise)
 POSITIONS: Final = (SleevesMain, SleevesAux, GearboxSensors)
 """Channels without which nothing may be shifted; and the valve side's own status."""
@@ -91,11 +96,11 @@ class ControllerCore:
         self._probe = ClockProbe()
         self._ahead_us = settings.timing.wire_us if timing is ValveTiming.IMMEDIATE else 0
         self._sequence = ShiftSequence(
-            sheet, settings, self._board, brake, self._observer.references
+            sheet, settings, self._board, brake, self._observer.references, header.armed
         )
         self._speeds = ShaftSpeeds(sheet)
         limits = guard_limits(sheet, settings)
-        self._guard = Guard(limits)
+        self._guard = Guard(limits, header.armed)
         self._guard_view = GuardView(sheet, limits)
         self._engine_asked = False
         self._decided = ShiftDecision.NONE
@@ -150,7 +155,7 @@ class ControllerCore:
     def step(self, now_us: int) -> Step:
         """The whole decision at `now_us` of the controller's clock."""
         lateness_us = self._lateness_us(now_us)
-        events: list[str] = []
+        events: list[str] = [UNARMED] if self._due_us is None and not self._guard.is_armed else []
         inputs, consumed = self._consume(now_us, events)
         read_us = self._probe.stamp(inputs, now_us)
         if read_us is not None:
@@ -174,8 +179,9 @@ class ControllerCore:
     def shutdown(self, now_us: int) -> Step:
         """Everything off, said once more."""
         self._board.all_off()
-        commands = (ValveCommand(), ClutchCommand())
-        frames = [self._transmitter.encode(command) for command in commands]
+        frames = [self._transmitter.encode(ValveCommand())]
+        if self._guard.is_armed:
+            frames.append(self._transmitter.encode(ClutchCommand()))
         return Step(frames, [f"valves off at {now_us} us"])
 
     def _lateness_us(self, now_us: int) -> int:
@@ -273,7 +279,8 @@ class ControllerCore:
     def _commands(
         self, inputs: StepInputs, snapshot: StepSnapshot, events: list[str]
     ) -> list[Frame]:
-        """Valve, clutch and engine commands; the valve frame goes out only past the guard."""
+        """Valve, clutch and engine commands; the valve frame goes out only past the guard. A
+        controller that is not armed sends all valves off, and nothing to clutch and engine."""
         guard, sequence = self._guard, self._sequence
         frame = self._transmitter.encode(self._board.message(snapshot.now_us + self._ahead_us))
         seen = self._guard_view.take(inputs, self._receiver, snapshot.now_us)
@@ -281,6 +288,8 @@ class ControllerCore:
             events.append(f"guard blocked a valve command: row {guard.blocked_row}")
             sequence.blocked(guard.blocked_row or 0, snapshot)
             frame = self._transmitter.encode(ValveCommand())
+        if not guard.is_armed:
+            return [frame]
         clutch = self._transmitter.encode(ClutchCommand(action=sequence.clutch))
         return [frame, clutch, *self._engine_request()]
 

@@ -40,10 +40,12 @@ class RunHeader:
     settings: ControllerSettings
     calibration: Calibration | None = None
     """What earlier runs have learned; None: a cold start."""
+    armed: bool = True
+    """Whether valves, clutch and engine may be commanded; False: the controller only listens."""
 
     def canonical(self) -> str:
         """One line of JSON with sorted keys; what is hashed and saved."""
-        fields = {
+        fields: dict[str, Any] = {
             "version": self.version,
             "architecture": self.architecture,
             "dbc_sha256": self.dbc_sha256,
@@ -54,6 +56,9 @@ class RunHeader:
         file = self.settings.strategy_file
         if file is not None:
             fields["strategy_file"] = {"sha256": file.sha256, "aims": file.aims}
+        if not self.armed:
+            # Said only where it is so: the header of an armed run is what it always was.
+            fields["armed"] = False
         return json.dumps(fields, sort_keys=True, separators=(",", ":"))
 
     @property
@@ -77,9 +82,10 @@ def new_header(
     sheet: GearboxSheet,
     settings: ControllerSettings,
     calibration: Calibration | None = None,
+    armed: bool = True,
 ) -> RunHeader:
     """The header of a controller that starts here and now."""
-    return RunHeader(version, architecture(), DBC_SHA256, sheet, settings, calibration)
+    return RunHeader(version, architecture(), DBC_SHA256, sheet, settings, calibration, armed)
 
 
 def architecture() -> str:
@@ -119,6 +125,7 @@ def _from_values(values: dict[str, Any]) -> RunHeader:
         sheet,
         _settings_from(values["settings"], values.get("strategy_file")),
         None if calibration is None else read_calibration(calibration, "calibration", sheet),
+        values.get("armed", True),
     )
 
 

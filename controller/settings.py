@@ -47,6 +47,7 @@ class Timing:
     """The tick and the margins around it."""
 
     tick_ms: int = count("tick_ms", 1, 100, default=10)
+    """From one step to the next."""
     lead_ms: int = count("lead_ms", 1, 80, default=8)
     """How far ahead of the controller's notion of sensor time an activation is placed at least:
     bus time and the node's own lateness must fit into it."""
@@ -68,14 +69,16 @@ class Timing:
 
 @dataclass(frozen=True)
 class Window:
-    """Slip at which a sleeve may meet its gear; slip > 0: the gear turns faster (design, signs)."""
+    """Slip at which a sleeve may meet its gear; slip > 0: the gear turns faster than the
+    sleeve."""
 
     fire_slip_rad_s: float = quantity("fire_slip_rpm", 1.0, 200.0, RPM, default=50.0 * RPM)
     """`speed_window` fires when the slip has fallen to this."""
     contact_high_rad_s: float = quantity("contact_high_rpm", 1.0, 200.0, RPM, default=25.0 * RPM)
     """`target_phase` plans no contact above this slip."""
     contact_low_rad_s: float = quantity("contact_low_rpm", -50.0, 100.0, RPM, default=-20.0 * RPM)
-    """Nor below this one: there the gear is slower than the sleeve, and gets slower yet."""
+    """`target_phase` plans no contact below this slip: there the gear is slower than the
+    sleeve, and gets slower yet."""
     release_slip_rad_s: float = quantity("release_slip_rpm", 1.0, 200.0, RPM, default=25.0 * RPM)
     """`speed_window` releases the brake so that this slip is left when it has died away."""
     anticipate_slip_rad_s: float = quantity(
@@ -85,14 +88,16 @@ class Window:
     anticipate_release_rad_s: float = quantity(
         "anticipate_release_rpm", 1.0, 200.0, RPM, default=10.0 * RPM
     )
-    """It releases the brake so that this slip would be left when it has died away. Both baselines'
-    releases are those of their least mean duration (`benchmarks/tune_baselines.py`)."""
+    """`speed_window_anticipating` releases the brake so that this slip would be left when it
+    has died away. Both baselines' releases are those of their least mean duration
+    (`benchmarks/tune_baselines.py`)."""
     settle_time_constants: float = quantity("settle_time_constants", 0.0, 10.0, default=3.0)
     """When the brake counts as died away, in time constants of its pressure after release."""
     aim_slip_rad_s: float = quantity("aim_slip_rpm", 1.0, 200.0, RPM, default=18.0 * RPM)
     """`target_phase` releases the brake so that at this slip the phase is the target."""
     aim_time_constants: float = quantity("aim_time_constants", 0.0, 10.0, default=0.9)
-    """How long after release that moment lies about, in the same time constants."""
+    """How long after the brake's release the moment of `aim_slip_rpm` lies about, in time
+    constants of its pressure."""
     least_rad_s: float = quantity("least_rpm", -200.0, 50.0, RPM, default=-25.0 * RPM)
     """Below this slip waiting has no end: the layshaft only gets slower."""
     raised_rad_s: float = quantity("raised_rpm", 5.0, 150.0, RPM, default=45.0 * RPM)
@@ -118,12 +123,14 @@ class Prices:
     miss_s: float = quantity("miss_ms", 0.0, 10_000.0, 1e-3, default=0.3)
     """Tooth on tooth: the way to the next gap, or back and once more."""
     block_s: float = quantity("block_ms", 0.0, 10_000.0, 1e-3, default=0.2)
-    """More where the slip is too small to carry the tooth off: the sleeve stands on it."""
+    """More than a miss where the slip is too small to carry the tooth off: the sleeve stands on
+    it."""
     block_slip_rad_s: float = quantity("block_slip_rpm", 0.1, 100.0, RPM, default=6.0 * RPM)
+    """The slip below which a tooth is not carried off."""
     energy_s_per_j: float = quantity("energy_ms_per_j", 0.0, 10_000.0, 1e-3, default=0.005)
-    """A joule that a flank takes."""
+    """A joule that a tooth's flank takes."""
     aim_s: float = quantity("aim_ms", 0.0, 10_000.0, 1e-3, default=0.01)
-    """Half a backlash away from the target angle."""
+    """A contact half a backlash away from the target angle."""
     overlap_m: float = quantity("overlap_mm", 0.0, 10.0, 1e-3, default=1e-3)
     """A sleeve that has gone so far past the teeth's faces is in."""
 
@@ -133,18 +140,23 @@ class ShiftLimits:
     """When a phase of the shift has taken too long, and how often it is tried."""
 
     clutch_ms: int = count("clutch_ms", 50, 5000, default=600)
+    """For the clutch to open, and to close."""
     disengage_ms: int = count("disengage_ms", 50, 5000, default=400)
+    """For the old gear to come out."""
     synchronise_ms: int = count("synchronise_ms", 100, 10000, default=2000)
+    """For the brake to bring the layshaft down to the new gear's speed."""
     engage_ms: int = count("engage_ms", 100, 5000, default=500)
+    """From firing until the sleeve is in its gear."""
     face_ms: int = count("face_ms", 20, 2000, default=200)
     """A sleeve that rests on a tooth for longer goes back and tries another one."""
     coast_ms: int = count("coast_ms", 20, 2000, default=250)
     """Where drag alone would take longer than this to bring the slip down, the brake helps."""
     raise_ms: int = count("raise_ms", 200, 10000, default=2000)
-    """For the engine to bring the layshaft up."""
+    """For the engine to bring the layshaft up to the new gear's speed."""
     steps_ms: int = count("steps_ms", 200, 10000, default=1500)
-    """For splitter and range together."""
+    """For splitter and range to change, both together."""
     attempts: int = count("attempts", 1, 10, default=3)
+    """How often a sleeve is fired in one shift."""
     raises: int = count("raises", 0, 10, default=3)
     """How often the engine is asked to bring the layshaft up in one shift."""
     pulses: int = count("pulses", 0, 10, default=3)
@@ -154,7 +166,7 @@ class ShiftLimits:
     supply_low_pa: float = quantity("supply_low_bar", 0.0, 12.0, 1e5, default=5.5e5)
     """Below this supply pressure (absolute) no shift is begun."""
     valve_on_ms: int = count("valve_on_ms", 100, 10000, default=3000)
-    """The guard's limit for any valve."""
+    """The guard lets no valve be on for longer."""
 
 
 @dataclass(frozen=True)
@@ -162,6 +174,7 @@ class EngineRequests:
     """What the engine may be asked for (TSC1)."""
 
     least_rad_s: float = quantity("least_rpm", 100.0, 2000.0, RPM, default=500.0 * RPM)
+    """The engine is asked for no speed below this one."""
 
 
 @dataclass(frozen=True)
@@ -169,11 +182,13 @@ class GuardSettings:
     """What the guard forbids; wider than what any strategy plans, narrower than what breaks."""
 
     slip_low_rad_s: float = quantity("slip_low_rpm", -300.0, 0.0, RPM, default=-60.0 * RPM)
+    """Slip at contact below which no sleeve is let go."""
     slip_high_rad_s: float = quantity("slip_high_rpm", 10.0, 300.0, RPM, default=120.0 * RPM)
-    """Slip at contact outside of which no sleeve is let go."""
+    """Slip at contact above which no sleeve is let go."""
     brake_on_ms: int = count("brake_on_ms", 100, 20000, default=2500)
+    """The longest use of the brake."""
     brake_energy_j: float = quantity("brake_energy_kj", 0.1, 1000.0, 1e3, default=15e3)
-    """For one use of the brake."""
+    """The most energy of one use of the brake."""
     brake_floor_rad_s: float = quantity("brake_floor_rpm", 0.0, 1000.0, RPM, default=100.0 * RPM)
     """The brake never takes the layshaft below this speed."""
     supply_low_pa: float = quantity("supply_low_bar", 0.0, 12.0, 1e5, default=5.0e5)
@@ -189,9 +204,13 @@ class ThesisFilter:
     """Tuning of the thesis's Kalman filter: Q_k = (w dt)(w dt)' (5.8) and R."""
 
     w_angle_rad_s: float = quantity("w_angle_deg_s", 0.0, 1e4, DEG, default=0.5 * DEG)
+    """w of the layshaft's angle."""
     w_speed_rad_s2: float = quantity("w_speed_rad_s2", 0.0, 1e5, default=20.0)
+    """w of its speed."""
     w_pressure_pa_s: float = quantity("w_pressure_bar_s", 0.0, 1e3, 1e5, default=1e5)
+    """w of the brake pressure."""
     r_angle_rad: float = quantity("r_angle_deg", 1e-4, 5.0, DEG, default=0.02 * DEG)
+    """Standard deviation of a measured angle: R is its square."""
 
 
 @dataclass(frozen=True)
@@ -199,7 +218,9 @@ class CruiseFilter:
     """Tuning of the constant-speed filter of main shaft and engaged layshaft."""
 
     acceleration_rad_s2: float = quantity("acceleration_rad_s2", 0.0, 1e5, default=30.0)
+    """Acceleration that the model of constant speed leaves out."""
     edge_time_us: float = quantity("edge_time_us", 0.1, 100.0, default=1.0)
+    """Standard deviation of an edge's time."""
 
 
 @dataclass(frozen=True)
@@ -209,45 +230,53 @@ class CrossingFilterTuning:
     edge_time_s: float = quantity("edge_time_us", 0.1, 200.0, 1e-6, default=10e-6)
     """Standard deviation of an edge's time."""
     tooth_error_rad: float = quantity("tooth_error_deg", 1e-4, 5.0, DEG, default=0.2 * DEG)
-    """Of an edge's place on a wheel whose teeth have not been learned."""
+    """Standard deviation of an edge's place on a wheel whose teeth have not been learned."""
     gate_sd: float = quantity("gate_sd", 2.0, 100.0, default=5.0)
     """An edge further off than this many standard deviations is not believed."""
     torque_disturbance_nm: float = quantity("torque_disturbance_nm", 0.0, 200.0, default=1.0)
+    """Standard deviation of the torques at the layshaft that nobody models."""
     disturbance_s: float = quantity("disturbance_ms", 0.5, 5000.0, 1e-3, default=0.02)
-    """Torques at the layshaft that nobody models, and how long they last."""
+    """How long such a torque lasts."""
     gain_sd: float = quantity("gain_sd_percent", 0.0, 50.0, 0.01, default=0.1)
-    """Of the brake torque before it has been learned."""
+    """Standard deviation of the brake's torque over that of its sheet, before it has been
+    learned."""
     gain_walk: float = quantity("gain_walk_percent", 0.0, 50.0, 0.01, default=0.02)
-    """By how much it wanders in a second: friction changes with speed and temperature."""
+    """By how much the brake's gain wanders in a second: friction changes with speed and
+    temperature."""
     gain_pause: float = quantity("gain_pause_percent", 0.0, 50.0, 0.01, default=0.01)
-    """What the pause between two shifts adds to the doubt about it."""
+    """What the pause between two shifts adds to the doubt about the brake's gain."""
     drag_sd_nm: float = quantity("drag_sd_nm", 0.0, 100.0, default=5.0)
-    """Of the steady drag before it has been learned."""
+    """Standard deviation of the steady drag, before it has been learned."""
     drag_walk_nm: float = quantity("drag_walk_nm", 0.0, 100.0, default=1.0)
-    """By how much it wanders in a second."""
+    """By how much the drag wanders in a second."""
     drag_pause_nm: float = quantity("drag_pause_nm", 0.0, 100.0, default=0.5)
-    """What a pause adds."""
+    """What the pause between two shifts adds to the doubt about the drag."""
     pressure_sd_pa: float = quantity("pressure_sd_bar", 1e-4, 5.0, 1e5, default=0.01e5)
+    """Standard deviation of the measured brake pressure."""
     pressure_start_sd_pa: float = quantity("pressure_start_sd_bar", 0.0, 5.0, 1e5, default=0.2e5)
+    """Standard deviation of the brake pressure when its model begins to hold."""
     pressure_walk_pa: float = quantity("pressure_walk_bar", 0.0, 50.0, 1e5, default=0.5e5)
-    """Of the measured pressure; of it when the model begins to hold; model error in a second."""
+    """By how much the pressure's model is wrong after a second."""
     follow_rad_s2: float = quantity("follow_rad_s2", 0.1, 1e5, default=60.0)
+    """Standard deviation of the acceleration of a layshaft that turns with a gear in mesh."""
     follow_s: float = quantity("follow_ms", 0.5, 5000.0, 1e-3, default=0.01)
-    """Accelerations of a layshaft that turns with a gear in mesh, and how long they last."""
+    """How long such an acceleration lasts."""
     main_rad_s2: float = quantity("main_rad_s2", 0.01, 1e4, default=2.0)
+    """Standard deviation of the main shaft's acceleration."""
     main_s: float = quantity("main_ms", 0.5, 5000.0, 1e-3, default=0.1)
+    """How long such an acceleration of the main shaft lasts."""
     main_walk_rad_s2: float = quantity("main_walk_rad_s2", 0.0, 1e4, default=5.0)
-    """The same of the main shaft, and by how much its acceleration wanders in a second."""
+    """By how much the main shaft's acceleration wanders in a second."""
     fuse_input: bool = flag("fuse_input", default=False)
     """The input shaft's edges count for the layshaft while it is free."""
     fuse_propeller: bool = flag("fuse_propeller", default=False)
     """The propeller shaft's edges count for the main shaft while the layshaft is free."""
     mesh_walk_rad: float = quantity("mesh_walk_deg", 0.0, 5.0, DEG, default=0.01 * DEG)
-    """By how much the angle between two such wheels wanders in a second at one flank."""
+    """By how much the angle between two fused wheels wanders in a second at one flank."""
     mesh_side_rad: float = quantity("mesh_side_deg", 0.0, 5.0, DEG, default=0.05 * DEG)
+    """By how much that angle changes where the mesh goes to its other flank."""
     mesh_side_s: float = quantity("mesh_side_ms", 1.0, 5000.0, 1e-3, default=0.03)
-    """By how much it changes, within this time of a switch of the brake, where the mesh goes to its
-    other flank."""
+    """How long after a switch of the brake the mesh may go to its other flank."""
 
 
 @dataclass(frozen=True)
@@ -255,8 +284,15 @@ class ControllerSettings:
     """All settings of a controller."""
 
     strategy_name: str = text("strategy", *STRATEGY_NAMES, default="target_phase")
+    """How a sleeve is fired: `speed_window`, once the slip has fallen to its window, as is done
+    today; `speed_window_anticipating`, ahead, so that the slip is small at contact;
+    `target_phase`, so that tooth meets gap."""
     estimator_name: str = text("estimator", *ESTIMATOR_NAMES, default="crossing")
+    """How the layshaft's angle and speed are estimated: `window`, the 10 ms window speed of
+    today; `thesis`, its Kalman filter; `crossing`, a filter on the time of each edge."""
     valve_timing: str = text("valve_timing", *ValveTiming, default="scheduled")
+    """`scheduled`: the valve side switches at the time in the command; `immediate`: hardware
+    that cannot schedule, so the controller sends the command at its moment."""
     timing: Timing = group(Timing, default=Timing())
     window: Window = group(Window, default=Window())
     aim: Aim = group(Aim, default=Aim())
@@ -309,12 +345,37 @@ def _plain(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return {key: value for key, value in pairs if key != "strategy_file"}
 
 
+@dataclass(frozen=True)
+class Outputs:
+    """Whether the outputs are armed: whether valves, clutch and engine may be commanded at all."""
+
+    armed: bool | None = flag("armed", default=None)
+    """False: the controller reads, estimates and logs, and commands nothing. Where it is not
+    given, only the local bus of this machine is armed; `--arm` and `--no-arm` win."""
+
+
+@dataclass(frozen=True)
+class SettingsFile(ControllerSettings):
+    """What a settings file may hold: the settings, and `[outputs]`, which belongs to one run on one
+    bus and therefore goes into the run header by itself."""
+
+    outputs: Outputs = group(Outputs, default=Outputs())
+
+    @property
+    def settings(self) -> ControllerSettings:
+        """The settings alone."""
+        names = [field.name for field in dataclasses.fields(ControllerSettings)]
+        return ControllerSettings(**{name: getattr(self, name) for name in names})
+
+
+def load_settings_file(path: Path | None) -> SettingsFile:
+    """A settings file, TOML, or the defaults. TableError names file, key, found and allowed."""
+    return SettingsFile() if path is None else read_group(SettingsFile, load_toml(path), path.name)
+
+
 def load_settings(path: Path | None, **overrides: Any) -> ControllerSettings:
     """Settings from a TOML file, or the defaults; overrides that are not None win.
 
     TableError names file, key, found and allowed."""
-    settings = ControllerSettings()
-    if path is not None:
-        settings = read_group(ControllerSettings, load_toml(path), path.name)
     given = {key: value for key, value in overrides.items() if value is not None}
-    return dataclasses.replace(settings, **given)
+    return dataclasses.replace(load_settings_file(path).settings, **given)

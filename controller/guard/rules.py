@@ -108,6 +108,8 @@ def _span(action: int, time_32: int, was: Span | None, now_us: int) -> Span | No
 class GuardState:
     """The guard's own memory."""
 
+    armed: bool = True
+    """Whether anything may be driven at all in this run."""
     spans: Spans = NO_SPANS
     """What was passed last."""
     latched_by: int = 0
@@ -335,9 +337,10 @@ def actuation_at_low_supply(case: Case) -> bool:
 
 
 def output_before_the_self_test(case: Case) -> bool:
-    """Row 12: any output before every input was valid, several steps in a row, and before the
-    guard's own numbers were found in order."""
-    return any(case.spans) and case.state.proofs < PROOF_STEPS
+    """Row 12: any output of a controller that is not armed, before every input was valid, several
+    steps in a row, or before the guard's own numbers were found in order."""
+    ready = case.state.armed and case.state.proofs >= PROOF_STEPS
+    return any(case.spans) and not ready
 
 
 def sensor_denies_a_gear(case: Case) -> bool:
@@ -379,12 +382,18 @@ ROWS: Final = (
 class Guard:
     """Judges finished frames."""
 
-    def __init__(self, limits: GuardLimits) -> None:
+    def __init__(self, limits: GuardLimits, armed: bool) -> None:
+        """armed: whether valves may be driven at all; it stays as it is for the guard's life."""
         self._limits = limits
-        self._state = GuardState()
+        self._state = GuardState(armed=armed)
         self._is_sound = limits.are_sane and _decodes_as_it_should()
         self.blocks = 0
         self.blocked_row: int | None = None
+
+    @property
+    def is_armed(self) -> bool:
+        """Whether anything may be commanded: where not, clutch and engine are left alone too."""
+        return self._state.armed
 
     def passes(self, payload: bytes, seen: GuardInputs) -> bool:
         """Whether the frame may go out. A latched guard passes only frames that drive nothing, and

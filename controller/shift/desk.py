@@ -53,7 +53,10 @@ class ShiftContext:
         board: ValveBoard,
         brake: BrakeInput,
         references: PhaseReferences,
+        armed: bool = True,
     ) -> None:
+        self.armed = armed
+        """Whether a shift may be begun: the guard would let nothing of it pass."""
         self.sheet = sheet
         self.settings = settings
         self.board = board

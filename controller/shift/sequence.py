@@ -122,6 +122,8 @@ class ShiftSequence(ShiftContext):
         """Why a shift is not begun; None where it is."""
         if number not in DRIVE_GEARS:
             return FaultCode.REQUEST_IMPOSSIBLE, "gears are 1 to 14"
+        if not self.armed:
+            return FaultCode.GUARD_BLOCKED, "the outputs are not armed (--arm)"
         if not _knows_the_gear(snapshot.view):
             return FaultCode.REQUEST_IMPOSSIBLE, "a sleeve stands between two gears"
         if snapshot.lost is not FaultCode.NONE:

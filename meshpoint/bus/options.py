@@ -15,10 +15,13 @@ import can
 import can.cli
 import can.util
 
-from meshpoint.bus.local.channel import ChannelError
+from meshpoint.bus.local.channel import ChannelError, TcpChannel, parse_channel
 from meshpoint.bus.local.register import register_interface
 
 DEFAULT_INTERFACE = "meshpoint"
+BUS_TITLE = "which bus, as in python-can (`meshpoint help bus` explains)"
+BUS_HELP = "-i --interface -c --channel -b --bitrate --fd --data-bitrate --config ..."
+"""All that a command's help says of python-can's own arguments."""
 
 # Interfaces that take fd=True without any further parameter.
 _FD_BY_DEFAULT = frozenset({"socketcan", "udp_multicast", "kvaser", "vector"})
@@ -41,11 +44,32 @@ class BusOpenError(Exception):
     """The bus that was asked for cannot be opened. The message is one line, for the user."""
 
 
-def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
+def add_bus_arguments(parser: argparse.ArgumentParser, explained: bool = False) -> None:
     """Adds python-can's arguments (-i -c -b --fd --data-bitrate --timing --bus-kwargs), and
-    `--config`."""
+    `--config`.
+
+    explained: help has a paragraph on each; else one line for all, which says where that is."""
     register_interface()
+    own = len(parser._actions)
     can.cli.add_bus_arguments(parser)
+    _add_config(parser)
+    if explained:
+        _list_interfaces(parser)
+        return
+    for action in parser._actions[own:]:
+        action.help = argparse.SUPPRESS
+    parser.add_argument_group(BUS_TITLE, BUS_HELP)
+
+
+def _list_interfaces(parser: argparse.ArgumentParser) -> None:
+    """The interfaces' names once, where they wrap."""
+    for action in parser._actions:
+        if action.dest == "interface":
+            action.metavar = "INTERFACE"
+            action.help = f"one of {', '.join(sorted(can.VALID_INTERFACES))}"
+
+
+def _add_config(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--config",
         default=argparse.SUPPRESS,
@@ -53,6 +77,22 @@ def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
         help="take the bus from a section of a python-can configuration file; FILE alone: its "
         "section 'default'; SECTION alone: of can.conf and the other usual files",
     )
+
+
+def given_bus_arguments(namespace: argparse.Namespace) -> list[str]:
+    """The bus arguments that were given, as words for another command's command line."""
+    words = []
+    for name in ("interface", "channel", "bitrate", "data_bitrate", "config"):
+        if name in namespace:
+            words += [f"--{name.replace('_', '-')}", str(getattr(namespace, name))]
+    if getattr(namespace, "fd", False):
+        words.append("--fd")
+    for name in ("timing", "bus_kwargs"):
+        given = getattr(namespace, name, None)
+        if given:
+            pairs = [f"{key}={value}" for key, value in dict(given).items()]
+            words += [f"--{name.replace('_', '-')}", *pairs]
+    return words
 
 
 def open_bus_from(namespace: argparse.Namespace) -> can.BusABC:
@@ -67,6 +107,8 @@ def open_bus_from(namespace: argparse.Namespace) -> can.BusABC:
             bus = can.Bus(ignore_config=True, **config)
     except Exception as error:  # whatever a vendor's driver raises for a device that is not there
         raise BusOpenError(_open_error(config, error)) from error
+    if bus.channel_info == can.BusABC.channel_info:
+        bus.channel_info = _channel_info(config)
     if config["interface"] in _LOSSY:
         _enlarge_receive_buffer(bus)
     return bus
@@ -102,6 +144,29 @@ def bus_config(namespace: argparse.Namespace) -> dict[str, Any]:
     if result["interface"] == "socketcan":
         _check_socketcan(result.get("channel"))
     return result
+
+
+def _channel_info(config: dict[str, Any]) -> str:
+    """What to call a bus that python-can leaves at "unknown", as it does udp_multicast."""
+    port = f", port {config['port']}" if "port" in config else ""
+    return f"{config['interface']} channel {config.get('channel', '(default)')}{port}"
+
+
+def is_local_bus(namespace: argparse.Namespace) -> bool:
+    """Whether the bus asked for cannot reach a valve: the local bus of this machine, or the one
+    named `virtual`, which ends at the process. A vcan is not: it may be bridged to a real bus.
+
+    Raises BusOpenError.
+    """
+    config = bus_config(namespace)
+    if config["interface"] != DEFAULT_INTERFACE:
+        return bool(config["interface"] == "virtual")
+    channel = config.get("channel")
+    try:
+        place = None if channel is None else parse_channel(str(channel))
+    except ChannelError:
+        return False  # opening it says why
+    return not isinstance(place, TcpChannel) or place.is_local
 
 
 def _defaults(interface: str) -> dict[str, Any]:

@@ -1,8 +1,10 @@
-"""Ending a node by SIGINT or SIGTERM."""
+"""Ending a node by SIGINT or SIGTERM, or by the end of its standard input."""
 
 import asyncio
+import os
 import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
@@ -38,3 +40,17 @@ def stop_on_signals(stop: asyncio.Event) -> Iterator[None]:
         yield
     finally:
         restore()
+
+
+def stop_at_end_of_input(stop: asyncio.Event) -> None:
+    """Sets `stop` when standard input ends, as it does when the process at its other end is gone,
+    however it went. Nobody else may read standard input."""
+    loop = asyncio.get_running_loop()
+
+    def wait() -> None:
+        # Not by sys.stdin: a thread that waits in it would hold its lock when Python ends.
+        while os.read(0, 4096):
+            pass
+        loop.call_soon_threadsafe(stop.set)
+
+    threading.Thread(target=wait, daemon=True).start()

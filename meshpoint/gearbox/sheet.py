@@ -54,7 +54,9 @@ class Mesh:
     """A pair of wheels in constant mesh; the driven wheel's speed is ratio x the driving one's."""
 
     driving: int = count("teeth_driving", 8, 200)
+    """Teeth of the wheel nearer to the engine."""
     driven: int = count("teeth_driven", 8, 200)
+    """Teeth of the other wheel."""
 
     @property
     def exact(self) -> Fraction:
@@ -98,8 +100,11 @@ class DogTeeth:
     """The toothed sides of gears and sleeves of the main box (thesis 2.2)."""
 
     teeth: int = count("teeth", 8, 96)
+    """Dog teeth around a gear, and gaps around its sleeve."""
     backlash_share: float = quantity("backlash_percent_of_pitch", 2.0, 50.0, 0.01)
+    """Width of a gap beyond the tooth that goes into it."""
     radius_m: float = quantity("radius_mm", 30.0, 150.0, MM)
+    """Middle radius of the dog teeth."""
 
     @property
     def pitch_rad(self) -> float:
@@ -117,7 +122,9 @@ class Wheel:
     """A sensor wheel and its Hall sensor (thesis 2.5, 4.5)."""
 
     teeth: int = count("teeth", 8, 120)
+    """Teeth of the sensor wheel, those that are left out included."""
     duty_share: float = quantity("duty_percent", 20.0, 80.0, 0.01)
+    """Share of a tooth in its pitch, from rising to falling edge."""
     missing: tuple[int, ...] = counts("missing", 0, 119, default=())
     """Teeth that were left out (58 and 59 of a 60-2 wheel): they tell which tooth is which."""
 
@@ -154,8 +161,11 @@ class ShaftConstants:
     together, felt at the layshaft (4.11)."""
 
     layshaft_inertia_kgm2: float = quantity("layshaft_inertia_kgm2", 0.01, 5.0)
+    """Inertia of the layshaft with all that is fixed to it (J_LS)."""
     input_inertia_kgm2: float = quantity("input_inertia_kgm2", 0.001, 5.0)
+    """Inertia of the input shaft with the clutch plate (J_IS)."""
     friction_nms: float = quantity("friction_nms", 0.0, 2.0)
+    """Friction torque a rad/s of the layshaft."""
 
 
 @dataclass(frozen=True)
@@ -163,8 +173,11 @@ class Brake:
     """Layshaft disc brake and its valve (thesis 4.1-4.4)."""
 
     max_torque_nm: float = quantity("max_torque_nm", 5.0, 1000.0)
+    """Torque at the layshaft at full supply pressure."""
     valve_delay_s: float = quantity("valve_delay_ms", 0.0, 50.0, MS)
+    """From the valve's current to the first change of pressure."""
     time_constant_s: float = quantity("time_constant_ms", 1.0, 500.0, MS)
+    """Time constant of the pressure's rise and fall."""
 
 
 @dataclass(frozen=True)
@@ -172,7 +185,9 @@ class Air:
     """Supply and atmosphere; the gain K_valve of thesis 4.1 is the gauge pressure of the supply."""
 
     supply_gauge_pa: float = quantity("supply_gauge_bar", 1.0, 12.0, BAR)
+    """Supply pressure above that of the air around."""
     atmosphere_pa: float = quantity("atmosphere_bar", 0.5, 1.2, BAR)
+    """Pressure of the air around, absolute."""
 
 
 @dataclass(frozen=True)
@@ -180,12 +195,19 @@ class SleeveActuator:
     """Coupling sleeve with its two valves: a delay from activation to contact (thesis 6.2)."""
 
     delay_s: float = quantity("delay_ms", 10.0, 200.0, MS)
+    """From the valve's current to the sleeve's contact with the gear."""
     delay_sd_s: float = quantity("delay_sd_ms", 0.0, 20.0, MS)
+    """Standard deviation of that delay from shift to shift."""
     delay_limit_s: float = quantity("delay_limit_ms", 0.0, 50.0, MS)
+    """The most by which that delay differs from its mean."""
     valve_delay_s: float = quantity("valve_delay_ms", 0.0, 50.0, MS)
+    """From the valve's current to the sleeve's first movement."""
     to_contact_m: float = quantity("to_contact_mm", 0.5, 10.0, MM)
+    """Way from neutral to the faces of the gear's teeth."""
     stroke_m: float = quantity("stroke_mm", 2.0, 20.0, MM)
+    """Way from neutral to fully in."""
     speed_m_s: float = quantity("speed_m_s", 0.02, 2.0)
+    """Speed of a sleeve that nothing stands before."""
 
     def __post_init__(self) -> None:
         if self.to_contact_m >= self.stroke_m:
@@ -199,7 +221,9 @@ class Clutch:
     """Clutch actuator as a delay from command to fully open and to fully closed."""
 
     open_delay_s: float = quantity("open_delay_ms", 0.0, 1000.0, MS)
+    """From the command to fully open."""
     close_delay_s: float = quantity("close_delay_ms", 0.0, 2000.0, MS)
+    """From the command to fully closed."""
 
 
 @dataclass(frozen=True)
@@ -207,6 +231,7 @@ class SheetLimits:
     """What the shafts must not exceed."""
 
     input_max_rad_s: float = quantity("input_max_rpm", 500.0, 6000.0, RPM)
+    """The highest speed of the input shaft, and of the engine with it."""
 
 
 @dataclass(frozen=True)
@@ -214,6 +239,7 @@ class GearboxSheet:
     """A whole gearbox. Attributes are SI; tooth counts are exact integers."""
 
     name: str = text("name")
+    """What the gearbox is called in results and reports."""
     splitter: Splitter = group(Splitter)
     main: MainBox = group(MainBox)
     range_: RangeBox = group(RangeBox)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
-import importlib
 import os
 import sys
 from collections.abc import Sequence
@@ -14,70 +12,28 @@ from meshpoint.controller.header import HeaderError
 from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.gearbox.tables import TableError
 from meshpoint.rig_sim.settings import SettingsError
+from meshpoint.testbench.commands.table import build_parser
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.provenance import product_version
+from meshpoint.testbench.results.output import check_writable
 
-DESCRIPTION = """\
-A transmission controller that fires a dog-clutch sleeve so that tooth meets gap, and a virtual
-gearbox rig to prove it against, as two nodes on a CAN bus."""
-EPILOG = """\
-start here:
-  meshpoint demo                        both nodes as processes, both strategies, a plot
-  meshpoint simulate --shifts 20        the same in virtual time
-  meshpoint rig &  meshpoint controller &  meshpoint request 10
-
-exit codes:
-  0  done                               3  not verifiable (replay --verify), with the reason
-  1  ran, but failed: a shift that did  130  interrupted
-     not end, a replay that differs
-  2  bad input: what was found and what is allowed is on standard error"""
 USER_ERRORS = (
     BusOpenError, CommandError, HeaderError, LogError, SettingsError, StrategyError, TableError,
 )  # fmt: skip
-MODULES = {
-    "demo": "demo",
-    "simulate": "simulate",
-    "campaign": "campaign",
-    "replay": "replay",
-    "controller": "nodes",
-    "rig": "nodes",
-    "request": "request",
-    "health": "health",
-    "pace": "pace",
-    "gearbox": "gearbox",
-    "calibration": "calibration",
-    "captures": "captures",
-    "study": "study",
-}
-"""The module of `meshpoint.testbench.commands` that holds each command, in the order of the
-help."""
-
-
-def build_parser(command: str | None = None) -> argparse.ArgumentParser:
-    """The parser with all commands, or with that of one command alone: loading all of them would
-    take a node longer than all else that it does before its first step."""
-    parser = argparse.ArgumentParser(
-        prog="meshpoint",
-        description=DESCRIPTION,
-        epilog=EPILOG,
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("--version", action="version", version=f"meshpoint {product_version()}")
-    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
-    commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    wanted = [MODULES[command]] if command in MODULES else dict.fromkeys(MODULES.values())
-    for name in wanted:
-        importlib.import_module(f"meshpoint.testbench.commands.{name}").add_parser(commands)
-    return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns its exit code."""
     given = sys.argv[1:] if arguments is None else list(arguments)
     parser = build_parser(next((word for word in given if not word.startswith("-")), None))
-    namespace = parser.parse_args(given)
+    namespace, unknown = parser.parse_known_args(given)
+    if unknown:
+        parser.prog = f"{parser.prog} {namespace.command}"
+        parser.error(f"unknown argument {' '.join(unknown)}")
     try:
+        for target in ("json", "report"):
+            path = getattr(namespace, target, None)
+            check_writable(None if path is None else str(path))
         code: int = namespace.run(namespace)
     except USER_ERRORS as error:
         if namespace.debug:

@@ -16,9 +16,9 @@ from meshpoint.rig_sim.shared.capture_records import (
     RING,
     STAMPS,
     Captured,
+    ClockPieces,
     Reading,
 )
-from meshpoint.rig_sim.thesis.closed_form import ClockPieces
 
 Floats = npt.NDArray[np.float64]
 

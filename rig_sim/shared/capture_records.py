@@ -39,6 +39,12 @@ class ClockPiece(Record):
     rate: float
 
 
+class ClockPieces(Record):
+    """The newest pieces of the sensor clock, the newest last."""
+
+    pieces: Annotated[Row[ClockPiece], PIECES]
+
+
 class Head(Record):
     """What the edge frames of one channel say beside the stamps."""
 

@@ -12,8 +12,7 @@ import math
 from typing import Final
 
 from meshpoint.rig_sim.records import Memory
-from meshpoint.rig_sim.shared.capture_records import PIECES
-from meshpoint.rig_sim.thesis.closed_form import ClockPieces
+from meshpoint.rig_sim.shared.capture_records import PIECES, ClockPieces
 
 PPM: Final = 1e-6
 

@@ -24,10 +24,9 @@ from meshpoint.rig_sim.shared.angle_kernels import (
 )
 from meshpoint.rig_sim.shared.capture_records import (
     CHANNELS,
-    PIECES,
     RING,
     Captured,
-    ClockPiece,
+    ClockPieces,
     Reading,
 )
 
@@ -79,12 +78,6 @@ class SensorWheels(Record):
     teeth: Annotated[Row[int], 4]
     offsets: Annotated[Row[float], CHANNELS]  # where in the pitch: 0 rising, the duty for falling
     captured: Captured
-
-
-class ClockPieces(Record):
-    """The newest pieces of the sensor clock, the newest last."""
-
-    pieces: Annotated[Row[ClockPiece], PIECES]
 
 
 @compiled

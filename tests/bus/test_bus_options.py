@@ -6,7 +6,13 @@ from pathlib import Path
 import can
 import pytest
 
-from meshpoint.bus.options import BusOpenError, add_bus_arguments, bus_config, open_bus_from
+from meshpoint.bus.options import (
+    BusOpenError,
+    add_bus_arguments,
+    bus_config,
+    is_local_bus,
+    open_bus_from,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -129,3 +135,44 @@ def test_a_classic_device_is_refused_with_the_remedy(
     monkeypatch.setattr("meshpoint.bus.options._NET_DEVICES", tmp_path)
     with pytest.raises(BusOpenError, match=r"can0 is set up for classic CAN.*fd on"):
         open_bus_from(parsed("-i", "socketcan", "-c", "can0"))
+
+
+def test_a_bus_that_python_can_leaves_unknown_gets_a_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As udp_multicast: a node then says on which group it is."""
+
+    class Nameless(can.BusABC):
+        def __init__(self, channel: object = None, **_: object) -> None:
+            super().__init__(channel=channel)
+
+        def send(self, msg: can.Message, timeout: float | None = None) -> None:
+            raise AssertionError(msg)
+
+    monkeypatch.setattr(can, "Bus", lambda **config: Nameless(config.get("channel")))
+    with open_bus_from(parsed("-i", "neovi", "-c", "7")) as bus:
+        assert bus.channel_info == "neovi channel 7"
+    monkeypatch.setattr("meshpoint.bus.options._enlarge_receive_buffer", lambda _: None)
+    with open_bus_from(parsed("-i", "udp_multicast", "--bus-kwargs", "port=12345")) as bus:
+        assert bus.channel_info == "udp_multicast channel 239.74.163.2, port 12345"
+    with open_bus_from(parsed("-i", "udp_multicast")) as bus:
+        assert bus.channel_info == "udp_multicast channel 239.74.163.2"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "local"),
+    [
+        ("", True),
+        ("-i virtual -c x", True),
+        ("-i meshpoint -c unix:/tmp/x.sock", True),
+        ("-i meshpoint -c tcp:127.0.0.1:29600", True),
+        ("-i meshpoint -c tcp:192.168.1.7:29600", False),
+        ("-i udp_multicast", False),
+        ("-i kvaser -c 0", False),
+    ],
+)
+def test_only_a_bus_of_this_machine_is_local(arguments: str, local: bool) -> None:
+    assert is_local_bus(parsed(*arguments.split())) is local
+
+
+def test_a_bus_that_a_file_asks_for_is_not_local(tmp_path: Path) -> None:
+    (tmp_path / "can.conf").write_text("[default]\ninterface = kvaser\nchannel = 0\n")
+    assert not is_local_bus(parsed())

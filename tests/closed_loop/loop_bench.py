@@ -114,6 +114,8 @@ class Loop:
     layshaft_rad_s: float = LAYSHAFT_RAD_S
     phases_us: Sequence[int] = tuple(PHASES_US)
 
+    armed: bool = True
+
     def __post_init__(self) -> None:
         plan = plan_shifts(self.sheet, list(self.pairs), self.shifts, self.layshaft_rad_s)
         self.operator = BenchCore(plan) if plan else Operator(self.requests)
@@ -135,7 +137,7 @@ class Loop:
 
     @property
     def header(self) -> RunHeader:
-        return new_header(product_version(), self.sheet, self.settings)
+        return new_header(product_version(), self.sheet, self.settings, armed=self.armed)
 
     def new_rig(self, seed: int, clock_start_us: int | None = None) -> RigCore:
         """A rig as at power-up."""

@@ -105,7 +105,7 @@ def payload(
 
 def ready(limits: GuardLimits = LIMITS, seen: GuardInputs = NEUTRAL) -> Guard:
     """A guard past its self-test."""
-    guard = Guard(limits)
+    guard = Guard(limits, armed=True)
     for _ in range(PROOF_STEPS):
         assert guard.passes(payload(), seen._replace(valid=True))
     return guard
@@ -467,15 +467,29 @@ def test_row_11_nothing_new_is_driven_without_air(valve: ValveName) -> None:
 def test_row_12_nothing_is_driven_before_all_was_valid_three_steps_in_a_row(
     valve: ValveName,
 ) -> None:
-    guard, seen = Guard(LIMITS), near(valve)
+    guard, seen = Guard(LIMITS, armed=True), near(valve)
     for valid in (True, True, False, True, True):
         assert guard.passes(payload(), seen._replace(valid=valid))
-    again = Guard(LIMITS)
+    again = Guard(LIMITS, armed=True)
     for _ in range(2):
         assert not again.passes(payload(valve), seen)
         assert again.blocked_row == 12
     assert again.passes(payload(valve), seen)
     assert guard.passes(payload(valve), seen)
+
+
+@pytest.mark.parametrize("valve", ValveName)
+@pytest.mark.parametrize("how", DRIVING)
+def test_row_12_nothing_is_driven_by_a_guard_that_is_not_armed(
+    valve: ValveName, how: ValveAction
+) -> None:
+    """The same commands at the same moments pass where it is."""
+    guard, seen = Guard(LIMITS, armed=False), near(valve)
+    for step in range(2 * PROOF_STEPS):
+        assert guard.passes(payload(), seen)
+        assert not guard.passes(payload(valve, how=how), seen)
+        assert guard.blocked_row == 12
+        assert guard.blocks == step + 1
 
 
 @pytest.mark.parametrize(
@@ -489,7 +503,7 @@ def test_row_12_nothing_is_driven_before_all_was_valid_three_steps_in_a_row(
     ],
 )
 def test_row_12_a_guard_whose_own_numbers_are_wrong_stays_shut(name: str, wrong: object) -> None:
-    guard = Guard(dataclasses.replace(LIMITS, **{name: wrong}))
+    guard = Guard(dataclasses.replace(LIMITS, **{name: wrong}), armed=True)
     for _ in range(10):
         assert not guard.passes(payload(ValveName.SPLIT_HIGH), NEUTRAL)
         assert guard.blocked_row == 12

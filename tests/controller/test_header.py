@@ -18,7 +18,11 @@ def test_a_header_comes_back_as_it_was_saved(header: RunHeader, tmp_path: Path) 
     settings = ControllerSettings(
         strategy_name="speed_window", aim=Aim(0.1), limits=ShiftLimits(attempts=2)
     )
-    for saved in (header, dataclasses.replace(header, settings=settings)):
+    others = (
+        dataclasses.replace(header, settings=settings),
+        dataclasses.replace(header, armed=False),
+    )
+    for saved in (header, *others):
         path = saved.save(tmp_path / "new folder")
         assert path.name == header_name(saved.run_hash)
         assert load_header(path.parent, saved.run_hash) == saved
@@ -40,12 +44,19 @@ def test_the_run_hash_is_the_start_of_the_sha256_of_the_file(
         {"architecture": "pdp11 python 3.11"},
         {"dbc_sha256": "0" * 64},
         {"settings": ControllerSettings(aim=Aim(1e-9))},
+        {"armed": False},
     ],
 )
 def test_whatever_a_step_depends_on_changes_the_hash(
     header: RunHeader, other: dict[str, object]
 ) -> None:
     assert dataclasses.replace(header, **other).run_hash != header.run_hash
+
+
+def test_an_armed_run_is_not_mentioned(header: RunHeader) -> None:
+    """So that runs from before the switch keep their hash."""
+    assert "armed" not in json.loads(header.canonical())
+    assert json.loads(dataclasses.replace(header, armed=False).canonical())["armed"] is False
 
 
 def test_another_tooth_changes_the_hash(header: RunHeader) -> None:

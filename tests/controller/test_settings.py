@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.controller.settings import ControllerSettings, load_settings
+from meshpoint.controller.settings import ControllerSettings, load_settings, load_settings_file
 from meshpoint.dbc.messages import Estimator, Strategy
 from meshpoint.gearbox.tables import TableError
 
@@ -86,3 +86,16 @@ def test_what_is_no_file_of_settings_is_refused_by_name(tmp_path: Path, what: st
         path.write_bytes(b"\xff\x00\xfe")
     with pytest.raises(TableError, match=r"bench\.toml"):
         load_settings(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "armed"),
+    [("", None), ("[outputs]\narmed = true\n", True), ("[outputs]\narmed = false\n", False)],
+)
+def test_whether_outputs_are_armed_is_no_setting_of_the_core(
+    tmp_path: Path, content: str, armed: bool | None
+) -> None:
+    """It is of one run on one bus: the settings, and so the run's hash, are the same."""
+    path = written(tmp_path, content)
+    assert load_settings_file(path).outputs.armed is armed
+    assert load_settings(path) == ControllerSettings()

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import argparse
 import json
+import shlex
 from pathlib import Path
 
 import pytest
 
 from meshpoint.testbench.cli import main
+from meshpoint.testbench.commands.parsing import EXAMPLES
+from meshpoint.testbench.commands.reference import subparsers
+from meshpoint.testbench.commands.table import build_parser
+from meshpoint.testbench.results.output import check_writable
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -22,6 +28,8 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
     assert "Traceback" not in err
     lines = [line for line in err.splitlines() if "error" in line]
     assert len(lines) == 1
+    assert "usage" not in err
+    assert len(err.strip().splitlines()) == 1
     return lines[0]
 
 
@@ -38,6 +46,17 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         ("demo -i virtual --shifts 1 --faults nowhere.toml", ("nowhere.toml",)),
         ("replay nowhere.log", ("nowhere.log",)),
         ("fly", ("fly", "simulate")),
+        ("simulate --shiftss 3", ("meshpoint simulate:", "unknown argument --shiftss 3")),
+        ("gearbox show --colour", ("meshpoint gearbox:", "unknown argument --colour")),
+        ("rig -i carrier-pigeon", ("carrier-pigeon", "socketcan")),
+        ("simulate --shifts 1 --json nowhere/run.json", ("nowhere/run.json", "no folder nowhere")),
+        ("campaign --runs 1 --json nowhere/run.json", ("no folder nowhere",)),
+        ("demo -i virtual --json nowhere/run.json", ("no folder nowhere",)),
+        ("study 6.8 --json nowhere/run.json", ("no folder nowhere",)),
+        ("simulate --shifts 1 --report nowhere/run.html", ("no folder nowhere",)),
+        ("settings show nothing", ("nothing", "limits")),
+        ("dbc Nothing", ("Nothing", "ValveCommand")),
+        ("help nothing", ("nothing", "bus", "simulate")),
     ],
 )
 def test_a_mistake_is_told_in_one_line(
@@ -52,6 +71,96 @@ def test_a_mistake_is_told_in_one_line(
     for word in named:
         assert word in line
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_mistyped_value_is_followed_by_a_hint(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["simulate", "--shifts", "x"])
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith("meshpoint simulate: error: argument --shifts: 'x', allowed is")
+    assert said.endswith(" (help: meshpoint simulate -h)")
+
+
+def commands(
+    parser: argparse.ArgumentParser, above: str = ""
+) -> dict[str, argparse.ArgumentParser]:
+    """Every command, `gearbox show` as one of its own."""
+    found = {}
+    for name, inner in subparsers(parser).items():
+        found[above + name] = inner
+        found |= commands(inner, f"{above}{name} ")
+    return found
+
+
+COMMANDS = commands(build_parser())
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_each_help_ends_with_examples_that_can_be_given(name: str) -> None:
+    help_ = COMMANDS[name].format_help()
+    title, *lines = help_[help_.rindex("\nexample") + 1 :].strip().splitlines()
+    assert title in ("example:", "examples:")
+    assert lines
+    assert EXAMPLES[name] == tuple(line.strip() for line in lines)
+    shown = set()
+    for line in lines:
+        program, *words = shlex.split(line.partition(">")[0])
+        assert program == "meshpoint"
+        shown.add(build_parser().parse_args(words).command)
+    assert name.split()[0] in shown
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_fits_80_columns_and_has_pythoncans_arguments_in_one_line(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    help_ = COMMANDS[name].format_help()
+    assert max(map(len, help_.splitlines())) <= 80
+    assert help_.count("--data-bitrate") <= 1
+    assert "--bus-kwargs" not in help_
+    opens_a_bus = name in ("demo", "up", "rig", "controller", "request", "health", "help")
+    assert help_.count("meshpoint help bus") == opens_a_bus
+
+
+def test_the_page_on_buses_explains_every_argument(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(["help", "bus"]) == 0
+    page = capsys.readouterr().out
+    for option in (
+        "-i",
+        "-c",
+        "-b",
+        "--fd",
+        "--data-bitrate",
+        "--timing",
+        "--bus-kwargs",
+        "--config",
+    ):
+        assert f"  {option}" in page
+    assert "socketcan, socketcand" in " ".join(page.split())
+    assert max(map(len, page.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    ("topic", "begins"), [("simulate", "usage: meshpoint simulate"), ("", "usage: meshpoint")]
+)
+def test_help_of_a_command_is_its_own(
+    capsys: pytest.CaptureFixture[str], topic: str, begins: str
+) -> None:
+    assert main(["help", *topic.split()]) == 0
+    assert capsys.readouterr().out.startswith(begins)
+
+
+def test_json_that_cannot_be_written_leaves_no_file_behind(tmp_path: Path) -> None:
+    path = tmp_path / "run.json"
+    check_writable(str(path))
+    assert not path.exists()
+    path.write_text("kept")
+    check_writable(str(path))
+    assert path.read_text() == "kept"
 
 
 def test_a_bad_setting_is_named_with_its_file(

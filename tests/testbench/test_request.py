@@ -23,7 +23,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.faults import LATE, MEANING, explain
+from meshpoint.testbench.results.faults import LATE, MEANING, explain
 
 GEAR = 10
 Answer = Callable[["Bench"], Iterator[Message]]

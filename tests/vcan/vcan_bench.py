@@ -19,7 +19,8 @@ import cantools.database
 from patience import POLL_S, Patience, until
 
 from meshpoint.bus.pace import PaceFile
-from meshpoint.testbench.cli import build_parser, main
+from meshpoint.testbench.cli import main
+from meshpoint.testbench.commands.table import build_parser
 
 for _name in ("pace", "rig", "controller", "request", "replay"):
     build_parser(_name)  # loads the command, before anything is forked
@@ -236,7 +237,7 @@ class Bench:
         # nor are the controller's: there the bus is under test, with what is cheapest to compute
         cheap = ["--estimator", "thesis", "--strategy", "speed_window"] if EMULATED else []
         headers = ["--header-dir", str(folder)]
-        self.controller = Command(folder, "controller", *headers, *cheap, *common)
+        self.controller = Command(folder, "controller", "--arm", *headers, *cheap, *common)
 
     def __enter__(self) -> Bench:
         return self

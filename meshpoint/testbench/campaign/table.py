@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from meshpoint.testbench.campaign.record import JudgedShift
+from meshpoint.testbench.results.output import broken
 
 
 def print_tables(out: Console, values: dict[str, Any]) -> None:
@@ -28,37 +29,43 @@ def _strategies(values: dict[str, Any]) -> Table:
     strategies: dict[str, dict[str, Any]] = values["strategies"]
     table.add_column("", no_wrap=True)
     for name in strategies:
-        table.add_column(name, justify="right", overflow="fold")
+        table.add_column(broken(name), justify="right")
     for title, cell in CELLS.items():
         table.add_row(title, *(cell(figures) for figures in strategies.values()))
     return table
 
 
 def _ratios(ratios: dict[str, Any]) -> Table:
+    """Each ratio has its interval below it: side by side they need more than 80 columns."""
     table = Table(title="ratios on the same draws", title_justify="left", box=None, pad_edge=False)
-    table.add_column("of / to")
-    for column in ("gap rate", "mean duration", "p99 duration", "mean impact"):
+    table.add_column("of\n/ to", no_wrap=True)
+    for column in ("gap\nrate", "mean\nduration", "p99\nduration", "mean\nimpact"):
         table.add_column(column, justify="right", no_wrap=True)
     keys = ("first_contact_gap_rate", "duration_ms_mean", "duration_ms_p99", "impact_j_mean")
     for name, figures in ratios.items():
-        table.add_row(name, *(_ratio(figures.get(key)) for key in keys))
+        of, _, to = name.partition(" / ")
+        table.add_row(
+            f"{broken(of)}\n/ {broken(to, 12)}", *(_ratio(figures.get(key)) for key in keys)
+        )
     return table
 
 
 def records_table(title: str, records: list[JudgedShift]) -> Table:
     """Every judged shift of one run."""
-    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
-    for column in ("strategy", "shift", "contact", "reference", "result"):
-        table.add_column(column)
-    for column in ("duration ms", "slip rpm", "phase error deg", "impact J", "attempts"):
+    table = Table(
+        title=title, title_justify="left", box=None, pad_edge=False, collapse_padding=True
+    )
+    for column in ("strategy", "shift", "contact", "phase\nknown", "result"):
+        table.add_column(column, no_wrap=True)
+    for column in ("duration\nms", "slip\nrpm", "phase\nerror\ndeg", "impact\nJ", "tries"):
         table.add_column(column, justify="right", no_wrap=True)
     for record in records:
         table.add_row(
-            record.strategy,
-            f"{record.from_gear} to {record.to_gear}",
+            broken(record.strategy, 12),
+            f"{record.from_gear}-{record.to_gear}",
             record.contact or "-",
-            "known" if record.reference_known else "unknown",
-            record.result,
+            "yes" if record.reference_known else "no",
+            broken(record.result, 8),
             _number(record.duration_ms, 0),
             _number(record.slip_rpm, 1),
             _number(record.phase_error_deg, 2),
@@ -79,7 +86,7 @@ def _ratio(figure: dict[str, Any] | None) -> str:
     if figure is None or figure["ratio"] is None:
         return "-"
     low, high = figure["ci95"]
-    return f"{figure['ratio']:.2f} ({_number(low, 2)}..{_number(high, 2)})"
+    return f"{figure['ratio']:.2f}\n({_number(low, 2)}..{_number(high, 2)})"
 
 
 def _number(value: float | None, digits: int) -> str:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from meshpoint.bus.logs.files import MIN_PART_BYTES
 from meshpoint.bus.logs.limits import MAX_LOG_BYTES
+from meshpoint.bus.options import is_local_bus
 from meshpoint.controller.calibration.file import load
 from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.calibration_keeper import CalibrationWriter
@@ -19,6 +20,7 @@ from meshpoint.controller.settings import (
     STRATEGY_NAMES,
     ControllerSettings,
     load_settings,
+    load_settings_file,
 )
 from meshpoint.controller.strategy_file import FORM, StrategyFile, is_file_name
 from meshpoint.gearbox import GearboxSheet, load_sheet
@@ -31,6 +33,8 @@ from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.loop.schedules import NAMES, UPSHIFTS, Pairs, check_preset, pairs
 from meshpoint.testbench.results.output import folder_for
 
+Arguments = argparse.ArgumentParser | argparse._ArgumentGroup
+"""What arguments are added to: a command, or a group in its help."""
 MAX_SHIFTS = 100_000
 _SIZE = re.compile(
     r"(?P<number>\d{1,12}(\.\d{1,6})?) ?(?P<unit>[kmg]?i?b?)", re.IGNORECASE | re.ASCII
@@ -99,7 +103,7 @@ def strategy_file(name: str) -> StrategyFile | None:
     return read_strategy(name) if is_file_name(name) else None
 
 
-def add_gearbox(parser: argparse.ArgumentParser) -> None:
+def add_gearbox(parser: Arguments) -> None:
     """--gearbox."""
     parser.add_argument(
         "--gearbox",
@@ -109,7 +113,7 @@ def add_gearbox(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_controller(parser: argparse.ArgumentParser, strategy: bool = True) -> None:
+def add_controller(parser: Arguments, strategy: bool = True) -> None:
     """--settings, --estimator and --strategy."""
     parser.add_argument("--settings", type=Path, metavar="FILE", help="controller settings, TOML")
     parser.add_argument(
@@ -130,7 +134,19 @@ def add_controller(parser: argparse.ArgumentParser, strategy: bool = True) -> No
         )
 
 
-def add_calibration(parser: argparse.ArgumentParser) -> None:
+def add_arming(parser: Arguments) -> None:
+    """--arm and --no-arm."""
+    parser.add_argument(
+        "--arm",
+        action=argparse.BooleanOptionalAction,
+        default=None,
+        help="whether the controller may command valves, clutch and engine; without it, it reads, "
+        "estimates and logs, and refuses requests (default: `[outputs] armed` of --settings, else "
+        "armed on the local bus of this machine alone)",
+    )
+
+
+def add_calibration(parser: Arguments) -> None:
     """--calibration."""
     parser.add_argument(
         "--calibration",
@@ -142,7 +158,7 @@ def add_calibration(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_rig(parser: argparse.ArgumentParser) -> None:
+def add_rig(parser: Arguments) -> None:
     """--preset, --seed, --as-built and --faults."""
     add_preset(parser)
     add_seed(parser)
@@ -155,7 +171,7 @@ def add_rig(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_preset(parser: argparse.ArgumentParser) -> None:
+def add_preset(parser: Arguments) -> None:
     """--preset."""
     parser.add_argument(
         "--preset",
@@ -166,7 +182,7 @@ def add_preset(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_as_built(parser: argparse.ArgumentParser) -> None:
+def add_as_built(parser: Arguments) -> None:
     """--as-built."""
     parser.add_argument(
         "--as-built",
@@ -176,7 +192,7 @@ def add_as_built(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_seed(parser: argparse.ArgumentParser) -> None:
+def add_seed(parser: Arguments) -> None:
     """--seed."""
     parser.add_argument(
         "--seed",
@@ -187,7 +203,7 @@ def add_seed(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_speed(parser: argparse.ArgumentParser) -> None:
+def add_speed(parser: Arguments) -> None:
     """--speed."""
     parser.add_argument(
         "--speed",
@@ -198,14 +214,14 @@ def add_speed(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_json(parser: argparse.ArgumentParser) -> None:
+def add_json(parser: Arguments) -> None:
     """--json."""
     parser.add_argument(
         "--json", metavar="FILE|-", help="write the results as JSON to a file, or - for stdout"
     )
 
 
-def add_log(parser: argparse.ArgumentParser) -> None:
+def add_log(parser: Arguments) -> None:
     """--log and --log-size."""
     parser.add_argument(
         "--log",
@@ -221,14 +237,14 @@ def add_log(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def add_report(parser: argparse.ArgumentParser) -> None:
+def add_report(parser: Arguments) -> None:
     """--report."""
     parser.add_argument(
         "--report", type=Path, metavar="FILE", help="write a page with every shift's traces (HTML)"
     )
 
 
-def add_shifts(parser: argparse.ArgumentParser, default: int, least: int) -> None:
+def add_shifts(parser: Arguments, default: int, least: int) -> None:
     """--shifts and --pairs."""
     parser.add_argument(
         "--shifts",
@@ -268,6 +284,15 @@ def settings_of(namespace: argparse.Namespace, strategy: str | None = None) -> C
         strategy_file=None if name is None else strategy_file(name),
         estimator_name=namespace.estimator,
     )
+
+
+def armed_of(namespace: argparse.Namespace) -> bool:
+    """Whether the controller's outputs are armed: by --arm, else by the settings, else on the local
+    bus alone."""
+    asked: bool | None = namespace.arm
+    if asked is None:
+        asked = load_settings_file(namespace.settings).outputs.armed
+    return is_local_bus(namespace) if asked is None else asked
 
 
 def calibration_of(

@@ -87,12 +87,14 @@ def _show(out: Console, calibration: Calibration) -> None:
 
 
 def _wheel_table(wheels: dict[str, WheelRecord]) -> Table:
-    table = Table(title="sensor wheels", title_justify="left", box=None, pad_edge=False)
+    table = Table(
+        title="sensor wheels", title_justify="left", box=None, pad_edge=False, collapse_padding=True
+    )
     for column in (
-        "wheel", "teeth", "edges seen", "known to deg", "teeth wider deg", "eccentricity deg",
-        "at tooth", "pitch error RMS deg", "worst deg",
+        "wheel", "teeth", "edges\nseen", "known to\ndeg", "teeth\nwider deg", "eccentricity\ndeg",
+        "at\ntooth", "pitch error\nRMS deg", "worst\ndeg",
     ):  # fmt: skip
-        table.add_column(column, justify="left" if column == "wheel" else "right")
+        table.add_column(column, justify="left" if column == "wheel" else "right", no_wrap=True)
     for name, record in wheels.items():
         parts = take_apart(record.error_rad)
         table.add_row(

@@ -25,11 +25,12 @@ from meshpoint.testbench.campaign.store import Store
 from meshpoint.testbench.campaign.sweep import SweepPoint
 from meshpoint.testbench.campaign.table import print_tables, records_table
 from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.loop.schedules import pairs
 from meshpoint.testbench.report.write import has_plotly
-from meshpoint.testbench.results.output import check_json, complain_of_strategy, console, write_json
+from meshpoint.testbench.results.output import complain_of_strategy, console, write_json
 
 MOST_RUNS: Final = 1_000_000
 DESCRIPTION: Final = """\
@@ -130,7 +131,6 @@ def run(namespace: argparse.Namespace) -> int:
     for point in spec.sweep:
         spec.at(point)  # a name or value that cannot be used is found before a long run
     out = console(namespace.json)
-    check_json(namespace.json)
     if namespace.only is not None:
         return _only(namespace, spec, out)
     return _all(namespace, spec, out)
@@ -159,10 +159,13 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
     jobs = spec.jobs(namespace.runs)
     collected = Collected(spec, jobs, [] if store is None else store.records)
     finished = _make(namespace, spec, store, collected)
+    values = to_json(spec, collected)
     if not finished:
+        values["interrupted"] = True
+        if namespace.json is not None:
+            write_json(namespace.json, values)
         _say_interrupted(namespace, collected)
         return Exit.INTERRUPTED
-    values = to_json(spec, collected)
     if store is not None:
         store.finish(collected.records)
         out.print(f"table {store.table}", markup=False)
@@ -197,19 +200,25 @@ def _make(
         )
 
         def take(results: list[RunResult]) -> None:
-            if store is not None:
-                store.add([record for result in results for record in result.records])
-            collected.take(results)
-            progress.advance(task, len(results))
+            # Results are taken whole: what is in the table on disk is in the JSON as well.
+            with interruptible() as interrupted:
+                if store is not None:
+                    store.add([record for result in results for record in result.records])
+                collected.take(results)
+                progress.advance(task, len(results))
+            if interrupted():
+                raise KeyboardInterrupt
 
         return run_all(spec, collected.left(), namespace.jobs, namespace.dask, take)
 
 
 def _say_interrupted(namespace: argparse.Namespace, collected: Collected) -> None:
     kept = f"{len(collected.done)} of {len(collected.jobs)} runs done"
-    more = "; nothing is kept without --out"
+    more = "; kept is what --json or --out is given for"
     if namespace.out is not None:
         more = f" and kept in {namespace.out}; --resume goes on"
+    elif namespace.json is not None:
+        more = " and in the JSON"
     print(f"interrupted: {kept}{more}", file=sys.stderr)
 
 

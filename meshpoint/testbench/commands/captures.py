@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from rich.table import Table
 
@@ -14,10 +14,13 @@ from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.captures import AHEAD, CaptureRow, capture_rows
 from meshpoint.testbench.results.output import console, write_json
 
-COLUMNS = (
-    "file", "wheel", "edges", "numbered", "locked after ms", "lost", "of it stood", "doubts",
-    "marks", "wrong", "extra", "constant speed us", "learned us", "ratio",
+COUNTS = (
+    "file", "wheel", "edges", "numbered", "locked\nafter ms", "lost", "of it\nstood", "doubts",
 )  # fmt: skip
+ERRORS = ("file", "marks", "wrong", "extra", "constant\nspeed us", "learned\nus", "ratio")
+LAYOUT: Final[dict[str, Any]] = {
+    "title_justify": "left", "box": None, "pad_edge": False, "collapse_padding": True,
+}  # fmt: skip
 
 
 def add_parser(commands: Any) -> None:
@@ -48,8 +51,9 @@ def run(namespace: argparse.Namespace) -> int:
         write_json(namespace.json, {"captures": [row.to_json() for row in rows]})
     if namespace.json != "-":
         out = console(namespace.json)
-        out.width = max(out.width, 160)
-        out.print(_table(rows))
+        out.print(counts_table(rows))
+        out.print()
+        out.print(errors_table(rows))
         for row in rows:
             if row.extra_s:
                 times = ", ".join(f"{t:.4f}" for t in row.extra_s)
@@ -57,25 +61,38 @@ def run(namespace: argparse.Namespace) -> int:
     return Exit.DONE
 
 
-def _table(rows: list[CaptureRow]) -> Table:
-    table = Table(title="captured edges", title_justify="left", box=None, pad_edge=False)
-    for column in COLUMNS:
-        table.add_column(column, justify="left" if column in ("file", "wheel") else "right")
+def counts_table(rows: list[CaptureRow]) -> Table:
+    """What was numbered, and what was lost again."""
+    table = Table(title="captured edges", **LAYOUT)
+    _add_columns(table, COUNTS)
     for row in rows:
-        rms = [row.constant_speed_rms_us, row.learned_rms_us]
+        counts = (row.lost, row.stood, row.doubts)
+        table.add_row(
+            row.file, row.wheel, str(row.edges), str(row.numbered), f"{row.locked_after_ms:.1f}",
+            *map(str, counts),
+        )  # fmt: skip
+    return table
+
+
+def errors_table(rows: list[CaptureRow]) -> Table:
+    """How far off the prediction was."""
+    title = f"marks of the wheel, and RMS error of an edge predicted {AHEAD} ahead"
+    table = Table(title=title, **LAYOUT)
+    _add_columns(table, ERRORS)
+    for row in rows:
+        rms = (row.constant_speed_rms_us, row.learned_rms_us)
         table.add_row(
             row.file,
-            row.wheel,
-            str(row.edges),
-            str(row.numbered),
-            f"{row.locked_after_ms:.1f}",
-            str(row.lost),
-            str(row.stood),
-            str(row.doubts),
-            str(row.gaps),
-            str(row.gaps_wrong),
-            str(len(row.extra_s)),
+            *map(str, (row.gaps, row.gaps_wrong, len(row.extra_s))),
             *("-" if value is None else f"{value:.1f}" for value in rms),
             "-" if row.ratio is None else f"{row.ratio:.2f}",
         )
     return table
+
+
+def _add_columns(table: Table, columns: tuple[str, ...]) -> None:
+    for column in columns:
+        left = column in ("file", "wheel")
+        table.add_column(
+            column, justify="left" if left else "right", no_wrap=not left, overflow="fold"
+        )

@@ -33,7 +33,6 @@ from meshpoint.testbench.report.demo import write_demo_report
 from meshpoint.testbench.report.plot import plot_shift
 from meshpoint.testbench.report.write import EXTRA, has_plotly
 from meshpoint.testbench.results.output import (
-    check_json,
     console,
     folder_for,
     rows_table,
@@ -83,7 +82,6 @@ def run(namespace: argparse.Namespace) -> int:
     sheet = arguments.sheet_of(namespace)
     rig = _rig(namespace, sheet)
     folder_for(namespace.out)
-    check_json(namespace.json)
     results: dict[str, LiveResult] = {}
     sessions: dict[str, Session] = {}
     lives: dict[str, LiveRun] = {}
@@ -166,7 +164,8 @@ def _live_run(
     header.save(namespace.out)
     in_process = uses_virtual(namespace)
     bus = _bus_arguments(namespace, strategy, private)
-    controller = ["--strategy", strategy, *_given(namespace, "settings", "estimator")]
+    # The demo brings its own rig, so its controller is armed on any bus.
+    controller = ["--arm", "--strategy", strategy, *_given(namespace, "settings", "estimator")]
     return LiveRun(
         header=header,
         rig=rig,

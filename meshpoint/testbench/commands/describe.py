@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from rich.table import Table
 
 from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import to_table
 from meshpoint.rig_sim.settings import Preset, RigSettings
-from meshpoint.rig_sim.truck.as_built import draw_as_built, parameters
+from meshpoint.rig_sim.truck.as_built import AsBuilt, draw_as_built, parameters
 from meshpoint.rig_sim.truck.faults import KINDS
 from meshpoint.testbench.results.output import console
 
@@ -24,23 +26,37 @@ def describe_rig(sheet: GearboxSheet, settings: RigSettings) -> None:
         return
     built = draw_as_built(settings.seed, settings.as_built)
     out.print(f"\nas built, seed {settings.seed}, teeth {built.teeth_seed}", markup=False)
-    table = Table("parameter", "default", "as built", "range", "what it is", box=None)
+    out.print(parameters_table(built, settings.as_built))
+    out.print("\nfaults, by --faults FILE or the bench's frame BenchFault")
+    out.print(faults_table())
+
+
+def parameters_table(built: AsBuilt, fixed_values: Mapping[str, float]) -> Table:
+    """Every value of the gearbox as built, and what it could have been drawn from."""
+    table = Table("parameter, and what it is", box=None)
+    for column in ("default", "as built", "range"):
+        table.add_column(column, no_wrap=True)
     for name, parameter in parameters().items():
-        fixed = " fixed" if name in settings.as_built else ""
+        fixed = " fixed" if name in fixed_values else ""
         table.add_row(
-            name,
+            f"{name}\n[dim]{parameter.note}[/]",
             f"{parameter.default:g}",
             f"{built[name]:g}{fixed}",
             f"{parameter.low:g}..{parameter.high:g}",
-            parameter.note,
         )
-    out.print(table)
-    out.print("\nfaults, by --faults FILE or the bench's frame BenchFault")
-    table = Table("number", "kind", "what goes wrong", "target", "value", box=None)
+    return table
+
+
+def faults_table() -> Table:
+    """Every fault that can be asked for."""
+    table = Table("number", box=None)
+    table.add_column("kind", no_wrap=True)
+    for column in ("what goes wrong", "target", "value"):
+        table.add_column(column)
     for kind in RigFault:
         text, target, _, value = KINDS[kind]
         table.add_row(str(int(kind)), kind.name.lower(), text, target, value)
-    out.print(table)
+    return table
 
 
 def _flat(prefix: str, values: dict[str, object]) -> list[str]:

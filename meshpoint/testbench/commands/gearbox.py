@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import math
+import sys
 from typing import Any
 
 from rich.table import Table
@@ -13,6 +14,7 @@ from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.derived import RPM, SheetFigures, sheet_figures
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.commands.reference import sheet_toml
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import console, write_json
 
@@ -31,6 +33,11 @@ def add_parser(commands: Any) -> None:
         default="thesis",
         help=f"{', '.join(SHEET_NAMES)}, or a TOML file (default: thesis)",
     )
+    show.add_argument(
+        "--toml",
+        action="store_true",
+        help="print it as a file with every key, its unit, range and meaning: to copy and change",
+    )
     arguments.add_json(show)
     show.set_defaults(run=run)
 
@@ -38,6 +45,9 @@ def add_parser(commands: Any) -> None:
 def run(namespace: argparse.Namespace) -> int:
     """Prints the sheet."""
     sheet = load_sheet(namespace.gearbox)
+    if namespace.toml:
+        sys.stdout.write(sheet_toml(sheet))
+        return Exit.DONE
     figures = sheet_figures(sheet)
     if namespace.json is not None:
         values = {

@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 import asyncio
 import sys
-from collections.abc import Callable
-from contextlib import AbstractAsyncContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractAsyncContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from meshpoint.bus.clock import Clock, NodeClock
 from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.options import add_bus_arguments, open_bus_from
 from meshpoint.bus.pace import PacedClock, PaceFile
-from meshpoint.bus.signals import stop_on_signals
+from meshpoint.bus.signals import stop_at_end_of_input, stop_on_signals
 from meshpoint.controller.header import RunHeader, new_header
 from meshpoint.controller.node import run_controller
 from meshpoint.gearbox.gears import DRIVE_GEARS
@@ -36,42 +36,25 @@ def add_parser(commands: Any) -> None:
     controller: argparse.ArgumentParser = commands.add_parser(
         "controller",
         help="the transmission controller as a node on a CAN bus",
-        description="Reads tooth timestamps, estimates, predicts, and fires. SIGINT or SIGTERM "
-        "ends it with all valves off.",
+        description="Reads tooth timestamps, estimates, predicts, and fires where its outputs are "
+        "armed (--arm; docs/guard.md). SIGINT or SIGTERM ends it with all valves off, exit code 0.",
     )
     arguments.add_gearbox(controller)
     arguments.add_controller(controller)
+    arguments.add_arming(controller)
     arguments.add_calibration(controller)
-    controller.add_argument(
-        "--header-dir",
-        type=Path,
-        metavar="DIR",
-        help="save the run header here; replay wants it beside the log",
-    )
+    add_header_dir(controller)
     _add_common(controller)
     controller.set_defaults(run=run_controller_command)
     rig: argparse.ArgumentParser = commands.add_parser(
         "rig",
         help="the virtual gearbox as a node on a CAN bus",
         description="Plays gearbox, sensors and engine. SIGINT or SIGTERM ends it with all "
-        "valves off.",
+        "valves off, exit code 0.",
     )
     arguments.add_rig(rig)
     arguments.add_gearbox(rig)
-    rig.add_argument(
-        "--gear",
-        type=arguments.whole(1, len(DRIVE_GEARS)),
-        default=8,
-        metavar="N",
-        help="the gear it stands in at the start (default: 8)",
-    )
-    rig.add_argument(
-        "--main-speed",
-        type=float,
-        default=RigSettings().main_speed_rpm,
-        metavar="RPM",
-        help="main shaft speed at the start (default: %(default)g)",
-    )
+    add_rig_start(rig)
     rig.add_argument(
         "--describe",
         action="store_true",
@@ -79,6 +62,34 @@ def add_parser(commands: Any) -> None:
     )
     _add_common(rig)
     rig.set_defaults(run=run_rig_command)
+
+
+def add_header_dir(parser: arguments.Arguments) -> None:
+    """--header-dir."""
+    parser.add_argument(
+        "--header-dir",
+        type=Path,
+        metavar="DIR",
+        help="save the run header here; replay wants it beside the log",
+    )
+
+
+def add_rig_start(parser: arguments.Arguments) -> None:
+    """--gear and --main-speed."""
+    parser.add_argument(
+        "--gear",
+        type=arguments.whole(1, len(DRIVE_GEARS)),
+        default=8,
+        metavar="N",
+        help="the gear it stands in at the start (default: 8)",
+    )
+    parser.add_argument(
+        "--main-speed",
+        type=float,
+        default=RigSettings().main_speed_rpm,
+        metavar="RPM",
+        help="main shaft speed at the start (default: %(default)g)",
+    )
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
@@ -92,6 +103,8 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
     )
     arguments.add_log(parser)
     parser.add_argument("-q", "--quiet", action="store_true", help="no lines about what happens")
+    # For whoever starts the node: it ends well also where that process is killed.
+    parser.add_argument("--until-eof", action="store_true", help=argparse.SUPPRESS)
     add_bus_arguments(parser)
 
 
@@ -99,13 +112,14 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
     """Runs the controller until a signal."""
     sheet, settings = arguments.sheet_of(namespace), arguments.settings_of(namespace)
     calibration, writer = arguments.calibration_of(namespace, sheet, threaded=True, tell=complain)
-    header = new_header(product_version(), sheet, settings, calibration)
+    armed = arguments.armed_of(namespace)
+    header = new_header(product_version(), sheet, settings, calibration, armed)
     if namespace.header_dir is not None:
         header.save(folder_for(namespace.header_dir))
 
     async def run() -> None:
         stop = asyncio.Event()
-        with stop_on_signals(stop):
+        with _stop(namespace, stop):
             async with _recording(namespace, header):
                 await run_controller(
                     header,
@@ -140,7 +154,7 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
 
     async def run() -> None:
         stop = asyncio.Event()
-        with stop_on_signals(stop):
+        with _stop(namespace, stop):
             async with _recording(namespace, None):
                 await run_rig(
                     sheet,
@@ -153,6 +167,15 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
 
     run_loop(run())
     return Exit.DONE
+
+
+@contextmanager
+def _stop(namespace: argparse.Namespace, stop: asyncio.Event) -> Iterator[None]:
+    """Sets `stop` on a signal and, with --until-eof, when standard input ends."""
+    if namespace.until_eof:
+        stop_at_end_of_input(stop)
+    with stop_on_signals(stop):
+        yield
 
 
 def _opener(namespace: argparse.Namespace, greeting: str) -> Callable[[], can.BusABC]:

@@ -26,7 +26,7 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.faults import LATE, explain
+from meshpoint.testbench.results.faults import LATE, explain
 
 AGAIN_S = 0.2
 """The request is repeated until the controller is seen to act on it."""

@@ -14,6 +14,7 @@ from meshpoint.controller.calibration_keeper import CalibrationWriter, Keep
 from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.simulate import Result, Setup, simulate
@@ -27,7 +28,6 @@ from meshpoint.testbench.report.write import (
     write_report,
 )
 from meshpoint.testbench.results.output import (
-    check_json,
     complain,
     complain_of_strategy,
     console,
@@ -76,7 +76,6 @@ def run(namespace: argparse.Namespace) -> int:
         calibration=calibration,
     )
     out = console(namespace.json)
-    check_json(namespace.json)
     check_report(namespace.report)
     collector = None
     if namespace.report is not None:
@@ -105,7 +104,8 @@ def run(namespace: argparse.Namespace) -> int:
         def on_row(_row: ShiftRow) -> None:
             progress.advance(task)
 
-        result = simulate(setup, on_frame, on_row, keep=_keep(writer, unwritten))
+        stop = stack.enter_context(interruptible())
+        result = simulate(setup, on_frame, on_row, keep=_keep(writer, unwritten), stop=stop)
     if collector is not None:
         write_report(namespace.report, _report(setup, result, collector))
     if namespace.json is not None:
@@ -115,6 +115,9 @@ def run(namespace: argparse.Namespace) -> int:
     if namespace.json != "-":
         _show(out, setup, result)
     complain_of_strategy(result.strategy_errors)
+    if result.interrupted:
+        complain(f"interrupted: {len(result.rows)} of {setup.shifts} shifts are in the results")
+        return Exit.INTERRUPTED
     failed = result.stuck or unwritten or result.strategy_errors
     return Exit.FAILED if failed else Exit.DONE
 

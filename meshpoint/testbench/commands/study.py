@@ -14,9 +14,9 @@ from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.provenance import provenance
-from meshpoint.testbench.results.output import check_json, console, folder_for, write_json
+from meshpoint.testbench.results.output import console, folder_for, write_json
 from meshpoint.testbench.studies.draw import check_extras
-from meshpoint.testbench.studies.record import ThesisVerdict
+from meshpoint.testbench.studies.record import Study, ThesisVerdict
 from meshpoint.testbench.studies.registry import NAMES, chosen, load
 from meshpoint.testbench.studies.runner import StudyRecord, run_studies
 from meshpoint.testbench.studies.settings import StudySettings, load_study_settings, shipped_text
@@ -74,7 +74,6 @@ def run(namespace: argparse.Namespace) -> int:
     settings = load_study_settings(namespace.settings)
     studies = chosen(namespace.names)
     folder = folder_for(namespace.out)
-    check_json(namespace.json)
     out = console(namespace.json)
     columns = (
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
@@ -101,13 +100,18 @@ def _list(namespace: argparse.Namespace) -> int:
         values = {study.name: {"title": study.title, "of": list(study.of)} for study in studies}
         write_json(namespace.json, values)
     if namespace.json != "-":
-        table = Table(box=None, pad_edge=False)
-        for column in ("study", "of the thesis", ""):
-            table.add_column(column, no_wrap=True)
-        for study in studies:
-            table.add_row(study.name, ", ".join(study.of) or "beyond it", study.title)
-        console(namespace.json).print(table)
+        console(namespace.json).print(list_table(studies))
     return Exit.DONE
+
+
+def list_table(studies: list[Study[Any]]) -> Table:
+    """All studies and what they reproduce."""
+    table = Table(box=None, pad_edge=False)
+    for column in ("study", "of the thesis", ""):
+        table.add_column(column, no_wrap=column == "study")
+    for study in studies:
+        table.add_row(study.name, ", ".join(study.of) or "beyond it", study.title)
+    return table
 
 
 def _write(

@@ -13,6 +13,7 @@ from rich.table import Table
 
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import PhaseReference, ShiftOutcome, ShiftResult
+from meshpoint.testbench.results.output import broken
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.testbench.results.rows import DEG
 
@@ -82,8 +83,8 @@ def counterfactual_table(title: str, pairs: list[Counterfactual]) -> Table:
         table.add_column(column, justify="right")
     for side in ("", "log:\n"):
         table.add_column(f"{side}strategy", no_wrap=True)
-        table.add_column(f"{side}fired\nms", justify="right")
-        table.add_column(f"{side}predicted\ndeg", justify="right")
+        table.add_column(f"{side}fired\nms", justify="right", no_wrap=True)
+        table.add_column(f"{side}predicted\ndeg", justify="right", no_wrap=True)
     for pair in pairs:
         sides = [text for firing in (pair.other, pair.recorded) for text in _cells(firing)]
         table.add_row(str(pair.from_), str(pair.to), *sides)
@@ -106,7 +107,7 @@ def _cells(firing: Firing | None) -> list[str]:
         return ["-", "-", "-"]
     fired, phase = firing.fired_ms, firing.predicted_phase_deg
     return [
-        firing.strategy,
+        broken(firing.strategy),
         "-" if fired is None else f"{fired:.1f}",
         "-" if phase is None else f"{phase:+.2f}",
     ]

@@ -75,10 +75,14 @@ class Result:
     strategy_errors: Mapping[str, int] = field(default_factory=dict)
     """What was wrong with a user's own strategy, and how many shifts ended of it."""
 
+    interrupted: bool = False
+    """It was ended before its last shift."""
+
     def to_json(self, strategy: str) -> dict[str, Any]:
         """As `simulate --json` prints it."""
         errors = {"strategy_errors": dict(self.strategy_errors)} if self.strategy_errors else {}
         more = errors | ({} if self.as_built is None else {"as_built": self.as_built})
+        more |= {"interrupted": True} if self.interrupted else {}
         return {
             "shifts": [row.to_json() for row in self.rows],
             "summary": summarise(strategy, self.rows).to_json(),
@@ -113,11 +117,12 @@ def simulate(
     on_event: Callable[[int, int, str], None] | None = None,
     monitor: Monitor | None = None,
     keep: Keep | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> Result:
     """Runs all shifts. A function of `setup`: same setup, same frames, same rows.
 
     `monitor` is one of the caller's making that hears more; `keep` gets the calibration whenever
-    the controller knows more, and at the end."""
+    the controller knows more, and at the end; `stop`, looked at after every step, ends it early."""
     monitor = monitor or Monitor(setup.sheet, setup.settings)
     plan = plan_shifts(setup.sheet, list(setup.pairs), setup.shifts, LAYSHAFT_RAD_S)
     bench = BenchCore(plan)
@@ -153,7 +158,7 @@ def simulate(
     driver = VirtualTime(cores, tick_phases(setup.seed), take, on_event, filters)
     settle()
     if plan:
-        driver.run(lambda: bench.done, LIMIT_US_PER_SHIFT * len(plan))
+        driver.run(lambda: bench.done or stop(), LIMIT_US_PER_SHIFT * len(plan))
     controller.shutdown(driver.now_us)
     return Result(
         rows=monitor.rows.rows,
@@ -165,4 +170,5 @@ def simulate(
         as_built=rig.as_built,
         cold_start=setup.calibration is None,
         strategy_errors=core.strategy_errors,
+        interrupted=bool(plan) and not bench.done and stop(),
     )

@@ -18,7 +18,7 @@ from meshpoint.testbench.report.layout import common_layout
 from meshpoint.testbench.report.overview import contacts_figure, predictions_figure, shift_key
 from meshpoint.testbench.report.page import page, shift_words
 from meshpoint.testbench.report.run import Report, ReportRun
-from meshpoint.testbench.results.output import check_json, folder_for
+from meshpoint.testbench.results.output import check_writable, folder_for
 from meshpoint.testbench.results.rows import is_aimed
 
 EXTRA = "a report needs the extra: pip install 'meshpoint[report]'"
@@ -39,7 +39,7 @@ def check_report(path: Path | None) -> None:
         return
     if not has_plotly():
         raise CommandError(EXTRA)
-    check_json(str(path))
+    check_writable(str(path))
 
 
 def report_provenance(

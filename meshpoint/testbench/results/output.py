@@ -28,7 +28,6 @@ def write_json(target: str, values: dict[str, Any]) -> None:
         sys.stdout.write(text)
         return
     path = Path(target)
-    folder_for(path.parent)
     try:
         path.write_text(text, encoding="utf-8")
     except OSError as error:
@@ -66,17 +65,31 @@ def folder_for(path: Path) -> Path:
     return path
 
 
-def check_json(target: str | None) -> None:
-    """Finds out before a long run whether its JSON can be written."""
+def check_writable(target: str | None) -> None:
+    """Finds out before a long run whether its results can be written; leaves no file behind."""
     if target is None or target == "-":
         return
     path = Path(target)
-    folder_for(path.parent)
+    if not path.parent.is_dir():
+        raise CommandError(f"{path}: there is no folder {path.parent}; make it first")
+    was_there = path.exists()
     try:
         with path.open("a", encoding="utf-8"):
             pass
+        if not was_there:
+            path.unlink()
     except OSError as error:
         raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def broken(name: str, longest: int = 14) -> str:
+    """A name with underscores in lines of at most so many characters, where its words allow."""
+    lines = [""]
+    for part in name.replace("_", "_\n").split("\n"):
+        if lines[-1] and len(lines[-1] + part) > longest:
+            lines.append("")
+        lines[-1] += part
+    return "\n".join(lines)
 
 
 def _number(value: float | None, digits: int, signed: bool = False) -> str:
@@ -128,13 +141,14 @@ def summary_table(summaries: list[Summary]) -> Table:
         "strategy", "shifts", "reference known", "into the gap", "rate", "phase error RMS deg",
         "mean duration ms",
     ):  # fmt: skip
-        table.add_column(column, justify="left" if column == "strategy" else "right")
+        left = column == "strategy"
+        table.add_column(column, justify="left" if left else "right", no_wrap=left)
     for summary in summaries:
         aims = summary.aims
         hits, shots = (summary.gap_known, summary.known) if aims else (summary.gap, summary.shifts)
         rate = summary.gap_rate
         table.add_row(
-            summary.strategy,
+            broken(summary.strategy),
             str(summary.shifts),
             str(summary.known),
             f"{hits} of {shots}",

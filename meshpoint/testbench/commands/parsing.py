@@ -1,0 +1,101 @@
+"""How the command line reads and explains itself: help that teaches, errors of one line."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable
+from typing import Any, Final, NoReturn
+
+from meshpoint.testbench.exits import Exit
+
+MOST_IN_USAGE = 4
+"""A usage line with more options than this says `[options]`: each is explained below it anyway."""
+
+EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
+    "demo": ("meshpoint demo --shifts 4", "meshpoint demo --seed 7 --pairs mixed --out out/mixed"),
+    "simulate": (
+        "meshpoint simulate --shifts 20 --seed 1",
+        "meshpoint simulate --pairs mixed --log run.log --report run.html",
+    ),
+    "campaign": (
+        "meshpoint campaign --runs 300 --oracle --json campaign.json",
+        "meshpoint campaign --runs 20 --seed 9 --sweep backlash_percent=10,20,30",
+    ),
+    "replay": (
+        "meshpoint replay out/demo/target_phase.log --verify",
+        "meshpoint replay out/demo/target_phase.log --strategy speed_window",
+    ),
+    "up": ("meshpoint up", "meshpoint up --seed 7 --strategy speed_window --log run.log"),
+    "controller": (
+        "meshpoint controller --header-dir .",
+        "meshpoint controller -i socketcan -c can0 --settings bench.toml --arm",
+    ),
+    "rig": ("meshpoint rig --seed 7 --gear 8", "meshpoint rig --describe"),
+    "request": ("meshpoint request 10",),
+    "health": ("meshpoint health controller -i socketcan -c vcan0",),
+    "pace": (
+        "meshpoint pace bus.time",
+        "meshpoint rig --pace bus.time",
+        "meshpoint controller --pace bus.time",
+    ),
+    "gearbox": ("meshpoint gearbox show truck12",),
+    "gearbox show": ("meshpoint gearbox show truck12", "meshpoint gearbox show --toml > own.toml"),
+    "calibration": ("meshpoint calibration show box.toml",),
+    "calibration show": ("meshpoint calibration show box.toml --gearbox truck12",),
+    "captures": ("meshpoint captures my-captures --json -",),
+    "study": ("meshpoint study list", "meshpoint study 6.8 --out out/study"),
+    "settings": ("meshpoint settings show", "meshpoint settings show --toml > own.toml"),
+    "settings show": (
+        "meshpoint settings show limits",
+        "meshpoint settings show --toml > own.toml",
+    ),
+    "dbc": ("meshpoint dbc", "meshpoint dbc ValveCommand", "meshpoint dbc --path"),
+    "help": ("meshpoint help simulate", "meshpoint help bus"),
+}
+"""The end of each command's help."""
+
+
+class HelpFormatter(argparse.HelpFormatter):
+    """Fills paragraphs, but leaves a text with indented lines as it was laid out; a short usage."""
+
+    def add_usage(
+        self,
+        usage: str | None,
+        actions: Iterable[argparse.Action],
+        groups: Iterable[Any],
+        prefix: str | None = None,
+    ) -> None:
+        """Many options become one word."""
+        shown = [action for action in actions if action.help != argparse.SUPPRESS]
+        if usage is None and sum(bool(action.option_strings) for action in shown) > MOST_IN_USAGE:
+            options = argparse.Action([], "options", nargs="?", metavar="options")
+            shown = [options, *(action for action in shown if not action.option_strings)]
+            groups = ()
+        super().add_usage(usage, shown, groups, prefix)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        if "\n  " in text:
+            return "\n".join(indent + line for line in text.splitlines())
+        return super()._fill_text(text, width, indent)
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser whose errors say what is wrong and where help is, without the usage's ten lines; its
+    help ends with the examples of its command."""
+
+    def __init__(self, *arguments: Any, **options: Any) -> None:
+        lines = EXAMPLES.get(options.get("prog", "").removeprefix("meshpoint "))
+        own: dict[str, Any] = {"formatter_class": HelpFormatter}
+        if lines is not None:
+            own |= {"epilog": examples(*lines)}
+        super().__init__(*arguments, **(own | options))
+
+    def error(self, message: str) -> NoReturn:
+        """Ends with exit code 2 and one line: what was found, what is allowed, and a hint."""
+        self.exit(Exit.BAD_INPUT, f"{self.prog}: error: {message} (help: {self.prog} -h)\n")
+
+
+def examples(*lines: str) -> str:
+    """The end of a command's help: command lines to copy."""
+    title = "example:" if len(lines) == 1 else "examples:"
+    return "\n  ".join((title, *lines))

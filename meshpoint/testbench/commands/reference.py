@@ -1,0 +1,174 @@
+"""The reference pages, generated from the code: settings, data sheet, commands.
+
+With a folder it writes them there (`make reference`); with `--check` behind the folder it compares
+and ends with 1 where one is out of date:
+
+    python -m meshpoint.testbench.commands.reference docs/reference --check
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Final
+
+from meshpoint.controller.settings import SettingsFile
+from meshpoint.gearbox import GearboxSheet, load_sheet
+from meshpoint.gearbox.keys import Group, groups_of, rounded, to_toml
+from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.testbench.exits import Exit
+
+GENERATED: Final = "Generated from the code by `make reference`; a test holds it equal."
+SETTINGS_TITLE: Final = (
+    "Settings of `meshpoint controller --settings FILE`: every key with its default. A key that is "
+    "left out keeps it."
+)
+
+
+def settings_toml(groups: list[Group] | None = None) -> str:
+    """A settings file with all defaults."""
+    return to_toml(groups or groups_of(SettingsFile), SETTINGS_TITLE)
+
+
+def sheet_toml(sheet: GearboxSheet) -> str:
+    """A data sheet as a file with every key explained; read again it is the same sheet."""
+    title = f"Data sheet {sheet.name}, sha256 {sheet.sha256}; `--gearbox FILE` takes it."
+    return to_toml(groups_of(GearboxSheet, sheet), title)
+
+
+def settings_page() -> str:
+    """docs/reference/settings.md."""
+    lines = [
+        "# Settings of the controller", "", GENERATED, "",
+        "`--settings FILE` of `controller`, `simulate`, `campaign`, `demo` and `up` reads a TOML "
+        "file. A key that is left out keeps its default; an unknown key, a wrong type or a value "
+        "out of range is an error that names file, key and what is allowed. `meshpoint settings "
+        "show --toml` prints a whole file to start from.",
+    ]  # fmt: skip
+    for group in groups_of(SettingsFile):
+        lines += ["", f"## `[{group.name}]`" if group.name else "## At the top", ""]
+        lines += [group.meaning, ""]
+        rows = [
+            (f"`{key.name}`", f"`{rounded(key.default)}`" if key.default else "", key.unit,
+             key.allowed, key.meaning)
+            for key in group.keys
+        ]  # fmt: skip
+        lines += _table(("key", "default", "unit", "allowed", "meaning"), rows)
+    return "\n".join(lines) + "\n"
+
+
+def gearbox_page() -> str:
+    """docs/reference/gearbox.md."""
+    lines = [
+        "# The data sheet", "", GENERATED, "",
+        "`--gearbox FILE` reads a TOML file with these keys; all but `missing` must be there. "
+        "`meshpoint gearbox show thesis --toml` prints a whole file to start from. The last "
+        "columns are the sheets that come with the product.",
+    ]  # fmt: skip
+    sheets = [groups_of(GearboxSheet, load_sheet(name)) for name in SHEET_NAMES]
+    for index, group in enumerate(sheets[0]):
+        if not group.keys:
+            continue
+        lines += ["", f"## `[{group.name}]`" if group.name else "## At the top", ""]
+        lines += [group.meaning, ""] if group.name else []
+        rows = [
+            (f"`{key.name}`", key.unit, key.allowed, key.meaning,
+             *(f"`{rounded(sheet[index].keys[k].default)}`" for sheet in sheets))
+            for k, key in enumerate(group.keys)
+        ]  # fmt: skip
+        lines += _table(("key", "unit", "allowed", "meaning", *SHEET_NAMES), rows)
+    return "\n".join(lines) + "\n"
+
+
+def commands_page() -> str:
+    """docs/reference/commands.md."""
+    from meshpoint.testbench.commands.table import EPILOG, MODULES, build_parser
+
+    lines = [
+        "# Commands", "", GENERATED, "",
+        "Commands that open a bus also take python-can's own arguments: `meshpoint help bus`.", "",
+        "```", *EPILOG[EPILOG.index("exit codes:") :].splitlines(), "```",
+    ]  # fmt: skip
+    parser = build_parser()
+    for name in MODULES:
+        lines += _command(f"meshpoint {name}", subparsers(parser)[name])
+    return "\n".join(lines) + "\n"
+
+
+def subparsers(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """The commands of a parser by name."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            return dict(action.choices)
+    return {}
+
+
+def _command(name: str, parser: argparse.ArgumentParser) -> list[str]:
+    lines = ["", f"## {name}", "", " ".join((parser.description or "").split())]
+    lines = lines if parser.description else lines[:-2]
+    rows = [
+        (_words(action), _help(action, parser))
+        for action in parser._actions
+        if action.help not in (None, argparse.SUPPRESS)
+        and not isinstance(action, (argparse._HelpAction, argparse._SubParsersAction))
+    ]
+    if rows:
+        lines += ["", *_table(("argument", "meaning"), rows)]
+    if parser.epilog:
+        lines += ["", "```sh", *(line.strip() for line in parser.epilog.splitlines()[1:]), "```"]
+    for action, inner in subparsers(parser).items():
+        lines += _command(f"{name} {action}", inner)
+    return lines
+
+
+def _words(action: argparse.Action) -> str:
+    metavar = action.metavar or ("|".join(map(str, action.choices)) if action.choices else "")
+    if not action.option_strings:
+        return f"`{metavar or action.dest}`"
+    value = f" {metavar or action.dest.upper()}" if action.nargs != 0 else ""
+    return f"`{', '.join(action.option_strings)}{value}`"
+
+
+def _help(action: argparse.Action, parser: argparse.ArgumentParser) -> str:
+    return (action.help or "") % {**vars(action), "prog": parser.prog}
+
+
+def _table(columns: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    """A Markdown table."""
+    cells = [[" ".join(cell.split()).replace("|", "\\|") for cell in row] for row in rows]
+    lines = [columns, ["---"] * len(columns), *cells]
+    return [f"| {' | '.join(line)} |" for line in lines]
+
+
+PAGES: Final[dict[str, Callable[[], str]]] = {
+    "settings.md": settings_page,
+    "gearbox.md": gearbox_page,
+    "commands.md": commands_page,
+}
+"""Each page by its file's name."""
+
+
+def main(given: Sequence[str] | None = None) -> int:
+    """Writes or checks the pages."""
+    parser = argparse.ArgumentParser(description="Reference pages from the code.")
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--check", action="store_true", help="write nothing; 1 where one differs")
+    chosen = parser.parse_args(given)
+    stale = []
+    for name, page in PAGES.items():
+        path: Path = chosen.folder / name
+        if not path.exists() or path.read_text(encoding="utf-8") != page():
+            stale.append(str(path))
+            if not chosen.check:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                path.write_text(page(), encoding="utf-8", newline="\n")
+    if chosen.check and stale:
+        sys.stderr.write(f"out of date: {', '.join(stale)}; `make reference` writes them\n")
+        return Exit.FAILED
+    return Exit.DONE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,77 @@
+"""Ctrl-C in a long run: what is finished is kept, and said to be a part."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import threading
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from live_command import live
+
+from meshpoint.bus.logs.limits import read_log
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.messages import ShiftOutcome
+from meshpoint.testbench.commands.interrupt import interruptible
+
+OUTCOME = f"{CODECS[ShiftOutcome.__name__].spec.can_id:08X}##"
+pytestmark = pytest.mark.timeout(900)
+
+
+def test_simulate_keeps_the_finished_shifts(tmp_path: Path) -> None:
+    log, out = tmp_path / "run.log", tmp_path / "run.json"
+    simulate = ["simulate", "--preset", "thesis", "--shifts", "100000"]
+    with live(tmp_path, *simulate, "--log", str(log), "--json", str(out)) as command:
+        command.until(lambda: log.exists() and log.read_text().count(OUTCOME) >= 2)
+        assert not out.exists()
+        command.signal(signal.SIGINT)
+        assert command.end() == 130, command.said
+    result = json.loads(out.read_text())
+    assert result["interrupted"] is True
+    assert len(result["shifts"]) == result["summary"]["shifts"] >= 2
+    kept = f"interrupted: {len(result['shifts'])} of 100000 shifts are in the results"
+    assert kept in command.said
+    assert sum(1 for _ in read_log(log)) > 1000
+
+
+def test_campaign_keeps_the_finished_runs(tmp_path: Path) -> None:
+    out, folder = tmp_path / "run.json", tmp_path / "out"
+    campaign = ["campaign", "--preset", "thesis", "--runs", "1000", "--learn", "1", "--judged", "1"]
+    with live(
+        tmp_path, *campaign, "--jobs", "1", "--out", str(folder), "--json", str(out)
+    ) as command:
+        command.until(lambda: any((folder / "parts").glob("*")))
+        command.signal(signal.SIGINT)
+        assert command.end() == 130, command.said
+    result = json.loads(out.read_text())
+    assert result["interrupted"] is True
+    assert 1 <= result["runs"] < 1000
+    assert f"interrupted: {result['runs']} of 1000 runs done" in command.said
+
+
+def test_the_first_interrupt_is_noted_and_the_second_acts_as_usual() -> None:
+    with interruptible() as interrupted:
+        assert not interrupted()
+        signal.raise_signal(signal.SIGINT)
+        assert interrupted()
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_in_another_thread_nothing_is_caught() -> None:
+    seen = []
+
+    def run() -> None:
+        with interruptible() as interrupted:
+            seen.append(interrupted())
+
+    thread = threading.Thread(target=run)
+    thread.start()
+    thread.join()
+    assert seen == [False]

@@ -1,0 +1,196 @@
+"""Every table of every command in a terminal of 80 columns: no header and no label is cut."""
+
+from __future__ import annotations
+
+import ast
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+from rich.markup import render
+from rich.table import Table
+
+import meshpoint.testbench
+from meshpoint.controller.calibration.file import read_file
+from meshpoint.controller.calibration.records import Calibration
+from meshpoint.controller.settings import STRATEGY_NAMES
+from meshpoint.dbc.schema import SCHEMA
+from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.derived import sheet_figures
+from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.rig_sim.truck.as_built import draw_as_built
+from meshpoint.testbench.campaign import table as campaign_table
+from meshpoint.testbench.campaign.record import Record
+from meshpoint.testbench.cli import main
+from meshpoint.testbench.commands import calibration as calibration_command
+from meshpoint.testbench.commands import captures as captures_command
+from meshpoint.testbench.commands import dbc as dbc_command
+from meshpoint.testbench.commands import gearbox as gearbox_command
+from meshpoint.testbench.commands import study as study_command
+from meshpoint.testbench.describe import faults_table, parameters_table
+from meshpoint.testbench.logs.captures import CaptureRow
+from meshpoint.testbench.logs.counterfactual import Command, Counterfactual, counterfactual_table
+from meshpoint.testbench.results.output import rows_table, summary_table
+from meshpoint.testbench.results.rows import ShiftRow, summarise
+from meshpoint.testbench.studies.record import Finding, Statement, Verdict
+from meshpoint.testbench.studies.registry import NAMES, load
+from meshpoint.testbench.studies.runner import StudyRecord
+
+WIDTH = 80
+LONGEST = "speed_window_anticipating"
+STRATEGIES = (*STRATEGY_NAMES, "oracle")
+
+ROW = ShiftRow(
+    from_=10, to=12, strategy=LONGEST, reference="unknown", result="ended_between_gears",
+    duration_ms=10_440.0, slip_rpm=-123.4, phase_error_deg=-3.75, pitch_deg=7.5, contact="tooth",
+    attempts=3, predicted_phase_deg=None, predicted_phase_sd_deg=None, delay_ms=None, request_us=0,
+    contact_us=None, end_us=0, fault="guard_blocked", impact_j=0.0, face_ms=0.0, ratchets=0,
+    blocked=0, reference_source="none", speed_lost_kmh=None,
+)  # fmt: skip
+RECORD = Record(
+    sweep="", sweep_value=0.0, seed=1, shift=0, strategy=LONGEST, from_gear=10, to_gear=12,
+    main_gear="third", ratio=1.0, layshaft_rpm=1400.0, reference_known=False,
+    reference_source="none", result="ended_between_gears", fault="none", contact="tooth",
+    duration_ms=10_436.0, slip_rpm=-123.4, phase_error_deg=-3.75, pitch_deg=7.5,
+    predicted_phase_deg=None, predicted_phase_sd_deg=None, delay_ms=None, attempts=3,
+    impact_j=123.45, face_ms=0.0, ratchets=0, blocked=0, backlash_percent=20.0, delay_sd_ms=1.0,
+    oil_c=None, slope_percent=None, mass_kg=None, supply_offset_bar=None,
+)  # fmt: skip
+CAPTURE = CaptureRow(
+    "crank-60-2-cold-start.csv", "60-2", 60, 123_456, 123_400, 12_345.6, 123, 123, 12, 1_234, 123,
+    [0.1], 12_345.6, 1_234.5,
+)  # fmt: skip
+
+
+def campaign_values() -> dict[str, Any]:
+    """Figures as wide as they come."""
+    span = {"mean": 12_436.0, "p50": 12_436.0, "p99": 12_436.0}
+    figures = {
+        "shifts": 2_000_000,
+        "first_contact_gap": {"rate": 0.9912, "ci95": [0.9861, 0.9945]},
+        "duration_ms": span,
+        "impact_j": span,
+        "slip_rpm_mean": -123.4,
+        "retries": 2_000_000,
+        "blocked": 2_000_000,
+        "given_up": 2_000_000,
+        "phase_error_sd_deg": 12.39,
+        "reference_known": 1.0,
+    }
+    ratio = {"ratio": 14.51, "ci95": [14.28, 14.79]}
+    keys = ("first_contact_gap_rate", "duration_ms_mean", "duration_ms_p99", "impact_j_mean")
+    pairs = [(a, b) for a in STRATEGIES for b in STRATEGIES if a != b]
+    return {
+        "runs": 1_000_000,
+        "strategies": dict.fromkeys(STRATEGIES, figures),
+        "ratios": {f"{a} / {b}": dict.fromkeys(keys, ratio) for a, b in pairs},
+    }
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+    path = tmp_path_factory.mktemp("calibration") / "box.toml"
+    run = ["simulate", "--preset", "thesis", "--shifts", "2", "--calibration", str(path)]
+    assert main([*run, "--json", str(path.with_name("j"))]) == 0
+    return read_file(path, None)
+
+
+def study_record(name: str) -> StudyRecord:
+    study = load(name)
+    said = Statement(
+        "so", "ours is 12.3 +- 0.4 deg, where theirs is 12.4", Verdict.NOT_COMPARABLE, ""
+    )
+    return StudyRecord(name, study.title, study.of, Finding((said, said), {}), (), {})
+
+
+def firing(strategy: str) -> Command:
+    return Command(strategy, "known", 12_345.6, -12.34)
+
+
+TABLES: dict[str, Callable[[], Table]] = {
+    "output.rows_table": lambda: rows_table("title", [ROW]),
+    "output.summary_table": lambda: summary_table(
+        [summarise(name, [ROW] * 1000) for name in STRATEGIES]
+    ),
+    "campaign.table._strategies": lambda: campaign_table._strategies(campaign_values()),
+    "campaign.table._ratios": lambda: campaign_table._ratios(campaign_values()["ratios"]),
+    "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
+    "counterfactual.counterfactual_table": lambda: counterfactual_table(
+        "title", [Counterfactual(10, 12, firing(LONGEST), firing(LONGEST))]
+    ),
+    "commands.captures.counts_table": lambda: captures_command.counts_table([CAPTURE]),
+    "commands.captures.errors_table": lambda: captures_command.errors_table([CAPTURE]),
+    "commands.study.list_table": lambda: study_command.list_table([load(name) for name in NAMES]),
+    "commands.study._table": lambda: study_command._table([study_record(name) for name in NAMES]),
+    "describe.parameters_table": lambda: parameters_table(
+        draw_as_built(7, {}), {"brake_gain": 1.0}
+    ),
+    "describe.faults_table": faults_table,
+    "commands.dbc.messages_table": dbc_command.messages_table,
+    "commands.dbc.signals_table": lambda: dbc_command.signals_table(SCHEMA.messages[11]),
+    "commands.gearbox._gear_table": lambda: gearbox_command._gear_table(
+        load_sheet("truck12"), sheet_figures(load_sheet("truck12"))
+    ),
+}
+"""By module and function; those of `calibration show` need a file and stand below."""
+WITH_A_FILE = ("commands.calibration._wheel_table", "commands.calibration._gear_table")
+
+
+def check(table: Table) -> None:
+    """Every word of a header and of a label stands whole in what a terminal shows."""
+    out = io.StringIO()
+    console = Console(file=out, width=WIDTH, force_terminal=False, color_system=None)
+    console.print(table)
+    shown = out.getvalue()
+    assert "…" not in shown, shown
+    assert max(map(len, shown.splitlines())) <= WIDTH
+    labels = [str(column.header) for column in table.columns]
+    labels += [str(cell) for cell in table.columns[0].cells]
+    found = set(shown.split())
+    for word in " ".join(render(label).plain for label in labels).split():
+        assert word in found, f"{word!r} is cut in:\n{shown}"
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_fits_80_columns(name: str) -> None:
+    check(TABLES[name]())
+
+
+def test_what_was_learned_fits_80_columns(learned: Calibration) -> None:
+    check(calibration_command._wheel_table(calibration_command._wheels(learned)))
+    check(calibration_command._gear_table(learned))
+
+
+@pytest.mark.parametrize("name", SHEET_NAMES)
+def test_each_data_sheet_fits_80_columns(name: str) -> None:
+    sheet = load_sheet(name)
+    check(gearbox_command._gear_table(sheet, sheet_figures(sheet)))
+
+
+@pytest.mark.parametrize("message", SCHEMA.messages, ids=lambda message: message.name)
+def test_the_signals_of_each_message_fit_80_columns(message: Any) -> None:
+    check(dbc_command.signals_table(message))
+
+
+def makers() -> set[str]:
+    """Every function of the command line that makes a table for a terminal."""
+    root = Path(meshpoint.testbench.__file__).parent
+    found = set()
+    for path in root.rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        if "from rich.table import Table" not in ast.unparse(tree):
+            continue
+        module = ".".join(path.relative_to(root).with_suffix("").parts)
+        for function in ast.walk(tree):
+            if isinstance(function, ast.FunctionDef):
+                calls = [call.func for call in ast.walk(function) if isinstance(call, ast.Call)]
+                if any(isinstance(call, ast.Name) and call.id == "Table" for call in calls):
+                    found.add(f"{module}.{function.name}")
+    return found
+
+
+def test_no_table_is_left_out_here() -> None:
+    assert makers() == {*TABLES, *WITH_A_FILE}

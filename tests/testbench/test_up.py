@@ -1,0 +1,151 @@
+"""`meshpoint up`: both nodes in one terminal, from the start to a clean end."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from live_command import POLL_S, LiveCommand, live
+
+from meshpoint.bus.logs.limits import read_log
+from meshpoint.dbc.link import Receiver
+from meshpoint.dbc.messages import ValveAction, ValveCommand
+from meshpoint.dbc.node import Node
+from meshpoint.testbench.cli import main
+
+READY = "in gear 8, ready"
+PROC = Path("/proc")
+pytestmark = [
+    pytest.mark.timeout(900),
+    pytest.mark.skipif(not PROC.is_dir(), reason="finds child processes in /proc"),
+]
+
+
+@pytest.fixture
+def bus() -> Iterator[list[str]]:
+    """A bus of its own; a socket's path must be short."""
+    folder = tempfile.mkdtemp(prefix="mpu-")
+    yield ["-i", "meshpoint", "-c", f"unix:{folder}/bus.sock"]
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def children(pid: int) -> dict[str, int]:
+    """The nodes that a process has started, by name."""
+    found = {}
+    for path in PROC.glob("[0-9]*"):
+        try:
+            parent = int((path / "stat").read_text().rpartition(")")[2].split()[1])
+            words = (path / "cmdline").read_text().split("\0")
+        except (OSError, ValueError):
+            continue
+        if parent == pid:
+            name = (
+                "pace"
+                if "meshpoint.bus.pace" in words
+                else next(iter({"rig", "controller"} & set(words)))
+            )
+            found[name] = int(path.name)
+    return found
+
+
+def is_there(pid: int) -> bool:
+    """Whether a process runs: one that has ended and is not yet collected does not."""
+    try:
+        return (PROC / str(pid) / "stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def wait_until_gone(pids: dict[str, int]) -> None:
+    while any(is_there(pid) for pid in pids.values()):
+        time.sleep(POLL_S)
+
+
+def nodes(command: LiveCommand) -> dict[str, int]:
+    command.until_said(READY)
+    found = children(command.pid)
+    assert set(found) == {"pace", "rig", "controller"}
+    return found
+
+
+def test_a_request_from_elsewhere_shifts_and_ctrl_c_ends_both(
+    tmp_path: Path, bus: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = tmp_path / "run.log"
+    with live(tmp_path, "up", *bus, "--seed", "3", "--log", str(log)) as command:
+        started = nodes(command)
+        assert main(["request", "10", *bus, "--timeout", "600"]) == 0
+        assert "8 -> 10: engaged" in capsys.readouterr().out
+        command.until_said("shift 8 -> 10: engaged")
+        assert main(["up", *bus]) == 2
+        assert "other nodes are at work on meshpoint channel" in capsys.readouterr().err
+        command.signal(signal.SIGINT)
+        assert command.end() == 0, command.said
+        wait_until_gone(started)
+    lines = command.said.splitlines()
+    assert {line.partition("|")[0].strip() for line in lines} == {"rig", "controller", "up"}
+    assert any("seed 3" in line for line in lines if line.startswith("rig"))
+    assert "valves off" in command.said
+    receiver = Receiver(*Node)
+    messages = [receiver.receive(frame).message for _, frame in read_log(log)]
+    last = [message for message in messages if isinstance(message, ValveCommand)][-1]
+    actions = [v for name, v in last._asdict().items() if name.endswith("_action")]
+    assert set(actions) == {ValveAction.OFF_NOW}
+    assert main(["replay", str(log), "--verify"]) == 0
+
+
+@pytest.mark.parametrize("name", ["controller", "pace"])
+def test_a_node_that_dies_ends_all(tmp_path: Path, bus: list[str], name: str) -> None:
+    with live(tmp_path, "up", *bus, "--preset", "thesis") as command:
+        started = nodes(command)
+        os.kill(started[name], signal.SIGKILL)
+        assert command.end() == 1, command.said
+        wait_until_gone(started)
+    assert f"meshpoint up: {name} ended by itself with exit code -9" in command.said
+
+
+def test_the_nodes_end_well_where_up_itself_is_killed(tmp_path: Path, bus: list[str]) -> None:
+    with live(tmp_path, "up", *bus, "--preset", "thesis") as command:
+        started = nodes(command)
+        command.signal(signal.SIGKILL)
+        wait_until_gone(started)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--settings", "nowhere.toml"], "nowhere.toml: cannot be read"),
+        (["--faults", "nowhere.toml"], "rig ended by itself with exit code 2"),
+    ],
+)
+def test_bad_input_is_told_by_whoever_found_it(
+    tmp_path: Path, bus: list[str], arguments: list[str], said: str
+) -> None:
+    with live(tmp_path, "up", *bus, *arguments, "--quiet") as command:
+        assert command.end() == 2
+    assert said in command.said
+    assert "nowhere.toml" in command.said
+    assert "Traceback" not in command.said
+
+
+def test_not_armed_nothing_is_shifted(
+    tmp_path: Path, bus: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with live(tmp_path, "up", *bus, "--preset", "thesis", "--no-arm") as command:
+        command.until_said(READY)
+        assert main(["request", "10", *bus, "--timeout", "600"]) == 1
+        assert "refused" in capsys.readouterr().err
+        command.until_said("request for gear 10 refused: the outputs are not armed (--arm)")
+        command.signal(signal.SIGTERM)
+        assert command.end() == 0, command.said
+    assert "outputs not armed" in command.said
