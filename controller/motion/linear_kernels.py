@@ -22,8 +22,8 @@ from typing import Annotated, Final
 import numpy as np
 
 from meshpoint.controller import records
-from meshpoint.controller.jit import compiled
-from meshpoint.controller.records import WORD, layout_of
+from meshpoint.controller.jit import compiled, inlined
+from meshpoint.controller.records import WORD, Over, layout_of
 
 Vector = records.Vector
 
@@ -65,12 +65,12 @@ class ThesisFilter:
     """Angle (rad), speed (rad/s), brake pressure (Pa, gauge)."""
     p: Annotated[Vector, 3, 3]
     """Its covariance."""
-    model: Annotated[Vector, 4]
-    """A `Linear`."""
+    linear: Linear
     w: Annotated[Vector, 3]
     """Process noise of the state, a second."""
     r_rad2: float
     """Variance of an edge's angle."""
+    model: Annotated[Vector, Over("linear"), 4]
 
 
 class CruiseFilter:
@@ -95,10 +95,9 @@ THESIS_FILTER: Final = layout_of(ThesisFilter)
 CRUISE_FILTER: Final = layout_of(CruiseFilter)
 
 
-@compiled
-def hold(dt: float, model: Vector, found: Vector) -> None:
-    """The `Hold` over `dt` seconds of a `Linear` model, written to `found`."""
-    linear, held = model.view(LINEAR)[0], found.view(HOLD)[0]
+@inlined
+def hold(dt: float, linear: Linear, held: Hold) -> None:
+    """Phi and Gamma over `dt` seconds, written to `held`."""
     a, b, g = linear.friction_per_s, linear.brake_per_s, linear.brake_rad_s2_pa
     if abs(b - a) < 1e-6 * b:
         # Equal rates are a removable singularity; a part in a million of tau is below any data.
@@ -121,11 +120,10 @@ def hold(dt: float, model: Vector, found: Vector) -> None:
     held.pressure_by_u = b * phi_b * linear.supply_pa
 
 
-@compiled
-def advance(x: Vector, dt: float, u: float, model: Vector, found: Vector) -> None:
-    """One zero-order-hold step of the state (3,), in place (thesis 5.17); its `Hold` is found."""
-    hold(dt, model, found)
-    held = found.view(HOLD)[0]
+@inlined
+def advance(x: Vector, dt: float, u: float, linear: Linear, held: Hold) -> None:
+    """One zero-order-hold step of the state (3,), in place (5.17), `held` with it."""
+    hold(dt, linear, held)
     x[0] += held.theta_by_omega * x[1] + held.theta_by_pressure * x[2] + held.theta_by_u * u
     x[1] = held.omega_by_omega * x[1] + held.omega_by_pressure * x[2] + held.omega_by_u * u
     x[2] = held.pressure_by_pressure * x[2] + held.pressure_by_u * u
@@ -138,23 +136,22 @@ def propagate(x: Vector, t_us: float, to_us: float, switches: Vector, model: Vec
     switches (2, n): rising times, and the u that holds from each on; before the first one u = 0.
     model: a `Linear`."""
     switch_us, switch_u = switches[0], switches[1]
-    found = np.empty(HOLD_WORDS)
+    linear, held = model.view(LINEAR)[0], np.empty(HOLD_WORDS).view(HOLD)[0]
     u, i, n = 0.0, 0, switch_us.shape[0]
     while i < n and switch_us[i] <= t_us:
         u = switch_u[i]
         i += 1
     while i < n and switch_us[i] < to_us:
-        advance(x, (switch_us[i] - t_us) * US, u, model, found)
+        advance(x, (switch_us[i] - t_us) * US, u, linear, held)
         t_us, u = switch_us[i], switch_u[i]
         i += 1
-    advance(x, (to_us - t_us) * US, u, model, found)
+    advance(x, (to_us - t_us) * US, u, linear, held)
 
 
-@compiled
-def spread(p: Vector, dt: float, found: Vector, w: Vector) -> None:
-    """Covariance prediction P = Phi P Phi' + Q (5.3) with Q = (w dt)(w dt)' (5.8), in place; found:
-    the `Hold` over the same time."""
-    held = found.view(HOLD)[0]
+@inlined
+def spread(p: Vector, dt: float, held: Hold, w: Vector) -> None:
+    """Covariance prediction P = Phi P Phi' + Q (5.3) with Q = (w dt)(w dt)' (5.8), in place; held:
+    Phi over the same time."""
     f01, f02, f11 = held.theta_by_omega, held.theta_by_pressure, held.omega_by_omega
     f12, f22 = held.omega_by_pressure, held.pressure_by_pressure
     p00, p01, p02 = p[0, 0], p[0, 1], p[0, 2]
@@ -196,9 +193,9 @@ def thesis_filter(memory: Vector, edge_us: Vector, edge_rad: Vector, switches: V
     switches as in `propagate`. Edges not later than the state are skipped: they were used before.
     """
     f = memory.view(THESIS_FILTER)[0]
-    x, p, model, w, t_us = f.x, f.p, f.model, f.w, f.time_us
+    x, p, w, t_us = f.x, f.p, f.w, f.time_us
+    linear, held = f.linear, np.empty(HOLD_WORDS).view(HOLD)[0]
     switch_us, switch_u = switches[0], switches[1]
-    found = np.empty(HOLD_WORDS)
     u, i, n = 0.0, 0, switch_us.shape[0]
     for k in range(edge_us.shape[0]):
         if edge_us[k] <= t_us:
@@ -208,13 +205,13 @@ def thesis_filter(memory: Vector, edge_us: Vector, edge_rad: Vector, switches: V
             i += 1
         while i < n and switch_us[i] < edge_us[k]:
             dt = (switch_us[i] - t_us) * US
-            advance(x, dt, u, model, found)
-            spread(p, dt, found, w)
+            advance(x, dt, u, linear, held)
+            spread(p, dt, held, w)
             t_us, u = switch_us[i], switch_u[i]
             i += 1
         dt = (edge_us[k] - t_us) * US
-        advance(x, dt, u, model, found)
-        spread(p, dt, found, w)
+        advance(x, dt, u, linear, held)
+        spread(p, dt, held, w)
         t_us = edge_us[k]
         correct(x, p, edge_rad[k], f.r_rad2)
     f.time_us = t_us

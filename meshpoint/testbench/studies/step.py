@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -129,12 +130,13 @@ class _Euler:
 def _closed_form(given: Given[Settings]) -> Cost:
     """`kernels.advance`, which works out Phi and Gamma and applies them."""
     counter = Counter()
-    model = [counter.number(float(v)) for v in layshaft_model(given.sheet, Split.HIGH)]
+    values = layshaft_model(given.sheet, Split.HIGH).tolist()
+    names = kernels.LINEAR.names or ()
+    linear = SimpleNamespace(**dict(zip(names, map(counter.number, values), strict=True)))
     x = [counter.number(value) for value in (1.0, 100.0, 1e5)]
     hold = plain_code(kernels.hold)
-    phi: list[Any] = [0.0] * PHI
-    gamma: list[Any] = [0.0] * GAMMA
-    plain_code(kernels.advance, hold=hold)(x, given.sheet.sleeve.delay_s, 0.0, model, phi, gamma)
+    advance = plain_code(kernels.advance, hold=hold)
+    advance(x, given.sheet.sleeve.delay_s, 0.0, linear, SimpleNamespace())
     return Cost(counter.arithmetic, counter.functions)
 
 
@@ -143,12 +145,12 @@ def _stored(given: Given[Settings]) -> Cost:
     counter = Counter()
     x = [counter.number(value) for value in (1.0, 100.0, 1e5)]
 
-    def look_up(_dt: float, _model: Any, phi: list[Any], gamma: list[Any]) -> None:
-        phi[:] = [counter.number(0.5)] * PHI
-        gamma[:] = [counter.number(0.5)] * GAMMA
+    def look_up(_dt: float, _linear: Any, held: SimpleNamespace) -> None:
+        for name in kernels.HOLD.names or ():
+            setattr(held, name, counter.number(0.5))
 
     advance = plain_code(kernels.advance, hold=look_up)
-    advance(x, given.sheet.sleeve.delay_s, 0.0, [], [0.0] * PHI, [0.0] * GAMMA)
+    advance(x, given.sheet.sleeve.delay_s, 0.0, None, SimpleNamespace())
     return Cost(counter.arithmetic, counter.functions)
 
 
