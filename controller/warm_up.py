@@ -6,6 +6,7 @@ import numpy as np
 
 from meshpoint.controller.estimation.brake_kernels import pressure_course
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.estimation.crossing_kernels import inverse_of_positive
 from meshpoint.controller.motion.kernels import STATES
 from meshpoint.controller.motion.linear_kernels import cruise_filter, propagate, thesis_filter
 from meshpoint.controller.motion.models import first_order_law, following_motion, predict
@@ -25,6 +26,7 @@ def warm_up() -> None:
     propagate(x, 0.0, 1.0, switches, switches, model)
     thesis_filter(x, p, 0.0, edges, edges, switches, switches, model, np.zeros(3), 1.0)
     _warm_up_crossing()
+    inverse_of_positive(np.eye(2))
     cruise_filter(np.zeros(2), np.eye(2), 0.0, edges, edges, 1.0, 1e-6)
 
 

@@ -95,7 +95,7 @@ class BaselineTracker:
             self._time_us = thesis_filter(
                 self._x,
                 self._p,
-                self._time_us,
+                float(self._time_us),
                 batch.time_us,
                 batch.theta_rad,
                 switch_us,
@@ -163,7 +163,7 @@ class BaselineTracker:
             return
         switch_us, switch_u = self._brake.arrays()
         x = np.array([0.0, 0.0, self._x[2]])
-        propagate(x, self._time_us, newest[0], switch_us, switch_u, self._thesis)
+        propagate(x, float(self._time_us), float(newest[0]), switch_us, switch_u, self._thesis)
         self._time_us = newest[0]
         self._x[:] = newest[1], self._window.omega_rad_s, x[2]
 

@@ -8,12 +8,14 @@ import os
 import sys
 from collections.abc import Sequence
 
+from meshpoint.bus.kernel_watch import WATCH
 from meshpoint.bus.logs.limits import LogError
 from meshpoint.bus.options import BusOpenError
 from meshpoint.controller.header import HeaderError
 from meshpoint.gearbox.tables import TableError
 from meshpoint.rig_sim.settings import SettingsError
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.compiling import Progress
+from meshpoint.testbench.errors import CommandError, RunError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.provenance import product_version
 
@@ -73,6 +75,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = sys.argv[1:] if arguments is None else list(arguments)
     parser = build_parser(next((word for word in given if not word.startswith("-")), None))
     namespace = parser.parse_args(given)
+    WATCH.compiling = Progress(rewrites=False).count
     try:
         code: int = namespace.run(namespace)
     except USER_ERRORS as error:
@@ -80,6 +83,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"meshpoint {namespace.command}: error: {error}", file=sys.stderr)
         return Exit.BAD_INPUT
+    except RunError as error:
+        print(f"meshpoint {namespace.command}: {error}", file=sys.stderr)
+        return Exit.FAILED
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return Exit.INTERRUPTED

@@ -14,6 +14,7 @@ from meshpoint.controller.calibration_keeper import CalibrationWriter, Keep
 from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench import arguments
+from meshpoint.testbench.comparison import compare, comparison_table, explain
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.simulate import Result, Setup, simulate
@@ -26,15 +27,8 @@ from meshpoint.testbench.report.write import (
     report_provenance,
     write_report,
 )
-from meshpoint.testbench.results.output import (
-    check_json,
-    complain,
-    console,
-    rows_table,
-    summary_table,
-    write_json,
-)
-from meshpoint.testbench.results.rows import ShiftRow, summarise
+from meshpoint.testbench.results.output import check_json, complain, console, rows_table, write_json
+from meshpoint.testbench.results.rows import ShiftRow
 
 LOG_CHANNEL = "virtual"
 
@@ -121,7 +115,10 @@ def _show(out: Console, setup: Setup, result: Result) -> None:
     name = setup.settings.strategy_name
     out.print(rows_table(f"{name}, seed {setup.seed}", result.rows))
     out.print()
-    out.print(summary_table([summarise(name, result.rows)]))
+    groups = compare({name: result.rows})
+    out.print(comparison_table(groups))
+    for line in explain(groups, setup.sheet):
+        out.print(line)
     for line in estimator_notes(name, result.estimation):
         out.print(line)
 
