@@ -30,7 +30,7 @@ ENV PATH=/opt/meshpoint/bin:$PATH \
     NUMBA_CPU_NAME=generic \
     NUMBA_CACHE_DIR=/var/cache/meshpoint
 USER meshpoint
-RUN meshpoint simulate --shifts 1 --json /dev/null
+RUN python -c "from meshpoint.testbench.loop.compiling import prepare; prepare()"
 WORKDIR /log
 ENTRYPOINT ["meshpoint"]
 CMD ["--help"]

@@ -4,23 +4,28 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test acceptance vcan test-containers lint types reference contracts stubs bench clean
+.PHONY: demo test installed acceptance vcan test-containers lint types reference contracts stubs bench clean
 
 $(VENV)/run.stamp: pyproject.toml setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[all]"
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e .
 	touch $@
 
 $(VENV)/test.stamp: pyproject.toml setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[all,test]"
+	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[test]"
 	touch $@ $(VENV)/run.stamp
 
-demo: $(VENV)/run.stamp
-	$(BIN)/meshpoint demo --out out/demo
+demo:
+	@begun=$$(date +%s) && $(MAKE) --no-print-directory $(VENV)/run.stamp && \
+	    MESHPOINT_SINCE=$$begun $(BIN)/meshpoint demo --out out/demo
 
 test: $(VENV)/test.stamp
 	$(BIN)/python -m pytest -n 2 --dist loadfile --ignore=tests/acceptance
+
+# The wheel as a user installs it, and every command of README's table once.
+installed:
+	PYTHON=$(PYTHON) tools/test-installed
 
 # Real processes through the commands alone; some minutes.
 acceptance: $(VENV)/test.stamp

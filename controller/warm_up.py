@@ -6,6 +6,7 @@ import numpy as np
 
 from meshpoint.controller.estimation.brake_kernels import pressure_course
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.estimation.crossing_kernels import inverse_of_positive
 from meshpoint.controller.motion.kernels import STATES
 from meshpoint.controller.motion.linear_kernels import (
     CRUISE_FILTER,
@@ -30,6 +31,7 @@ def warm_up() -> None:
     plan_kernels.warm_up()
     _warm_up_baselines()
     _warm_up_crossing()
+    inverse_of_positive(np.eye(2))
 
 
 def _warm_up_baselines() -> None:

@@ -1,14 +1,12 @@
-"""How the truck's parts are compiled: small functions in their own files, one cached entry point.
+"""How the rig's numeric parts are compiled: small functions in their own files, few entry points.
 
-numba's file cache looks only at the file of the cached function, so a change in a part would go
-unseen. `part` therefore compiles without a cache and is inlined where it is called; `entry` caches,
-with a digest of all sources of this package in the cache's key. With NUMBA_DISABLE_JIT=1 both leave
-plain Python.
+`part` and `inlined` make a piece, compiled into the entry points that call it; `entry` makes an
+entry point, kept on disk (`meshpoint.kernel_cache`). With NUMBA_DISABLE_JIT=1 all leave plain
+Python.
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -26,15 +24,7 @@ OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
 and the counting, atomic as it is, took half of their time."""
 
 
-def _digest() -> int:
-    hashed = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        hashed.update(path.read_bytes())
-    return int.from_bytes(hashed.digest()[:7])
-
-
-SOURCES: Final = _digest()
-"""A number that changes with any source of this package: entry points keep it in their closure."""
+FOLDER: Final = Path(__file__).parent
 
 
 def part(function: Kernel) -> Kernel:
@@ -56,14 +46,14 @@ def inlined(function: Kernel) -> Kernel:
     return cast(Kernel, numba.njit(forceinline=True, **OPTIONS)(function))
 
 
-def entry(function: Kernel) -> Kernel:
-    """A cached entry point; the function must read `SOURCES` through its closure."""
+def entry(function: Kernel, options: dict[str, Any] | None = None) -> Kernel:
+    """An entry point, kept on disk (`meshpoint.kernel_cache`); the options are numba's."""
     if DISABLED:
         return function
     import numba
 
-    try:
-        return cast(Kernel, numba.njit(cache=True, **OPTIONS)(function))
-    except RuntimeError:
-        # Nowhere to keep what was compiled, as in a read-only container: each start compiles.
-        return cast(Kernel, numba.njit(**OPTIONS)(function))
+    from meshpoint.kernel_cache import keep_compiled
+
+    kernel = numba.njit(**(OPTIONS if options is None else options))(function)
+    keep_compiled(kernel, FOLDER)
+    return cast(Kernel, kernel)

@@ -161,7 +161,7 @@ class BaselineTracker:
         if newest is None or self._window.omega_rad_s is None or newest[0] <= before_us:
             return
         x = np.array([0.0, 0.0, memory.x[2]])
-        propagate(x, before_us, newest[0], self._brake.arrays(), memory.model)
+        propagate(x, before_us, float(newest[0]), self._brake.arrays(), memory.model)
         memory.time_us[0] = newest[0]
         memory.x[:] = newest[1], self._window.omega_rad_s, x[2]
 

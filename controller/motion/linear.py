@@ -32,7 +32,7 @@ def predict_hold(
 ) -> LayshaftState:
     """Zero-order hold through every brake switch (5.16-5.18)."""
     x = np.array([state.theta_rad, state.omega_rad_s, state.pressure_pa])
-    propagate(x, state.time_us, to_us, switches, model)
+    propagate(x, float(state.time_us), float(to_us), switches, model)
     theta, omega, pressure = x.tolist()
     return LayshaftState(to_us, theta, omega, pressure, *state[4:7])
 

@@ -122,7 +122,7 @@ def predict(
 ) -> LayshaftState:
     """The state at another time through every brake switch; standard deviations are kept."""
     x = state.vector
-    travel(x, state.time_us, to_us, switches, model.flat)
+    travel(x, float(state.time_us), float(to_us), switches, model.flat)
     theta, omega, pressure, disturbance, gain, drag = x.tolist()
     return _new(
         LayshaftState,
@@ -149,7 +149,7 @@ def ahead(
 ) -> LayshaftState:
     """The record of a filter's state and covariance at a time, gone on with to another."""
     x, p = x.copy(), p.copy()
-    forecast(x, p, time_us, to_us, switches, model.flat)
+    forecast(x, p, float(time_us), float(to_us), switches, model.flat)
     return state_of(x, p, to_us)
 
 

@@ -83,6 +83,8 @@ def groups_of(cls: type, values: Any = None) -> list[Group]:
 def _walk(cls: Any, name: str, values: Any) -> Iterator[Group]:
     docs, keys, inner = field_docs(cls), [], []
     for field in dataclasses.fields(cls):
+        if not field.metadata:
+            continue  # not a key of the file
         value = _default(field) if values is None else getattr(values, field.name)
         rule: Rule | None = field.metadata.get("rule")
         if rule is None:

@@ -11,10 +11,12 @@ from meshpoint.bus.options import BusOpenError
 from meshpoint.controller.header import HeaderError
 from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.gearbox.tables import TableError
+from meshpoint.kernel_watch import WATCH
 from meshpoint.rig_sim.settings import SettingsError
 from meshpoint.testbench.commands.table import build_parser
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import CommandError, RunError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.loop.compiling import Progress
 from meshpoint.testbench.results.output import check_writable
 
 USER_ERRORS = (
@@ -30,6 +32,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if unknown:
         parser.prog = f"{parser.prog} {namespace.command}"
         parser.error(f"unknown argument {' '.join(unknown)}")
+    WATCH.compiling = Progress(rewrites=False).count
     try:
         for target in ("json", "report"):
             path = getattr(namespace, target, None)
@@ -40,6 +43,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         print(f"meshpoint {namespace.command}: error: {error}", file=sys.stderr)
         return Exit.BAD_INPUT
+    except RunError as error:
+        print(f"meshpoint {namespace.command}: {error}", file=sys.stderr)
+        return Exit.FAILED
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return Exit.INTERRUPTED

@@ -10,12 +10,11 @@ when the valve opens, at a fixed step (semi-implicit Euler in the motion), up to
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.rig_sim.jit import SOURCES, entry
+from meshpoint.rig_sim.jit import entry
 from meshpoint.rig_sim.parts.pneumatics import GAS_J_KGK, NORMAL_K, NORMAL_KG_M3, flow_share
 from meshpoint.rig_sim.shared.angle_kernels import Floats
 
@@ -49,50 +48,44 @@ class Travel(NamedTuple):
     samples_m: Floats
 
 
-def _make_travel(sources: int) -> Callable[..., tuple[float, float, float, int]]:
-    def travel(
-        cylinder: tuple[float, ...],
-        supply_pa: float,
-        atmosphere_pa: float,
-        to_m: float,
-        samples: Floats,
-    ) -> tuple[float, float, float, int]:
-        """Time, speed, force at contact and the number of samples."""
-        _ = sources
-        area, dead, conductance, mass, friction, damping, stroke = cylinder
-        per_pa = POLYTROPIC * GAS_J_KGK * NORMAL_K * NORMAL_KG_M3 * conductance
-        p_a, p_b, x, v = atmosphere_pa, atmosphere_pa, 0.0, 0.0
-        count = 0
-        for i in range((samples.shape[0] - 1) * EVERY):
-            if i % EVERY == 0:
-                samples[count] = x
-                count += 1
-            volume_a = dead + area * (stroke + x)
-            volume_b = dead + area * (stroke - x)
-            in_a = per_pa * supply_pa * flow_share(supply_pa, p_a, CRITICAL)
-            out_b = per_pa * p_b * flow_share(p_b, atmosphere_pa, CRITICAL)
-            p_a += STEP_S * (in_a - POLYTROPIC * p_a * area * v) / volume_a
-            p_b += STEP_S * (POLYTROPIC * p_b * area * v - out_b) / volume_b
-            push = (p_a - p_b) * area
-            if v == 0.0 and abs(push) <= friction:
-                continue
-            direction = 1.0 if v > 0.0 or (v == 0.0 and push > 0.0) else -1.0
-            change = STEP_S * (push - direction * friction - damping * v) / mass
-            moved = v + change
-            v = 0.0 if v * moved < 0.0 else moved
-            if v < 0.0 and x <= 0.0:
-                v = 0.0
-            if x + STEP_S * v >= to_m:
-                rest = (to_m - x) / v
-                samples[count] = to_m
-                return i * STEP_S + rest, v, (p_a - p_b) * area, count + 1
-            x += STEP_S * v
-        return -1.0, 0.0, 0.0, count
-
-    return entry(travel)
-
-
-_travel = _make_travel(SOURCES)
+@entry
+def _travel(
+    cylinder: tuple[float, ...],
+    supply_pa: float,
+    atmosphere_pa: float,
+    to_m: float,
+    samples: Floats,
+) -> tuple[float, float, float, int]:
+    """Time, speed, force at contact and the number of samples."""
+    area, dead, conductance, mass, friction, damping, stroke = cylinder
+    per_pa = POLYTROPIC * GAS_J_KGK * NORMAL_K * NORMAL_KG_M3 * conductance
+    p_a, p_b, x, v = atmosphere_pa, atmosphere_pa, 0.0, 0.0
+    count = 0
+    for i in range((samples.shape[0] - 1) * EVERY):
+        if i % EVERY == 0:
+            samples[count] = x
+            count += 1
+        volume_a = dead + area * (stroke + x)
+        volume_b = dead + area * (stroke - x)
+        in_a = per_pa * supply_pa * flow_share(supply_pa, p_a, CRITICAL)
+        out_b = per_pa * p_b * flow_share(p_b, atmosphere_pa, CRITICAL)
+        p_a += STEP_S * (in_a - POLYTROPIC * p_a * area * v) / volume_a
+        p_b += STEP_S * (POLYTROPIC * p_b * area * v - out_b) / volume_b
+        push = (p_a - p_b) * area
+        if v == 0.0 and abs(push) <= friction:
+            continue
+        direction = 1.0 if v > 0.0 or (v == 0.0 and push > 0.0) else -1.0
+        change = STEP_S * (push - direction * friction - damping * v) / mass
+        moved = v + change
+        v = 0.0 if v * moved < 0.0 else moved
+        if v < 0.0 and x <= 0.0:
+            v = 0.0
+        if x + STEP_S * v >= to_m:
+            rest = (to_m - x) / v
+            samples[count] = to_m
+            return i * STEP_S + rest, v, (p_a - p_b) * area, count + 1
+        x += STEP_S * v
+    return -1.0, 0.0, 0.0, count
 
 
 def travel(cylinder: Cylinder, supply_pa: float, atmosphere_pa: float, to_m: float) -> Travel:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from meshpoint.rig_sim.jit import DISABLED
+from meshpoint.rig_sim import jit
 from meshpoint.rig_sim.shared.capture_records import (
     CHANNELS,
     PIECES,
@@ -32,16 +32,8 @@ WITHOUT_RUNTIME: Final[dict[str, Any]] = {"_nrt": False}
 
 
 def compiled(function: Kernel) -> Kernel:
-    """numba's njit with its file cache, without its runtime (`jit.OPTIONS`), keeping the function's
-    type for the type checker."""
-    if DISABLED:
-        return function
-    import numba
-
-    try:
-        return cast(Kernel, numba.njit(cache=True, **WITHOUT_RUNTIME)(function))
-    except RuntimeError:  # as in `meshpoint.rig_sim.jit.entry`
-        return cast(Kernel, numba.njit(**WITHOUT_RUNTIME)(function))
+    """An entry point without numba's runtime, dividing as Python does."""
+    return jit.entry(function, WITHOUT_RUNTIME)
 
 
 @compiled

@@ -8,10 +8,10 @@ anybody asks.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Final
 
-from meshpoint.rig_sim.jit import SOURCES, entry, inlined
+from meshpoint.rig_sim.jit import entry, inlined
 from meshpoint.rig_sim.shared.angle_kernels import TAU, Floats, wrapped
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.capture import capture
@@ -72,77 +72,63 @@ def _remember(t_us: float, rig: Rig) -> None:
         past.speed_rad_s = rig.y.speed_rad_s[at.LAYSHAFT]
 
 
-def _make_advance(sources: int) -> Callable[..., tuple[float, int]]:
-    def advance(
-        rigs: Sequence[Rig], t_us: float, until_us: float, stop_us: float
-    ) -> tuple[float, int]:
-        """Go on to the next event, to `stop_us`, or to the last grid point up to `until_us`.
+@entry
+def advance(rigs: Sequence[Rig], t_us: float, until_us: float, stop_us: float) -> tuple[float, int]:
+    """Go on to the next event, to `stop_us`, or to the last grid point up to `until_us`.
 
-        Everything is updated in place; returns the time reached and why it ended there.
-        """
-        _ = sources
-        rig = rigs[0]
-        end_us, is_first = t_us, True
-        while True:
-            if not is_first:
-                end_us = min(_next_grid_us(t_us, rig), stop_us)
-                if end_us > until_us:
-                    return t_us, at.REACHED
-            h = (end_us - t_us) / SECOND_US
-            event = at.REACHED
-            _copy(rig.y.vector, rig.after.vector)
-            if h > 0.0:
-                step(rig, h)
-                event, s = first_event(h, rig)
-                if event != at.REACHED:
-                    h = s
-                    end_us = t_us + s * SECOND_US
-            turned, s = torques_turn(h, rig)
-            if turned != at.REACHED and (event == at.REACHED or s < h - 2.0 * TORQUE_S):
-                event, h = turned, s
-                end_us = t_us + s * SECOND_US
-            if h > 0.0:
-                capture(t_us, h, rig)
-                _copy(rig.after.vector, rig.y.vector)
-                _settle(rig)
-            _copy(rig.ahead.vector, rig.stages[0].vector)
-            t_us = end_us
-            _remember(t_us, rig)
+    Everything is updated in place; returns the time reached and why it ended there.
+    """
+    rig = rigs[0]
+    end_us, is_first = t_us, True
+    while True:
+        if not is_first:
+            end_us = min(_next_grid_us(t_us, rig), stop_us)
+            if end_us > until_us:
+                return t_us, at.REACHED
+        h = (end_us - t_us) / SECOND_US
+        event = at.REACHED
+        _copy(rig.y.vector, rig.after.vector)
+        if h > 0.0:
+            step(rig, h)
+            event, s = first_event(h, rig)
             if event != at.REACHED:
-                return t_us, event
-            if t_us == stop_us:
-                return t_us, at.DUE
-            is_first = False
-
-    return entry(advance)
-
-
-advance = _make_advance(SOURCES)
-
-
-def _make_sample(sources: int) -> Callable[..., tuple[float, bool]]:
-    def sample(
-        rigs: Sequence[Rig], t_us: float, gear: int, stops_us: Floats, found: Floats
-    ) -> tuple[float, bool]:
-        """Goes on alone through these instants. `found` (n, 3) gets layshaft speed, main shaft
-        speed, and phase of the gear of this index, within half a pitch.
-
-        As `advance`, again and again, where nothing is done at events. Returns the time reached and
-        whether the shafts have come to rest; the rows from there on stay as they were."""
-        _ = sources
-        rig = rigs[0]
-        y = rig.y
-        for row in range(stops_us.shape[0]):
-            while t_us < stops_us[row]:
-                t_us, event = advance(rigs, t_us, math.inf, stops_us[row])
-                if event == at.STOPPED:
-                    return t_us, True
-            found[row, 0], found[row, 1] = y.speed_rad_s[at.LAYSHAFT], y.speed_rad_s[at.MAIN]
-            phase = y.phase_rad[gear] + y.lash_rad[gear]
-            found[row, 2] = wrapped(phase, rig.p.pitch_rad)
-        return t_us, False
-
-    return entry(sample)
+                h = s
+                end_us = t_us + s * SECOND_US
+        turned, s = torques_turn(h, rig)
+        if turned != at.REACHED and (event == at.REACHED or s < h - 2.0 * TORQUE_S):
+            event, h = turned, s
+            end_us = t_us + s * SECOND_US
+        if h > 0.0:
+            capture(t_us, h, rig)
+            _copy(rig.after.vector, rig.y.vector)
+            _settle(rig)
+        _copy(rig.ahead.vector, rig.stages[0].vector)
+        t_us = end_us
+        _remember(t_us, rig)
+        if event != at.REACHED:
+            return t_us, event
+        if t_us == stop_us:
+            return t_us, at.DUE
+        is_first = False
 
 
-sample = _make_sample(SOURCES)
+@entry
+def sample(
+    rigs: Sequence[Rig], t_us: float, gear: int, stops_us: Floats, found: Floats
+) -> tuple[float, bool]:
+    """Goes on alone through these instants. `found` (n, 3) gets layshaft speed, main shaft
+    speed, and phase of the gear of this index, within half a pitch.
+
+    As `advance`, again and again, where nothing is done at events. Returns the time reached and
+    whether the shafts have come to rest; the rows from there on stay as they were."""
+    rig = rigs[0]
+    y = rig.y
+    for row in range(stops_us.shape[0]):
+        while t_us < stops_us[row]:
+            t_us, event = advance(rigs, t_us, math.inf, stops_us[row])
+            if event == at.STOPPED:
+                return t_us, True
+        found[row, 0], found[row, 1] = y.speed_rad_s[at.LAYSHAFT], y.speed_rad_s[at.MAIN]
+        phase = y.phase_rad[gear] + y.lash_rad[gear]
+        found[row, 2] = wrapped(phase, rig.p.pitch_rad)
+    return t_us, False

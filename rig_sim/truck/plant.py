@@ -218,7 +218,7 @@ class TruckPlant:
         (n, 3): layshaft speed, main shaft speed, phase of the gear; NaN from where the shafts have
         come to rest on. And whether they have."""
         found = np.full((len(numbers), 3), np.nan)
-        stops_us = start_us + every_us * np.arange(numbers.start, numbers.stop)
+        stops_us: Floats = start_us + every_us * np.arange(numbers.start, numbers.stop)
         self.time_us, rests = sample(self._memory.array, self.time_us, INDEX[gear], stops_us, found)
         return found, rests
 

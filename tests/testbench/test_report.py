@@ -6,7 +6,6 @@ import json
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,6 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.overview import wilson
@@ -181,18 +179,6 @@ def test_the_same_bus_gives_the_same_page(tmp_path: Path) -> None:
     ]
     assert len(found[0]) == 1
     assert found[0] == found[1]
-
-
-def test_a_report_without_plotly_names_the_extra_before_the_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setitem(sys.modules, "plotly.offline", None)
-    path = tmp_path / "report.html"
-    assert main(["simulate", "--shifts", "100000", "--report", str(path)]) == 2
-    assert "meshpoint[report]" in capsys.readouterr().err
-    with pytest.raises(CommandError, match="report"):
-        write_report(path, Report("", "", SHEET, [], {}))
-    assert not path.exists()
 
 
 def test_a_run_without_shifts_is_a_page_too(tmp_path: Path) -> None:

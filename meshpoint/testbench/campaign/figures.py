@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -64,7 +64,7 @@ def frontier(points: list[tuple[str, dict[str, Any]]], names: tuple[str, ...]) -
         )
         data.append(
             {
-                "type": "scatter", "mode": "lines+markers", "name": name,
+                "type": "scatter", "mode": _mode(found), "name": name,
                 "line": {"color": colour, "width": 1}, "marker": {"size": 9, "color": colour},
                 "x": [x for x, _, _ in found], "y": [y for _, y, _ in found],
                 "text": [label for _, _, label in found],
@@ -95,7 +95,7 @@ def gap_curve(records: list[JudgedShift], names: tuple[str, ...], title: str, of
             down.append(round(100 * (rate - low), 3))
         data.append(
             {
-                "type": "scatter", "mode": "lines+markers", "name": name, "x": xs, "y": rates,
+                "type": "scatter", "mode": _mode(xs), "name": name, "x": xs, "y": rates,
                 "line": {"color": colour, "width": 1}, "marker": {"size": 8, "color": colour},
                 "error_y": {"array": up, "arrayminus": down, "thickness": 1, "width": 3},
             }
@@ -103,6 +103,11 @@ def gap_curve(records: list[JudgedShift], names: tuple[str, ...], title: str, of
     layout = plain_layout(title, "first contact in a gap, %")
     layout["yaxis"]["range"] = [0, 103]
     return {"data": data, "layout": layout}
+
+
+def _mode(points: Sequence[object]) -> str:
+    """Two points are no curve: a line between them would only look like one."""
+    return "lines+markers" if len(points) > 2 else "markers"
 
 
 def _bins(values: np.ndarray[Any, Any]) -> list[np.ndarray[Any, Any]]:

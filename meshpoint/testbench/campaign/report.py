@@ -13,8 +13,8 @@ from meshpoint.testbench.campaign.summary import curve_point
 from meshpoint.testbench.campaign.sweep import BACKLASH, BASE, DELAY_SD
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.report.html import NUMBER, Cell, definitions, document, table, table_row
-from meshpoint.testbench.report.write import EXTRA
 
+FEW_RUNS = 30
 SWEPT_BY = {"backlash": BACKLASH, "scatter": DELAY_SD}
 TITLES = {
     "phases": "Where the teeth met",
@@ -28,15 +28,14 @@ TITLES = {
 def write_report(
     path: Path, spec: CampaignSpec, collected: Collected, values: dict[str, Any]
 ) -> None:
-    """Writes the page. CommandError where plotly is missing or the file cannot be written."""
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError as error:
-        raise CommandError(EXTRA) from error
+    """Writes the page. CommandError where it cannot be written."""
+    from plotly.offline import get_plotlyjs
+
     title = f"meshpoint campaign: {values['runs']} runs"
     body = [
         f"<h1>{escape(title)}</h1>",
         f"<p>{escape(_subtitle(spec))}</p>",
+        *_size(values["runs"]),
         "<h2>Strategies</h2>",
         _strategies(values),
         "<h2>Ratios on the same draws</h2>",
@@ -77,6 +76,13 @@ def _subtitle(spec: CampaignSpec) -> str:
         f"{spec.sheet.name}; {spec.learn} learning and {spec.judged} judged shifts a run and "
         "strategy. Intervals are 95 %, with the run as what was drawn."
     )
+
+
+def _size(runs: int) -> list[str]:
+    """Says so where the runs are too few for a rate or a curve."""
+    if runs >= FEW_RUNS:
+        return []
+    return [f"<p>Small sample: {runs} runs. Rates mean little beside their intervals.</p>"]
 
 
 def _strategies(values: dict[str, Any]) -> str:

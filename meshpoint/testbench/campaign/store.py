@@ -24,7 +24,6 @@ from meshpoint.testbench.results.output import folder_for
 if TYPE_CHECKING:
     import pyarrow as pa
 
-EXTRA: Final = "a campaign's table needs the extra: pip install 'meshpoint[campaign]'"
 TABLE: Final = "shifts.parquet"
 HEAD: Final = "campaign.json"
 PARTS: Final = "parts"
@@ -35,7 +34,6 @@ class Store:
     """The folder of one campaign. CommandError where it cannot be used."""
 
     def __init__(self, folder: Path, spec: CampaignSpec, resume: bool) -> None:
-        _parquet()
         self._folder = folder_for(folder)
         self._parts = folder_for(folder / PARTS)
         self._count = 0
@@ -102,14 +100,6 @@ def _plain(value: Any) -> Any:
     return json.loads(json.dumps(value))
 
 
-def _parquet() -> Any:
-    try:
-        import pyarrow.parquet
-    except ImportError as error:
-        raise CommandError(EXTRA) from error
-    return pyarrow.parquet
-
-
 def _schema() -> pa.Schema:
     import pyarrow as pa
 
@@ -127,11 +117,12 @@ def _schema() -> pa.Schema:
 def _write(path: Path, records: Iterable[JudgedShift]) -> None:
     """Written beside, then renamed: a file with this name is whole."""
     import pyarrow as pa
+    import pyarrow.parquet as pq
 
     rows = [vars(record) for record in records]
     beside = path.with_suffix(".writing")
     try:
-        _parquet().write_table(pa.Table.from_pylist(rows, schema=_schema()), beside)
+        pq.write_table(pa.Table.from_pylist(rows, schema=_schema()), beside)
         beside.replace(path)
     except OSError as error:
         raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
@@ -139,9 +130,10 @@ def _write(path: Path, records: Iterable[JudgedShift]) -> None:
 
 def _read(path: Path) -> list[JudgedShift]:
     import pyarrow as pa
+    import pyarrow.parquet as pq
 
     try:
-        rows = _parquet().read_table(path, schema=_schema()).to_pylist()
+        rows = pq.read_table(path, schema=_schema()).to_pylist()
     except (OSError, pa.ArrowException) as error:
         raise CommandError(f"{path}: not a part of a campaign: {error}") from error
     return [JudgedShift(**row) for row in rows]

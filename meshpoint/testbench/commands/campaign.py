@@ -28,8 +28,8 @@ from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.loop.compiling import prepare
 from meshpoint.testbench.loop.schedules import pairs
-from meshpoint.testbench.report.write import has_plotly
 from meshpoint.testbench.results.output import complain_of_strategy, console, write_json
 
 MOST_RUNS: Final = 1_000_000
@@ -157,6 +157,8 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
     if namespace.out is not None:
         store = Store(namespace.out, spec, namespace.resume)
     jobs = spec.jobs(namespace.runs)
+    if namespace.dask is None:
+        prepare()
     collected = Collected(spec, jobs, [] if store is None else store.records)
     finished = _make(namespace, spec, store, collected)
     values = to_json(spec, collected)
@@ -169,9 +171,8 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
     if store is not None:
         store.finish(collected.records)
         out.print(f"table {store.table}", markup=False)
-        if has_plotly():
-            write_report(store.report, spec, collected, values)
-            out.print(f"report {store.report}", markup=False)
+        write_report(store.report, spec, collected, values)
+        out.print(f"report {store.report}", markup=False)
     if namespace.json is not None:
         write_json(namespace.json, values)
     if namespace.json != "-":

@@ -7,6 +7,7 @@ import math
 import os
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -26,22 +27,25 @@ from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
 from meshpoint.testbench.loop.bench import PlannedShift, plan_shifts
+from meshpoint.testbench.loop.compiling import prepare
 from meshpoint.testbench.loop.live import LiveResult, LiveRun, run_live, uses_virtual
 from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S
 from meshpoint.testbench.provenance import product_version, provenance
+from meshpoint.testbench.report.comparison import compare, comparison_table, explain
 from meshpoint.testbench.report.demo import write_demo_report
 from meshpoint.testbench.report.plot import plot_shift
-from meshpoint.testbench.report.write import EXTRA, has_plotly
 from meshpoint.testbench.results.output import (
     console,
     folder_for,
     rows_table,
-    summary_table,
     write_json,
 )
 from meshpoint.testbench.results.rows import ShiftRow, summarise
 
-STRATEGIES = ("speed_window", "target_phase")
+AIMED = "target_phase"
+STRATEGIES = ("speed_window", AIMED)
+SINCE = "MESHPOINT_SINCE"
+"""`make demo` says here when its set-up began, in seconds since 1970."""
 BUS_ARGUMENTS = (
     ("interface", "-i"), ("channel", "-c"), ("bitrate", "-b"), ("data_bitrate", "--data-bitrate"),
     ("config", "--config"),
@@ -82,24 +86,27 @@ def run(namespace: argparse.Namespace) -> int:
     sheet = arguments.sheet_of(namespace)
     rig = _rig(namespace, sheet)
     folder_for(namespace.out)
+    begun_s = float(os.environ.get(SINCE, time.time()))
+    prepare()
     results: dict[str, LiveResult] = {}
     sessions: dict[str, Session] = {}
     lives: dict[str, LiveRun] = {}
     with tempfile.TemporaryDirectory(prefix="meshpoint-") as private:
-        for strategy in STRATEGIES:
+        for strategy in reversed(STRATEGIES):  # the one that has the picture first
             live = lives[strategy] = _live_run(namespace, rig, strategy, Path(private))
-            results[strategy] = _with_progress(namespace, strategy, live)
-            rows = results[strategy].monitor.rows.rows
-            out.print(rows_table(strategy, rows))
+            result = results[strategy] = _with_progress(namespace, strategy, live)
+            out.print(rows_table(strategy, result.monitor.rows.rows))
+            if strategy == AIMED:
+                out.print(_picture(namespace.out, result, sheet, begun_s), markup=False)
             out.print()
             sessions[strategy] = _verify(live.log)
-    summaries = [summarise(name, results[name].monitor.rows.rows) for name in STRATEGIES]
-    out.print(summary_table(summaries))
-    _compare(out, summaries[0].gap_rate, summaries[1].gap_rate)
+    lives, results, sessions = _ordered(lives), _ordered(results), _ordered(sessions)
+    groups = compare({name: result.monitor.rows.rows for name, result in results.items()})
+    out.print(comparison_table(groups))
+    for line in explain(groups, sheet):
+        out.print(line)
     report = namespace.out / "report.html"
-    if has_plotly():
-        write_demo_report(report, lives, results, sessions)
-    picture = _picture(namespace.out, results["target_phase"], sheet)
+    write_demo_report(report, lives, results, sessions)
     values = {
         "shifts": [
             row.to_json() for result in results.values() for row in result.monitor.rows.rows
@@ -120,6 +127,8 @@ def run(namespace: argparse.Namespace) -> int:
             }
             for name, result in results.items()
         },
+        "comparison": [group.to_json() for group in groups],
+        "gap_over_pitch": sheet.dog.backlash_share,
         "provenance": provenance(sheet, namespace.seed, namespace.preset),
     }
     write_json(str(namespace.out / "run.json"), values)
@@ -130,8 +139,7 @@ def run(namespace: argparse.Namespace) -> int:
         out.print(f"bus time ran at {pace:.2f} x wall time, where this machine could not keep up")
     for name, session in sessions.items():
         out.print(f"log {_log_path(namespace.out, name)}: replay is {session}", markup=False)
-    out.print(f"picture {picture}" if picture else "no shift to draw")
-    out.print(f"report {report}" if has_plotly() else f"no report: {EXTRA}", markup=False)
+    out.print(f"report {report}", markup=False)
     return _exit_code(results, sessions)
 
 
@@ -242,19 +250,20 @@ def _verify(log: Path) -> Session:
         return Session(verdict=Verification.NOT_VERIFIABLE, reason=str(error))
 
 
-def _compare(out: Console, window: float | None, aimed: float | None) -> None:
-    if window and aimed is not None:
-        out.print(f"target_phase meets the gap {aimed / window:.1f} x as often as speed_window")
+def _ordered(by_strategy: dict[str, Any]) -> dict[str, Any]:
+    return {name: by_strategy[name] for name in STRATEGIES}
 
 
-def _picture(folder: Path, result: LiveResult, sheet: Any) -> Path | None:
+def _picture(folder: Path, result: LiveResult, sheet: GearboxSheet, begun_s: float) -> str:
+    """Draws the first aimed shift; says where, and how long that took from the beginning."""
     rows: list[ShiftRow] = result.monitor.rows.rows
     aimed = [row for row in rows if row.reference == "known" and row.contact is not None]
     if not rows:
-        return None
+        return "no shift to draw"
     path = folder / "shift.png"
     plot_shift(path, result.traces, (aimed or rows)[0], sheet)
-    return path
+    setup = ", set-up included" if SINCE in os.environ else ""
+    return f"picture {path}: {time.time() - begun_s:.0f} s after the start{setup}"
 
 
 def _exit_code(results: dict[str, LiveResult], sessions: dict[str, Session]) -> int:

@@ -19,6 +19,7 @@ from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.simulate import Result, Setup, simulate
 from meshpoint.testbench.report.collect import ReportCollector
+from meshpoint.testbench.report.comparison import compare, comparison_table, explain
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import (
     aim_rad,
@@ -32,10 +33,9 @@ from meshpoint.testbench.results.output import (
     complain_of_strategy,
     console,
     rows_table,
-    summary_table,
     write_json,
 )
-from meshpoint.testbench.results.rows import ShiftRow, summarise
+from meshpoint.testbench.results.rows import ShiftRow
 
 LOG_CHANNEL = "virtual"
 
@@ -127,7 +127,10 @@ def _show(out: Console, setup: Setup, result: Result) -> None:
     name = setup.settings.strategy_name
     out.print(rows_table(f"{name}, seed {setup.seed}", result.rows))
     out.print()
-    out.print(summary_table([summarise(name, result.rows)]))
+    groups = compare({name: result.rows})
+    out.print(comparison_table(groups))
+    for line in explain(groups, setup.sheet):
+        out.print(line)
     for line in estimator_notes(name, result.estimation):
         out.print(line)
 

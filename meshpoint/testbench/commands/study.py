@@ -13,9 +13,9 @@ from rich.table import Table
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.loop.compiling import prepare
 from meshpoint.testbench.provenance import provenance
 from meshpoint.testbench.results.output import console, folder_for, write_json
-from meshpoint.testbench.studies.draw import check_extras
 from meshpoint.testbench.studies.record import Study, ThesisVerdict
 from meshpoint.testbench.studies.registry import NAMES, chosen, load
 from meshpoint.testbench.studies.runner import StudyRecord, run_studies
@@ -70,10 +70,10 @@ def run(namespace: argparse.Namespace) -> int:
     """Runs the studies asked for."""
     if LIST in namespace.names:
         return _list(namespace)
-    check_extras()
     settings = load_study_settings(namespace.settings)
     studies = chosen(namespace.names)
     folder = folder_for(namespace.out)
+    prepare()
     out = console(namespace.json)
     columns = (
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),

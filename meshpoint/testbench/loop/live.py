@@ -24,13 +24,24 @@ from meshpoint.bus.core import Step
 from meshpoint.bus.driver import run_node
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.bus.pace import PacedClock, PaceFile
+from meshpoint.controller import node as controller_node
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.node import run_controller
 from meshpoint.dbc.frame import Frame
+from meshpoint.rig_sim import node as rig_node
 from meshpoint.rig_sim.node import run_rig
 from meshpoint.rig_sim.settings import RigSettings
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import RunError
 from meshpoint.testbench.loop.bench import BenchCore, PlannedShift
+from meshpoint.testbench.loop.node_patience import (
+    SILENCE_US,
+    START_S,
+    Heard,
+    OwnTime,
+    no_shift,
+    not_started,
+    taken,
+)
 from meshpoint.testbench.results.monitor import Monitor
 from meshpoint.testbench.results.traces import TRACED, Traces
 
@@ -38,9 +49,10 @@ BENCH_ADDRESS = 0xF9
 FLUSH_US = 1_000_000
 POLL_S = 0.05
 END_S = 15.0
-START_S = 120.0
-SILENCE_S = 20.0
-"""Wall seconds without a shift, at speed 1, after which the live run is given up."""
+OF_ADDRESS = {
+    **dict.fromkeys(rig_node.ADDRESSES, "rig"),
+    **dict.fromkeys(controller_node.ADDRESSES, "controller"),
+}
 
 
 @dataclass
@@ -73,6 +85,7 @@ class LiveResult:
     traces: Traces
     bench: BenchCore
     frames: int = 0
+    heard: Heard = field(default_factory=Heard)
     pace: float = 1.0
     """Bus time over wall time while the plan ran."""
     problems: list[str] = field(default_factory=list)
@@ -91,6 +104,9 @@ class _Recorder:
     def receive(self, frame: Frame) -> None:
         """One frame in bus order."""
         self._result.frames += 1
+        sender = OF_ADDRESS.get(frame.can_id & 0xFF)
+        if sender is not None:
+            self._result.heard.frames[sender] += 1
         message = self._result.monitor.take(frame)
         if message is not None:
             self._result.traces.take(message)
@@ -111,7 +127,7 @@ class _Recorder:
 
 
 async def run_live(run: LiveRun) -> LiveResult:
-    """Runs the plan; ends the nodes with their valves off. CommandError when they cannot run."""
+    """Runs the plan; ends the nodes with their valves off. RunError when they do not."""
     bench = BenchCore(run.plan)
     monitor = Monitor(run.header.sheet, run.header.settings, TRACED)
     result = LiveResult(monitor, Traces(), bench)
@@ -136,13 +152,13 @@ async def run_live(run: LiveRun) -> LiveResult:
         await asyncio.sleep(2 * POLL_S)
         nodes = await _start_nodes(run, clocks, stop_nodes)
         try:
-            await _until_heard(result, recorder, nodes)
+            await _until_heard(result, recorder, nodes, clocks)
         except BaseException:
             await _end_nodes(nodes, stop_nodes)
             stop_listening.set()
             await recorder
             raise
-        clock = clocks.of("bench")
+        clock = clocks.bench
         begun_us, begun_s = clock.now_us(), perf_counter()
         task = asyncio.create_task(
             run_node(
@@ -151,7 +167,7 @@ async def run_live(run: LiveRun) -> LiveResult:
             )
         )  # fmt: skip
         try:
-            await _until_done(run, result, [recorder, task], nodes)
+            await _until_done(run, result, [recorder, task], nodes, clocks)
         finally:
             result.pace = (clock.now_us() - begun_us) / 1e6 / (perf_counter() - begun_s)
             stop_bench.set()
@@ -169,6 +185,13 @@ class _Clocks:
         self.pace_path = pace_path
         self._speed = run.speed
         self._file = None if pace_path is None else PaceFile(pace_path)
+        self.bench = self.of("bench")
+        self.pacemaker: subprocess.Popen[bytes] | None = None
+
+    def check(self) -> None:
+        """RunError where bus time does not go on any more."""
+        if self.pacemaker is not None and self.pacemaker.poll() is not None:
+            raise RunError(f"the pacemaker ended with exit code {self.pacemaker.returncode}")
 
     def of(self, name: str) -> NodeClock:
         """The clock of a node of this process."""
@@ -188,11 +211,15 @@ def _clocks(run: LiveRun) -> Iterator[_Clocks]:
         PaceFile.create(path)
         command = [sys.executable, "-m", "meshpoint.bus.pace", str(path), "--speed", str(run.speed)]
         # It ends with its standard input, which leaving the block closes.
-        with subprocess.Popen(command, stdin=subprocess.PIPE):  # noqa: S603 (our own module)
-            yield _Clocks(run, path)
+        with subprocess.Popen(command, stdin=subprocess.PIPE) as pacemaker:  # noqa: S603 (ours)
+            clocks = _Clocks(run, path)
+            clocks.pacemaker = pacemaker
+            yield clocks
 
 
 Nodes = list["asyncio.subprocess.Process | asyncio.Task[object]"]
+NODE_NAMES = ("rig", "controller")
+"""In the order in which they are started."""
 
 
 async def _start_nodes(run: LiveRun, clocks: _Clocks, stop: asyncio.Event) -> Nodes:
@@ -228,16 +255,26 @@ async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
     )
 
 
-async def _until_heard(result: LiveResult, recorder: asyncio.Task[object], nodes: Nodes) -> None:
-    """Waits until both nodes are on the bus; the first start on a machine compiles for a while."""
-    waited_s = 0.0
+async def _until_heard(
+    result: LiveResult, recorder: asyncio.Task[object], nodes: Nodes, clocks: _Clocks
+) -> None:
+    """Waits until both nodes are on the bus; each is given a time to run, however long that takes
+    on this machine."""
+    own = [OwnTime() for _ in nodes]
     while result.monitor.status is None or not result.traces.series:
+        before_s = perf_counter()
         await asyncio.sleep(POLL_S)
-        waited_s += POLL_S
         _check(recorder)
         _check_nodes(nodes)
-        if waited_s > START_S:
-            raise CommandError(f"the nodes were not heard on the bus within {START_S:.0f} s")
+        clocks.check()
+        for node, time in zip(nodes, own, strict=True):
+            process = None if isinstance(node, asyncio.Task) else node.pid
+            passed_s = min(perf_counter() - before_s, 2 * POLL_S)
+            time.look(None if process is None else taken(process), passed_s)
+        missing = result.heard.missing()
+        late = [name for name, time in zip(NODE_NAMES, own, strict=True) if time.seconds > START_S]
+        if late and set(late) & set(missing or late):
+            raise RunError(not_started(missing or late))
 
 
 def _check(task: asyncio.Task[object]) -> None:
@@ -247,11 +284,11 @@ def _check(task: asyncio.Task[object]) -> None:
 
 
 def _check_nodes(nodes: Nodes) -> None:
-    for node in nodes:
+    for name, node in zip(NODE_NAMES, nodes, strict=True):
         if isinstance(node, asyncio.Task):
             _check(node)
         elif node.returncode is not None:
-            raise CommandError(f"a node ended by itself with exit code {node.returncode}")
+            raise RunError(f"{name} ended by itself with exit code {node.returncode}")
 
 
 async def _until_done(
@@ -259,19 +296,22 @@ async def _until_done(
     result: LiveResult,
     tasks: Sequence[asyncio.Task[object]],
     nodes: Nodes,
+    clocks: _Clocks,
 ) -> None:
     """Waits for the bench; gives up when a node has died or nothing happens any more."""
-    seen, quiet_s = 0, 0.0
+    seen, since_us = 0, clocks.bench.now_us()
     while not result.bench.done:
         await asyncio.sleep(POLL_S)
         for task in tasks:
             _check(task)
         _check_nodes(nodes)
-        rows = len(result.monitor.rows.rows)
-        quiet_s = 0.0 if rows != seen else quiet_s + POLL_S
-        seen = rows
-        if quiet_s > SILENCE_S / min(1.0, run.speed):
-            raise CommandError(f"no shift within {quiet_s:.0f} s: the nodes do not hear each other")
+        clocks.check()
+        now_us, rows = clocks.bench.now_us(), len(result.monitor.rows.rows)
+        result.heard.look(now_us)
+        if rows != seen:
+            seen, since_us = rows, now_us
+        if now_us - since_us > SILENCE_US:
+            raise RunError(no_shift(result.heard.silent(now_us), run.paced))
 
 
 async def _end_nodes(nodes: Nodes, stop: asyncio.Event) -> None:

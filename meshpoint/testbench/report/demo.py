@@ -26,7 +26,7 @@ def write_demo_report(
     results: dict[str, LiveResult],
     sessions: dict[str, Session],
 ) -> None:
-    """Writes the page; all by strategy. CommandError where plotly is missing."""
+    """Writes the page; all by strategy. CommandError where it cannot be written."""
     runs, hashes = [], {}
     for name, live in lives.items():
         notes = [f"{name}: replay of the log is {sessions[name]}"]

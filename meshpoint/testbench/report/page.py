@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from html import escape
 from typing import Any, Final
 
+from meshpoint.testbench.report.comparison import Group, cells, compare, explain
 from meshpoint.testbench.report.html import NUMBER, Cell, definitions, document, table, table_row
-from meshpoint.testbench.report.overview import shift_key, wilson
+from meshpoint.testbench.report.overview import shift_key
 from meshpoint.testbench.report.run import Report, ReportRun, account, figure, shift_title
-from meshpoint.testbench.results.rows import ShiftRow, Summary
+from meshpoint.testbench.results.rows import ShiftRow
 
 
 def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
@@ -18,7 +20,7 @@ def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
         f"<h1>{escape(report.title)}</h1>",
         f"<p>{escape(report.subtitle)}</p>",
         "<h2>Summary</h2>",
-        _summary(report.runs),
+        _summary(report),
         _notes(report.runs),
     ]
     if shifts:
@@ -29,6 +31,8 @@ def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
     return document(report.title, body, data, plotly_js, "report/report.js")
 
 
+FEW: Final = 30
+"""Shifts below which a share is little more than its interval."""
 OVERVIEW: Final = """<div class="overview">
 <div><h3>Where the teeth met: one point a shift</h3><div id="contacts"></div></div>
 <div><h3>Prediction against outcome, reference known</h3><div id="predictions"></div></div>
@@ -55,32 +59,30 @@ def _number(value: float | None, digits: int, signed: bool = False) -> Cell:
     return figure(value, digits, signed), NUMBER
 
 
-def _summary(runs: list[ReportRun]) -> str:
-    head = [("strategy", "")] + [
+def _summary(report: Report) -> str:
+    groups = compare({run.name: [shift.row for shift in run.shifts] for run in report.runs})
+    head: list[Cell] = [("shifts", ""), ("strategy", "")] + [
         (name, NUMBER)
         for name in (
-            "shifts", "engaged", "reference known", "into the gap", "rate", "95 % interval",
-            "phase error RMS, deg", "mean duration, ms",
+            "engaged", "into the gap", "95 % interval", "phase error RMS, deg", "mean duration, ms",
         )
     ]  # fmt: skip
-    return table(head, [f"<tr>{table_row(_summary_cells(run.summary))}</tr>\n" for run in runs])
+    rows = [f"<tr>{table_row(_summary_cells(group))}</tr>\n" for group in groups]
+    words = [*explain(groups, report.sheet), *_size(groups)]
+    return table(head, rows) + f"\n<p>{escape(' '.join(words))}</p>"
 
 
-def _summary_cells(summary: Summary) -> list[Cell]:
-    aims = summary.aims
-    hits, shots = (summary.gap_known, summary.known) if aims else (summary.gap, summary.shifts)
-    low, high = wilson(hits, shots)
-    return [
-        (summary.strategy, ""),
-        (str(summary.shifts), NUMBER),
-        (str(summary.engaged), NUMBER),
-        (str(summary.known), NUMBER),
-        (f"{hits} of {shots}", NUMBER),
-        (f"{100 * hits / shots:.0f} %" if shots else "–", NUMBER),
-        (f"{100 * low:.0f} to {100 * high:.0f} %" if shots else "–", NUMBER),
-        _number(summary.phase_error_rms_deg if aims else None, 2),
-        _number(summary.mean_duration_ms, 0),
-    ]
+def _summary_cells(group: Group) -> list[Cell]:
+    figures = [(cell, NUMBER) for cell in cells(group)]
+    return [(group.kind, ""), (group.strategy, ""), (str(group.engaged), NUMBER), *figures]
+
+
+def _size(groups: Sequence[Group]) -> list[str]:
+    """Says so where the shifts are too few for a rate."""
+    fewest = min((group.shifts for group in groups), default=0)
+    if not groups or fewest >= FEW:
+        return []
+    return [f"Small sample: with fewer than {FEW} shifts in a row, only its interval is meant."]
 
 
 SHIFT_HEAD: Final = [

@@ -8,7 +8,6 @@ from typing import Any
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN, Sleeve
-from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.testbench.results.traces import Traces
 
@@ -20,11 +19,9 @@ SLEEVE_NAME = {
 
 
 def plot_shift(path: Path, traces: Traces, row: ShiftRow, sheet: GearboxSheet) -> None:
-    """Draws the shift of `row` into a PNG. CommandError where the plot extra is missing."""
-    try:
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise CommandError("a plot needs the extra: pip install 'meshpoint[plot]'") from error
+    """Draws the shift of `row` into a PNG."""
+    from matplotlib.figure import Figure  # loading it takes longer than most commands
+
     start, end = traces.time_s(row.request_us), traces.time_s(row.end_us)
     window = (start - BEFORE_S, end + AFTER_S)
     figure = Figure(figsize=(10, 9), layout="constrained")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.report.collect import ReportShift
-from meshpoint.testbench.results.rows import DEG, RPM, Summary, summarise
+from meshpoint.testbench.results.rows import DEG, RPM
 
 
 @dataclass(frozen=True)
@@ -16,11 +16,6 @@ class ReportRun:
     name: str
     shifts: list[ReportShift]
     notes: list[str] = field(default_factory=list)
-
-    @property
-    def summary(self) -> Summary:
-        """What its rows come to."""
-        return summarise(self.name, [shift.row for shift in self.shifts])
 
 
 @dataclass(frozen=True)

@@ -21,25 +21,11 @@ from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.results.output import check_writable, folder_for
 from meshpoint.testbench.results.rows import is_aimed
 
-EXTRA = "a report needs the extra: pip install 'meshpoint[report]'"
-
-
-def has_plotly() -> bool:
-    """Whether the extra `report` is installed."""
-    try:
-        import plotly.offline  # noqa: F401
-    except ImportError:
-        return False
-    return True
-
 
 def check_report(path: Path | None) -> None:
     """Finds out before a long run whether its report can be made. CommandError where it cannot."""
-    if path is None:
-        return
-    if not has_plotly():
-        raise CommandError(EXTRA)
-    check_writable(str(path))
+    if path is not None:
+        check_writable(str(path))
 
 
 def report_provenance(
@@ -82,11 +68,9 @@ def estimator_notes(name: str, figures: dict[str, Any]) -> list[str]:
 
 
 def write_report(path: Path, report: Report) -> None:
-    """Writes the page. CommandError where plotly is missing or the file cannot be written."""
-    try:
-        from plotly.offline import get_plotlyjs
-    except ImportError as error:
-        raise CommandError(EXTRA) from error
+    """Writes the page. CommandError where it cannot be written."""
+    from plotly.offline import get_plotlyjs  # loading it takes longer than most commands
+
     text = page(report, report_data(report), get_plotlyjs())
     folder_for(path.parent)
     try:

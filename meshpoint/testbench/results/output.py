@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.results.rows import ShiftRow, Summary
+from meshpoint.testbench.results.rows import ShiftRow
 
 WIDTH_WITHOUT_TERMINAL = 130
 COLUMNS = (
@@ -131,29 +131,4 @@ def rows_table(title: str, rows: list[ShiftRow]) -> Table:
         )
     for row in rows:
         table.add_row(*cells(row))
-    return table
-
-
-def summary_table(summaries: list[Summary]) -> Table:
-    """Strategies side by side."""
-    table = Table(title="summary", title_justify="left", box=None, pad_edge=False)
-    for column in (
-        "strategy", "shifts", "reference known", "into the gap", "rate", "phase error RMS deg",
-        "mean duration ms",
-    ):  # fmt: skip
-        left = column == "strategy"
-        table.add_column(column, justify="left" if left else "right", no_wrap=left)
-    for summary in summaries:
-        aims = summary.aims
-        hits, shots = (summary.gap_known, summary.known) if aims else (summary.gap, summary.shifts)
-        rate = summary.gap_rate
-        table.add_row(
-            broken(summary.strategy),
-            str(summary.shifts),
-            str(summary.known),
-            f"{hits} of {shots}",
-            "-" if rate is None else f"{100 * rate:.0f} %",
-            _number(summary.phase_error_rms_deg if aims else None, 2),
-            _number(summary.mean_duration_ms, 0),
-        )
     return table

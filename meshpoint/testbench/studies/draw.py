@@ -17,18 +17,8 @@ from meshpoint.testbench.results.output import folder_for
 from meshpoint.testbench.studies.record import DIGITS, Chart, Finding, Line, Panel, Style, Table
 
 COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE, INK, "#e69f00", "#56b4e9", GREY)
-EXTRA: Final = "studies need the extras: pip install 'meshpoint[plot,report]'"
 WIDTH_IN, PANEL_IN, DPI = 9.0, 3.1, 100
 MOST_DECADES, WRAP = 4, 18
-
-
-def check_extras() -> None:
-    """CommandError where a study could not be drawn."""
-    try:
-        import matplotlib.figure  # noqa: F401
-        import plotly.offline  # noqa: F401
-    except ImportError as error:
-        raise CommandError(EXTRA) from error
 
 
 def write_files(finding: Finding, folder: Path) -> list[str]:

@@ -1,0 +1,33 @@
+"""Who is told of what the cache of compiled kernels does. Loads nothing: any command may."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Final
+
+
+def _say(line: str) -> None:
+    sys.stderr.write(f"meshpoint: {line}\n")
+    sys.stderr.flush()
+
+
+class Watch:
+    """What a command may set to show it."""
+
+    say: Callable[[str], None] = staticmethod(_say)
+    """A line for people: where kernels are kept when not beside their sources, what was damaged."""
+    compiling: Callable[[str], None] = staticmethod(lambda _package: None)
+    """A kernel of this package is about to be compiled, which takes a second or many."""
+
+    def __init__(self) -> None:
+        self._said: set[str] = set()
+
+    def once(self, line: str) -> None:
+        """Says a line once a process."""
+        if line not in self._said:
+            self._said.add(line)
+            self.say(line)
+
+
+WATCH: Final = Watch()

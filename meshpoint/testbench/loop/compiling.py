@@ -1,0 +1,114 @@
+"""Compiles the kernels before a run needs them: once, both sides at a time, in sight.
+
+The nodes of a run, and the workers of a campaign, then load what is on disk instead of each
+compiling the same for itself.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import threading
+from collections import Counter
+from time import perf_counter
+from typing import IO, Final
+
+from meshpoint.kernel_watch import WATCH
+
+EVERY_S: Final = 5.0
+"""Between two lines where they do not overwrite each other."""
+
+
+class Progress:
+    """Lines on standard error while kernels are compiled; none where all are on disk."""
+
+    def __init__(self, out: IO[str] | None = None, rewrites: bool | None = None) -> None:
+        """rewrites: one line over and over (default: on a terminal), else now and then a line."""
+        self._out = sys.stderr if out is None else out
+        self._begun_s = self._said_s = perf_counter()
+        self._rewrites = self._out.isatty() if rewrites is None else rewrites
+        self._counts: Counter[str] = Counter()
+        self._lock = threading.Lock()
+
+    @property
+    def compiled(self) -> int:
+        """How many kernels were not on disk."""
+        return self._counts.total()
+
+    def count(self, package: str) -> None:
+        """A kernel of this package is about to be compiled."""
+        with self._lock:
+            self._counts[package] += 1
+            now_s = perf_counter()
+            if self.compiled == 1:
+                self._say("compiling kernels, once on this machine: about half a minute")
+            elif self._rewrites or now_s - self._said_s > EVERY_S:
+                self._say(self._line(now_s))
+
+    def close(self) -> None:
+        """All are there."""
+        if self.compiled:
+            self._say(self._line(perf_counter()) + ", done")
+            if self._rewrites:
+                self._out.write("\n")
+
+    def _line(self, now_s: float) -> str:
+        each = ", ".join(f"{package} {count}" for package, count in sorted(self._counts.items()))
+        return f"compiling kernels: {each}, {now_s - self._begun_s:.0f} s"
+
+    def _say(self, line: str) -> None:
+        self._said_s = perf_counter()
+        self._out.write(f"\r\033[K{line}" if self._rewrites else line + "\n")
+        self._out.flush()
+
+
+def prepare() -> int:
+    """Loads the controller's kernels here and has the rig's compiled beside, where they are not on
+    disk; shows how far it is. Returns how many had to be compiled."""
+    if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        return 0
+    progress = Progress()
+    command = [sys.executable, "-m", "meshpoint.testbench.loop.compiling"]
+    before = WATCH.compiling
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as rig:  # noqa: S603 (ours)
+        reader = threading.Thread(target=_follow, args=(rig.stdout, progress))
+        reader.start()
+        WATCH.compiling = progress.count
+        try:
+            from meshpoint.controller.warm_up import warm_up
+
+            warm_up()
+        except BaseException:
+            rig.kill()
+            raise
+        finally:
+            WATCH.compiling = before
+            reader.join()
+    progress.close()
+    return progress.compiled
+
+
+def _follow(lines: IO[str] | None, progress: Progress) -> None:
+    for line in lines or ():
+        progress.count(line.strip())
+
+
+def main() -> int:
+    """`python -m meshpoint.testbench.loop.compiling`: compiles the rig's kernels, one line for
+    each."""
+    from meshpoint.gearbox import load_sheet
+    from meshpoint.rig_sim.presets import build_world
+    from meshpoint.rig_sim.settings import RigSettings
+
+    def tell(package: str) -> None:
+        sys.stdout.write(package + "\n")
+        sys.stdout.flush()
+
+    WATCH.compiling = tell
+    build_world(load_sheet("truck12"), RigSettings())
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,112 @@
+"""The demo's summary: learning apart from aiming, strategies over the same shifts of the plan."""
+
+from __future__ import annotations
+
+import pytest
+from rich.console import Console
+
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.testbench.campaign.figures import frontier
+from meshpoint.testbench.loop.simulate import Setup, simulate
+from meshpoint.testbench.report.collect import ReportCollector
+from meshpoint.testbench.report.comparison import (
+    AIMED,
+    LEARNING,
+    compare,
+    comparison_table,
+    explain,
+)
+from meshpoint.testbench.report.page import page
+from meshpoint.testbench.report.run import Report, Run
+from meshpoint.testbench.results.rows import ShiftRow
+
+SHEET = load_sheet("truck12")
+
+
+def row(
+    strategy: str, gears: tuple[int, int], reference: str, contact: str | None, ms: float
+) -> ShiftRow:
+    return ShiftRow(
+        from_=gears[0], to=gears[1], strategy=strategy, reference=reference, result="engaged",
+        duration_ms=ms, slip_rpm=1.0, phase_error_deg=0.5 if contact else None, pitch_deg=7.5,
+        contact=contact, attempts=1, predicted_phase_deg=None, predicted_phase_sd_deg=None,
+        delay_ms=None, request_us=0, contact_us=None, end_us=0, fault="none",
+    )  # fmt: skip
+
+
+def window(*known: str) -> list[ShiftRow]:
+    rows = [row("speed_window", (8, 10), "unknown", "gap", 900.0)]
+    return rows + [row("speed_window", (8, 10), "known", each, 500.0) for each in known]
+
+
+def aimed(*known: str) -> list[ShiftRow]:
+    rows = [row("speed_window", (8, 10), "unknown", "tooth", 800.0)]
+    return rows + [row("target_phase", (8, 10), "known", each, 400.0) for each in known]
+
+
+def test_both_strategies_have_the_same_shifts() -> None:
+    groups = compare(
+        {"speed_window": window("gap", "tooth", "tooth"), "target_phase": aimed(*["gap"] * 3)}
+    )
+    assert [(g.kind, g.strategy, g.gap, g.shifts) for g in groups] == [
+        (LEARNING, "speed_window", 1, 1),
+        (LEARNING, "target_phase", 0, 1),
+        (AIMED, "speed_window", 1, 3),
+        (AIMED, "target_phase", 3, 3),
+    ]
+    assert [g.mean_duration_ms for g in groups] == [900.0, 800.0, 500.0, 400.0]
+    assert [g.phase_error_rms_deg for g in groups] == [None, None, None, 0.5]
+
+
+def test_a_shift_known_to_one_run_alone_is_not_compared_as_aimed() -> None:
+    late = [row("target_phase", (8, 10), "unknown", "tooth", 700.0), *aimed("gap")]
+    groups = compare({"speed_window": window("gap", "gap"), "target_phase": late})
+    assert [(g.kind, g.shifts) for g in groups] == [
+        (LEARNING, 2), (LEARNING, 2), (AIMED, 1), (AIMED, 1),
+    ]  # fmt: skip
+
+
+def test_contacts_that_nobody_knows_are_no_misses() -> None:
+    (group,) = compare({"speed_window": [row("speed_window", (8, 10), "known", None, 1.0)] * 2})
+    assert group.contacts == 0
+    console = Console(width=80, record=True, file=None)
+    with console.capture() as captured:
+        console.print(comparison_table([group]))
+    assert "0 of 2" not in captured.get()
+
+
+def test_the_summary_fits_80_columns_and_says_what_luck_does() -> None:
+    groups = compare(
+        {"speed_window": window(*["tooth"] * 60), "target_phase": aimed(*["gap"] * 60)}
+    )
+    console = Console(width=80)
+    with console.capture() as captured:
+        console.print(comparison_table(groups))
+        for line in explain(groups, SHEET):
+            console.print(line)
+    text = captured.get()
+    assert "…" not in text and all(len(line) <= 80 for line in text.splitlines())
+    assert "60 of 60" in text and "0 of 60" in text
+    assert "in 20 % of shifts: gap over pitch" in text
+
+
+def test_the_page_has_the_same_groups_the_luck_and_a_word_on_few_shifts() -> None:
+    setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=1, shifts=8)
+    collector = ReportCollector(SHEET)
+    simulate(setup, lambda _time_us, frame: collector.receive(frame))
+    run = Run("target_phase", collector.finish())
+    groups = compare({run.name: [shift.row for shift in run.shifts]})
+    assert {group.kind for group in groups} == {LEARNING, AIMED}
+    text = page(Report("few", "", SHEET, [run], {}), {}, "")
+    for group in groups:
+        assert f"{group.gap} of {group.shifts}" in text
+    assert "gap over pitch" in text and "Small sample" in text
+
+
+@pytest.mark.parametrize(("points", "mode"), [(1, "markers"), (2, "markers"), (3, "lines+markers")])
+def test_no_line_is_drawn_through_two_points(points: int, mode: str) -> None:
+    strategies = {"a": {"duration_ms_mean": 400.0, "impact_j_mean": 1.0}}
+    figure = frontier([(str(k), strategies) for k in range(points)], ("a",))
+    assert figure["data"][0]["mode"] == mode

@@ -1,0 +1,194 @@
+"""Compiled kernels are kept by what they depend on; no file that is wrong ends a run."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import numba
+import pytest
+
+from meshpoint import kernel_cache
+from meshpoint.kernel_cache import KernelCache, digest_of
+from meshpoint.kernel_watch import Watch
+
+pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled here")
+KERNELS = {
+    "controller": "from meshpoint.controller.planning.plan_kernels import contact_cost, cheapest\n"
+    "import numpy as np\n"
+    "print(cheapest(np.ones(1), np.ones(1), np.ones(4), np.ones(13), 0.1)[0])",
+    "rig_sim": "from meshpoint.rig_sim.shared.angle_kernels import wrapped\n"
+    "print(wrapped(0.75, 1.0))",
+}
+
+
+def run(script: str, cache: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", script],
+        env={**os.environ, "NUMBA_CACHE_DIR": str(cache)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("package", KERNELS)
+def test_a_damaged_cache_is_said_and_made_again(package: str, tmp_path: Path) -> None:
+    first = run(KERNELS[package], tmp_path)
+    assert first.returncode == 0, first.stderr
+    kept = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert kept
+    for path in kept:
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    second, third = run(KERNELS[package], tmp_path), run(KERNELS[package], tmp_path)
+    assert second.returncode == third.returncode == 0, second.stderr
+    assert first.stdout == second.stdout == third.stdout
+    assert "damaged" in second.stderr and len(second.stderr.splitlines()) == len(kept)
+    assert third.stderr == ""
+
+
+@pytest.fixture
+def said(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    lines: list[str] = []
+    watch = Watch()
+    watch.say = lines.append
+    monkeypatch.setattr(kernel_cache, "WATCH", watch)
+    return lines
+
+
+def doubled(places: tuple[Path, ...]) -> Any:
+    @numba.njit  # type: ignore[untyped-decorator,unused-ignore]
+    def double(x: float) -> float:
+        return 2.0 * x
+
+    double._cache = KernelCache(double, places)
+    return double
+
+
+def test_a_folder_that_cannot_be_written_is_passed_over(tmp_path: Path, said: list[str]) -> None:
+    in_the_way, own = tmp_path / "file", tmp_path / "own"
+    in_the_way.write_text("not a folder")
+    assert doubled((in_the_way / "cache", own))(2.0) == 4.0
+    assert len(list(own.iterdir())) == 1
+    assert len(said) == 1 and str(own) in said[0]
+    again = doubled((in_the_way / "cache", own))
+    assert again(3.0) == 6.0
+    assert sum(again.stats.cache_hits.values()) == 1 and len(said) == 1
+
+
+def test_with_nowhere_to_keep_kernels_it_goes_on_and_says_so(
+    tmp_path: Path, said: list[str]
+) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    kernel = doubled((tmp_path / "file" / "a", tmp_path / "file" / "b"))
+    assert kernel(2.0) == 4.0 and kernel(2) == 4.0
+    assert len(said) == 1 and "NUMBA_CACHE_DIR" in said[0]
+
+
+def test_a_read_only_folder_that_holds_the_kernels_is_enough(
+    tmp_path: Path, said: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    doubled((tmp_path,))(2.0)
+
+    def refuse(*_arguments: Any) -> None:
+        raise PermissionError(13, "read-only")
+
+    monkeypatch.setattr(kernel_cache._Files, "save", refuse)
+    kernel = doubled((tmp_path,))
+    assert kernel(2.0) == 4.0
+    assert sum(kernel.stats.cache_hits.values()) == 1 and said == []
+
+
+def test_a_flipped_bit_is_found_before_the_code_is_run(tmp_path: Path, said: list[str]) -> None:
+    doubled((tmp_path,))(2.0)
+    (entry,) = tmp_path.iterdir()
+    raw = bytearray(entry.read_bytes())
+    raw[len(raw) // 2] ^= 4
+    entry.write_bytes(raw)
+    kernel = doubled((tmp_path,))
+    assert kernel(2.0) == 4.0
+    assert sum(kernel.stats.cache_misses.values()) == 1
+    assert said == [f"{entry}: damaged, compiled again"]
+
+
+SOURCE = """
+import math
+from numba import njit
+
+SCALE = 2.0
+TABLE = (1, 2)
+
+@njit
+def piece(x):
+    return x * SCALE
+
+def of(offset):
+    @njit
+    def kernel(x):
+        return piece(x) + math.exp(TABLE[0]) + offset
+    return kernel
+
+kernel = of(1.0)
+"""
+
+
+def digest(source: str) -> str:
+    module = types.ModuleType("made")
+    exec(source, module.__dict__)
+    return digest_of(module.kernel.py_func)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        ("SCALE = 2.0", "SCALE = 2.5"),
+        ("TABLE = (1, 2)", "TABLE = (1, 3)"),
+        ("return x * SCALE", "return SCALE - x"),
+        ("math.exp", "math.log"),
+        ("of(1.0)", "of(1.5)"),
+        ("@njit\ndef piece", "@njit(fastmath=True)\ndef piece"),
+    ],
+)
+def test_every_change_behind_a_kernel_is_another_entry(before: str, after: str) -> None:
+    assert before in SOURCE
+    assert digest(SOURCE.replace(before, after)) != digest(SOURCE)
+
+
+def test_what_a_kernel_does_not_use_is_no_other_entry() -> None:
+    assert digest(SOURCE) == digest("# moved\n\n" + SOURCE + "\nOTHER = 3\n")
+
+
+def test_what_cannot_be_followed_is_refused() -> None:
+    module = types.ModuleType("made")
+    exec("THING = object()\ndef kernel():\n    return THING\n", module.__dict__)
+    with pytest.raises(TypeError, match="whose changes nobody would see"):
+        digest_of(module.kernel)
+
+
+@pytest.mark.parametrize(
+    "module",
+    ["meshpoint.controller.estimation.crossing_kernels", "meshpoint.rig_sim.truck.kernels"],
+)
+def test_the_digest_is_the_same_in_every_process(module: str) -> None:
+    name = {
+        "meshpoint.controller.estimation.crossing_kernels": "crossing_filter",
+        "meshpoint.rig_sim.truck.kernels": "advance",
+    }
+    script = (
+        f"from {module} import {name[module]} as kernel\n"
+        "from meshpoint.kernel_cache import digest_of\nprint(digest_of(kernel))"
+    )
+    before = "import meshpoint.controller.warm_up, meshpoint.rig_sim.presets\n"
+    seen = [
+        subprocess.run(
+            [sys.executable, "-c", text],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True, text=True, check=True,
+        ).stdout
+        for text, seed in ((script, "1"), (before + script, "2"))
+    ]  # fmt: skip
+    assert seen[0] == seen[1] and len(seen[0]) == 65

@@ -1,0 +1,65 @@
+"""The demo's limits: which side was late is said, and the run has failed, not its arguments."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import can
+import pytest
+
+from meshpoint.bus.local.register import register_interface
+from meshpoint.controller.header import new_header
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import RigSettings
+from meshpoint.testbench.cli import main
+from meshpoint.testbench.errors import RunError
+from meshpoint.testbench.loop import live
+from meshpoint.testbench.loop.live import LiveRun, run_live
+
+SHEET = load_sheet("truck12")
+
+
+def a_run(folder: Path) -> LiveRun:
+    register_interface()
+    channel = f"unix:{folder / 'bus.sock'}"
+    return LiveRun(
+        header=new_header("0", SHEET, ControllerSettings()),
+        rig=RigSettings(),
+        plan=[],
+        log=folder / "run.log",
+        open_bus=lambda: can.Bus(interface="meshpoint", channel=channel),
+        speed=1.0,
+        in_process=False,
+    )
+
+
+def nodes_that(script: str) -> object:
+    async def spawn(_arguments: Sequence[str]) -> asyncio.subprocess.Process:
+        return await asyncio.create_subprocess_exec(sys.executable, "-c", script)
+
+    return spawn
+
+
+def test_nodes_that_say_nothing_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "_spawn", nodes_that("import time; time.sleep(1e6)"))
+    monkeypatch.setattr(live, "START_S", 1.0)
+    with pytest.raises(RunError, match=r"rig and controller not heard .* start it by hand"):
+        asyncio.run(run_live(a_run(tmp_path)))
+
+
+def test_a_node_that_ends_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "_spawn", nodes_that("raise SystemExit(7)"))
+    with pytest.raises(RunError, match="ended by itself with exit code 7"):
+        asyncio.run(run_live(a_run(tmp_path)))
+
+
+def test_a_run_that_failed_ends_with_1(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(live, "_spawn", nodes_that("raise SystemExit(7)"))
+    assert main(["demo", "--shifts", "1", "--out", str(tmp_path / "out")]) == 1
+    assert "ended by itself" in capsys.readouterr().err

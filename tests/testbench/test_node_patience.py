@@ -1,0 +1,96 @@
+"""A quiet node is waited for by its own time and by bus time, never by the wall clock."""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+import time
+
+import pytest
+
+from meshpoint.testbench.loop.compiling import Progress
+from meshpoint.testbench.loop.node_patience import (
+    QUIET_US,
+    SILENCE_US,
+    Heard,
+    OwnTime,
+    Taken,
+    no_shift,
+    not_started,
+    taken,
+)
+
+
+def test_a_node_without_a_processor_is_given_more_time() -> None:
+    own = OwnTime()
+    for _ in range(1000):
+        own.look(Taken(1.0, "R"), 0.05)
+    assert own.seconds == pytest.approx(0.05)  # the first look has nothing to compare with
+
+
+def test_a_node_that_works_is_charged_what_it_used() -> None:
+    own = OwnTime()
+    for k in range(101):
+        own.look(Taken(0.01 * k, "R"), 0.05)
+    assert own.seconds == pytest.approx(0.05 + 1.0)
+
+
+def test_a_node_that_asks_for_no_processor_hangs_and_is_charged_all() -> None:
+    own = OwnTime()
+    for _ in range(100):
+        own.look(Taken(1.0, "S"), 0.05)
+    assert own.seconds == pytest.approx(5.0)
+
+
+def test_where_the_system_does_not_tell_all_time_counts() -> None:
+    own = OwnTime()
+    for _ in range(100):
+        own.look(None, 0.05)
+    assert own.seconds == pytest.approx(5.0)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux tells what a process has had")
+def test_the_kernel_tells_what_a_process_has_had() -> None:
+    before = taken(os.getpid())
+    begun_s = time.process_time()
+    while time.process_time() - begun_s < 0.1:
+        pass
+    after = taken(os.getpid())
+    assert before is not None and after is not None
+    assert after.processor_s > before.processor_s
+    assert taken(2**22 + 1) is None
+
+
+def test_the_side_that_is_silent_is_named() -> None:
+    heard = Heard()
+    assert heard.missing() == ["rig", "controller"]
+    heard.frames["rig"] = 1
+    assert heard.missing() == ["controller"]
+    for now_us in range(0, 2 * QUIET_US, 10_000):
+        heard.frames["rig"] += 1
+        heard.frames["controller"] += now_us == 0
+        heard.look(now_us)
+    assert heard.silent(2 * QUIET_US) == ["controller"]
+
+
+def test_a_limit_that_runs_out_says_which_side_and_what_to_do() -> None:
+    assert "controller not heard" in not_started(["controller"])
+    assert "meshpoint controller" in not_started(["controller"])
+    assert f"{SILENCE_US // 1_000_000} s of bus time: rig silent" in no_shift(["rig"], paced=True)
+    assert "--wall-clock" in no_shift([], paced=False)
+    assert "--wall-clock" not in no_shift([], paced=True)
+
+
+def test_compiling_is_shown_and_nothing_without_it() -> None:
+    out = io.StringIO()
+    progress = Progress(out)
+    progress.close()
+    assert out.getvalue() == ""
+    progress.count("rig_sim")
+    progress.count("controller")
+    progress.close()
+    lines = out.getvalue().splitlines()
+    assert lines[0].startswith("compiling kernels, once on this machine")
+    assert "controller 1, rig_sim 1" in lines[-1] and lines[-1].endswith("done")
+    assert progress.compiled == 2
