@@ -31,11 +31,11 @@ from meshpoint.controller.motion.models import diagonal, first_order_law, free_m
 from meshpoint.controller.records import Memory
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import Split, load_sheet
+from meshpoint.units import US
 
 EDGES, BATCH = 160, 16
 PASSES = 200
 """About as long as the peer's one."""
-US = 1e-6
 W = np.array([0.009, 20.0, 1e5])
 R = 1.2e-7
 

@@ -40,8 +40,8 @@ from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.motion import rates
 from meshpoint.rig_sim.truck.step import step
 from meshpoint.rig_sim.truck.world import TruckWorld
+from meshpoint.units import RPM
 
-RPM = np.pi / 30.0
 TEETH = 40
 LAYSHAFT_RPM = 1000.0
 FIXED = {"vehicle.slope_percent": 0.0, "clutch.kiss": 1.0}

@@ -19,12 +19,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from meshpoint.controller.settings import RPM, ControllerSettings, Window
+from meshpoint.controller.settings import ControllerSettings, Window
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.campaign.spec import SEEDS_APART
+from meshpoint.units import RPM
 
 TUNING_SEED: Final = 100
 LEARN, JUDGED = 4, 2

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -21,9 +20,8 @@ from meshpoint.gearbox.tables import (
     read_group,
     text,
 )
+from meshpoint.units import DEG, RPM
 
-RPM: Final = 2.0 * math.pi / 60.0
-DEG: Final = math.pi / 180.0
 MS_IN_US: Final = 1000
 
 STRATEGY_NAMES: Final = {value.name.lower(): value for value in Strategy}

@@ -25,7 +25,6 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.messages import MainGear as WireGear
 from meshpoint.gearbox.gears import Sleeve
-from meshpoint.gearbox.sheet import RPM
 from meshpoint.rig_sim.settings import CLOCK_MODULUS
 from meshpoint.rig_sim.shared.angle_kernels import TAU
 from meshpoint.rig_sim.shared.angles import Angle
@@ -33,6 +32,7 @@ from meshpoint.rig_sim.shared.edge_ring import ENCODER_MODULUS, ENCODER_STEPS_PE
 from meshpoint.rig_sim.shared.engagement import Engaged
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
 from meshpoint.rig_sim.shared.world import RigWorld, SensorRead
+from meshpoint.units import RPM
 
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 EDGES: Final[tuple[type[Message], ...]] = (

@@ -6,7 +6,6 @@ here and in the units of their keys in the file (docs/calibration.md).
 
 from __future__ import annotations
 
-import math
 import tomllib
 from dataclasses import dataclass, fields
 from typing import Any, Final, Generic, TypeVar
@@ -24,14 +23,11 @@ from meshpoint.gearbox.tables import (
     read_group,
     text,
 )
+from meshpoint.units import BAR, DEG, MS, RPM
 
 Record = TypeVar("Record")
 
 FORMAT: Final = 1
-DEG: Final = math.pi / 180.0
-MS: Final = 1e-3
-BAR: Final = 1e5
-RPM: Final = math.pi / 30.0
 MOST_SHIFTS: Final = 1_000_000_000
 PITCH_SHARE: Final = 0.25
 """A tooth's place is wrong by less than this share of a pitch, or it is another wheel's."""

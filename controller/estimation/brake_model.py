@@ -20,10 +20,11 @@ import numpy as np
 
 from meshpoint.controller.calibration.learned import BrakeRecord
 from meshpoint.controller.estimation.brake_kernels import pressure_course
-from meshpoint.controller.motion.kernels import PRESSURE, SEGMENTS, STATES, US
+from meshpoint.controller.motion.kernels import PRESSURE, SEGMENTS, STATES
 from meshpoint.controller.motion.models import MotionModel
 from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.units import US
 
 EMPTYING: Final = (0.0, 0.08, 0.28, 0.6, 1.0)
 FILLING: Final = (0.0, 0.3, 0.6, 0.85, 1.0)

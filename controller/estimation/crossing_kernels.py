@@ -43,7 +43,6 @@ from meshpoint.controller.motion.kernels import (
     PRESSURE,
     STATES,
     THETA,
-    US,
     Step,
     input_at,
     longest_in_segment,
@@ -53,6 +52,7 @@ from meshpoint.controller.motion.kernels import (
     transition,
 )
 from meshpoint.controller.records import Vector
+from meshpoint.units import US
 
 LEAST_GAIN: Final = 0.2
 SHORT_S: Final = 2e-3

@@ -7,10 +7,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.motion.linear_kernels import CRUISE_FILTER, US, cruise_filter
+from meshpoint.controller.motion.linear_kernels import CRUISE_FILTER, cruise_filter
 from meshpoint.controller.records import Memory
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CruiseFilter
+from meshpoint.units import US
 
 SPEED_WINDOW_US = 10_000
 """The production speed's window: one read of the arrays (thesis 2.5)."""

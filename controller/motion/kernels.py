@@ -25,6 +25,7 @@ import numpy as np
 
 from meshpoint.controller.jit import compiled, inlined
 from meshpoint.controller.records import WORD, Over, Records, Vector, layout_of
+from meshpoint.units import US
 
 STATES: Final = 6
 THETA: Final = 0
@@ -98,7 +99,6 @@ MODEL: Final = layout_of(Model)
 STEP: Final = layout_of(Step)
 STEP_WORDS: Final = STEP.itemsize // WORD
 
-US: Final = 1e-6
 LONGEST_S: Final = 5e-3
 """Within this step the process noise of `spread_over` is good to 2 %."""
 CLOSE: Final = 1e-6

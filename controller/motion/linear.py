@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshpoint.controller.motion.linear_kernels import LINEAR, US, Vector, propagate
+from meshpoint.controller.motion.linear_kernels import LINEAR, Vector, propagate
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.controller.records import filled
 from meshpoint.gearbox import GearboxSheet, Split
+from meshpoint.units import US
 
 
 def layshaft_model(sheet: GearboxSheet, split: Split) -> Vector:

@@ -24,10 +24,9 @@ import numpy as np
 from meshpoint.controller import records
 from meshpoint.controller.jit import compiled, inlined
 from meshpoint.controller.records import WORD, Over, layout_of
+from meshpoint.units import US
 
 Vector = records.Vector
-
-US: Final = 1e-6
 
 
 class Linear:

@@ -15,12 +15,13 @@ import numpy as np
 from meshpoint.controller.estimation.cruise import ShaftState
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kinematics import slip_rad_s
-from meshpoint.controller.motion.linear_kernels import US, Vector
+from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import LayshaftState, MotionModel, predict, predict_spread
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.plan_kernels import MEETING, course
 from meshpoint.controller.records import filled
 from meshpoint.gearbox import MainGear
+from meshpoint.units import US
 
 MOST_STEPS = 40
 LEAST_ROOT_SHARE = 1e-3

@@ -19,8 +19,9 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.jit import compiled, inlined
-from meshpoint.controller.motion.kernels import MODEL, STATE, STATES, US, travel
+from meshpoint.controller.motion.kernels import MODEL, STATE, STATES, travel
 from meshpoint.controller.records import WORD, Vector, filled, layout_of
+from meshpoint.units import US
 
 
 class Meeting:

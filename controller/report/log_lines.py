@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from typing import Final
 
 from meshpoint.controller.planning.strategist import Plan
 from meshpoint.dbc.messages import ShiftDecision
+from meshpoint.units import DEG, RPM
 
-RPM: Final = math.pi / 30.0
-DEG: Final = math.pi / 180.0
 MS_US: Final = 1000.0
 LINES: Final = {
     ShiftDecision.BRAKE: "brake: contact planned in {contact:.0f} ms, at {slip:.1f} rpm",

@@ -23,9 +23,8 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.units import DEG, RPM
 
-DEG: Final = math.pi / 180.0
-RPM: Final = math.pi / 30.0
 TURNS: Final = 256 * 2.0 * math.pi
 """Angles on the wire are modulo 256 turns."""
 ANGLE_TOP: Final = TURNS * (1.0 - 2.0**-33)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 from meshpoint.gearbox.gears import DRIVE_GEARS, MAIN_GEARS, DriveGear, Range, Split
 from meshpoint.gearbox.sheet import GearboxSheet, Mesh
-
-RPM: Final = 2.0 * math.pi / 60.0
+from meshpoint.units import RPM
 
 
 @dataclass(frozen=True)

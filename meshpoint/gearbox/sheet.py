@@ -34,11 +34,8 @@ from meshpoint.gearbox.tables import (
     text,
     to_table,
 )
+from meshpoint.units import BAR, MM, MS, RPM
 
-RPM: Final = 2.0 * math.pi / 60.0
-BAR: Final = 1e5
-MS: Final = 1e-3
-MM: Final = 1e-3
 SHEET_NAMES: Final = ("thesis", "truck12")
 LEAST_RUN: Final = 6
 """Teeth in a row that a sensor wheel needs somewhere, to see its speed."""

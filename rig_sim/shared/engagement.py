@@ -17,11 +17,12 @@ from typing import Final, Generic, NamedTuple, TypeVar
 
 from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
-from meshpoint.gearbox.sheet import RPM, GearboxSheet
+from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.shared.rotation import Rotation
 from meshpoint.rig_sim.shared.sleeves import Sleeve as SleeveAxis
 from meshpoint.rig_sim.shared.sleeves import SleeveState
 from meshpoint.rig_sim.shared.valve_drivers import Valve
+from meshpoint.units import RPM
 
 MAIN_VALVES: Final[dict[Valve, MainGear]] = {
     Valve.MAIN_FIRST: MainGear.FIRST,

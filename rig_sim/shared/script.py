@@ -23,11 +23,12 @@ from meshpoint.gearbox.gears import (
     Sleeve,
     Split,
 )
-from meshpoint.gearbox.sheet import RPM, GearboxSheet
+from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.settings import RETURN_RAMP_S
 from meshpoint.rig_sim.shared.engagement import Engagement
 from meshpoint.rig_sim.shared.rotation import Rotation
-from meshpoint.rig_sim.shared.sleeves import NEVER_US, SECOND_US, ShiftingSleeve, SleeveState
+from meshpoint.rig_sim.shared.sleeves import NEVER_US, ShiftingSleeve, SleeveState
+from meshpoint.units import RPM, SECOND_US
 
 RELEASE_S: Final = 0.060
 SLIP_RAD_S: Final = 20.0 * RPM

@@ -28,8 +28,8 @@ from enum import IntEnum
 from typing import Final, NamedTuple, Protocol
 
 from meshpoint.gearbox.sheet import SleeveActuator
+from meshpoint.units import SECOND_US
 
-SECOND_US: Final = 1e6
 HISTORY_US: Final = 10_000.0
 NEVER_US: Final = math.inf
 

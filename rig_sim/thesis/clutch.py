@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.gearbox.sheet import RPM, Clutch
+from meshpoint.gearbox.sheet import Clutch
 from meshpoint.rig_sim.shared.valve_drivers import EXPIRY_US
+from meshpoint.units import RPM, US
 
 IDLE_RAD_S: Final = 600.0 * RPM
 LAG_S: Final = 0.5
-US: Final = 1e-6
 
 
 class ClutchActuator:

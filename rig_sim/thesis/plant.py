@@ -24,8 +24,7 @@ from meshpoint.rig_sim.thesis.closed_form import (
     time_of_exit,
     time_of_stop,
 )
-
-US: float = 1e-6
+from meshpoint.units import US
 
 
 class Crossing(NamedTuple):

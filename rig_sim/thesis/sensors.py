@@ -23,7 +23,8 @@ from meshpoint.rig_sim.shared.edge_ring import (
 )
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
 from meshpoint.rig_sim.thesis.closed_form import Piece, SensorWheels, capture_edges, motion_at
-from meshpoint.rig_sim.thesis.plant import US, Segment
+from meshpoint.rig_sim.thesis.plant import Segment
+from meshpoint.units import US
 
 
 class Shaft(IntEnum):

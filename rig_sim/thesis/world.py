@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from meshpoint.gearbox.gears import MAIN_GEARS, Sleeve, drive_gear
-from meshpoint.gearbox.sheet import RPM, GearboxSheet
+from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
 from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.rig_sim.shared.angles import Shafts
@@ -32,9 +32,9 @@ from meshpoint.rig_sim.thesis.engagement import ThesisEngagement
 from meshpoint.rig_sim.thesis.plant import ThesisPlant
 from meshpoint.rig_sim.thesis.sensors import EdgeCapture, Encoder
 from meshpoint.rig_sim.thesis.truth import ThesisTruth
+from meshpoint.units import RPM, SECOND_US
 
 READ_US: Final = 10_000
-SECOND_US: Final = 1e6
 OIL_K: Final = 353.15
 
 

@@ -16,8 +16,8 @@ from meshpoint.rig_sim.shared.angle_kernels import TAU
 from meshpoint.rig_sim.shared.capture_records import RING
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.layout import Rig
+from meshpoint.units import SECOND_US
 
-SECOND_US: Final = 1e6
 MAX_ITERATIONS: Final = 60
 SETTLED: Final = 1e-9
 

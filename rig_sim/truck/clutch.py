@@ -14,10 +14,11 @@ from meshpoint.gearbox.gears import MainGear
 from meshpoint.gearbox.sheet import Clutch
 from meshpoint.rig_sim.orders import EngineRequest
 from meshpoint.rig_sim.parts.engine import DRIVE, IDLE, SPEED_CONTROL, TORQUE_CONTROL
-from meshpoint.rig_sim.shared.sleeves import NEVER_US, SECOND_US
+from meshpoint.rig_sim.shared.sleeves import NEVER_US
 from meshpoint.rig_sim.shared.valve_drivers import EXPIRY_US
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.plant import TruckPlant
+from meshpoint.units import SECOND_US
 
 LEAST_DELAY_S: Final = 1e-3
 NO_REQUEST: Final = EngineRequest(None, None)

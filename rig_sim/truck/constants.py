@@ -6,13 +6,14 @@ import math
 from typing import Final
 
 from meshpoint.gearbox.gears import MAIN_GEARS
-from meshpoint.gearbox.sheet import BAR, RPM, GearboxSheet
+from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.parts.drag import thickening
 from meshpoint.rig_sim.parts.pneumatics import choked_rate
 from meshpoint.rig_sim.parts.vehicle import GRAVITY_M_S2
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.layout import PlantParameters
+from meshpoint.units import BAR, RPM
 
 CELSIUS: Final = 273.15
 LITRE: Final = 1e-3

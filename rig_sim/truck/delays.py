@@ -15,11 +15,11 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.gearbox.gears import MainGear
-from meshpoint.gearbox.sheet import MS, GearboxSheet
+from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.parts.cylinder import EVERY, STEP_S, Cylinder, travel
-from meshpoint.rig_sim.shared.sleeves import SECOND_US
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.strokes import SampledStroke
+from meshpoint.units import MS, SECOND_US
 
 LEAST_SHARE: Final = 0.3
 WARM_C: Final = 80.0

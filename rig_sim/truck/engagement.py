@@ -16,7 +16,7 @@ from typing import Final
 
 from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
-from meshpoint.gearbox.sheet import MM, GearboxSheet
+from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.shared.engagement import GEAR_AT, Engagement, Tally
 from meshpoint.rig_sim.shared.sleeves import NEVER_US, SleeveState
 from meshpoint.rig_sim.truck import layout as at
@@ -24,6 +24,7 @@ from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.plant import TruckPlant
 from meshpoint.rig_sim.truck.sleeves import TruckSleeve, axial
+from meshpoint.units import MM
 
 SETTLED_RAD_S: Final = 0.02
 """A flank that would leave slower than this stays."""

@@ -12,19 +12,18 @@ from typing import Final, Generic, NamedTuple, Protocol, TypeVar
 
 from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox.gears import Sleeve
-from meshpoint.gearbox.sheet import BAR, MM, MS
 from meshpoint.rig_sim.orders import FaultOrder
 from meshpoint.rig_sim.shared.edge_ring import EdgeRead
 from meshpoint.rig_sim.shared.node_state import NodeState
 from meshpoint.rig_sim.shared.script import BenchScript
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
-from meshpoint.rig_sim.shared.sleeves import SECOND_US
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.rig_sim.shared.world import SensorRead
 from meshpoint.rig_sim.truck.clutch import TruckClutch, TruckEngine
 from meshpoint.rig_sim.truck.engagement import TruckEngagement
 from meshpoint.rig_sim.truck.plant import TruckPlant
 from meshpoint.rig_sim.truck.position_sensors import PositionSensors
+from meshpoint.units import BAR, MM, MS, SECOND_US
 
 T = TypeVar("T")
 CHANNELS: Final = "channel 0..7: input, layshaft, main, propeller, each rise then fall"

@@ -18,8 +18,8 @@ from meshpoint.rig_sim.truck.capture import capture
 from meshpoint.rig_sim.truck.events import TORQUE_S, first_event, torques_turn
 from meshpoint.rig_sim.truck.layout import Rig
 from meshpoint.rig_sim.truck.step import step
+from meshpoint.units import SECOND_US
 
-SECOND_US: Final = 1e6
 FINE_US: Final = 250.0
 QUIET_PA_S: Final = 1e4
 

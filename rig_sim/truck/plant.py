@@ -218,7 +218,8 @@ class TruckPlant:
         (n, 3): layshaft speed, main shaft speed, phase of the gear; NaN from where the shafts have
         come to rest on. And whether they have."""
         found = np.full((len(numbers), 3), np.nan)
-        stops_us: Floats = start_us + every_us * np.arange(numbers.start, numbers.stop)
+        numbered = np.arange(numbers.start, numbers.stop, dtype=np.float64)
+        stops_us = start_us + every_us * numbered
         self.time_us, rests = sample(self._memory.array, self.time_us, INDEX[gear], stops_us, found)
         return found, rests
 

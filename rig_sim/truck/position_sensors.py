@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 
 from meshpoint.gearbox.gears import Sleeve
-from meshpoint.gearbox.sheet import MM
 from meshpoint.rig_sim.truck.as_built import AsBuilt
+from meshpoint.units import MM
 
 TABLE: Final = 4096
 STREAM: Final = 0x905

@@ -15,10 +15,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from meshpoint.gearbox.sheet import MM, SleeveActuator
+from meshpoint.gearbox.sheet import SleeveActuator
 from meshpoint.rig_sim.shared.sleeves import (
     NEVER_US,
-    SECOND_US,
     Sleeve,
     SleeveEvent,
     SleeveState,
@@ -27,6 +26,7 @@ from meshpoint.rig_sim.shared.sleeves import (
 )
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.strokes import Push, PushedStroke, SampledStroke
+from meshpoint.units import MM, SECOND_US
 
 
 class Axial(NamedTuple):

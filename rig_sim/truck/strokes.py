@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from meshpoint.rig_sim.shared.angle_kernels import Floats
-from meshpoint.rig_sim.shared.sleeves import SECOND_US
+from meshpoint.units import SECOND_US
 
 SLOWEST_M_S: Final = 1e-3
 ROOT_S: Final = 1e-10

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 
 from meshpoint.gearbox.gears import Sleeve, drive_gear
-from meshpoint.gearbox.sheet import RPM, GearboxSheet
+from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
 from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.rig_sim.shared.angles import Shafts
@@ -37,9 +37,9 @@ from meshpoint.rig_sim.truck.faults import FaultDesk
 from meshpoint.rig_sim.truck.plant import TruckPlant
 from meshpoint.rig_sim.truck.position_sensors import PositionSensors
 from meshpoint.rig_sim.truck.truth import TruckTruth
+from meshpoint.units import RPM, SECOND_US
 
 READ_US: Final = 10_000
-SECOND_US: Final = 1e6
 STEP_VALVES: Final[dict[Valve, tuple[Sleeve, int]]] = {
     Valve.SPLIT_LOW: (Sleeve.SPLITTER, -1),
     Valve.SPLIT_HIGH: (Sleeve.SPLITTER, 1),

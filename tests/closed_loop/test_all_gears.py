@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import pytest
 from loop_bench import Loop
 
@@ -25,11 +23,11 @@ from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.loop.schedules import MAIN_BOX, MIXED
 from meshpoint.testbench.loop.simulate import Setup, simulate
+from meshpoint.units import DEG
 
 TRUCK12, THESIS = load_sheet("truck12"), load_sheet("thesis")
 State = ControllerState
 CHANGING = (State.STEPS_CHANGING, State.SPLITTER_CHANGING)
-DEG = math.pi / 180.0
 PLAIN_SENSORS = {
     "lash.splitter_deg": 0.0,
     "lash.main_deg": 0.0,

@@ -7,7 +7,6 @@ own account says what came of it.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import groupby
@@ -36,9 +35,9 @@ from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.rig_sim.shared.engagement import Violation
 from meshpoint.rig_sim.shared.sleeves import SleeveState
+from meshpoint.units import RPM
 
 TRUCK12 = load_sheet("truck12")
-RPM = math.pi / 30.0
 State = ControllerState
 LIMIT_US = 4_000_000
 AGAIN_US = 60_000

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from itertools import pairwise
 
 import pytest
@@ -34,8 +33,8 @@ from meshpoint.gearbox import MainGear
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.testbench.provenance import product_version
+from meshpoint.units import DEG
 
-DEG = math.pi / 180.0
 State = ControllerState
 
 

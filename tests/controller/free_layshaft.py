@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from meshpoint.gearbox import GearboxSheet, Split
+from meshpoint.units import US
 
 STEP_S = 1e-4
-US = 1e-6
 KNOTS_PA = (0.0, 2e5, 5e5)
 """Where the three segments of each direction begin."""
 EMPTYING = ((18.0, 0.0), (12.0, -1.2e6), (10.0, -2.2e6))

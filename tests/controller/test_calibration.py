@@ -27,9 +27,9 @@ from meshpoint.controller.calibration.learned import (
 from meshpoint.controller.calibration_keeper import CalibrationWriter
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.results.tooth_parts import take_apart
+from meshpoint.units import DEG
 
 SHEET = load_sheet("thesis")
-DEG = math.pi / 180.0
 ERROR = st.floats(-1.0 * DEG, 1.0 * DEG)
 SLEEVE = st.builds(
     SleeveRecord,

@@ -34,11 +34,11 @@ from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import MainGear, Split, load_sheet
+from meshpoint.units import RPM
 
 SHEET = load_sheet("truck12")
 SETTINGS = ControllerSettings()
 LIMITS = guard_limits(SHEET, SETTINGS)
-RPM = math.pi / 30.0
 NOW = (1 << 32) + 700_000
 """After one wrap of the clock."""
 DRIVING = (ValveAction.ON_NOW, ValveAction.ON_AT)

@@ -29,6 +29,7 @@ from meshpoint.controller.motion.linear_kernels import (
     thesis_filter,
 )
 from meshpoint.controller.records import Memory
+from meshpoint.units import US
 
 # Pressure in units of the supply (K = 1), so that g is the full braking in rad/s2 and expm, whose
 # error is relative to the largest element, is a fair judge of every element.
@@ -36,7 +37,6 @@ RATE_B = st.floats(2.0, 500.0)
 RATE_A = st.one_of(st.just(0.0), st.floats(1e-9, 1e-3), st.floats(1e-3, 40.0))
 BRAKING = st.floats(10.0, 500.0)
 STEP_S = st.floats(1e-6, 0.2)
-US = 1e-6
 
 
 def matrices(a: float, b: float, g: float, k: float) -> tuple[np.ndarray, np.ndarray]:

@@ -14,9 +14,9 @@ from meshpoint.controller.calibration.learned import DriftRecords
 from meshpoint.controller.planning.outlook import GearPredictor
 from meshpoint.controller.planning.phase_drift import FAR_RAD_S, LEAST_SPREAD_SHARE, PhaseDrifts
 from meshpoint.gearbox import MainGear
+from meshpoint.units import DEG
 from tests.controller.test_strategy import GEAR, MAIN, predictor_at
 
-DEG = math.pi / 180.0
 FIRED_US, SEEN_US, CONTACT_US = 0.0, 52_000.0, 58_000.0
 
 

@@ -33,9 +33,9 @@ from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.sheet import Mesh
+from meshpoint.units import DEG
 
 DOCUMENT = (Path(__file__).parents[2] / "docs/calibration.md").read_text(encoding="utf-8")
-DEG = math.pi / 180.0
 TURN = 2.0 * math.pi
 TEETH = 45
 EDGE_SD = 0.05 * DEG

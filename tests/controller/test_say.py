@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 from meshpoint.controller.planning.strategist import Plan
 from meshpoint.controller.report.log_lines import decision_line
 from meshpoint.dbc.messages import ShiftDecision
-
-DEG, RPM = math.pi / 180.0, math.pi / 30.0
+from meshpoint.units import DEG, RPM
 
 
 def test_a_firing_says_when_and_what_it_expects() -> None:

@@ -22,12 +22,12 @@ from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import STRATEGY_NAMES, Aim, ControllerSettings, Window
 from meshpoint.dbc.messages import ShiftDecision
 from meshpoint.gearbox import MainGear, Split, load_sheet
+from meshpoint.units import RPM
 
 SHEET = load_sheet("thesis")
 MODEL = layshaft_model(SHEET, Split.HIGH)
 LAW = first_order_law(1.0 / SHEET.brake.time_constant_s, SHEET.air.supply_gauge_pa)
 MOTION = free_motion(SHEET, Split.HIGH, LAW, ControllerSettings().crossing_filter)
-RPM = math.pi / 30.0
 PITCH = 2.0 * math.pi / 48.0
 HALF_GAP = 0.1 * PITCH
 DELAY_US = 45_000

@@ -20,8 +20,9 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.dbc.node import Node
-from meshpoint.gearbox.sheet import RPM, GearboxSheet, load_sheet
+from meshpoint.gearbox.sheet import GearboxSheet, load_sheet
 from meshpoint.rig_sim import Preset, RigCore, RigSettings
+from meshpoint.units import RPM
 
 CYCLE_US = 10_000
 thesis_rig = partial(RigSettings, preset=Preset.THESIS)

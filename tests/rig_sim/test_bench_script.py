@@ -23,8 +23,8 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.gearbox.gears import DRIVE_GEARS, MainGear
-from meshpoint.gearbox.sheet import RPM
 from meshpoint.rig_sim.shared.script import ScriptPhase
+from meshpoint.units import RPM
 
 BACKLASH = SHEET.dog.backlash_rad
 

@@ -11,11 +11,11 @@ from rig_bench import SHEET, RigBench, release_first, thesis_rig, upshift
 
 from meshpoint.dbc.messages import EngagementEvent, ValveAction, ValveCommand
 from meshpoint.gearbox.gears import MainGear, Sleeve
-from meshpoint.gearbox.sheet import RPM
 from meshpoint.rig_sim.shared.engagement import Engaged, Violation
 from meshpoint.rig_sim.shared.sleeves import SleeveState
 from meshpoint.rig_sim.shared.valve_drivers import Order, Valve
 from meshpoint.rig_sim.thesis.world import World
+from meshpoint.units import RPM
 
 PITCH = SHEET.dog.pitch_rad
 BACKLASH = SHEET.dog.backlash_rad

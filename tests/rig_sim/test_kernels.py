@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from meshpoint.gearbox.sheet import RPM
 from meshpoint.rig_sim.records import Memory
 from meshpoint.rig_sim.shared.angle_kernels import geared, settled, wrapped
 from meshpoint.rig_sim.thesis.closed_form import (
@@ -23,6 +22,7 @@ from meshpoint.rig_sim.thesis.closed_form import (
     time_of_stop,
     time_to_turn,
 )
+from meshpoint.units import RPM
 
 HORIZON_S = 0.010
 BOTTOM, TOP = -0.02, 0.03

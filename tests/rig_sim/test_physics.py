@@ -26,9 +26,9 @@ from meshpoint.dbc.messages import (
     ValveAction,
     ValveCommand,
 )
-from meshpoint.gearbox.sheet import RPM
 from meshpoint.rig_sim.records import Memory
 from meshpoint.rig_sim.thesis.closed_form import FREE, Motion, free_motion
+from meshpoint.units import RPM
 
 RELEASE_US = 400_000
 END_US = 900_000

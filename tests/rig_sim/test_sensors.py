@@ -28,8 +28,8 @@ from meshpoint.dbc.messages import (
     ValveCommand,
     ValveStatus,
 )
-from meshpoint.gearbox.sheet import RPM
 from meshpoint.rig_sim import RigCore
+from meshpoint.units import RPM
 
 ORDER = [
     "EdgesInputRise",

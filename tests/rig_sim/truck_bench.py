@@ -15,8 +15,6 @@ from meshpoint.rig_sim.truck.as_built import linear
 from meshpoint.rig_sim.truck.world import TruckWorld
 
 SHEET: Final = load_sheet("thesis")
-RPM: Final = math.pi / 30.0
-DEG: Final = math.pi / 180.0
 GEAR: Final = MainGear.SECOND
 TRIALS: Final = int(os.environ.get("MESHPOINT_TRIALS", "500"))
 """Random trials a figure; MESHPOINT_TRIALS=20000 for the full campaign."""

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
-
 from rich.console import Console
 
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import PhaseReference, ShiftOutcome, ShiftResult, Strategy
 from meshpoint.testbench.logs.counterfactual import Counterfactuals, counterfactual_table
+from meshpoint.units import DEG
 
-DEG = math.pi / 180.0
 REQUEST_US = (1 << 32) - 200_000
 """The sleeve is fired after the clock's wrap."""
 

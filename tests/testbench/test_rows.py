@@ -24,10 +24,9 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.results.output import rows_table
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.testbench.results.rows import RowCollector, ShiftRow, summarise
+from meshpoint.units import DEG, RPM
 
 SHEET = load_sheet("thesis")
-DEG = math.pi / 180.0
-RPM = math.pi / 30.0
 FIRE_US = (1 << 32) - 20_000
 """The contact comes after the clock's wrap."""
 

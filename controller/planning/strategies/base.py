@@ -6,8 +6,8 @@ from typing import Final, NamedTuple, Protocol
 
 from meshpoint.controller.planning.outlook import GearPredictor
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.units import SECOND_US
 
-US_PER_S: Final = 1e6
 LATEST_RELEASE_US: Final = 1_000_000
 """No release is planned further ahead than this."""
 
@@ -58,4 +58,4 @@ def release_for_slip(
 def settle_time_us(sheet: GearboxSheet, time_constants: float) -> float:
     """From a release until so many time constants of the brake's pressure have passed."""
     brake = sheet.brake
-    return US_PER_S * (brake.valve_delay_s + time_constants * brake.time_constant_s)
+    return SECOND_US * (brake.valve_delay_s + time_constants * brake.time_constant_s)

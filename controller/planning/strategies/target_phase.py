@@ -12,7 +12,6 @@ from typing import Final
 from meshpoint.controller.planning.outlook import GearPredictor, Trajectory
 from meshpoint.controller.planning.plan_kernels import CONTACTS, TERMS, cheapest, expected_least
 from meshpoint.controller.planning.strategies.base import (
-    US_PER_S,
     ReleasePlan,
     release_for_slip,
     settle_time_us,
@@ -20,6 +19,7 @@ from meshpoint.controller.planning.strategies.base import (
 from meshpoint.controller.records import Vector, filled
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.units import SECOND_US
 
 COARSE_US: Final = 2_000.0
 COARSE_STEPS: Final = 150
@@ -118,7 +118,7 @@ class TargetPhase:
         """Variance of the phase at the trajectory's first time, and its growth a second."""
         now = predictor.estimate_variance(trajectory.first_us)
         later = predictor.estimate_variance(trajectory.first_us + GROWTH_US)
-        return now + self._reference_variance, (later - now) / GROWTH_US * US_PER_S
+        return now + self._reference_variance, (later - now) / GROWTH_US * SECOND_US
 
     def _terms(self, predictor: GearPredictor) -> Vector:
         """The terms of `plan_kernels` for this gear."""
@@ -147,8 +147,8 @@ def _contacts(
     """The contacts of a trajectory for `plan_kernels`."""
     return filled(
         CONTACTS,
-        wait_s=(trajectory.first_us - now_us) / US_PER_S,
-        step_s=trajectory.step_us / US_PER_S,
+        wait_s=(trajectory.first_us - now_us) / SECOND_US,
+        step_s=trajectory.step_us / SECOND_US,
         variance_rad2=variance_rad2,
         growth_rad2_s=growth_rad2_s,
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final
@@ -13,10 +12,10 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS, main_box_only
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.loop.bench import PlannedShift, plan_shifts
+from meshpoint.units import RPM
 
 STREAM: Final = 0xCA3
 """Keeps a run's draws apart from those of the rig of the same seed."""
-RPM: Final = math.pi / 30.0
 LAYSHAFT_RPM: Final = (1100.0, 1500.0)
 """Layshaft speed in the old gear, drawn for each shift."""
 SPREAD: Final[Mapping[str, tuple[float, float]]] = {

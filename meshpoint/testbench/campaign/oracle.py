@@ -8,7 +8,6 @@ the preset truck predictions come from a copy of the rig's plant that is run ahe
 from __future__ import annotations
 
 import copy
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,8 +24,7 @@ from meshpoint.rig_sim.thesis.sensors import Shaft
 from meshpoint.rig_sim.truck.plant import TruckPlant
 from meshpoint.rig_sim.truck.truth import TruckTruth
 from meshpoint.testbench.campaign.forecast import Forecast
-
-TURN_RAD = 2.0 * math.pi
+from meshpoint.units import TURN
 
 
 class TrueReferences(PhaseReferences):
@@ -136,4 +134,4 @@ class Oracle:
 
 def _angle_rad(angle: Angle) -> float:
     turns, rest = angle
-    return TURN_RAD * turns + rest
+    return TURN * turns + rest

@@ -9,7 +9,8 @@ from typing import Any
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.loop.bench import PlannedShift
-from meshpoint.testbench.results.rows import RPM, ShiftRow
+from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.units import RPM
 
 NO_OUTCOME = "no_outcome"
 

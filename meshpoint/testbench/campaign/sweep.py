@@ -14,12 +14,12 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import Rule, TableError
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.errors import CommandError
+from meshpoint.units import MS
 
 BACKLASH: Final = "backlash_percent"
 DELAY_SD: Final = "delay_sd_ms"
 LIMIT_SDS: Final = 2.5
 """The delay's scatter is cut no nearer than this many standard deviations."""
-MS: Final = 1e-3
 
 
 class SweepPoint(NamedTuple):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -20,8 +19,7 @@ from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import console, write_json
 from meshpoint.testbench.results.tooth_parts import take_apart
-
-DEG: Final = math.pi / 180.0
+from meshpoint.units import DEG
 
 
 def add_parser(commands: Any) -> None:

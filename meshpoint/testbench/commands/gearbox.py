@@ -11,12 +11,13 @@ from typing import Any
 from rich.table import Table
 
 from meshpoint.gearbox import GearboxSheet, load_sheet
-from meshpoint.gearbox.derived import RPM, SheetFigures, sheet_figures
+from meshpoint.gearbox.derived import SheetFigures, sheet_figures
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.reference import sheet_toml
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import console, write_json
+from meshpoint.units import RPM
 
 
 def add_parser(commands: Any) -> None:

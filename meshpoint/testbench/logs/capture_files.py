@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshpoint.testbench.errors import CommandError
+from meshpoint.units import SECOND_US
 
 Integers = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
-US_PER_S: Final = 1e6
 HYSTERESIS_SHARE: Final = 0.15
 """Half the hysteresis, as a share of the voltage's usual swing."""
 SIZE_LIMIT_BYTES: Final = 64 << 20
@@ -97,7 +97,7 @@ def _numbers(line: str) -> list[float] | None:
 
 
 def _edges(time_s: Floats, level: Floats) -> tuple[Integers, Integers]:
-    at = np.round(time_s * US_PER_S).astype(np.int64)
+    at = np.round(time_s * SECOND_US).astype(np.int64)
     change = np.diff(level)
     return at[1:][change > 0], at[1:][change < 0]
 

@@ -15,7 +15,7 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import PhaseReference, ShiftOutcome, ShiftResult
 from meshpoint.testbench.results.output import broken
 from meshpoint.testbench.results.road_speed import span_us
-from meshpoint.testbench.results.rows import DEG
+from meshpoint.units import DEG
 
 
 @dataclass(frozen=True)

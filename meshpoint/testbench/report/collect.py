@@ -28,8 +28,9 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.results.road_speed import span_us
-from meshpoint.testbench.results.rows import DEG, RPM, RowCollector, ShiftRow
+from meshpoint.testbench.results.rows import RowCollector, ShiftRow
 from meshpoint.testbench.results.traces import TRACED, Traces
+from meshpoint.units import DEG, RPM
 
 BEFORE_S: Final = 0.05
 AFTER_S: Final = 0.15

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.report.collect import ReportShift
-from meshpoint.testbench.results.rows import DEG, RPM
+from meshpoint.units import DEG, RPM
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,8 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.testbench.results.rows import CONTACTS, DEG, RPM
+from meshpoint.testbench.results.rows import CONTACTS
+from meshpoint.units import DEG, RPM
 
 ENCODER_STEP_US: Final = 2_000
 SWITCHED_ON: Final = (ValveAction.ON_AT, ValveAction.ON_NOW)

@@ -25,9 +25,8 @@ from meshpoint.dbc.messages import (
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.results.road_speed import RoadSpeed, span_us
+from meshpoint.units import DEG, RPM
 
-DEG: Final = math.pi / 180.0
-RPM: Final = math.pi / 30.0
 CONTACTS: Final = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOTH_CONTACT: "tooth"}
 ENDS: Final = (EngagementEvent.LOCKED, EngagementEvent.GIVEN_UP)
 SOURCES: Final = ("measured", "restored", "narrowed")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -16,10 +15,8 @@ from meshpoint.dbc.messages import (
     SleevesMain,
     ValveStatus,
 )
-from meshpoint.testbench.results.rows import RPM
+from meshpoint.units import BAR, DEG, RPM
 
-DEG: Final = math.pi / 180.0
-BAR: Final = 1e5
 GEAR_FIELDS: Final = {
     "crawl": "phase_crawl_rad",
     "first": "phase_first_rad",

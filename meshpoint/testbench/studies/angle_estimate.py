@@ -17,7 +17,7 @@ from meshpoint.testbench.studies.excitation import (
     runs,
 )
 from meshpoint.testbench.studies.record import Finding, Given, Statement, Study, ThesisVerdict
-from meshpoint.testbench.studies.simulated import DEG
+from meshpoint.units import DEG
 
 
 def _true_deg(samples: list[Sample]) -> Vector:

@@ -27,7 +27,7 @@ from meshpoint.testbench.studies.record import (
     Table,
     ThesisVerdict,
 )
-from meshpoint.testbench.studies.simulated import DEG, RPM
+from meshpoint.units import DEG, RPM
 
 CHUNK: Final = 10
 """Shifts a job."""

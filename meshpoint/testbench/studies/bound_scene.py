@@ -18,7 +18,7 @@ from scipy.linalg import expm
 from meshpoint.controller.jit import compiled
 from meshpoint.controller.records import Integers, Vector
 from meshpoint.gearbox.tables import count, quantity
-from meshpoint.testbench.studies.simulated import DEG, RPM
+from meshpoint.units import DEG, RPM
 
 STEP_S: Final = 1e-4
 LONGEST: Final = 70_000

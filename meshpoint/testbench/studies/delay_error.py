@@ -20,7 +20,7 @@ from meshpoint.testbench.studies.record import (
     ThesisVerdict,
 )
 from meshpoint.testbench.studies.sensitivity import Release
-from meshpoint.testbench.studies.simulated import DEG, RPM
+from meshpoint.units import DEG, RPM
 
 LOW_PCT, HIGH_PCT = 4.0, 16.0
 

@@ -31,7 +31,7 @@ from meshpoint.testbench.studies.jobs import (
     ShiftTrace,
 )
 from meshpoint.testbench.studies.record import Given, Table
-from meshpoint.testbench.studies.simulated import DEG, RPM
+from meshpoint.units import DEG, RPM
 
 BASELINE: Final = "window"
 THESIS_FILTER: Final = "thesis"

@@ -16,7 +16,6 @@ from typing import Final, NamedTuple
 from meshpoint.controller.estimation.cruise import ShaftState
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kinematics import wrap_to_pitch
-from meshpoint.controller.motion.linear_kernels import US
 from meshpoint.controller.motion.models import LayshaftState, predict
 from meshpoint.controller.sensing.sensor_clock import unwrap
 from meshpoint.controller.settings import ControllerSettings
@@ -36,6 +35,7 @@ from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.testbench.results.estimation import ENCODER_STEP_US, EstimationScore, Sample
 from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.testbench.studies.jobs import AsBuilt, ShiftErrors
+from meshpoint.units import US
 
 LAYSHAFT, WITH_INPUT = "layshaft alone", "layshaft and input"
 MAIN, WITH_PROPELLER = "main alone", "main and propeller"

@@ -18,12 +18,13 @@ from meshpoint.controller.motion.linear import (
     predict_hold,
     predict_linear,
 )
-from meshpoint.controller.motion.linear_kernels import US, Vector
+from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.gearbox import Split
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.testbench.studies.record import Chart, Given, Line, Panel, Style, rms
-from meshpoint.testbench.studies.simulated import MS_US, RPM, SimulatedShift, simulate_shift
+from meshpoint.testbench.studies.simulated import MS_US, SimulatedShift, simulate_shift
+from meshpoint.units import RPM, US
 
 SAMPLE_US: Final = 1_000
 SPLIT: Final = Split.HIGH

@@ -13,7 +13,7 @@ from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import TableError, count, group, quantity, text
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.results.rows import RPM
+from meshpoint.units import RPM
 
 DIGITS: Final = 9
 """Significant digits of figures: less than the last bits, in which processors may differ."""

@@ -12,12 +12,13 @@ from typing import Any, Final
 import numpy as np
 
 from meshpoint.controller.motion.linear import layshaft_model, predict_hold
-from meshpoint.controller.motion.linear_kernels import US, Vector
+from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.gearbox import GearboxSheet, MainGear, Split
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.testbench.studies.record import Given
 from meshpoint.testbench.studies.simulated import simulate_shift
+from meshpoint.units import US
 
 SAMPLE_US: Final = 1_000
 PERCENT: Final = 100.0

@@ -27,8 +27,8 @@ from meshpoint.testbench.studies.record import (
     Style,
     ThesisVerdict,
 )
-from meshpoint.testbench.studies.simulated import RPM
 from meshpoint.testbench.studies.teeth import Engagements, Tried
+from meshpoint.units import RPM
 
 PATENT_RPM: Final = (10.0, 50.0)
 BASE: Final = "as the data sheet"

@@ -13,16 +13,15 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.motion.linear_kernels import US, Vector
+from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.rig_sim.shared.angles import Shafts, StartAngles
 from meshpoint.rig_sim.thesis.plant import ThesisPlant
 from meshpoint.testbench.studies.record import Braking
+from meshpoint.units import RPM, US
 
-RPM: Final = math.pi / 30.0
-DEG: Final = math.pi / 180.0
 TURN: Final = 2.0 * math.pi
 MS_US: Final = 1000.0
 

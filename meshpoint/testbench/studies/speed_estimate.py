@@ -17,7 +17,7 @@ from meshpoint.testbench.studies.excitation import (
     runs,
 )
 from meshpoint.testbench.studies.record import Finding, Given, Statement, Study, ThesisVerdict
-from meshpoint.testbench.studies.simulated import RPM
+from meshpoint.units import RPM
 
 
 def _true_rpm(samples: list[Sample]) -> Vector:

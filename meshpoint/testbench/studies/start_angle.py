@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from meshpoint.gearbox.tables import count, quantity
-from meshpoint.testbench.studies.simulated import DEG
 from meshpoint.testbench.studies.start_error import StartError, start_error_study
+from meshpoint.units import DEG
 
 THESIS = (0.53, 1.5, 7.0)
 """RMS angle error of tables 6.2 (mean of the two shifts), and its cost by section 7.4."""

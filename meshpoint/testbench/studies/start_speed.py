@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from meshpoint.gearbox.tables import count, quantity
-from meshpoint.testbench.studies.simulated import RPM
 from meshpoint.testbench.studies.start_error import StartError, start_error_study
+from meshpoint.units import RPM
 
 THESIS = (4.32, 4.0, 18.0)
 """RMS speed error of table 6.1 (mean of the two shifts), and its cost by section 7.4."""

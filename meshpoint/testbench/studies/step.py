@@ -10,7 +10,7 @@ import numpy as np
 
 from meshpoint.controller.motion import linear_kernels as kernels
 from meshpoint.controller.motion.linear import layshaft_model, predict_euler
-from meshpoint.controller.motion.linear_kernels import US, Vector
+from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.gearbox import Split
 from meshpoint.gearbox.tables import count, quantity
@@ -28,6 +28,7 @@ from meshpoint.testbench.studies.record import (
     ThesisVerdict,
 )
 from meshpoint.testbench.studies.sensitivity import Release
+from meshpoint.units import US
 
 WORD_BYTES: Final = 8
 PHI, GAMMA, MODEL = 5, 3, 4

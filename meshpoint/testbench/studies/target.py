@@ -29,8 +29,8 @@ from meshpoint.testbench.studies.record import (
     Table,
     ThesisVerdict,
 )
-from meshpoint.testbench.studies.simulated import RPM
 from meshpoint.testbench.studies.teeth import Engagements, Tried
+from meshpoint.units import RPM
 
 CLAIM = "chosen angles could be used to explore the effect on wear (1.3; not a goal of the thesis)"
 

@@ -11,7 +11,7 @@ import numpy as np
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.rig_sim.truck.trials import Trials
 from meshpoint.testbench.studies.jobs import AsBuilt, linear_with_teeth
-from meshpoint.testbench.studies.simulated import DEG
+from meshpoint.units import DEG
 
 GEAR: Final = MainGear.SECOND
 

@@ -21,9 +21,8 @@ from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.studies.jobs import LoopJob, LoopResult, ShiftTrace
 from meshpoint.testbench.studies.record import Given
+from meshpoint.units import BAR, RPM
 
-RPM: Final = np.pi / 30.0
-BAR: Final = 1e5
 RISE_SHARE: Final = 1.0 - math.exp(-1.0)
 REACTION_SHARE: Final = 0.02
 """A pressure that has risen by this share of the supply has begun to react."""

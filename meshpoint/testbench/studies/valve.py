@@ -20,7 +20,6 @@ from meshpoint.testbench.studies.record import (
     rms,
 )
 from meshpoint.testbench.studies.validation import (
-    BAR,
     Compared,
     Settings,
     pressures,
@@ -28,6 +27,7 @@ from meshpoint.testbench.studies.validation import (
     traces,
     truck_run,
 )
+from meshpoint.units import BAR
 
 MEASURED, BY_STEP, BY_SHEET = (
     "measured (truck rig)", "model (4.1), tau from step response", "model, tau of the sheet",

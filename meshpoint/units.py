@@ -1,0 +1,26 @@
+"""SI value of one unit: multiply by it to come from the unit, divide to go to it.
+
+speed_rad_s = speed_rpm * RPM        pressure_bar = pressure_pa / BAR
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+RPM: Final = math.pi / 30.0
+"""rad/s"""
+DEG: Final = math.pi / 180.0
+"""rad"""
+TURN: Final = 2.0 * math.pi
+"""rad"""
+BAR: Final = 1e5
+"""Pa"""
+MM: Final = 1e-3
+"""m"""
+MS: Final = 1e-3
+"""s"""
+US: Final = 1e-6
+"""s"""
+SECOND_US: Final = 1e6
+"""A second in microseconds, where times are counted in them."""
