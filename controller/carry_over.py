@@ -17,8 +17,8 @@ from meshpoint.controller.estimation.tooth_match import ToothPattern
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.observer import Observer
-from meshpoint.controller.phase.recall import SavedReferences
-from meshpoint.controller.shift.desk import ShiftContext
+from meshpoint.controller.phase.reference_recovery import SavedReferences
+from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.gearbox.gears import MAIN_GEARS
 
 

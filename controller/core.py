@@ -30,9 +30,9 @@ from meshpoint.controller.sensing.clock_probe import ClockProbe
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.settings import ControllerSettings, ValveTiming
-from meshpoint.controller.shift.desk import PredictorSource
-from meshpoint.controller.shift.moment import StepSnapshot
+from meshpoint.controller.shift.context import PredictorSource
 from meshpoint.controller.shift.sequence import ShiftSequence
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter

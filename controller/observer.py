@@ -12,14 +12,14 @@ from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.estimation.crossing_filter import Pressures
 from meshpoint.controller.estimation.crossing_tracker import CrossingTracker, MainTracker
 from meshpoint.controller.estimation.cruise import CruiseTracker, ShaftState
-from meshpoint.controller.estimation.further_wheel import GearedWheel
+from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels, LayshaftTracker
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kinematics import are_finite
 from meshpoint.controller.motion.linear import layshaft_model
 from meshpoint.controller.motion.models import LayshaftState, first_order_law, free_motion
-from meshpoint.controller.phase.recall import ReferenceRecovery
 from meshpoint.controller.phase.reference import PhaseReferences
+from meshpoint.controller.phase.reference_recovery import ReferenceRecovery
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.step_inputs import StepInputs

@@ -15,7 +15,7 @@ from meshpoint.controller.estimation.brake_model import BrakeModel, Carried
 from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES, CrossingFilter, Pressures
 from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US, ShaftState, WindowSpeed
 from meshpoint.controller.estimation.free_run import FreeRun
-from meshpoint.controller.estimation.further_wheel import GearedWheel
+from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.motion.brake_input import BrakeInput

@@ -17,7 +17,7 @@ from typing import Final
 
 from meshpoint.controller.calibration.learned import DriftRecord, DriftRecords
 from meshpoint.controller.motion.kinematics import raw_phase_rad
-from meshpoint.controller.planning.outlook import GearPredictor
+from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
 

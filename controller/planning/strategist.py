@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from meshpoint.controller.motion.kinematics import wrap_to_pitch
-from meshpoint.controller.planning.outlook import GearPredictor
+from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import EngagementStrategy
 from meshpoint.controller.planning.strategies.speed_window import SpeedWindow
 from meshpoint.controller.planning.strategies.table import make_strategy

@@ -11,8 +11,8 @@ from meshpoint.controller.motion.kinematics import slip_rad_s, wrap_to_pitch
 from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.controller.observer import Observer
 from meshpoint.controller.report.messages import estimates, etc1, etc2, outcome, prediction
-from meshpoint.controller.shift.moment import StepSnapshot
 from meshpoint.controller.shift.sequence import ShiftSequence
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.dbc.messages import (

@@ -1,4 +1,4 @@
-"""The record of the edge gate (`edge_gate`), and what tunes it."""
+"""The record of the edge gate (`gate_kernels`), and what tunes it."""
 
 from __future__ import annotations
 

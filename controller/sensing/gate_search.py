@@ -1,4 +1,4 @@
-"""Which tooth is which on a wheel with missing teeth: pieces of the edge gate (`edge_gate`).
+"""Which tooth is which on a wheel with missing teeth: pieces of the edge gate (`gate_kernels`).
 
 Every tooth may be the first until the steps seen since, gaps among them, fit one alone.
 """

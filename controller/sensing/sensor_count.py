@@ -1,6 +1,6 @@
 """By how many teeth a wheel was renumbered, as the sensor's own running number tells.
 
-The sensor counts edges on while the gate (`edge_gate`) is not sure of teeth: while frames are lost,
+The sensor counts edges on while the gate (`gate_kernels`) is not sure of teeth: while frames are lost,
 and while a wheel stops and starts again. It cannot count backwards, so of E edges each may have
 been a tooth back: the tooth that has number t now had t + k before, k = a - 2 E to a where a would
 be right had all gone forward, and some teeth more either way for what a sensor misses. Where there

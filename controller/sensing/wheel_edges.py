@@ -152,7 +152,7 @@ class WheelEdges:
     """One sensor wheel with both polarities.
 
     Rising edge k stands for the angle k pitch, a falling edge for a duty share of a pitch more than
-    the rising edge before it. What is extra or missing the gate finds (`edge_gate`). Teeth are
+    the rising edge before it. What is extra or missing the gate finds (`gate_kernels`). Teeth are
     numbered from any one on; on a wheel with `missing` teeth, numbers from 0, modulo `teeth` they
     are those of the drawing: tooth 0 where the list of missing ones counts from."""
 

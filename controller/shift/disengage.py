@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.controller.settings import MS_IN_US
-from meshpoint.controller.shift.desk import OPPOSITE, SEQUENCE_CLUTCH_OPEN_SHARE, ShiftContext
-from meshpoint.controller.shift.moment import StepSnapshot
+from meshpoint.controller.shift.context import OPPOSITE, SEQUENCE_CLUTCH_OPEN_SHARE, ShiftContext
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.gearbox import MainGear

@@ -6,9 +6,9 @@ from typing import Final
 
 from meshpoint.controller.sensing.gearbox_view import ENTERED_M
 from meshpoint.controller.settings import MS_IN_US
-from meshpoint.controller.shift.desk import FALL_US, OPPOSITE, SLEEVE_VALVE, ShiftContext
+from meshpoint.controller.shift.context import FALL_US, OPPOSITE, SLEEVE_VALVE, ShiftContext
 from meshpoint.controller.shift.disengage import pull_out
-from meshpoint.controller.shift.moment import StepSnapshot
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.dbc.messages import FaultCode, ShiftDecision, ShiftResult
 from meshpoint.gearbox import MainGear

@@ -13,13 +13,18 @@ from collections.abc import Callable
 from typing import Final
 
 from meshpoint.controller.sensing.gearbox_view import GearboxView
-from meshpoint.controller.shift.desk import ShiftContext
+from meshpoint.controller.shift.between_shifts import (
+    close_clutch,
+    find_gear,
+    wait_for_position,
+    watch_gear,
+)
+from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.disengage import disengage, open_clutch
 from meshpoint.controller.shift.engage import engage, retract
-from meshpoint.controller.shift.moment import StepSnapshot
-from meshpoint.controller.shift.rest import close_clutch, find_gear, wait_for_position, watch_gear
+from meshpoint.controller.shift.group_change import change_splitter, change_steps
 from meshpoint.controller.shift.speed_up import part_clutch, raise_speed
-from meshpoint.controller.shift.steps import change_splitter, change_steps
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import coast, synchronise
 from meshpoint.controller.shift.table import TRANSITIONS, ShiftRecord, Trigger
 from meshpoint.controller.strategy_file import StrategyError

@@ -9,13 +9,13 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.controller.settings import MS_IN_US
-from meshpoint.controller.shift.desk import FALL_US as SEEN_LATE_US
-from meshpoint.controller.shift.desk import (
+from meshpoint.controller.shift.context import FALL_US as SEEN_LATE_US
+from meshpoint.controller.shift.context import (
     SEQUENCE_CLUTCH_CLOSED_SHARE,
     SEQUENCE_CLUTCH_OPEN_SHARE,
     ShiftContext,
 )
-from meshpoint.controller.shift.moment import StepSnapshot
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.planning.outlook import GearPredictor
+from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import EngagementStrategy
 from meshpoint.controller.planning.strategist import Plan
 from meshpoint.controller.settings import MS_IN_US
-from meshpoint.controller.shift.desk import FALL_US, SLEEVE_VALVE, ShiftContext
-from meshpoint.controller.shift.moment import StepSnapshot
+from meshpoint.controller.shift.context import FALL_US, SLEEVE_VALVE, ShiftContext
 from meshpoint.controller.shift.speed_up import too_slow
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import FaultCode, ShiftDecision

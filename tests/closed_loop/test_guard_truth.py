@@ -18,7 +18,7 @@ from loop_bench import Loop
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ControllerSettings, ShiftLimits
-from meshpoint.controller.shift.moment import StepSnapshot
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import (
     ClutchAction,

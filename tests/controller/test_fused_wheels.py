@@ -18,7 +18,7 @@ from wheel import READ_US, Wheel
 
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, FurtherEdges, Pressures
 from meshpoint.controller.estimation.crossing_tracker import MainTracker
-from meshpoint.controller.estimation.further_wheel import GearedWheel
+from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.motion.models import MotionModel, diagonal, free_motion
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from meshpoint.controller.calibration.learned import DriftRecords
-from meshpoint.controller.planning.outlook import GearPredictor
+from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.phase_drift import FAR_RAD_S, LEAST_SPREAD_SHARE, PhaseDrifts
 from meshpoint.gearbox import MainGear
 from meshpoint.units import DEG

@@ -24,8 +24,8 @@ from meshpoint.controller.estimation.tooth_match import (
     turned,
 )
 from meshpoint.controller.motion.kinematics import raw_phase_rad, wrap_to_pitch
-from meshpoint.controller.phase.recall import ReferenceRecovery, SavedReferences
 from meshpoint.controller.phase.reference import Floated, PhaseReferences
+from meshpoint.controller.phase.reference_recovery import ReferenceRecovery, SavedReferences
 from meshpoint.controller.phase.turn_candidates import turn_candidates
 from meshpoint.controller.sensing.sensor_count import Renumbered
 from meshpoint.controller.settings import CrossingFilterTuning

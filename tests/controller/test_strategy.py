@@ -16,7 +16,7 @@ from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.linear import layshaft_model
 from meshpoint.controller.motion.models import LayshaftState, first_order_law, free_motion
 from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.planning.outlook import GearPredictor
+from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.table import STRATEGIES, make_strategy
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import STRATEGY_NAMES, Aim, ControllerSettings, Window

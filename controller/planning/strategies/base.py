@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple, Protocol
 
-from meshpoint.controller.planning.outlook import GearPredictor
+from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import SECOND_US
 

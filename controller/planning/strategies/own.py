@@ -15,7 +15,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, Final
 
-from meshpoint.controller.planning.outlook import GearPredictor
+from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import LATEST_RELEASE_US, ReleasePlan
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.strategy_file import (

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from meshpoint.controller.planning.outlook import GearPredictor
+from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import (
     ReleasePlan,
     release_for_slip,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.controller.planning.outlook import GearPredictor, Trajectory
+from meshpoint.controller.planning.gear_predictor import GearPredictor, Trajectory
 from meshpoint.controller.planning.plan_kernels import CONTACTS, TERMS, cheapest, expected_least
 from meshpoint.controller.planning.strategies.base import (
     ReleasePlan,

@@ -16,7 +16,7 @@ from meshpoint.controller.estimation.cruise import ShaftState
 from meshpoint.controller.motion.kinematics import raw_phase_rad
 from meshpoint.controller.motion.models import LayshaftState, first_order_law
 from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.planning.outlook import GearPredictor, Trajectory
+from meshpoint.controller.planning.gear_predictor import GearPredictor, Trajectory
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.rig_sim.shared.angles import Angle
 from meshpoint.rig_sim.shared.world import Truth

@@ -13,8 +13,8 @@ from typing import Final, NamedTuple
 
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.settings import MS_IN_US
-from meshpoint.controller.shift.desk import ShiftContext
-from meshpoint.controller.shift.moment import StepSnapshot
+from meshpoint.controller.shift.context import ShiftContext
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import FaultCode, ShiftResult

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from meshpoint.controller.shift.desk import SEQUENCE_CLUTCH_CLOSED_SHARE, ShiftContext
-from meshpoint.controller.shift.moment import StepSnapshot
+from meshpoint.controller.shift.context import SEQUENCE_CLUTCH_CLOSED_SHARE, ShiftContext
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.dbc.messages import ControllerState as State

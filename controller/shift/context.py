@@ -8,12 +8,12 @@ from typing import Final
 
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.planning.outlook import GearPredictor
+from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.phase_drift import PhaseDrifts
 from meshpoint.controller.planning.sleeve_delay import SleeveDelays
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import MS_IN_US, ControllerSettings
-from meshpoint.controller.shift.moment import StepSnapshot
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
 from meshpoint.controller.shift.valve_board import ValveBoard, ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
