@@ -15,7 +15,7 @@ from rich.table import Table
 
 import meshpoint.testbench
 from meshpoint.controller.calibration.file import read_file
-from meshpoint.controller.calibration.records import Calibration
+from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import load_sheet
