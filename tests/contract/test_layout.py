@@ -53,6 +53,8 @@ def hidden_imports(path: Path) -> bool:
 
 
 def test_no_import_is_hidden_from_the_import_graph() -> None:
-    paths = [path for path in SOURCES if path.relative_to(ROOT).parts[0] in PRODUCT[:1] + PRODUCT[3:]]
+    paths = [
+        path for path in SOURCES if path.relative_to(ROOT).parts[0] in PRODUCT[:1] + PRODUCT[3:]
+    ]
     assert len(paths) > 100
     assert not [path for path in paths if hidden_imports(path)]

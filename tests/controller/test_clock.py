@@ -5,7 +5,8 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.sensing.sensor_clock import BACK_US, (
+from meshpoint.controller.sensing.sensor_clock import (
+    BACK_US,
     HALF,
     JUMP_US,
     WINDOW,
