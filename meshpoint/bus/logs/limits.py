@@ -5,9 +5,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from meshpoint.bus.logs.asc import asc_entries
 from meshpoint.bus.logs.blf import blf_entries
-from meshpoint.bus.logs.entry import DefectError, Entries, Skipped
-from meshpoint.bus.logs.text import asc_entries, candump_entries
+from meshpoint.bus.logs.entry import DefectError, Entries, Skipped, Unfinished
+from meshpoint.bus.logs.text import candump_entries
 from meshpoint.dbc.frame import Frame
 
 FORMATS = (".log", ".blf", ".asc")
@@ -32,6 +33,10 @@ class EmptyLogError(LogError):
     """A log without a frame, but without a defect: a process killed just after it began one."""
 
 
+class UnfinishedLogError(LogError):
+    """A log that could be read to its end, but that its writer has not completed."""
+
+
 class LogReader:
     """The data frames of a log, in its order, each with its time in seconds.
 
@@ -47,6 +52,10 @@ class LogReader:
         self.frames = 0
         self.remote_frames = 0
         self.error_frames = 0
+        self.unfinished = ""
+        """Known after the last frame: by what it shows that a log was not completed by its writer,
+        so that frames may be missing at its end. Empty also where the format cannot tell: a
+        candump log has no mark of its end."""
         self._max_bytes = max_bytes
 
     def __iter__(self) -> Iterator[tuple[float, Frame]]:
@@ -68,6 +77,8 @@ class LogReader:
                 self.remote_frames += 1
             elif entry is Skipped.ERROR:
                 self.error_frames += 1
+            elif isinstance(entry, Unfinished):
+                self.unfinished = entry.cause
             else:
                 self.frames += 1
                 yield entry
