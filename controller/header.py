@@ -18,8 +18,9 @@ from meshpoint.controller.calibration.records import Calibration, read_calibrati
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.reading import UnreadableError, read_bounded
 from meshpoint.gearbox.sheet import sheet_from_canonical
-from meshpoint.gearbox.tables import TableError
+from meshpoint.gearbox.tables import TableError, read_values
 
 SIZE_LIMIT_BYTES: Final = 4 * 1024 * 1024
 
@@ -93,12 +94,12 @@ def load_header(folder: Path, run_hash: int) -> RunHeader:
     """The header with this hash from `folder`. HeaderError where it is missing or changed."""
     path = folder / header_name(run_hash)
     try:
-        if path.stat().st_size > SIZE_LIMIT_BYTES:
-            raise HeaderError(f"{path}: larger than {SIZE_LIMIT_BYTES} bytes")
-        values = json.loads(path.read_text(encoding="utf-8"))
+        content = read_bounded(path, SIZE_LIMIT_BYTES)
+    except UnreadableError as error:
+        raise HeaderError(str(error)) from error
+    try:
+        values = json.loads(content.decode("utf-8"), parse_constant=_no_number)
         header = _from_values(values)
-    except OSError as error:
-        raise HeaderError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise HeaderError(f"{path}: not a run header of this version: {error}") from error
     if header.run_hash != run_hash:
@@ -106,26 +107,18 @@ def load_header(folder: Path, run_hash: int) -> RunHeader:
     return header
 
 
+def _no_number(name: str) -> float:
+    raise ValueError(f"{name} is no number")
+
+
 def _from_values(values: dict[str, Any]) -> RunHeader:
     sheet, calibration = sheet_from_canonical(values["sheet"]), values["calibration"]
+    texts = [values[name] for name in ("version", "architecture", "dbc_sha256")]
+    if not all(isinstance(text, str) for text in (*texts, calibration or "")):
+        raise TableError("version, architecture, dbc_sha256 and calibration are texts")
     return RunHeader(
-        values["version"],
-        values["architecture"],
-        values["dbc_sha256"],
+        *texts,
         sheet,
-        _settings_from(values["settings"]),
+        read_values(ControllerSettings, values["settings"], "settings"),
         None if calibration is None else read_calibration(calibration, "calibration", sheet),
     )
-
-
-def _settings_from(values: dict[str, Any]) -> ControllerSettings:
-    defaults = ControllerSettings()
-    fields: dict[str, Any] = {}
-    for field in dataclasses.fields(ControllerSettings):
-        value = values[field.name]
-        default: Any = getattr(defaults, field.name)
-        is_group = dataclasses.is_dataclass(default)
-        fields[field.name] = type(default)(**value) if is_group else value
-    if len(values) != len(fields):
-        raise TableError("settings of another version")
-    return ControllerSettings(**fields)

@@ -12,8 +12,9 @@ from typing import Final, NamedTuple
 
 from meshpoint.controller.calibration.records import Calibration, CalibrationError, read_calibration
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.reading import UnreadableError, read_text
+from meshpoint.gearbox.tables import SIZE_LIMIT_BYTES
 
-SIZE_LIMIT_BYTES: Final = 256 * 1024
 REFUSED: Final = ".refused"
 MOST_KEPT: Final = 100
 """Refused files kept beside each other; then someone has to look."""
@@ -30,14 +31,9 @@ class Loaded(NamedTuple):
 def read_file(path: Path, sheet: GearboxSheet | None) -> Calibration:
     """The calibration in a file. CalibrationError names file, key, found and allowed."""
     try:
-        size = path.stat().st_size
-        if size > SIZE_LIMIT_BYTES:
-            raise CalibrationError(f"{path}: {size} bytes, allowed are {SIZE_LIMIT_BYTES}")
-        content = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise CalibrationError(f"{path}: torn, or not TOML: {error}") from error
+        content = read_text(path, SIZE_LIMIT_BYTES)
+    except UnreadableError as error:
+        raise CalibrationError(str(error)) from error
     return read_calibration(content, str(path), sheet)
 
 

@@ -10,6 +10,7 @@ from meshpoint.bus.logs.blf import blf_entries
 from meshpoint.bus.logs.entry import DefectError, Entries, Skipped, Unfinished
 from meshpoint.bus.logs.text import candump_entries
 from meshpoint.dbc.frame import Frame
+from meshpoint.gearbox.reading import UnreadableError, open_regular
 
 FORMATS = (".log", ".blf", ".asc")
 MAX_LOG_BYTES = 4 * 1024**3
@@ -60,10 +61,12 @@ class LogReader:
 
     def __iter__(self) -> Iterator[tuple[float, Frame]]:
         try:
-            with self.path.open("rb") as file:
+            with open_regular(self.path) as file:
                 if os.fstat(file.fileno()).st_size == 0:
                     raise EmptyLogError(self.path, "", "is empty")
                 yield from self._frames_of(_entries(file, self.path, self._max_bytes))
+        except UnreadableError as error:
+            raise LogError(self.path, "", error.cause) from error
         except OSError as error:
             raise LogError(self.path, "", error.strerror or str(error)) from error
         except DefectError as defect:
