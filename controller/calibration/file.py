@@ -16,6 +16,9 @@ from meshpoint.gearbox.reading import UnreadableError, read_text
 from meshpoint.gearbox.tables import SIZE_LIMIT_BYTES
 
 REFUSED: Final = ".refused"
+_NEW_FILE: Final = (
+    os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+)
 MOST_KEPT: Final = 100
 """Refused files kept beside each other; then someone has to look."""
 
@@ -70,7 +73,9 @@ def save(path: Path, calibration: Calibration) -> None:
     """Replaces the file in one piece: who reads it, or the next start after a loss of power, finds
     the old one or the new one. OSError where it cannot be written."""
     beside = path.with_name(f".{path.name}.new")
-    with beside.open("w", encoding="utf-8", newline="") as file:
+    # What is there is left over, or was put there so that we write to where it points: a new file.
+    beside.unlink(missing_ok=True)
+    with os.fdopen(os.open(beside, _NEW_FILE, 0o666), "w", encoding="utf-8", newline="") as file:
         file.write(calibration.to_text())
         file.flush()
         os.fsync(file.fileno())

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 from meshpoint.bus.logs.limits import LogError
 from meshpoint.bus.options import BusOpenError
+from meshpoint.bus.pace import PaceError
 from meshpoint.controller.header import HeaderError
 from meshpoint.gearbox.tables import TableError
 from meshpoint.rig_sim.settings import SettingsError
@@ -31,7 +32,15 @@ exit codes:
   1  ran, but failed: a shift that did  130  interrupted
      not end, a replay that differs
   2  bad input: what was found and what is allowed is on standard error"""
-USER_ERRORS = (BusOpenError, CommandError, HeaderError, LogError, SettingsError, TableError)
+USER_ERRORS = (
+    BusOpenError,
+    CommandError,
+    HeaderError,
+    LogError,
+    PaceError,
+    SettingsError,
+    TableError,
+)
 MODULES = {
     "demo": "demo",
     "simulate": "simulate",
