@@ -113,11 +113,15 @@ def _no_number(name: str) -> float:
 
 def _from_values(values: dict[str, Any]) -> RunHeader:
     sheet, calibration = sheet_from_canonical(values["sheet"]), values["calibration"]
-    texts = [values[name] for name in ("version", "architecture", "dbc_sha256")]
-    if not all(isinstance(text, str) for text in (*texts, calibration or "")):
+    version, machine, dbc_sha256 = (
+        values[name] for name in ("version", "architecture", "dbc_sha256")
+    )
+    if not all(isinstance(text, str) for text in (version, machine, dbc_sha256, calibration or "")):
         raise TableError("version, architecture, dbc_sha256 and calibration are texts")
     return RunHeader(
-        *texts,
+        version,
+        machine,
+        dbc_sha256,
         sheet,
         read_values(ControllerSettings, values["settings"], "settings"),
         None if calibration is None else read_calibration(calibration, "calibration", sheet),

@@ -15,6 +15,7 @@ import can
 import can.cli
 import can.util
 
+from meshpoint.bus.kernel_drops import count_lost_frames
 from meshpoint.bus.local.channel import ChannelError
 from meshpoint.bus.local.register import register_interface
 
@@ -69,6 +70,9 @@ def open_bus_from(namespace: argparse.Namespace) -> can.BusABC:
         raise BusOpenError(_open_error(config, error)) from error
     if config["interface"] in _LOSSY:
         _enlarge_receive_buffer(bus)
+    if config["interface"] == "socketcan":
+        with suppress(OSError):  # a system that cannot tell what it lost
+            count_lost_frames(bus)
     return bus
 
 
