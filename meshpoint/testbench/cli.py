@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 from meshpoint.bus.logs.limits import LogError
 from meshpoint.bus.options import BusOpenError
+from meshpoint.bus.pace import PaceError
 from meshpoint.controller.header import HeaderError
 from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.gearbox.tables import TableError
@@ -21,7 +22,8 @@ from meshpoint.testbench.loop.compiling import Progress
 from meshpoint.testbench.results.output import check_writable
 
 USER_ERRORS = (
-    BusOpenError, CommandError, HeaderError, LogError, SettingsError, StrategyError, TableError,
+    BusOpenError, CommandError, HeaderError, LogError, PaceError, SettingsError, StrategyError,
+    TableError,
 )  # fmt: skip
 
 

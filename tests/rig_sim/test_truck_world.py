@@ -168,6 +168,8 @@ def test_as_built_is_drawn_within_its_ranges_and_a_file_fixes_it(tmp_path: Path)
         ("[disc]\nheat_j_k = true", ["disc.heat_j_k", "True"]),
         ("disc = 1", ["disc", "table"]),
         ("x", ["TOML"]),
+        ("[turbo]", ["turbo", "disc", "teeth"]),
+        ("[turbo.inner]", ["turbo"]),
     ],
 )
 def test_a_wrong_as_built_file_is_told(tmp_path: Path, text: str, words: list[str]) -> None:

@@ -112,24 +112,24 @@ def firing(strategy: str) -> Firing:
 
 
 TABLES: dict[str, Callable[[], Table]] = {
-    "output.rows_table": lambda: rows_table("title", [ROW]),
-    "comparison.comparison_table": lambda: comparison_table(
+    "results.output.rows_table": lambda: rows_table("title", [ROW]),
+    "report.comparison.comparison_table": lambda: comparison_table(
         compare({name: [ROW] * 1000 for name in STRATEGIES})
     ),
     "campaign.table._strategies": lambda: campaign_table._strategies(campaign_values()),
     "campaign.table._ratios": lambda: campaign_table._ratios(campaign_values()["ratios"]),
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
-    "counterfactual.counterfactual_table": lambda: counterfactual_table(
+    "logs.counterfactual.counterfactual_table": lambda: counterfactual_table(
         "title", [Counterfactual(10, 12, firing(LONGEST), firing(LONGEST))]
     ),
     "commands.captures.counts_table": lambda: captures_command.counts_table([CAPTURE]),
     "commands.captures.errors_table": lambda: captures_command.errors_table([CAPTURE]),
     "commands.study.list_table": lambda: study_command.list_table([load(name) for name in NAMES]),
     "commands.study._table": lambda: study_command._table([study_record(name) for name in NAMES]),
-    "describe.parameters_table": lambda: parameters_table(
+    "commands.describe.parameters_table": lambda: parameters_table(
         draw_as_built(7, {}), {"brake_gain": 1.0}
     ),
-    "describe.faults_table": faults_table,
+    "commands.describe.faults_table": faults_table,
     "commands.dbc.messages_table": dbc_command.messages_table,
     "commands.dbc.signals_table": lambda: dbc_command.signals_table(SCHEMA.messages[11]),
     "commands.gearbox._gear_table": lambda: gearbox_command._gear_table(
