@@ -81,7 +81,7 @@ def filled(layout: Layout, **values: float) -> Vector:
     return np.array([*values.values()], dtype=np.float64)
 
 
-class Memory:
+class RecordMemory:
     """A record and the flat memory it stands on. Copied (a campaign copies whole controllers) as
     the memory alone: copies of views would be arrays of their own."""
 

@@ -353,7 +353,7 @@ def sensor_denies_a_gear(case: Case) -> bool:
     return any(case.spans[v] is not None for v in (BRAKE, RANGE_LOW, RANGE_HIGH, *others))
 
 
-class Row(NamedTuple):
+class GuardRow(NamedTuple):
     """One rule: its number in docs/guard.md, whether it latches, and the test."""
 
     number: int
@@ -362,19 +362,19 @@ class Row(NamedTuple):
 
 
 ROWS: Final = (
-    Row(12, False, output_before_the_self_test),
-    Row(1, True, both_valves_of_a_sleeve),
-    Row(2, True, two_sleeves_of_the_main_box),
-    Row(7, False, driven_too_long_or_blind),
-    Row(13, False, sensor_denies_a_gear),
-    Row(5, False, brake_against_the_driveline),
-    Row(6, False, brake_beyond_its_limits),
-    Row(8, False, range_change_out_of_neutral),
-    Row(9, False, input_overspeed),
-    Row(10, False, disengage_under_torque),
-    Row(4, False, engage_on_unknown_speed),
-    Row(3, False, slip_out_of_its_window),
-    Row(11, False, actuation_at_low_supply),
+    GuardRow(12, False, output_before_the_self_test),
+    GuardRow(1, True, both_valves_of_a_sleeve),
+    GuardRow(2, True, two_sleeves_of_the_main_box),
+    GuardRow(7, False, driven_too_long_or_blind),
+    GuardRow(13, False, sensor_denies_a_gear),
+    GuardRow(5, False, brake_against_the_driveline),
+    GuardRow(6, False, brake_beyond_its_limits),
+    GuardRow(8, False, range_change_out_of_neutral),
+    GuardRow(9, False, input_overspeed),
+    GuardRow(10, False, disengage_under_torque),
+    GuardRow(4, False, engage_on_unknown_speed),
+    GuardRow(3, False, slip_out_of_its_window),
+    GuardRow(11, False, actuation_at_low_supply),
 )
 """In the order in which they are asked: the first that forbids is the one reported."""
 

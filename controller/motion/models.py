@@ -19,7 +19,7 @@ from meshpoint.controller.motion.kernels import (
     travel,
 )
 from meshpoint.controller.motion.kinematics import are_finite
-from meshpoint.controller.records import Memory, Vector
+from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
 
@@ -59,7 +59,7 @@ class LayshaftState(NamedTuple):
         return np.array([*self[1:4], *self[7:10]])
 
 
-class MotionModel(Memory):
+class MotionModel(RecordMemory):
     """A `motion_kernels.Model`. It is not changed once it is made."""
 
     def __init__(self, rates: Vector, law: Vector, noise: Vector) -> None:

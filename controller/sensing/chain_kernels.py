@@ -17,7 +17,7 @@ STAMPS: Final = 27
 BROKEN: Final = -1
 
 
-class Chain:
+class EdgeChain:
     """One polarity's edges over all frames: the newest frame, then what is known before it."""
 
     newest_index: int
@@ -41,10 +41,10 @@ class Chain:
     """The last of the edges after power-up that may lie wrong."""
 
 
-CHAIN: Final = layout_of(Chain)
+CHAIN: Final = layout_of(EdgeChain)
 CHAIN_WORDS: Final = CHAIN.itemsize // WORD
 pack_frame: Final = struct.Struct(f"={5 + STAMPS}q").pack_into
-"""The fields of a frame into a `Chain`, from its first byte on."""
+"""The fields of a frame into an `EdgeChain`, from its first byte on."""
 pack_stamps: Final = struct.Struct(f"={STAMPS}q").pack_into
 """A tuple of them gets into an array fastest through the bytes that the array stands on."""
 FIRST_WRONG: Final = 9
@@ -78,7 +78,7 @@ def newest_teeth(low: Integers, valid: int) -> tuple[int, int]:
 def chain_edges(memory: Vector, edges: Integers, count: int) -> int:
     """Appends the edges since the last frame, oldest first, behind the first `count`.
 
-    memory: a `Chain` with the new frame, moved on; edges (2, n): their running numbers and times.
+    memory: an `EdgeChain` with the new frame, moved on; edges (2, n): running numbers and times (us).
     The first edges after power-up are left out: a frame that is not full shows that the sensor has
     just begun to count. Returns the new count, or BROKEN when numbers before and after cannot be
     tied together: the wheel stood still, or more edges came than a frame holds.

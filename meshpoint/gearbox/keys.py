@@ -65,7 +65,7 @@ class Key:
 
 
 @dataclass(frozen=True)
-class Group:
+class KeyGroup:
     """One table of a file and the keys that stand in it."""
 
     name: str
@@ -73,14 +73,14 @@ class Group:
     keys: tuple[Key, ...]
 
 
-def groups_of(cls: type, values: Any = None) -> list[Group]:
+def groups_of(cls: type, values: Any = None) -> list[KeyGroup]:
     """Every table of the file that `cls` is read from, in order; the first is the top.
 
     values: an instance, whose values then take the place of the defaults."""
     return list(_walk(cls, "", values))
 
 
-def _walk(cls: Any, name: str, values: Any) -> Iterator[Group]:
+def _walk(cls: Any, name: str, values: Any) -> Iterator[KeyGroup]:
     docs, keys, inner = field_docs(cls), [], []
     for field in dataclasses.fields(cls):
         if not field.metadata:
@@ -94,7 +94,7 @@ def _walk(cls: Any, name: str, values: Any) -> Iterator[Group]:
             text = None if value is None else toml_value(value, rule)
             meaning = docs.get(field.name, "")
             keys.append(Key(name, rule.key, unit_of(rule.key), rule.allowed(), text, meaning))
-    yield Group(name, _one_line(cls.__doc__ or ""), tuple(keys))
+    yield KeyGroup(name, _one_line(cls.__doc__ or ""), tuple(keys))
     for group, path, value in inner:
         yield from _walk(group, path, value)
 
@@ -166,7 +166,7 @@ def _one_line(text: str) -> str:
     return " ".join(text.split())
 
 
-def to_toml(groups: list[Group], title: str) -> str:
+def to_toml(groups: list[KeyGroup], title: str) -> str:
     """A file that holds every key, each with its meaning, unit and allowed values above it."""
     lines = _comment(title)
     for group in groups:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from typing import Final, NamedTuple
 
-from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.records import RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import read_ring
 from meshpoint.rig_sim.shared.capture_records import CHANNELS, STAMPS, Captured, Reading
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
@@ -45,10 +45,10 @@ class RingReader:
     """Puts the newest edges of all channels into reads; its memory is used again each time."""
 
     def __init__(self) -> None:
-        self._reading = Memory(Reading())
+        self._reading = RecordArray(Reading())
 
     def read(
-        self, now_us: int, on_us: float, clock: SensorClock, captured: Memory[Captured]
+        self, now_us: int, on_us: float, clock: SensorClock, captured: RecordArray[Captured]
     ) -> list[EdgeRead]:
         """The read of all channels now (`kernels.read_ring`)."""
         reading = self._reading

@@ -19,8 +19,7 @@ from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.shared.rotation import Rotation
-from meshpoint.rig_sim.shared.sleeves import Sleeve as SleeveAxis
-from meshpoint.rig_sim.shared.sleeves import SleeveState
+from meshpoint.rig_sim.shared.sleeves import SleeveAxis, SleeveState
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.units import RPM
 

@@ -117,7 +117,7 @@ def resting(since_us: float, position_m: float) -> Stroke:
     return Stroke(since_us, since_us, since_us, position_m, position_m, 1)
 
 
-class Sleeve:
+class SleeveAxis:
     """One sleeve: axial state and position. `side` is the direction of the gear it is at or moves
     to or from, -1 or +1, and 0 in neutral."""
 

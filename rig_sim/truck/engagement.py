@@ -71,6 +71,13 @@ class TruckEngagement(Engagement[TruckSleeve]):
             return tally
         return tally._replace(face_us=tally.face_us + round(self._plant.time_us - since_us))
 
+    def reset_sleeve(self, name: Sleeve) -> None:
+        """A main sleeve stands in neutral at once, all main valves off; nothing is recorded."""
+        self._leave_face(name)
+        self._energised.clear()
+        self._truck.unwatch(ROWS[name])
+        self.sleeves[name] = TruckSleeve(self._sheet.sleeve, 0, self.sleeves[name].axis)
+
     def due(self, time_us: float) -> None:
         """Do what is due now; the plant stands at this instant."""
         for name, sleeve in self.sleeves.items():

@@ -12,7 +12,7 @@ from typing import Final
 from meshpoint.rig_sim.jit import inlined, part
 from meshpoint.rig_sim.parts.engine import capacity_nm
 from meshpoint.rig_sim.truck import layout as at
-from meshpoint.rig_sim.truck.layout import Rig, State, Watch
+from meshpoint.rig_sim.truck.layout import PhaseWatch, Rig, RigState
 from meshpoint.rig_sim.truck.motion import rates
 from meshpoint.rig_sim.truck.step import step
 
@@ -23,7 +23,7 @@ TORQUE_S: Final = 1e-9
 
 
 @inlined
-def _watched(y: State, watch: Watch) -> float:
+def _watched(y: RigState, watch: PhaseWatch) -> float:
     phase = y.phase_rad[watch.gear] + watch.offset_rad
     if watch.with_lash != 0:
         phase += y.lash_rad[watch.gear]
@@ -31,7 +31,7 @@ def _watched(y: State, watch: Watch) -> float:
 
 
 @inlined
-def _beyond(y: State, event: int, rig: Rig) -> float:
+def _beyond(y: RigState, event: int, rig: Rig) -> float:
     """How far a state is beyond an event's limit: positive once the event has happened."""
     beyond: float
     if event >= at.STOPPED:

@@ -105,7 +105,7 @@ class Faultable(Protocol):
         """Does something this much after the plant's present instant."""
 
 
-class FaultDesk:
+class FaultInjector:
     """Switches faults of one world on and off, at the plant's present instant."""
 
     def __init__(self, world: Faultable) -> None:
@@ -177,12 +177,12 @@ class FaultDesk:
         self._slow_us.pop(valve, None)
 
 
-Starter = Callable[[Faultable, FaultDesk, FaultOrder], Callable[[], None]]
+Starter = Callable[[Faultable, FaultInjector, FaultOrder], Callable[[], None]]
 """Begins a fault and returns what ends it: a partial, so that a copy of the world ends its own."""
 
 
 def _channel(field: str, value: Callable[[FaultOrder], int]) -> Starter:
-    def start(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    def start(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
         hall = world.plant.rig.hall[order.target]
         setattr(hall, field, value(order))
         return partial(setattr, hall, field, 0)
@@ -190,14 +190,14 @@ def _channel(field: str, value: Callable[[FaultOrder], int]) -> Starter:
     return start
 
 
-def _freeze(_: Faultable, desk: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _freeze(_: Faultable, injector: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     freezer: Freezer[list[EdgeRead]] | Freezer[SensorRead]
-    freezer = desk.edges if order.target == 0 else desk.slow
+    freezer = injector.edges if order.target == 0 else injector.slow
     freezer.frozen = True
     return partial(setattr, freezer, "frozen", False)
 
 
-def _leak(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _leak(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     g, y, p = world.plant.g, world.plant.y, world.plant.p
     before = g.governed_pa
     g.governed_pa = max(order.value * BAR, p.air.atmosphere_pa)
@@ -205,27 +205,27 @@ def _leak(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], Non
     return partial(setattr, g, "governed_pa", before)
 
 
-def _fade(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _fade(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     brake = world.plant.p.brake
     before = brake.gain_nm_pa
     brake.gain_nm_pa = before * max(order.value, 0.0) / 100.0
     return partial(setattr, brake, "gain_nm_pa", before)
 
 
-def _jam(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _jam(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     name = Sleeve(order.target)
     sleeve = world.script.step_sleeve(name) or world.engagement.sleeves[name]
     sleeve.jammed = True
     return partial(setattr, sleeve, "jammed", False)
 
 
-def _lie(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _lie(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     name = Sleeve(order.target)
     world.positions.lie(name, order.value * MM)
     return partial(world.positions.lie, name, 0.0)
 
 
-def _repeat(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _repeat(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     name = Sleeve(order.target)
     world.positions.freeze(name, frozen=True)
     return partial(world.positions.freeze, name, frozen=False)
@@ -241,7 +241,7 @@ def _deafen(world: Faultable, *_: object) -> Callable[[], None]:
     return partial(setattr, world.engine, "deaf", False)
 
 
-def _drift(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _drift(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     _run_fast(world, min(max(order.value, -MOST_PPM), MOST_PPM))
     return partial(_run_fast, world, 0.0)
 
@@ -250,7 +250,7 @@ def _run_fast(world: Faultable, ppm: float) -> None:
     world.clock.drift(world.plant.time_us, ppm)
 
 
-def _jump(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _jump(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     ahead_us = round(order.value)
     _step_ahead(world, ahead_us)
     return partial(_step_ahead, world, -ahead_us)
@@ -274,7 +274,7 @@ def _come_back(world: Faultable) -> None:
     world.plant.edges.power_up(time_us)
 
 
-def _stall(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _stall(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     now_us = round(world.plant.time_us)
     world.node.stalled_until_us = now_us + (order.duration_us or FOREVER_US)
     return partial(setattr, world.node, "stalled_until_us", 0)
@@ -285,8 +285,8 @@ _STARTERS: Final[dict[RigFault, Starter]] = {
     RigFault.HALL_MISSING_TOOTH: _channel("missing", lambda order: int(order.value) + 1),
     RigFault.HALL_DOUBLE_EDGE: _channel("extra", lambda _: 1),
     RigFault.HALL_NOISE_BURST: _channel("extra", lambda order: min(max(int(order.value), 1), 8)),
-    RigFault.VALVE_STUCK: lambda _, desk, order: desk.stick(Valve(order.target)),
-    RigFault.VALVE_SLOW: lambda _, desk, order: desk.slow_down(
+    RigFault.VALVE_STUCK: lambda _, injector, order: injector.stick(Valve(order.target)),
+    RigFault.VALVE_SLOW: lambda _, injector, order: injector.slow_down(
         Valve(order.target), max(order.value, 0.0) * MS * SECOND_US
     ),
     RigFault.SUPPLY_DROP: _leak,

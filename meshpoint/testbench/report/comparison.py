@@ -28,7 +28,7 @@ HEADERS: Final = (
 
 
 @dataclass(frozen=True)
-class Group:
+class ShiftGroup:
     """The shifts of one strategy that belong together."""
 
     kind: str
@@ -55,7 +55,7 @@ class Group:
         return vars(self) | {"gap_ci95": list(self.interval)}
 
 
-def compare(runs: Mapping[str, Sequence[ShiftRow]]) -> list[Group]:
+def compare(runs: Mapping[str, Sequence[ShiftRow]]) -> list[ShiftGroup]:
     """Learning shifts, then aimed ones, each strategy beside the other; empty groups left out.
 
     runs: rows by strategy as it was asked for; shifts pair by gears and how often these came."""
@@ -85,13 +85,13 @@ def _by_place(rows: Sequence[ShiftRow]) -> dict[tuple[int, int, int], ShiftRow]:
     return found
 
 
-def _group(kind: str, strategy: str, rows: list[ShiftRow]) -> Group:
+def _group(kind: str, strategy: str, rows: list[ShiftRow]) -> ShiftGroup:
     errors = [row.phase_error_deg for row in rows if row.phase_error_deg is not None]
     durations = [row.duration_ms for row in rows if row.result == "engaged"]
     rms = None
     if strategy == AIMS and kind == AIMED and errors:
         rms = math.sqrt(sum(error * error for error in errors) / len(errors))
-    return Group(
+    return ShiftGroup(
         kind=kind,
         strategy=strategy,
         shifts=len(rows),
@@ -103,7 +103,7 @@ def _group(kind: str, strategy: str, rows: list[ShiftRow]) -> Group:
     )
 
 
-def explain(groups: Sequence[Group], sheet: GearboxSheet) -> list[str]:
+def explain(groups: Sequence[ShiftGroup], sheet: GearboxSheet) -> list[str]:
     """What the groups are, and what luck alone would do."""
     lines = []
     if any(group.kind == LEARNING for group in groups):
@@ -117,7 +117,7 @@ def explain(groups: Sequence[Group], sheet: GearboxSheet) -> list[str]:
     return lines
 
 
-def cells(group: Group) -> list[str]:
+def cells(group: ShiftGroup) -> list[str]:
     """A group in figures, as tables show it, after its kind and strategy."""
     low, high = group.interval
     rms, mean = group.phase_error_rms_deg, group.mean_duration_ms
@@ -129,7 +129,7 @@ def cells(group: Group) -> list[str]:
     ]
 
 
-def comparison_table(groups: Sequence[Group]) -> Table:
+def comparison_table(groups: Sequence[ShiftGroup]) -> Table:
     """Groups under each other, in 80 columns."""
     table = Table(title="summary", title_justify="left", box=None, pad_edge=False)
     for column in HEADERS:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any, Final
 
-from meshpoint.testbench.report.comparison import Group, cells, compare, explain
+from meshpoint.testbench.report.comparison import ShiftGroup, cells, compare, explain
 from meshpoint.testbench.report.html import NUMBER, Cell, definitions, document, table, table_row
 from meshpoint.testbench.report.overview import shift_key
 from meshpoint.testbench.report.run import Report, ReportRun, account, figure, shift_title
@@ -72,12 +72,12 @@ def _summary(report: Report) -> str:
     return table(head, rows) + f"\n<p>{escape(' '.join(words))}</p>"
 
 
-def _summary_cells(group: Group) -> list[Cell]:
+def _summary_cells(group: ShiftGroup) -> list[Cell]:
     figures = [(cell, NUMBER) for cell in cells(group)]
     return [(group.kind, ""), (group.strategy, ""), (str(group.engaged), NUMBER), *figures]
 
 
-def _size(groups: Sequence[Group]) -> list[str]:
+def _size(groups: Sequence[ShiftGroup]) -> list[str]:
     """Says so where the shifts are too few for a rate."""
     fewest = min((group.shifts for group in groups), default=0)
     if not groups or fewest >= FEW:

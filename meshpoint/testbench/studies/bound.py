@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from meshpoint.controller.settings import ControllerSettings, ThesisFilter
+from meshpoint.controller.settings import ControllerSettings, ThesisFilterTuning
 from meshpoint.gearbox.tables import count, group, quantity
 from meshpoint.testbench.studies.bound_runs import NAMES, ErrorSums, Shifts
 from meshpoint.testbench.studies.bound_scene import Scene
@@ -59,7 +59,7 @@ class Settings:
     ahead_at_most: float = quantity("ahead_at_most", 0.1, 100.0)
     ahead_share_of_pitch: float = quantity("ahead_percent_of_pitch", 0.1, 100.0, 0.01)
     scene: Scene = group(Scene)
-    thesis_filter: ThesisFilter = group(ThesisFilter)
+    thesis_filter: ThesisFilterTuning = group(ThesisFilterTuning)
 
 
 def _runs(given: Given[Settings]) -> tuple[Shifts, ...]:
