@@ -22,7 +22,7 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.sheet import sheet_from_canonical
 from meshpoint.gearbox.tables import TableError
 
-SIZE_LIMIT_BYTES: Final = 4 * 1024 * 1024
+HEADER_LIMIT_BYTES: Final = 4 * 1024 * 1024
 
 
 class HeaderError(ValueError):
@@ -103,8 +103,8 @@ def load_header(folder: Path, run_hash: int) -> RunHeader:
     """The header with this hash from `folder`. HeaderError where it is missing or changed."""
     path = folder / header_name(run_hash)
     try:
-        if path.stat().st_size > SIZE_LIMIT_BYTES:
-            raise HeaderError(f"{path}: larger than {SIZE_LIMIT_BYTES} bytes")
+        if path.stat().st_size > HEADER_LIMIT_BYTES:
+            raise HeaderError(f"{path}: larger than {HEADER_LIMIT_BYTES} bytes")
         values = json.loads(path.read_text(encoding="utf-8"))
         header = _from_values(values)
     except OSError as error:

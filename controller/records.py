@@ -24,7 +24,7 @@ Integers = NDArray[np.int64]
 Layout = np.dtype[np.record]
 Item = TypeVar("Item", covariant=True)
 
-WORD: Final = 8
+WORD_BYTES: Final = 8
 """Bytes of a number, float or integer: a record is a whole number of them."""
 
 
@@ -87,7 +87,7 @@ class RecordMemory:
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
-        self._on(np.zeros(layout.itemsize // WORD))
+        self._on(np.zeros(layout.itemsize // WORD_BYTES))
 
     def part(self, name: str) -> NDArray[Any]:
         """A field as a view: of one element where it is a single number."""

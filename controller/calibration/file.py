@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 from meshpoint.controller.calibration.learned import Calibration, CalibrationError, read_calibration
 from meshpoint.gearbox import GearboxSheet
 
-SIZE_LIMIT_BYTES: Final = 256 * 1024
+CALIBRATION_LIMIT_BYTES: Final = 256 * 1024
 REFUSED: Final = ".refused"
 MOST_KEPT: Final = 100
 """Refused files kept beside each other; then someone has to look."""
@@ -31,8 +31,8 @@ def read_file(path: Path, sheet: GearboxSheet | None) -> Calibration:
     """The calibration in a file. CalibrationError names file, key, found and allowed."""
     try:
         size = path.stat().st_size
-        if size > SIZE_LIMIT_BYTES:
-            raise CalibrationError(f"{path}: {size} bytes, allowed are {SIZE_LIMIT_BYTES}")
+        if size > CALIBRATION_LIMIT_BYTES:
+            raise CalibrationError(f"{path}: {size} bytes, allowed are {CALIBRATION_LIMIT_BYTES}")
         content = path.read_text(encoding="utf-8")
     except OSError as error:
         raise CalibrationError(f"{path}: cannot be read: {error.strerror or error}") from error

@@ -14,7 +14,12 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.estimation.crossing_kernels import crossing_filter
-from meshpoint.controller.estimation.crossing_layout import KEPT, LATE, FilterMemory, TeethArrays
+from meshpoint.controller.estimation.crossing_layout import (
+    BATCHES_KEPT,
+    LATE,
+    FilterMemory,
+    TeethArrays,
+)
 from meshpoint.controller.motion.models import LayshaftState, MotionModel, ahead, diagonal, state_of
 from meshpoint.controller.records import Vector
 from meshpoint.controller.settings import CrossingFilterTuning
@@ -58,7 +63,7 @@ class CrossingFilter:
         )
         self._sd_rad = tuning.tooth_error_rad
         self._model: MotionModel | None = None
-        self._taken: deque[_Batch] = deque(maxlen=KEPT)
+        self._taken: deque[_Batch] = deque(maxlen=BATCHES_KEPT)
         """The batches behind the moments that the memory holds."""
 
     def begin(self, time_us: float, x: Vector, p: Vector) -> None:

@@ -19,9 +19,9 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.estimation.crossing_layout import (
+    BATCHES_KEPT,
     DONE,
     FILTER,
-    KEPT,
     LATE,
     NORMAL,
     RIGHT,
@@ -125,8 +125,8 @@ def keep(f: Filter) -> None:
     """The present moment into the ring."""
     for k in range(SNAPSHOT_WORDS):
         f.snapshots[f.next, k] = f.snapshot[k]
-    f.next = (f.next + 1) % KEPT
-    f.held = min(f.held + 1, KEPT)
+    f.next = (f.next + 1) % BATCHES_KEPT
+    f.held = min(f.held + 1, BATCHES_KEPT)
 
 
 @inlined

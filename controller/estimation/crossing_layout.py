@@ -7,9 +7,9 @@ from typing import Annotated, Final
 import numpy as np
 
 from meshpoint.controller.motion.kernels import STATES, Model, MotionState, MotionStep
-from meshpoint.controller.records import WORD, Over, RecordMemory, Records, Vector, layout_of
+from meshpoint.controller.records import WORD_BYTES, Over, RecordMemory, Records, Vector, layout_of
 
-KEPT: Final = 4
+BATCHES_KEPT: Final = 4
 """Batches that can be taken back: 40 ms, more than two lost frames."""
 
 
@@ -29,7 +29,7 @@ class FilterSnapshot:
     """Its covariances with the state."""
 
 
-SNAPSHOT_WORDS: Final = layout_of(FilterSnapshot).itemsize // WORD
+SNAPSHOT_WORDS: Final = layout_of(FilterSnapshot).itemsize // WORD_BYTES
 
 
 class Filter:
@@ -78,15 +78,15 @@ class Filter:
     step: MotionStep
     gain: Annotated[Vector, STATES]
     """The last Kalman gain."""
-    ring: Annotated[Records[FilterSnapshot], KEPT]
+    ring: Annotated[Records[FilterSnapshot], BATCHES_KEPT]
     """Moments before each of the last batches."""
 
     x: Annotated[Vector, Over("state"), STATES]
-    motion: Annotated[Vector, Over("model"), layout_of(Model).itemsize // WORD]
+    motion: Annotated[Vector, Over("model"), layout_of(Model).itemsize // WORD_BYTES]
     mesh: Annotated[Vector, Over("at_flank_rad2_s"), 3]
     nis: Annotated[Vector, Over("squares"), 2]
     snapshot: Annotated[Vector, Over("time_us"), SNAPSHOT_WORDS]
-    snapshots: Annotated[Vector, Over("ring"), KEPT, SNAPSHOT_WORDS]
+    snapshots: Annotated[Vector, Over("ring"), BATCHES_KEPT, SNAPSHOT_WORDS]
 
 
 FILTER: Final = layout_of(Filter)
@@ -140,7 +140,7 @@ class FilterMemory(RecordMemory):
     def go_back(self) -> None:
         """To the moment before the newest batch that is still held. There must be one."""
         following = self.part("next")
-        following[0] = (following[0] - 1) % KEPT
+        following[0] = (following[0] - 1) % BATCHES_KEPT
         self.held[0] -= 1
         self.part("snapshot")[:] = self.part("snapshots")[following[0]]
 

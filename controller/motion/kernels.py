@@ -24,7 +24,7 @@ from typing import Annotated, Final
 import numpy as np
 
 from meshpoint.controller.jit import compiled, inlined
-from meshpoint.controller.records import WORD, Over, Records, Vector, layout_of
+from meshpoint.controller.records import WORD_BYTES, Over, Records, Vector, layout_of
 from meshpoint.units import US
 
 STATES: Final = 6
@@ -97,7 +97,7 @@ class MotionStep:
 STATE: Final = layout_of(MotionState)
 MODEL: Final = layout_of(Model)
 STEP: Final = layout_of(MotionStep)
-STEP_WORDS: Final = STEP.itemsize // WORD
+STEP_WORDS: Final = STEP.itemsize // WORD_BYTES
 
 LONGEST_S: Final = 5e-3
 """Within this step the process noise of `spread_over` is good to 2 %."""
@@ -267,8 +267,8 @@ def input_at(t_us: float, switch_us: Vector) -> int:
 def travel(x: Vector, t_us: float, to_us: float, switches: Vector, model: Vector) -> None:
     """Moves a state from `t_us` to `to_us` through every brake switch and segment, in place.
 
-    x: a `MotionState`; switches (2, n): rising times (us), and the valve's state u from each on; u is
-    0 before the first one; model: a `Model`."""
+    x: a `MotionState`; switches (2, n): rising times (us), and the valve's state u from
+    each on, 0 before the first; model: a `Model`."""
     state, motion = x.view(STATE)[0], model.view(MODEL)[0]
     step = np.zeros(STEP_WORDS).view(STEP)[0]
     switch_us, switch_u = switches[0], switches[1]

@@ -11,7 +11,7 @@ from typing import Annotated, Final
 import numpy as np
 
 from meshpoint.controller.jit import bare, compiled
-from meshpoint.controller.records import WORD, Integers, Vector, layout_of
+from meshpoint.controller.records import WORD_BYTES, Integers, Vector, layout_of
 
 STAMPS: Final = 27
 BROKEN: Final = -1
@@ -42,7 +42,7 @@ class EdgeChain:
 
 
 CHAIN: Final = layout_of(EdgeChain)
-CHAIN_WORDS: Final = CHAIN.itemsize // WORD
+CHAIN_WORDS: Final = CHAIN.itemsize // WORD_BYTES
 pack_frame: Final = struct.Struct(f"={5 + STAMPS}q").pack_into
 """The fields of a frame into an `EdgeChain`, from its first byte on."""
 pack_stamps: Final = struct.Struct(f"={STAMPS}q").pack_into
@@ -78,9 +78,9 @@ def newest_teeth(low: Integers, valid: int) -> tuple[int, int]:
 def chain_edges(memory: Vector, edges: Integers, count: int) -> int:
     """Appends the edges since the last frame, oldest first, behind the first `count`.
 
-    memory: an `EdgeChain` with the new frame, moved on; edges (2, n): running numbers and times (us).
-    The first edges after power-up are left out: a frame that is not full shows that the sensor has
-    just begun to count. Returns the new count, or BROKEN when numbers before and after cannot be
+    memory: an `EdgeChain` with the new frame, moved on; edges (2, n): running numbers and
+    times (us). The first edges after power-up are left out: a frame that is not full shows that
+    the sensor has just begun to count. Returns the new count, or BROKEN when numbers before and after cannot be
     tied together: the wheel stood still, or more edges came than a frame holds.
     """
     chain = memory.view(CHAIN)[0]

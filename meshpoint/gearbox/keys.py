@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from meshpoint.gearbox.tables import Rule, key_of
 
-UNITS: Final = {
+KEY_UNITS: Final = {
     "_percent_of_pitch": "% of pitch",
     "_percent_of_gap": "% of half a gap",
     "_ms_per_j": "ms/J",
@@ -40,9 +40,9 @@ UNITS: Final = {
     "_us": "us",
 }
 """A key's ending, and the unit it stands for; the longest that fits counts."""
-DIGITS: Final = 17
+FLOAT_DIGITS: Final = 17
 """Enough for every float to come back as it was."""
-WIDTH: Final = 80
+KEY_WIDTH: Final = 80
 
 
 @dataclass(frozen=True)
@@ -105,8 +105,8 @@ def _default(field: dataclasses.Field[Any]) -> Any:
 
 def unit_of(key: str) -> str:
     """The unit that a key's name ends with; empty for a bare number."""
-    fits = [ending for ending in UNITS if key.endswith(ending)]
-    return UNITS[max(fits, key=len)] if fits else ""
+    fits = [ending for ending in KEY_UNITS if key.endswith(ending)]
+    return KEY_UNITS[max(fits, key=len)] if fits else ""
 
 
 def toml_value(value: Any, rule: Rule) -> str:
@@ -124,7 +124,7 @@ def toml_value(value: Any, rule: Rule) -> str:
 def _in_unit(value: float, si: float) -> str:
     """The shortest number that is `value` times its factor to SI."""
     near = value / si
-    for digits in range(1, DIGITS + 1):
+    for digits in range(1, FLOAT_DIGITS + 1):
         for other in (near, math.nextafter(near, -math.inf), math.nextafter(near, math.inf)):
             text = repr(float(f"{other:.{digits}g}"))
             if float(text) * si == value:
@@ -184,4 +184,4 @@ def to_toml(groups: list[KeyGroup], title: str) -> str:
 
 
 def _comment(text: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH, initial_indent="# ", subsequent_indent="# ")
+    return textwrap.wrap(text, KEY_WIDTH, initial_indent="# ", subsequent_indent="# ")

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
-SIZE_LIMIT_BYTES: Final = 256 * 1024
+TABLE_LIMIT_BYTES: Final = 256 * 1024
 DEPTH_LIMIT: Final = 6
 T = TypeVar("T")
 
@@ -82,8 +82,10 @@ def flag(key: str, **default: Any) -> Any:
 def load_toml(path: Path) -> dict[str, Any]:
     """The parsed file. TableError where it is missing, too large, too deep or not TOML."""
     try:
-        if path.stat().st_size > SIZE_LIMIT_BYTES:
-            raise TableError(f"{path}: {path.stat().st_size} bytes, allowed are {SIZE_LIMIT_BYTES}")
+        if path.stat().st_size > TABLE_LIMIT_BYTES:
+            raise TableError(
+                f"{path}: {path.stat().st_size} bytes, allowed are {TABLE_LIMIT_BYTES}"
+            )
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise TableError(f"{path}: cannot be read: {error.strerror or error}") from error

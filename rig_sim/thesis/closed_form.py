@@ -35,7 +35,7 @@ ACCELERATED, FREE = range(2)
 SERIES_BELOW: Final = 0.02
 SETTLED_S: Final = 1e-9
 BISECTED_S: Final = 1e-14
-MAX_ITERATIONS: Final = 80
+ROOT_ITERATIONS: Final = 80
 
 
 class Motion(Record):
@@ -128,7 +128,7 @@ def time_to_turn(motion: Motion, angle: float, low: float, high: float, guess: f
         root = math.sqrt(max(omega * omega + 2.0 * motion.accel_rad_s2 * angle, 0.0))
         return min(max(2.0 * angle / (omega + root), low), high) if omega + root > 0.0 else high
     s = min(max(guess, low), high)
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(ROOT_ITERATIONS):
         turned, omega = motion_at(motion, s)
         error = turned - angle
         if error > 0.0:
@@ -152,7 +152,7 @@ def time_of_stop(motion: Motion, horizon: float) -> float:
     if motion.kind != FREE or motion_at(motion, horizon)[1] > 0.0:
         return -1.0
     low, high = 0.0, horizon
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(ROOT_ITERATIONS):
         middle = 0.5 * (low + high)
         if motion_at(motion, middle)[1] > 0.0:
             low = middle
@@ -179,7 +179,7 @@ def phase_at(driving: Motion, sleeve: Motion, ratio: float, phase: float, s: flo
 def _time_of_no_slip(driving: Motion, sleeve: Motion, ratio: float, horizon: float) -> float:
     rising = slip_at(driving, sleeve, ratio, horizon) > 0.0
     low, high = 0.0, horizon
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(ROOT_ITERATIONS):
         middle = 0.5 * (low + high)
         if (slip_at(driving, sleeve, ratio, middle) > 0.0) == rising:
             high = middle
@@ -202,7 +202,7 @@ def _time_of_phase(
     low, high = bracket
     rising = phase_at(driving, sleeve, ratio, phase, high) >= level
     s = 0.5 * (low + high)
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(ROOT_ITERATIONS):
         error = phase_at(driving, sleeve, ratio, phase, s) - level
         if (error >= 0.0) == rising:
             high = s

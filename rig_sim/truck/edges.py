@@ -136,7 +136,7 @@ class TruckEdges:
         angles, speeds = [], []
         for back_s in ENCODER_SAMPLES_S:
             time_us = now_us - round(back_s * 1e6)
-            past = history[time_us // at.HISTORY_US % at.HISTORY if time_us > 0 else 0]
+            past = history[time_us // at.HISTORY_STEP_US % at.HISTORY if time_us > 0 else 0]
             rest, speed = past.rest_rad, past.speed_rad_s
             if time_us <= 0:
                 speed = omega_rad_s if now_us == 0 else speed

@@ -26,11 +26,11 @@ from meshpoint.rig_sim.truck.position_sensors import PositionSensors
 from meshpoint.units import BAR, MM, MS, SECOND_US
 
 T = TypeVar("T")
-CHANNELS: Final = "channel 0..7: input, layshaft, main, propeller, each rise then fall"
-VALVES: Final = "valve 0..8 in the order of ValveCommand"
-SLEEVES: Final = "sleeve 0 first/second, 1 crawl/third, 2 splitter, 3 range"
+CHANNEL_TARGETS: Final = "channel 0..7: input, layshaft, main, propeller, each rise then fall"
+VALVE_TARGETS: Final = "valve 0..8 in the order of ValveCommand"
+SLEEVE_TARGETS: Final = "sleeve 0 first/second, 1 crawl/third, 2 splitter, 3 range"
 MOST_PPM: Final = 1e4
-FOREVER_US: Final = 1 << 53
+FAULT_FOREVER_US: Final = 1 << 53
 
 
 class Kind(NamedTuple):
@@ -44,18 +44,18 @@ class Kind(NamedTuple):
 
 KINDS: Final[dict[RigFault, Kind]] = {
     RigFault.NO_FAULT: Kind("ends all faults", "-", 0, "-"),
-    RigFault.HALL_DROPOUT: Kind("a Hall channel is silent", CHANNELS, 8, "-"),
-    RigFault.HALL_MISSING_TOOTH: Kind("a tooth gives no edge", CHANNELS, 8, "tooth, from 0"),
-    RigFault.HALL_DOUBLE_EDGE: Kind("each edge comes twice, 60 us apart", CHANNELS, 8, "-"),
+    RigFault.HALL_DROPOUT: Kind("a Hall channel is silent", CHANNEL_TARGETS, 8, "-"),
+    RigFault.HALL_MISSING_TOOTH: Kind("a tooth gives no edge", CHANNEL_TARGETS, 8, "tooth, from 0"),
+    RigFault.HALL_DOUBLE_EDGE: Kind("each edge comes twice, 60 us apart", CHANNEL_TARGETS, 8, "-"),
     RigFault.HALL_NOISE_BURST: Kind(
-        "each edge comes with a burst", CHANNELS, 8, "edges more, 1..8"
+        "each edge comes with a burst", CHANNEL_TARGETS, 8, "edges more, 1..8"
     ),
-    RigFault.VALVE_STUCK: Kind("a valve stays as it is", VALVES, 9, "-"),
-    RigFault.VALVE_SLOW: Kind("a valve follows its coil late", VALVES, 9, "ms"),
+    RigFault.VALVE_STUCK: Kind("a valve stays as it is", VALVE_TARGETS, 9, "-"),
+    RigFault.VALVE_SLOW: Kind("a valve follows its coil late", VALVE_TARGETS, 9, "ms"),
     RigFault.SUPPLY_DROP: Kind("the tank leaks down to a pressure", "-", 0, "bar, absolute"),
-    RigFault.SLEEVE_JAMMED: Kind("activations do not move a sleeve", SLEEVES, 4, "-"),
-    RigFault.POSITION_OFFSET: Kind("a position sensor lies by", SLEEVES, 4, "mm"),
-    RigFault.POSITION_FROZEN: Kind("a position sensor repeats itself", SLEEVES, 4, "-"),
+    RigFault.SLEEVE_JAMMED: Kind("activations do not move a sleeve", SLEEVE_TARGETS, 4, "-"),
+    RigFault.POSITION_OFFSET: Kind("a position sensor lies by", SLEEVE_TARGETS, 4, "mm"),
+    RigFault.POSITION_FROZEN: Kind("a position sensor repeats itself", SLEEVE_TARGETS, 4, "-"),
     RigFault.FROZEN_PAYLOAD: Kind("old content under a live counter", "0 edges, 1 slow", 2, "-"),
     RigFault.BRAKE_FADE: Kind("the brake has this share of its torque", "-", 0, "%"),
     RigFault.CLUTCH_STUCK: Kind("the clutch stays on its way", "-", 0, "-"),
@@ -276,7 +276,7 @@ def _come_back(world: Faultable) -> None:
 
 def _stall(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     now_us = round(world.plant.time_us)
-    world.node.stalled_until_us = now_us + (order.duration_us or FOREVER_US)
+    world.node.stalled_until_us = now_us + (order.duration_us or FAULT_FOREVER_US)
     return partial(setattr, world.node, "stalled_until_us", 0)
 
 

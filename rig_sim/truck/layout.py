@@ -47,7 +47,7 @@ FIRST_EDGES: Final = 16
 JITTERS: Final = 4096
 EXTRA_EDGE_US: Final = 60.0
 HISTORY: Final = 8
-HISTORY_US: Final = 2000
+HISTORY_STEP_US: Final = 2000
 
 
 class RigState(Vector):

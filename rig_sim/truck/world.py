@@ -20,14 +20,14 @@ from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
 from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.rig_sim.shared.angles import Shafts
 from meshpoint.rig_sim.shared.edge_ring import EdgeRead
-from meshpoint.rig_sim.shared.engagement import MAIN_VALVES, Engaged
+from meshpoint.rig_sim.shared.engagement import GEAR_OF_VALVE, Engaged
 from meshpoint.rig_sim.shared.node_state import NodeState
 from meshpoint.rig_sim.shared.script import BenchScript
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
 from meshpoint.rig_sim.shared.sleeves import NEVER_US
 from meshpoint.rig_sim.shared.start import draw_start, seeded
 from meshpoint.rig_sim.shared.valve_drivers import Change, Order, Valve, ValveBank
-from meshpoint.rig_sim.shared.world import EncoderRead, PhaseRead, SensorRead, Truth
+from meshpoint.rig_sim.shared.world import READ_US, EncoderRead, PhaseRead, SensorRead, Truth
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt, as_built_sheet, draw_as_built
 from meshpoint.rig_sim.truck.clutch import TruckClutch, TruckEngine
@@ -39,7 +39,6 @@ from meshpoint.rig_sim.truck.position_sensors import PositionSensors
 from meshpoint.rig_sim.truck.truth import TruckTruth
 from meshpoint.units import RPM, SECOND_US
 
-READ_US: Final = 10_000
 STEP_VALVES: Final[dict[Valve, tuple[Sleeve, int]]] = {
     Valve.SPLIT_LOW: (Sleeve.SPLITTER, -1),
     Valve.SPLIT_HIGH: (Sleeve.SPLITTER, 1),
@@ -295,7 +294,7 @@ class TruckWorld:
             delay_us = self.sheet.brake.valve_delay_s * SECOND_US
             self.later(delay_us, partial(self.plant.set_brake, float(on)))
             self.engagement.switch(valve, on, time_us)
-        elif valve in MAIN_VALVES:
+        elif valve in GEAR_OF_VALVE:
             self.engagement.switch(valve, on, time_us)
         elif on:
             self._change_over(*STEP_VALVES[valve])

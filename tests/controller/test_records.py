@@ -87,7 +87,7 @@ CrossingFilter, GearedEdges, Pressures from meshpoint.controller.sensing.gate_ke
 gate_edges from meshpoint.controller.sensing.gate_layout import new_gate, teeth_of from
 meshpoint.controller.sensing.wheel_edges import EdgeBatch from meshpoint.controller.motion.models
 import diagonal, first_order_law, following_motion from meshpoint.controller.planning.plan_kernels
-import CONTACTS, MEETING, TERMS, course, expected_least from meshpoint.controller.records import
+import CONTACT_SERIES, MEETING, TERMS, course, expected_least from meshpoint.controller.records import
 filled from meshpoint.controller.settings import CrossingFilterTuning from
 meshpoint.controller.estimation.teeth import WheelTeeth rng = np.random.default_rng(4) tuning =
 CrossingFilterTuning() model = following_motion(30.0, 0.05, 50.0).with_law(first_order_law(16.7,
@@ -107,7 +107,7 @@ gate_edges(gate.flat, wheel, rises, falls, found, numbers) ahead = np.empty((2, 
 filled(MEETING, layshaft_us=0.0, first_us=1e3, step_us=2e3, i_gear=0.775,
     reference_rad=0.1, main_us=0.0, main_rad=1.0, main_rad_s=100.0, main_rad_s2=-3.0)
 course(x.copy(), switches, model.flat, meeting, ahead)
-contacts = filled(CONTACTS, wait_s=0.02, step_s=2e-3, variance_rad2=1e-6, growth_rad2_s=1e-5)
+contacts = filled(CONTACT_SERIES, wait_s=0.02, step_s=2e-3, variance_rad2=1e-6, growth_rad2_s=1e-5)
 terms = filled(TERMS, pitch_rad=0.13, half_gap_rad=0.013, target_rad=0.0, overlap_s=2e-3,
     delay_sd_s=1e-3, miss_s=0.2, block_s=0.1, block_slip_rad_s=1.0, energy_s3_rad2=1e-3,
     aim_s=1e-3, slip_low_rad_s=-1.0, slip_high_rad_s=50.0)

@@ -24,8 +24,8 @@ from meshpoint.testbench.results.output import folder_for
 if TYPE_CHECKING:
     import pyarrow as pa
 
-TABLE: Final = "shifts.parquet"
-HEAD: Final = "campaign.json"
+SHIFTS_FILE: Final = "shifts.parquet"
+CAMPAIGN_FILE: Final = "campaign.json"
 PARTS: Final = "parts"
 FIELDS: Final = tuple(field.name for field in dataclasses.fields(JudgedShift))
 
@@ -44,7 +44,7 @@ class Store:
     @property
     def table(self) -> Path:
         """Where the whole table is in the end."""
-        return self._folder / TABLE
+        return self._folder / SHIFTS_FILE
 
     @property
     def report(self) -> Path:
@@ -67,8 +67,8 @@ class Store:
         shutil.rmtree(self._parts)
 
     def _begin(self, spec: CampaignSpec, resume: bool) -> None:
-        head = self._folder / HEAD
-        files = [*sorted(self._parts.glob("*.parquet")), *self._folder.glob(TABLE)]
+        head = self._folder / CAMPAIGN_FILE
+        files = [*sorted(self._parts.glob("*.parquet")), *self._folder.glob(SHIFTS_FILE)]
         if files and not resume:
             raise CommandError(
                 f"{self._folder}: holds a campaign already; --resume goes on with it, another "

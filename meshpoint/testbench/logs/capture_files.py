@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 HYSTERESIS_SHARE: Final = 0.15
 """Half the hysteresis, as a share of the voltage's usual swing."""
-SIZE_LIMIT_BYTES: Final = 64 << 20
+CAPTURE_LIMIT_BYTES: Final = 64 << 20
 GAP: Final = 1.5
 """An interval this many times the usual one is a gap of missing teeth."""
 LEAST_TEETH, MOST_TEETH = 8, 130
@@ -63,8 +63,8 @@ def read_capture(path: Path) -> Capture:
     """The edges of a file. CommandError names the file and what is wrong with it."""
     try:
         size = path.stat().st_size
-        if size > SIZE_LIMIT_BYTES:
-            raise CommandError(f"{path}: {size} bytes, allowed are {SIZE_LIMIT_BYTES}")
+        if size > CAPTURE_LIMIT_BYTES:
+            raise CommandError(f"{path}: {size} bytes, allowed are {CAPTURE_LIMIT_BYTES}")
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as error:
         raise CommandError(f"{path}: cannot be read: {error}") from error

@@ -20,7 +20,7 @@ from meshpoint.testbench.report.overview import wilson
 from meshpoint.testbench.results.rows import ShiftRow
 
 LEARNING: Final = "learning"
-AIMED: Final = "aimed"
+AIMED_KIND: Final = "aimed"
 AIMS: Final = "target_phase"
 HEADERS: Final = (
     "shifts", "strategy", "into\nthe gap", "95 %\ninterval", "phase error\nRMS, deg", "mean\nms",
@@ -32,7 +32,7 @@ class ShiftGroup:
     """The shifts of one strategy that belong together."""
 
     kind: str
-    """`LEARNING` or `AIMED`."""
+    """`LEARNING` or `AIMED_KIND`."""
     strategy: str
     """As it was asked for."""
     shifts: int
@@ -68,7 +68,7 @@ def compare(runs: Mapping[str, Sequence[ShiftRow]]) -> list[ShiftGroup]:
     unknown = set().union(*(set(rows) for rows in keyed.values())) - aimed
     groups = [
         _group(kind, name, [row for place, row in rows.items() if place in places])
-        for kind, places in ((LEARNING, unknown), (AIMED, aimed))
+        for kind, places in ((LEARNING, unknown), (AIMED_KIND, aimed))
         for name, rows in keyed.items()
     ]
     return [group for group in groups if group.shifts]
@@ -89,7 +89,7 @@ def _group(kind: str, strategy: str, rows: list[ShiftRow]) -> ShiftGroup:
     errors = [row.phase_error_deg for row in rows if row.phase_error_deg is not None]
     durations = [row.duration_ms for row in rows if row.result == "engaged"]
     rms = None
-    if strategy == AIMS and kind == AIMED and errors:
+    if strategy == AIMS and kind == AIMED_KIND and errors:
         rms = math.sqrt(sum(error * error for error in errors) / len(errors))
     return ShiftGroup(
         kind=kind,
@@ -110,7 +110,7 @@ def explain(groups: Sequence[ShiftGroup], sheet: GearboxSheet) -> list[str]:
         lines.append("learning: the gear's phase reference was not known yet, in one run or more.")
     if len({group.strategy for group in groups}) > 1:
         lines.append("aimed: the reference was known to both strategies at this shift of the plan.")
-    elif any(group.kind == AIMED for group in groups):
+    elif any(group.kind == AIMED_KIND for group in groups):
         lines.append("aimed: the gear's phase reference was known.")
     luck = f"{100 * sheet.dog.backlash_share:.0f} %"
     lines.append(f"By luck a tooth meets a gap in {luck} of shifts: gap over pitch.")

@@ -39,7 +39,7 @@ SLEEVE_NAME: Final = {
     Sleeve.FIRST_SECOND: "sleeve_first_second_mm",
     Sleeve.CRAWL_THIRD: "sleeve_crawl_third_mm",
 }
-VALVES: Final = (
+VALVE_NAMES: Final = (
     "brake", "main_first", "main_second", "main_crawl", "main_third",
     "split_low", "split_high", "range_low", "range_high",
 )  # fmt: skip
@@ -203,7 +203,7 @@ def _slips(shift: ReportShift, ratio: float) -> list[Figure]:
 def _valves(shift: ReportShift) -> list[Figure]:
     """A bar where a valve is driven or the clutch is not closed; lowest first."""
     bars = []
-    for name in reversed(VALVES):
+    for name in reversed(VALVE_NAMES):
         points = shift.points(f"valve_{name}")
         on = [value > 0.5 for value in points[1]]
         if any(on):

@@ -15,7 +15,7 @@ BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#aa4499"
 BLUE_BAND, GAP_BAND = "rgba(0,114,178,.25)", "#d5efe4"
 FONT: Final = {"family": "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif", "color": INK}
 SLIP_TOP_RPM: Final = 60.0
-HEIGHT: Final = 1240
+REPORT_HEIGHT_PX: Final = 1240
 PITCHES_EACH_WAY: Final = 8
 PANELS: Final = (
     ("speed, rpm", 2.8),
@@ -44,7 +44,7 @@ def layout_key(panel: int) -> str:
 def common_layout(sheet: GearboxSheet) -> Figure:
     """What the figures of all shifts share: panels, axes, legends and the gap."""
     layout: Figure = {
-        "height": HEIGHT,
+        "height": REPORT_HEIGHT_PX,
         "margin": {"l": 104, "r": 8, "t": 34, "b": 48},
         "font": {**FONT, "size": 12},
         "paper_bgcolor": "white",

@@ -39,7 +39,7 @@ from meshpoint.units import US
 
 LAYSHAFT, WITH_INPUT = "layshaft alone", "layshaft and input"
 MAIN, WITH_PROPELLER = "main alone", "main and propeller"
-AHEAD: Final = ", 45 ms ahead"
+AHEAD_SUFFIX: Final = ", 45 ms ahead"
 """After a variant's name."""
 AHEAD_US: Final = 45_000
 READ_US: Final = 10_000
@@ -104,8 +104,8 @@ class _Listener:
         self.squares = {
             layshaft: self._layshaft,
             main: self._main,
-            layshaft + AHEAD: self._layshaft_ahead,
-            main + AHEAD: self._main_ahead,
+            layshaft + AHEAD_SUFFIX: self._layshaft_ahead,
+            main + AHEAD_SUFFIX: self._main_ahead,
         }
         self._predicted: list[_Predicted] = []
         self.counts = False
