@@ -16,11 +16,12 @@ from typing import Any, Final
 
 from meshpoint.controller.calibration.learned import Calibration, read_calibration
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.controller.strategy_file import StrategyFile
+from meshpoint.controller.strategy_file import FORM, StrategyFile, is_file_name
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.reading import UnreadableError, read_bounded
 from meshpoint.gearbox.sheet import sheet_from_canonical
-from meshpoint.gearbox.tables import TableError
+from meshpoint.gearbox.tables import TableError, read_values
 
 HEADER_LIMIT_BYTES: Final = 4 * 1024 * 1024
 
@@ -103,12 +104,12 @@ def load_header(folder: Path, run_hash: int) -> RunHeader:
     """The header with this hash from `folder`. HeaderError where it is missing or changed."""
     path = folder / header_name(run_hash)
     try:
-        if path.stat().st_size > HEADER_LIMIT_BYTES:
-            raise HeaderError(f"{path}: larger than {HEADER_LIMIT_BYTES} bytes")
-        values = json.loads(path.read_text(encoding="utf-8"))
+        content = read_bounded(path, HEADER_LIMIT_BYTES)
+    except UnreadableError as error:
+        raise HeaderError(str(error)) from error
+    try:
+        values = json.loads(content.decode("utf-8"), parse_constant=_no_number)
         header = _from_values(values)
-    except OSError as error:
-        raise HeaderError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise HeaderError(f"{path}: not a run header of this version: {error}") from error
     if header.run_hash != run_hash:
@@ -116,12 +117,21 @@ def load_header(folder: Path, run_hash: int) -> RunHeader:
     return header
 
 
+def _no_number(name: str) -> float:
+    raise ValueError(f"{name} is no number")
+
+
 def _from_values(values: dict[str, Any]) -> RunHeader:
     sheet, calibration = sheet_from_canonical(values["sheet"]), values["calibration"]
+    version, machine, dbc_sha256 = (
+        values[name] for name in ("version", "architecture", "dbc_sha256")
+    )
+    if not all(isinstance(text, str) for text in (version, machine, dbc_sha256, calibration or "")):
+        raise TableError("version, architecture, dbc_sha256 and calibration are texts")
     return RunHeader(
-        values["version"],
-        values["architecture"],
-        values["dbc_sha256"],
+        version,
+        machine,
+        dbc_sha256,
         sheet,
         _settings_from(values["settings"], values.get("strategy_file")),
         None if calibration is None else read_calibration(calibration, "calibration", sheet),
@@ -130,18 +140,15 @@ def _from_values(values: dict[str, Any]) -> RunHeader:
 
 
 def _settings_from(values: dict[str, Any], file: dict[str, Any] | None) -> ControllerSettings:
-    defaults = ControllerSettings()
-    fields: dict[str, Any] = {}
-    for field in dataclasses.fields(ControllerSettings):
-        if field.name == "strategy_file":
-            continue
-        value = values[field.name]
-        default: Any = getattr(defaults, field.name)
-        is_group = dataclasses.is_dataclass(default)
-        fields[field.name] = type(default)(**value) if is_group else value
-    if len(values) != len(fields):
-        raise TableError("settings of another version")
+    """Settings in their ranges; `file`: what the header keeps of a user's own strategy."""
     if file is None:
-        return ControllerSettings(**fields)
-    own = StrategyFile(fields["strategy_name"], str(file["sha256"]), bool(file["aims"]))
-    return ControllerSettings(**fields, strategy_file=own)
+        return read_values(ControllerSettings, values, "settings")
+    name = values["strategy_name"]
+    if not (isinstance(name, str) and is_file_name(name)):
+        raise TableError(f"settings: strategy_name = {name!r}, allowed is {FORM}")
+    if not isinstance(file["sha256"], str):
+        raise TableError("strategy_file: sha256 is a text")
+    known = values | {"strategy_name": ControllerSettings().strategy_name}
+    settings = read_values(ControllerSettings, known, "settings")
+    own = StrategyFile(name, file["sha256"], bool(file["aims"]))
+    return dataclasses.replace(settings, strategy_name=name, strategy_file=own)

@@ -21,7 +21,7 @@ from meshpoint.controller.motion.models import LayshaftState, first_order_law, f
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.phase.reference_recovery import ReferenceRecovery
 from meshpoint.controller.sensing.gearbox_view import GearboxView
-from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
+from meshpoint.controller.sensing.sensor_clock import JUMP_US, SensorClockEstimate
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.sensing.wheel_edges import BRAKED_RAD_S2, EdgeBatch, EdgeFrame, WheelEdges
 from meshpoint.controller.settings import ControllerSettings
@@ -100,6 +100,7 @@ class Observer:
         self._model_layshaft()
         self.valves: ValveStatus | None = None
         self._lost = (0, 0, 0)
+        self._told_late = 0
         self._split_us = self._range_us = -DRAGGED_US
         """When splitter and range were last between their steps."""
         self._dragged = self._main_dragged = False
@@ -194,6 +195,11 @@ class Observer:
         return wheel.read(risen, inputs.edges[fall], self.clock, now_us)
 
     def _lose_what_broke(self, events: list[str]) -> None:
+        if self.clock.late != self._told_late:
+            self._told_late = self.clock.late
+            events.append(
+                f"sensor frames come over {JUMP_US // 1000} ms late: bus or machine overloaded"
+            )
         jumps, layshaft, main = (
             self.clock.jumps,
             self._layshaft_wheel.broken,

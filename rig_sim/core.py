@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from typing import Final
 
 from meshpoint.bus.core import Step
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
-from meshpoint.dbc.link import Receiver, Transmitter
+from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
     TSC1,
     BenchAction,
@@ -28,9 +29,13 @@ from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.rig_sim.shared.valve_drivers import Order
 
 NODES: Final = (Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE)
+NAMES: Final = {codec.spec.can_id: name for name, codec in CODECS.items()}
 FROM_IO: Final = frozenset(
     codec.message_type for codec in CODECS.values() if codec.spec.sender == Node.GEARBOX_IO
 )
+SUSPECT: Final = frozenset({FrameVerdict.E2E, FrameVerdict.REPEATED, FrameVerdict.WRONG_SEQUENCE})
+"""What a bus does not do to a frame: its own check would have thrown it away."""
+TELL_US: Final = 1_000_000
 PROMPT: Final = CODECS[ValveCommand.__name__].spec.can_id
 """What is obeyed at once. The clutch actuator, like one on the bus, and the bench's script look at
 their commands every 10 ms."""
@@ -55,6 +60,8 @@ class RigCore:
         self._last_valves: ValveCommand | None = None
         self._node = self._world.node
         self._restarts = 0
+        self._suspect: Counter[int] = Counter()
+        self._suspect_told_us: int | None = None
         self.truth = self._world.truth
         self.as_built = self._world.as_built
 
@@ -90,13 +97,32 @@ class RigCore:
             read_us = self._world.next_read_us
         inbox, self._inbox = self._inbox, []
         self._commanded = False
-        heard = [self.receiver.receive(frame).message for frame in inbox]
+        heard = [self._hear(frame) for frame in inbox]
         self.receiver.tick(now_us)
         for message in heard:
             if message is not None:
                 self._obey(message, time_us)
         self._send_records(frames)
-        return Step(frames, self._take_lines())
+        return Step(frames, self._take_lines() + self._take_suspicions(time_us))
+
+    def _hear(self, frame: Frame) -> Message | None:
+        verdict, message = self.receiver.receive(frame)
+        if verdict in SUSPECT:
+            self._suspect[frame.can_id] += 1
+        return message
+
+    def _take_suspicions(self, time_us: int) -> list[str]:
+        """Who may be sending what is not right, at once and then once a second."""
+        told_us = self._suspect_told_us
+        if not self._suspect or (told_us is not None and time_us - told_us < TELL_US):
+            return []
+        self._suspect_told_us = time_us
+        suspect, self._suspect = self._suspect, Counter()
+        return [
+            f"{time_us / 1e6:.6f} s {count} x {NAMES[can_id]} (0x{can_id:08X}) with a wrong CRC or "
+            "counter: another node sends it too, or its sender is faulty"
+            for can_id, count in sorted(suspect.items())
+        ]
 
     def shutdown(self, now_us: int) -> Step:
         """Go on to now, switch all valves off and say so."""

@@ -12,9 +12,13 @@ from typing import Final, NamedTuple
 
 from meshpoint.controller.calibration.learned import Calibration, CalibrationError, read_calibration
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.reading import UnreadableError, read_text
+from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
 
-CALIBRATION_LIMIT_BYTES: Final = 256 * 1024
 REFUSED: Final = ".refused"
+_NEW_FILE: Final = (
+    os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+)
 MOST_KEPT: Final = 100
 """Refused files kept beside each other; then someone has to look."""
 
@@ -30,14 +34,9 @@ class Loaded(NamedTuple):
 def read_file(path: Path, sheet: GearboxSheet | None) -> Calibration:
     """The calibration in a file. CalibrationError names file, key, found and allowed."""
     try:
-        size = path.stat().st_size
-        if size > CALIBRATION_LIMIT_BYTES:
-            raise CalibrationError(f"{path}: {size} bytes, allowed are {CALIBRATION_LIMIT_BYTES}")
-        content = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise CalibrationError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise CalibrationError(f"{path}: torn, or not TOML: {error}") from error
+        content = read_text(path, TABLE_LIMIT_BYTES)
+    except UnreadableError as error:
+        raise CalibrationError(str(error)) from error
     return read_calibration(content, str(path), sheet)
 
 
@@ -74,7 +73,9 @@ def save(path: Path, calibration: Calibration) -> None:
     """Replaces the file in one piece: who reads it, or the next start after a loss of power, finds
     the old one or the new one. OSError where it cannot be written."""
     beside = path.with_name(f".{path.name}.new")
-    with beside.open("w", encoding="utf-8", newline="") as file:
+    # What is there is left over, or was put there so that we write to where it points: a new file.
+    beside.unlink(missing_ok=True)
+    with os.fdopen(os.open(beside, _NEW_FILE, 0o666), "w", encoding="utf-8", newline="") as file:
         file.write(calibration.to_text())
         file.flush()
         os.fsync(file.fileno())

@@ -6,9 +6,8 @@ here and in the units of their keys in the file (docs/calibration.md).
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass, fields
-from typing import Any, Final, Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
@@ -18,6 +17,7 @@ from meshpoint.gearbox.tables import (
     count,
     flag,
     group,
+    parse_toml,
     quantities,
     quantity,
     read_group,
@@ -230,11 +230,7 @@ def read_calibration(content: str, where: str, sheet: GearboxSheet | None) -> Ca
 
 
 def _parsed(content: str, where: str) -> Calibration:
-    try:
-        table: dict[str, Any] = tomllib.loads(content)
-    except (ValueError, RecursionError) as error:
-        raise TableError(f"{where}: torn, or not TOML: {error}") from error
-    return read_group(Calibration, table, where)
+    return read_group(Calibration, parse_toml(content, where), where)
 
 
 def check(calibration: Calibration, sheet: GearboxSheet, where: str) -> None:

@@ -80,8 +80,8 @@ def chain_edges(memory: Vector, edges: Integers, count: int) -> int:
 
     memory: an `EdgeChain` with the new frame, moved on; edges (2, n): running numbers and
     times (us). The first edges after power-up are left out: a frame that is not full shows that
-    the sensor has just begun to count. Returns the new count, or BROKEN when numbers before and after cannot be
-    tied together: the wheel stood still, or more edges came than a frame holds.
+    the sensor has just begun to count. Returns the new count, or BROKEN when the numbers before
+    and after cannot be joined: the wheel stood still, or more edges came than a frame holds.
     """
     chain = memory.view(CHAIN)[0]
     low, valid, newest_index, read_us = chain.low_us, chain.valid, chain.newest_index, chain.read_us

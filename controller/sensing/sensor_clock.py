@@ -18,6 +18,9 @@ WINDOW: Final = 4000
 a shift is over."""
 JUMP_US: Final = 500_000
 """A stamp this far from where the clock should be means that the sensor side has restarted."""
+GOES_ON_US: Final = 100_000
+"""The next stamp, ten lost frames later at most."""
+ON_TIME_US: Final = 50_000
 BACK_US: Final = 200_000
 """So does one this far behind the newest: frames keep their order, but for what a bus delays."""
 
@@ -42,6 +45,9 @@ class SensorClockEstimate:
         """The newest stamp seen, unwrapped."""
         self.jumps = 0
         """How often the sensor clock was found elsewhere than it should be."""
+        self.late = 0
+        """How often stamps have begun to come late: the bus or the machine is overloaded."""
+        self._is_late = False
 
     def stamp(self, stamp: int, now_us: int) -> int:
         """The unwrapped time of a frame read just before `now_us` of the controller's clock."""
@@ -50,13 +56,27 @@ class SensorClockEstimate:
         else:
             expected_us = now_us - self._least
             time_us = unwrap(stamp, expected_us)
-            if abs(time_us - expected_us) > JUMP_US or time_us < self.latest_us - BACK_US:
+            if self._goes_on(time_us) and time_us < expected_us - JUMP_US:
+                self._came_late()
+            elif abs(time_us - expected_us) > JUMP_US or time_us < self.latest_us - BACK_US:
                 self.jumps += 1
                 self._offsets.clear()
                 time_us = unwrap(stamp, self.latest_us)
+            elif time_us > expected_us - ON_TIME_US:
+                self._is_late = False
         self.latest_us = time_us
         self._note(now_us - time_us)
         return time_us
+
+    def _goes_on(self, time_us: int) -> bool:
+        """Whether a stamp follows the newest as frames do, whenever it may come: then the clock has
+        not jumped, and its frames have waited somewhere."""
+        return -BACK_US <= time_us - self.latest_us <= GOES_ON_US
+
+    def _came_late(self) -> None:
+        if not self._is_late:
+            self.late += 1
+        self._is_late = True
 
     def restart(self) -> None:
         """The sensor side has restarted, however near to the old one its clock reads."""

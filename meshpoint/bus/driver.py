@@ -15,6 +15,7 @@ import can
 from meshpoint.bus.clock import NodeClock
 from meshpoint.bus.core import Core
 from meshpoint.bus.frames import frame_of
+from meshpoint.bus.kernel_drops import lost_frames
 from meshpoint.bus.reception import Reception, receive_from
 from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.dbc.frame import Frame
@@ -106,6 +107,8 @@ class _Node:
         self._failure: asyncio.Future[None] = self._loop.create_future()
         self._lost_at_s: float | None = None  # until the next bus has carried a frame
         self._refused_reported_at_s = float("-inf")
+        self._lost_before = 0  # of this bus; counted
+        self._loss_told = (float("-inf"), 0)  # when, and how many
 
     async def run(self, stop: asyncio.Event) -> None:
         self._attach(await asyncio.to_thread(self._open_bus))
@@ -166,8 +169,24 @@ class _Node:
         messages, error = self._reception.take()
         for message in messages:
             self._accept(message)
+        self._count_lost()
         if error is not None:
             self._lose_bus(error)
+
+    def _count_lost(self) -> None:
+        """Frames that the kernel could not deliver: told at once, then once a second."""
+        if self._bus is None:
+            return
+        counts, lost = self.statistics, lost_frames(self._bus)
+        counts.frames_lost += lost - self._lost_before
+        self._lost_before = lost
+        now_s, (told_s, told) = self._loop.time(), self._loss_told
+        if counts.frames_lost > told and now_s - told_s >= _REPORT_EVERY_S:
+            self._loss_told = (now_s, counts.frames_lost)
+            self._say(
+                f"{counts.frames_lost - told} frames lost in the kernel ({counts.frames_lost} so "
+                "far): bus or machine overloaded, they came faster than this node reads"
+            )
 
     def _accept(self, message: can.Message) -> None:
         counts = self.statistics
@@ -191,7 +210,7 @@ class _Node:
             if counts.own_address_frames == 1 and type(self._bus).__name__ not in _ECHOING:
                 self._say(
                     f"frame 0x{message.arbitration_id:X} on the bus has our own source address: "
-                    "ignored, as all of these"
+                    "another node sends as we do; ignored, as all of these"
                 )
         else:
             counts.frames_received += 1
@@ -233,6 +252,7 @@ class _Node:
     def _attach(self, bus: can.BusABC) -> None:
         self._reception = receive_from(bus, self._turn)
         self._bus = bus
+        self._lost_before = lost_frames(bus)
 
     def _bus_works(self) -> None:
         """A frame has gone through. Only that proves a reopened bus: a link that is down opens."""

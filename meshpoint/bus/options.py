@@ -15,6 +15,7 @@ import can
 import can.cli
 import can.util
 
+from meshpoint.bus.kernel_drops import count_lost_frames
 from meshpoint.bus.local.channel import ChannelError, TcpChannel, parse_channel
 from meshpoint.bus.local.register import register_interface
 
@@ -111,6 +112,9 @@ def open_bus_from(namespace: argparse.Namespace) -> can.BusABC:
         bus.channel_info = _channel_info(config)
     if config["interface"] in _LOSSY:
         _enlarge_receive_buffer(bus)
+    if config["interface"] == "socketcan":
+        with suppress(OSError):  # a system that cannot tell what it lost
+            count_lost_frames(bus)
     return bus
 
 

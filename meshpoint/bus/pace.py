@@ -2,18 +2,18 @@
 
 A machine under load stops a process, or all of them, for tenths of a second, while a valve command
 expires after 100 ms: on such a machine a live run shows the machine, not the gearbox. Here time is
-kept in a file that all nodes map. A pacemaker moves it on with the wall clock, but never further
+kept in a file that all nodes read. A pacemaker moves it on with the wall clock, but never further
 than every node has promised to look at it again, plus a millisecond. A node that has heard others
 promises nothing while it hears nobody, so that frames on their way are waited for as well. A
 machine that keeps up runs in real time; one that does not runs slower, and the nodes cannot tell.
 
-One writer a word, and words of eight aligned bytes, so nothing needs a lock.
+One writer a word, so nothing needs a lock.
 """
 
 from __future__ import annotations
 
 import argparse
-import mmap
+import os
 import struct
 import sys
 import threading
@@ -36,7 +36,10 @@ GIVEN_UP_S = 1.0
 waited for any more. Slower bus time is for slower machines: there it is as much longer."""
 
 _ABSENT = -1
-_WORDS = 1 + len(PACED_NODES)
+_MARK = 0x6563_6170_2D70_6D31
+_MARK_BYTES = struct.pack("=q", _MARK)
+_LAYOUT = f"={1 + len(PACED_NODES)}qq"
+_SIZE = struct.calcsize(_LAYOUT)
 
 
 def tick_s(speed: float) -> float:
@@ -44,45 +47,85 @@ def tick_s(speed: float) -> float:
     return TICK_S / min(1.0, speed)
 
 
+class PaceError(ValueError):
+    """A file that is no pace file, or is none any more; the message names it."""
+
+
 class PaceFile:
-    """The shared words: bus time in microseconds, then one promise a node."""
+    """The shared words: bus time in microseconds, then one promise a node, then a mark.
+
+    The file is read and written, not mapped: reading what another process has cut off is an error
+    here, and would be a signal there that ends the process."""
 
     def __init__(self, path: Path) -> None:
-        """Maps an existing file; OSError when there is none, ValueError when it is another."""
-        with path.open("r+b") as file:
-            self._map = mmap.mmap(file.fileno(), 0)
-        if len(self._map) != 8 * _WORDS:
-            found = len(self._map)
-            self._map.close()
-            raise ValueError(f"{path}: {found} bytes, a pace file has {8 * _WORDS}")
-        self._words = memoryview(self._map).cast("q")
+        """Opens an existing file; OSError when there is none, PaceError when it is another."""
+        self._path = path
+        self._file = path.open("r+b", buffering=0)
+        try:
+            self._words()
+        except PaceError:
+            self._file.close()
+            raise
 
     @staticmethod
     def create(path: Path) -> PaceFile:
         """A new file: time zero, no node there."""
-        path.write_bytes(struct.pack(f"={_WORDS}q", 0, *[_ABSENT] * len(PACED_NODES)))
+        path.write_bytes(struct.pack(_LAYOUT, 0, *[_ABSENT] * len(PACED_NODES), _MARK))
         return PaceFile(path)
 
     @property
     def now_us(self) -> int:
-        """Bus time."""
-        return self._words[0]
+        """Bus time. PaceError where the file was cut off or replaced by something else."""
+        return self._words()[0]
 
     def set_now(self, now_us: int) -> None:
         """For the pacemaker alone."""
-        self._words[0] = now_us
+        self._write(0, now_us)
 
     def promise(self, node: int, until_us: int) -> None:
         """Node number `node` will look at the clock again by then."""
-        self._words[1 + node] = until_us
+        self._write(1 + node, until_us)
 
     def leave(self, node: int) -> None:
         """Nobody needs to wait for this node."""
-        self._words[1 + node] = _ABSENT
+        self._write(1 + node, _ABSENT)
 
     def promises_us(self) -> list[int | None]:
-        """What each node has promised; None for one that is not there."""
-        return [None if word == _ABSENT else word for word in self._words[1:]]
+        """What each node has promised; None for one that is not there. PaceError as for
+        `now_us`."""
+        return [None if word == _ABSENT else word for word in self._words()[1:]]
+
+    def _words(self) -> tuple[int, ...]:
+        """Time and promises; read until two readings agree: another process may be writing."""
+        before = b""
+        while True:
+            content = self._read()
+            if len(content) != _SIZE:
+                raise PaceError(f"{self._path}: {len(content)} bytes, a pace file has {_SIZE}")
+            if not content.endswith(_MARK_BYTES):
+                raise PaceError(f"{self._path}: is no pace file, or none any more")
+            if content == before:
+                words: tuple[int, ...] = struct.unpack(_LAYOUT, content)
+                return words[:-1]
+            before = content
+
+    if hasattr(os, "pread"):
+
+        def _read(self) -> bytes:
+            return os.pread(self._file.fileno(), _SIZE + 1, 0)
+
+        def _write(self, word: int, value: int) -> None:
+            os.pwrite(self._file.fileno(), struct.pack("=q", value), 8 * word)
+
+    else:
+
+        def _read(self) -> bytes:
+            self._file.seek(0)
+            return self._file.read(_SIZE + 1)
+
+        def _write(self, word: int, value: int) -> None:
+            self._file.seek(8 * word)
+            self._file.write(struct.pack("=q", value))
 
 
 class PacedClock:
@@ -96,19 +139,28 @@ class PacedClock:
         self._heartbeat_us = int(HEARTBEAT_US * max(1.0, speed))
         self._heard_us: int | None = None
         self._promised_us = 0
+        self._now_us = 0
+        self._is_broken = False
 
     def now_us(self) -> int:
-        """Bus time in microseconds."""
-        return self._file.now_us
+        """Bus time in microseconds. PaceError, once, where the file is none any more: the node
+        ends then, and its last step is at the last time there was."""
+        if not self._is_broken:
+            try:
+                self._now_us = self._file.now_us
+            except PaceError:
+                self._is_broken = True
+                raise
+        return self._now_us
 
     def heard(self) -> None:
         """A frame of another node has arrived."""
-        self._heard_us = self._file.now_us
+        self._heard_us = self.now_us()
 
     def here(self) -> None:
         """The node has done all that was due. Where others have spoken and none does now, it
         promises nothing further, until the pacemaker has given up and time has gone on."""
-        now_us = self._file.now_us
+        now_us = self.now_us()
         if self._heard_us is not None:
             if now_us > self._promised_us + self._heartbeat_us + SLACK_US * max(1.0, self.speed):
                 self._heard_us = None  # given up: there is nobody to wait for
@@ -119,11 +171,12 @@ class PacedClock:
 
     def leave(self) -> None:
         """The node ends."""
-        self._file.leave(self._node)
+        if not self._is_broken:
+            self._file.leave(self._node)
 
     def delay_s(self, until_us: int) -> float:
         """Wall seconds after which to look again: at `until_us`, or a heartbeat from now."""
-        left_us = until_us - self._file.now_us
+        left_us = until_us - self.now_us()
         if left_us <= 0:
             return 0.0
         return max(tick_s(self.speed), self.wall_s(min(left_us, self._heartbeat_us)))
@@ -157,16 +210,22 @@ class Pacemaker:
         return int(self.now_us)
 
 
-def keep_pace(path: Path, speed: float, ending: threading.Event) -> None:
-    """Moves the time of the file on until `ending` is set."""
+def keep_pace(path: Path, speed: float, ending: threading.Event) -> str:
+    """Moves the time of the file on until `ending` is set, and returns what ended it before that:
+    a file that is none any more. Empty: nothing did."""
     file = PaceFile(path)
     pacemaker = Pacemaker(speed)
     before_s = perf_counter()
     while not ending.is_set():
         sleep(tick_s(speed))
         now_s = perf_counter()
-        file.set_now(pacemaker.advance((now_s - before_s) * 1e6, file.promises_us()))
+        try:
+            promises_us = file.promises_us()
+        except PaceError as error:
+            return str(error)
+        file.set_now(pacemaker.advance((now_s - before_s) * 1e6, promises_us))
         before_s = now_s
+    return ""
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -176,13 +235,19 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("file", type=Path)
     parser.add_argument("--speed", type=float, default=1.0)
     chosen = parser.parse_args(arguments)
-    ending = threading.Event()
-    keeper = threading.Thread(target=keep_pace, args=(chosen.file, chosen.speed, ending))
+    ending, faults = threading.Event(), [""]
+
+    def keep() -> None:
+        faults[0] = keep_pace(chosen.file, chosen.speed, ending)
+        if faults[0]:
+            sys.stderr.write(f"meshpoint pace: {faults[0]}\n")
+
+    keeper = threading.Thread(target=keep)
     keeper.start()
     sys.stdin.buffer.read()
     ending.set()
     keeper.join()
-    return 0
+    return 1 if faults[0] else 0
 
 
 if __name__ == "__main__":

@@ -31,6 +31,7 @@ from meshpoint.gearbox.tables import (
     load_toml,
     quantity,
     read_group,
+    read_values,
     text,
     to_table,
 )
@@ -321,18 +322,6 @@ def _read_sheet(path: Path) -> GearboxSheet:
 
 
 def sheet_from_canonical(values: dict[str, Any]) -> GearboxSheet:
-    """The inverse of `canonical`, parsed: how a run header gives back its sheet (SI values)."""
-    sheet: GearboxSheet = _build(GearboxSheet, values)
-    return sheet
-
-
-def _build(cls: Any, values: dict[str, Any]) -> Any:
-    built = {}
-    for field in cls.__dataclass_fields__.values():
-        inner = field.metadata.get("group")
-        value = values[field.name]
-        # JSON has no tuples.
-        built[field.name] = (
-            _build(inner, value) if inner else tuple(value) if isinstance(value, list) else value
-        )
-    return cls(**built)
+    """The inverse of `canonical`, parsed: how a run header gives back its sheet (SI values).
+    TableError names key, found and allowed."""
+    return read_values(GearboxSheet, values, "sheet")

@@ -8,13 +8,21 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import re
 import tomllib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
+from meshpoint.gearbox.reading import UnreadableError, read_text
+
 TABLE_LIMIT_BYTES: Final = 256 * 1024
 DEPTH_LIMIT: Final = 6
+# A key of so many parts, or a text that looks like one: reading it takes time by their square.
+_LONG_KEY: Final = re.compile(
+    r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){32}""", re.ASCII
+)
+_SHORT: Final = 80
 T = TypeVar("T")
 
 
@@ -82,26 +90,33 @@ def flag(key: str, **default: Any) -> Any:
 def load_toml(path: Path) -> dict[str, Any]:
     """The parsed file. TableError where it is missing, too large, too deep or not TOML."""
     try:
-        if path.stat().st_size > TABLE_LIMIT_BYTES:
-            raise TableError(
-                f"{path}: {path.stat().st_size} bytes, allowed are {TABLE_LIMIT_BYTES}"
-            )
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise TableError(f"{path}: cannot be read: {error.strerror or error}") from error
+        content = read_text(path, TABLE_LIMIT_BYTES)
+    except UnreadableError as error:
+        raise TableError(str(error)) from error
+    return parse_toml(content, str(path))
+
+
+def parse_toml(content: str, where: str) -> dict[str, Any]:
+    """The tables in a text of at most `TABLE_LIMIT_BYTES` characters. TableError names `where`."""
+    if len(content) > TABLE_LIMIT_BYTES:
+        raise TableError(f"{where}: {len(content)} characters, allowed are {TABLE_LIMIT_BYTES}")
+    if _LONG_KEY.search(content):
+        raise TableError(f"{where}: torn, or not a TOML file: a key of too many parts")
+    try:
+        table = tomllib.loads(content)
     # A whole number of over 4300 digits is a ValueError of another kind than TOML's own.
     except (ValueError, RecursionError) as error:
-        raise TableError(f"{path}: not a TOML file: {error}") from error
-    _check_depth(table, path, 1)
+        raise TableError(f"{where}: torn, or not a TOML file: {error}") from error
+    _check_depth(table, where, 1)
     return table
 
 
-def _check_depth(table: dict[str, Any], path: Path, depth: int) -> None:
+def _check_depth(table: dict[str, Any], where: str, depth: int) -> None:
     if depth > DEPTH_LIMIT:
-        raise TableError(f"{path}: tables nested over {DEPTH_LIMIT} deep")
+        raise TableError(f"{where}: tables nested over {DEPTH_LIMIT} deep")
     for value in table.values():
         if isinstance(value, dict):
-            _check_depth(value, path, depth + 1)
+            _check_depth(value, where, depth + 1)
 
 
 def read_group(cls: type[T], table: Any, where: str) -> T:
@@ -124,10 +139,43 @@ def read_group(cls: type[T], table: Any, where: str) -> T:
             values[field.name] = _read(field, table[key], f"{where}: {key}")
         elif _is_required(field):
             raise TableError(f"{where}: key '{key}' is missing")
+    return _made(cls, values, where)
+
+
+def read_values(cls: type[T], table: Any, where: str) -> T:
+    """The inverse of `to_table`: builds `cls` from a table of attributes in SI, every one given.
+
+    The ranges are those of `read_group`; TableError as there."""
+    if not isinstance(table, dict):
+        raise TableError(f"{where}: found {table!r}, allowed is a table")
+    all_fields = dataclasses.fields(cls)  # type: ignore[arg-type]
+    fields = {field.name: field for field in all_fields if field.metadata}
+    for key in sorted(set(table) ^ set(fields)):
+        fault = "is missing" if key in fields else "is unknown"
+        raise TableError(f"{where}: key '{key}' {fault}")
+    values = {name: _value(fields[name], table[name], f"{where}: {name}") for name in fields}
+    return _made(cls, values, where)
+
+
+def _made(cls: type[T], values: dict[str, Any], where: str) -> T:
     try:
         return cls(**values)
     except TableError as error:
         raise TableError(f"{where}: {error}") from error
+
+
+def _value(field: dataclasses.Field[Any], value: Any, where: str) -> Any:
+    """A value in SI, as it is: what is hashed must come back bit for bit."""
+    rule: Rule | None = field.metadata.get("rule")
+    if rule is None:
+        return read_values(field.metadata["group"], value, where)
+    limits = dataclasses.replace(rule, low=rule.low * rule.si, high=rule.high * rule.si)
+    if rule.kind is list:
+        _read_list(value, limits, where)
+        return tuple(value)
+    if not _fits(value, limits):
+        raise TableError(f"{where} = {_short(value)}, allowed is {limits.allowed()}")
+    return tuple(value) if rule.kind is tuple else value
 
 
 def key_of(field: dataclasses.Field[Any]) -> str:
@@ -147,18 +195,31 @@ def _read(field: dataclasses.Field[Any], value: Any, where: str) -> Any:
         return read_group(group, value, where)
     if rule.kind is list:
         return _read_list(value, rule, where)
+    if not _fits(value, rule):
+        raise TableError(f"{where} = {_short(value)}, allowed is {rule.allowed()}")
+    if rule.kind is tuple:
+        return tuple(value)
+    return value * rule.si if rule.kind is float else value
+
+
+def _fits(value: Any, rule: Rule) -> bool:
     fits = {
         bool: isinstance(value, bool),
         str: isinstance(value, str) and (not rule.choices or value in rule.choices),
         int: isinstance(value, int) and _is_inside(value, rule),
         float: _is_inside(value, rule),
         tuple: _is_rising(value, rule),
-    }[rule.kind]
-    if not fits:
-        raise TableError(f"{where} = {value!r}, allowed is {rule.allowed()}")
-    if rule.kind is tuple:
-        return tuple(value)
-    return value * rule.si if rule.kind is float else value
+    }
+    return fits[rule.kind]
+
+
+def _short(value: Any) -> str:
+    """What was found, as long as a line may be; a number of thousands of digits has no text."""
+    try:
+        text = repr(value)
+    except (ValueError, RecursionError):
+        text = f"{type(value).__name__} ..."
+    return text if len(text) <= _SHORT else f"{text[:_SHORT]} ..."
 
 
 def _is_inside(value: Any, rule: Rule) -> bool:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Sequence
 
 from meshpoint.bus.logs.limits import LogError
 from meshpoint.bus.options import BusOpenError
+from meshpoint.bus.pace import PaceError
 from meshpoint.controller.header import HeaderError
 from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.gearbox.tables import TableError
@@ -20,7 +22,8 @@ from meshpoint.testbench.loop.compiling import Progress
 from meshpoint.testbench.results.output import check_writable
 
 USER_ERRORS = (
-    BusOpenError, CommandError, HeaderError, LogError, SettingsError, StrategyError, TableError,
+    BusOpenError, CommandError, HeaderError, LogError, PaceError, SettingsError, StrategyError,
+    TableError,
 )  # fmt: skip
 
 
@@ -32,7 +35,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if unknown:
         parser.prog = f"{parser.prog} {namespace.command}"
         parser.error(f"unknown argument {' '.join(unknown)}")
+    before = WATCH.compiling
     WATCH.compiling = Progress(rewrites=False).count
+    try:
+        return _run(namespace)
+    finally:
+        WATCH.compiling = before
+
+
+def _run(namespace: argparse.Namespace) -> int:
+    """The command, and an exit code for whatever ends it."""
     try:
         for target in ("json", "report"):
             path = getattr(namespace, target, None)

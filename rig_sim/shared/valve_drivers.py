@@ -1,14 +1,15 @@
 """The nine valve drivers: pending slots, activation times, expiry.
 
-Time here is the unwrapped sensor clock in integer microseconds; commands carry its low 32 bits.
-Rules (wire contract, ValveCommand):
+Activations are in the unwrapped sensor clock in integer microseconds; commands carry its low 32
+bits. The expiry is in the drivers' own time, which nothing sets: a sensor clock that jumps back
+must not keep a valve on. Rules (wire contract, ValveCommand):
 
 * OFF_NOW/ON_NOW switch at once and empty the valve's slot.
 * OFF_AT/ON_AT fill the slot, replacing what was there. The same activation again changes nothing,
   whether it is still pending or has passed; one that has passed is never armed again.
 * An activation first received more than 2 ms late or more than 100 ms ahead is refused: counted,
   once however often it is resent, the slot emptied, the valve left as it is.
-* 100 ms after the last command all valves switch off, all slots are emptied; counted.
+* 100 ms of own time after the last command all valves switch off, all slots are emptied; counted.
 """
 
 from __future__ import annotations
@@ -46,11 +47,10 @@ class Order(NamedTuple):
 
 
 class Change(NamedTuple):
-    """A valve that has been switched."""
+    """A valve that has been switched, now or when its activation was due."""
 
     valve: Valve
     on: bool
-    time_us: int
 
 
 class _Activation(NamedTuple):
@@ -104,61 +104,60 @@ class ValveBank:
         """Which valves are driven, in the order of `Valve`."""
         self.pending: tuple[bool, ...] = (False,) * len(Valve)
         """Which valves have an activation waiting."""
-        self._expiry_us: int | None = None
-        self._pending_us: int | None = None
+        self.expiry_us: int | None = None
+        """When all valves switch off, in own time; None: no command holds."""
+        self.activation_us: int | None = None
+        """The earliest activation that waits, in the sensor clock; None: none does."""
         self.refused = 0
         self.expired = 0
 
-    @property
-    def next_us(self) -> int | None:
-        """When the next activation or the expiry is due; None: nothing is."""
-        if self._pending_us is None or self._expiry_us is None:
-            return self._expiry_us
-        return min(self._pending_us, self._expiry_us)
-
-    def command(self, orders: tuple[Order, ...], now_us: int) -> list[Change]:
-        """A valid frame, consumed now: one order a valve."""
+    def command(self, orders: tuple[Order, ...], clock_us: int, own_us: int) -> list[Change]:
+        """A valid frame, consumed now by both clocks: one order a valve."""
         for driver, order in zip(self._drivers, orders, strict=True):
-            self.refused += driver.order(order, now_us)
-        self._expiry_us = now_us + EXPIRY_US
-        return self._changes(now_us)
+            self.refused += driver.order(order, clock_us)
+        self.expiry_us = own_us + EXPIRY_US
+        return self._changes()
 
-    def renew(self, now_us: int) -> bool:
+    def renew(self, own_us: int) -> bool:
         """The orders of the command before, once more: nothing changes but the expiry.
 
         False, and nothing done, after an expiry, which may have switched off what they ask for."""
-        if self._expiry_us is None:
+        if self.expiry_us is None:
             return False
-        self._expiry_us = now_us + EXPIRY_US
+        self.expiry_us = own_us + EXPIRY_US
         return True
 
-    def run(self, now_us: int) -> list[Change]:
-        """Do what is due now (not later: call at `next_us`)."""
+    def activate(self, clock_us: int) -> list[Change]:
+        """Do what is due by the sensor clock (not later: call at `activation_us`)."""
         for driver in self._drivers:
-            driver.run(now_us)
-        if self._expiry_us is not None and self._expiry_us <= now_us:
-            self.expired += 1
-            self._clear()
-        return self._changes(now_us)
+            driver.run(clock_us)
+        return self._changes()
 
-    def all_off(self, now_us: int) -> list[Change]:
+    def expire(self, own_us: int) -> list[Change]:
+        """Switch off where no command holds by now (call at `expiry_us`, after `activate`)."""
+        if self.expiry_us is None or self.expiry_us > own_us:
+            return []
+        self.expired += 1
+        return self.all_off()
+
+    def all_off(self) -> list[Change]:
         """Switch everything off and empty all slots, as at shutdown."""
         self._clear()
-        return self._changes(now_us)
+        return self._changes()
 
     def _clear(self) -> None:
-        self._expiry_us = None
+        self.expiry_us = None
         for driver in self._drivers:
             driver.energised, driver.pending = False, None
 
-    def _changes(self, now_us: int) -> list[Change]:
+    def _changes(self) -> list[Change]:
         before = self.energised
         self.energised = tuple([driver.energised for driver in self._drivers])
         self.pending = tuple([driver.pending is not None for driver in self._drivers])
         times = [driver.pending.time_us for driver in self._drivers if driver.pending]
-        self._pending_us = min(times, default=None)
+        self.activation_us = min(times, default=None)
         changed = [
-            Change(valve, after, now_us)
+            Change(valve, after)
             for valve, was, after in zip(Valve, before, self.energised, strict=True)
             if was is not after
         ]

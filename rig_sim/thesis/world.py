@@ -89,18 +89,19 @@ class World:
     def command_valves(self, orders: tuple[Order, ...], now_us: int) -> None:
         """A valid valve command, consumed now."""
         self._event = None
-        self._switched(self.valves.command(orders, now_us + self.clock_start_us))
+        clock_us = now_us + self.clock_start_us
+        self._switched(self.valves.command(orders, clock_us, now_us), now_us)
 
     def renew_valves(self, now_us: int) -> bool:
         """The same valve command once more; False where it has to be taken in full."""
         if self._event is not None and self._event[0] < self._read_us:
             self._event = None  # it may have been the expiry
-        return self.valves.renew(now_us + self.clock_start_us)
+        return self.valves.renew(now_us)
 
     def all_valves_off(self, now_us: int) -> None:
         """Shutdown: no valve is driven from now on."""
         self._event = None
-        self._switched(self.valves.all_off(now_us + self.clock_start_us))
+        self._switched(self.valves.all_off(), now_us)
 
     def return_to_gear(self, gear_number: int, main_rad_s: float, now_us: int) -> None:
         """The bench asks for the script."""
@@ -179,10 +180,11 @@ class World:
         return tuple(sleeve.position_m(now_us - 1000.0 * back) for back in range(10))
 
     def _next_event(self) -> tuple[float, tuple[Sleeve, int] | None]:
-        valve_us = self.valves.next_us
+        activation_us, expiry_us = self.valves.activation_us, self.valves.expiry_us
         horizon_us = min(
             float(self._read_us),
-            NEVER_US if valve_us is None else float(valve_us - self.clock_start_us),
+            NEVER_US if activation_us is None else float(activation_us - self.clock_start_us),
+            NEVER_US if expiry_us is None else float(expiry_us),
             self._brake_inputs[0][0] if self._brake_inputs else NEVER_US,
             self.engagement.next_us,
             self.script.next_us,
@@ -197,18 +199,19 @@ class World:
         return crossing.time_us, (name, crossing.side)
 
     def _do_due(self, time_us: float) -> None:
-        valve_us = self.valves.next_us
-        if valve_us is not None and valve_us - self.clock_start_us <= time_us:
-            self._switched(self.valves.run(valve_us))
+        activation_us, expiry_us = self.valves.activation_us, self.valves.expiry_us
+        if activation_us is not None and activation_us - self.clock_start_us <= time_us:
+            self._switched(self.valves.activate(activation_us), activation_us - self.clock_start_us)
+        if expiry_us is not None and expiry_us <= time_us:
+            self._switched(self.valves.expire(expiry_us), expiry_us)
         while self._brake_inputs and self._brake_inputs[0][0] <= time_us:
             self.plant.set_brake(self._brake_inputs.popleft()[1])
         self.engagement.due(time_us)
         self.script.due(time_us)
         self.script.watch()
 
-    def _switched(self, changes: list[Change]) -> None:
-        for valve, on, clock_us in changes:
-            time_us = clock_us - self.clock_start_us
+    def _switched(self, changes: list[Change], time_us: int) -> None:
+        for valve, on in changes:
             if valve is Valve.BRAKE:
                 delay_us = self.sheet.brake.valve_delay_s * SECOND_US
                 self._brake_inputs.append((time_us + delay_us, on))

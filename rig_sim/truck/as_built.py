@@ -18,6 +18,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.gearbox.reading import read_text
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.gearbox.tables import TableError, load_toml
 
@@ -27,6 +28,9 @@ AS_BUILT_STREAM: Final = 0xA5B
 
 LATER: Final = ("driveline.",)
 """Groups added since: drawn last, so that a seed's gearbox stays what it was."""
+
+RUN_LIMIT_BYTES: Final = 64 * 1024 * 1024
+"""Of a run's JSON, all its shifts included."""
 
 
 class AsBuiltError(TableError):
@@ -108,6 +112,8 @@ def load_as_built(path: Path) -> dict[str, float]:
     for group, table in tables.items():
         if not isinstance(table, dict):
             raise AsBuiltError(f"{path}: {group} = {table!r}, allowed is a table")
+        if group not in _groups():
+            raise AsBuiltError(f"{path}: unknown table [{group}], allowed are {_known_groups()}")
         for key, value in table.items():
             name = f"{group}.{key}"
             fixed[name] = _checked(path, name, value)
@@ -127,8 +133,8 @@ def _read(path: Path) -> dict[str, Any]:
         except TableError as error:
             raise AsBuiltError(str(error)) from error
     try:
-        values = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        values = json.loads(read_text(path, RUN_LIMIT_BYTES))
+    except (ValueError, RecursionError) as error:
         raise AsBuiltError(f"{path}: cannot be read as JSON: {error}") from error
     found = values.get("as_built", values) if isinstance(values, dict) else None
     if not isinstance(found, dict):
@@ -136,14 +142,21 @@ def _read(path: Path) -> dict[str, Any]:
     return found
 
 
+def _groups() -> set[str]:
+    return {"teeth"} | {name.partition(".")[0] for name in parameters()}
+
+
+def _known_groups() -> str:
+    return ", ".join(sorted(_groups()))
+
+
 def _checked(path: Path, name: str, value: Any) -> float:
     low, high = 0.0, float((1 << 31) - 1)
     if name != "teeth.seed":
         parameter = parameters().get(name)
         if parameter is None:
-            groups = sorted({known.partition(".")[0] for known in parameters()})
             raise AsBuiltError(
-                f"{path}: unknown key '{name}'; groups are {', '.join(groups)}, "
+                f"{path}: unknown key '{name}'; groups are {_known_groups()}, "
                 "their keys are in `meshpoint rig --describe`"
             )
         low, high = parameter.low, parameter.high

@@ -137,15 +137,15 @@ class TruckWorld:
 
     def command_valves(self, orders: tuple[Order, ...], now_us: int) -> None:
         """A valid valve command, consumed now."""
-        self._switched(self.valves.command(orders, self.clock.at(now_us)))
+        self._switched(self.valves.command(orders, self.clock.at(now_us), now_us), float(now_us))
 
     def renew_valves(self, now_us: int) -> bool:
         """The same valve command once more; False where it has to be taken in full."""
-        return self.valves.renew(self.clock.at(now_us))
+        return self.valves.renew(now_us)
 
     def all_valves_off(self, now_us: float) -> None:
         """Shutdown: no valve is driven from now on."""
-        self._switched(self.valves.all_off(self.clock.at(now_us)))
+        self._switched(self.valves.all_off(), now_us)
 
     def command_clutch(self, close: bool, now_us: int) -> None:
         """A valid clutch command, consumed now."""
@@ -266,16 +266,25 @@ class TruckWorld:
             self.engagement.no_slip(slot)
 
     def _run_valves(self, until_us: float) -> None:
-        """The valve drivers are logic alone: they may run ahead of the plant."""
+        """The valve drivers are logic alone: they may run ahead of the plant. Activations go by the
+        sensor clock, the expiry by the drivers' own time."""
+        valves = self.valves
         while True:
-            clock_us = self.valves.next_us
-            if clock_us is None or self.clock.when(clock_us) > until_us:
+            clock_us, expiry_us = valves.activation_us, valves.expiry_us
+            due_us = NEVER_US if clock_us is None else self.clock.when(clock_us)
+            if expiry_us is not None and expiry_us < due_us:
+                if expiry_us > until_us:
+                    return
+                self._switched(valves.expire(expiry_us), float(expiry_us))
+            elif clock_us is None or due_us > until_us:
                 return
-            self._switched(self.valves.run(clock_us))
+            else:
+                self._switched(valves.activate(clock_us), due_us)
 
-    def _switched(self, changes: list[Change]) -> None:
+    def _switched(self, changes: list[Change], time_us: float) -> None:
+        # A clock that has jumped ahead may leave an activation behind: it is switched now.
+        time_us = max(time_us, self.plant.time_us)
         for change in changes:
-            time_us = self.clock.when(change.time_us)
             self._at(time_us, partial(self._switch, change.valve, change.on))
 
     def _switch(self, valve: Valve, on: bool) -> None:

@@ -1,4 +1,5 @@
-"""A fresh bus for every test that could break it, a common one for the others."""
+"""A fresh bus for every test that could break it, a common one for the others; makes the helper
+importable."""
 
 import os
 import shutil
@@ -20,6 +21,7 @@ from meshpoint.bus.local.register import register_interface
 sys.path.insert(0, str(Path(__file__).parent))
 
 ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(Path(__file__).parent))
 
 Process = subprocess.Popen[str]
 

@@ -15,7 +15,7 @@ import pytest
 from patience import HANG_S, until
 
 from meshpoint.bus.local import wire
-from meshpoint.bus.local.channel import ChannelError, parse_channel
+from meshpoint.bus.local.channel import ChannelError, HubChannel, parse_channel
 from meshpoint.bus.local.dial import dial
 from meshpoint.bus.local.hub import serve
 from meshpoint.bus.local.listening import listen
@@ -218,6 +218,63 @@ def test_a_hub_that_cannot_start_says_why(place: Path) -> None:
     (place / "bus.sock").write_text("no socket")
     with pytest.raises(can.CanInitializationError, match=r"bus.sock: .*in use"):
         MeshpointBus(f"unix:{place}/bus.sock")
+
+
+FLOOD_BYTES = 6_000_000
+SLOW_READ_BYTES = 16 * 1024
+
+
+def _greeted(channel: HubChannel) -> socket.socket:
+    node = dial(channel, 1.0)
+    node.settimeout(30.0)
+    return node
+
+
+def _flood(node: socket.socket) -> None:
+    record = wire.pack(wire.Flag.EXTENDED | wire.Flag.FD, 0x1FFF0001, bytes(64), 64)
+    chunk = record * 100
+    for _ in range(FLOOD_BYTES // len(chunk)):
+        node.sendall(chunk)
+
+
+@pytest.mark.asyncio
+async def test_a_node_that_floods_the_bus_waits_and_nobody_is_thrown_off(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Readers that are slower than the flood still get all of it, and what others say between."""
+    monkeypatch.setattr("meshpoint.bus.local.hub.MAX_BACKLOG_BYTES", 1_000_000)
+    channel = parse_channel(f"unix:{place}/bus.sock")
+    server = asyncio.ensure_future(serve(listen(channel), linger_s=0.05))
+    await asyncio.sleep(0.05)
+    reader, other, flooder = [await asyncio.to_thread(_greeted, channel) for _ in range(3)]
+    flood = asyncio.ensure_future(asyncio.to_thread(_flood, flooder))
+    drained = asyncio.ensure_future(asyncio.to_thread(_read_all, flooder, 80))
+    quick = asyncio.ensure_future(asyncio.to_thread(_read_all, other, FLOOD_BYTES // 8000 * 8000))
+    got = bytearray()
+    said = wire.pack(wire.Flag.EXTENDED | wire.Flag.FD, 0x1234, bytes(64), 64)
+    while len(got) < 80 + FLOOD_BYTES // 8000 * 8000:
+        if len(got) // 1_000_000 and said:
+            other.sendall(said)
+            said = b""
+        got += await asyncio.to_thread(reader.recv, SLOW_READ_BYTES)
+        await asyncio.sleep(0.002)
+    await asyncio.wait_for(asyncio.gather(flood, drained, quick), 30.0)
+    identifiers = [record.can_id for record, _ in wire.records(got)]
+    assert len(identifiers) == FLOOD_BYTES // 8000 * 100 + 1
+    # What another node says is heard soon, not behind megabytes of the flood.
+    assert identifiers.index(0x1234) < len(identifiers) // 2
+    messages = capsys.readouterr().err
+    assert "disconnected" not in messages
+    assert "is made to wait" in messages
+    for node in (reader, other, flooder):
+        node.close()
+    await asyncio.wait_for(server, 30.0)
+
+
+def _read_all(node: socket.socket, size: int) -> None:
+    read = 0
+    while read < size:
+        read += len(node.recv(65536))
 
 
 @pytest.mark.asyncio

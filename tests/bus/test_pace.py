@@ -19,6 +19,7 @@ from meshpoint.bus.pace import (
     PACED_NODES,
     SLACK_US,
     PacedClock,
+    PaceError,
     PaceFile,
     Pacemaker,
 )
@@ -78,8 +79,82 @@ def test_a_machine_for_which_time_was_slowed_is_given_as_much_longer(speed, wait
 
 def test_a_file_that_is_no_pace_file_is_refused_by_name(tmp_path):
     (tmp_path / "other").write_bytes(b"not a pace file")
-    with pytest.raises(ValueError, match=r"other: 15 bytes, a pace file has 32"):
+    with pytest.raises(ValueError, match=r"other: 15 bytes, a pace file has 40"):
         PaceFile(tmp_path / "other")
+
+
+LOOKS = """
+import sys, time
+from pathlib import Path
+from meshpoint.bus.pace import PacedClock, PaceFile
+clock = PacedClock(PaceFile(Path(sys.argv[1])), "rig")
+print("ready", flush=True)
+while True:
+    clock.now_us()
+    clock.here()
+    time.sleep(0.001)
+"""
+
+
+@pytest.mark.parametrize("content", [b"", b"1234", bytes(40)])
+def test_a_pace_file_that_is_cut_off_ends_its_processes_with_an_error(content, tmp_path):
+    """A signal ended them, and nothing was said."""
+    path = tmp_path / "pace"
+    PaceFile.create(path)
+    keeper = subprocess.Popen(
+        [sys.executable, "-m", "meshpoint.bus.pace", str(path)],
+        stdin=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    node = subprocess.Popen(
+        [sys.executable, "-c", LOOKS, str(path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    file = PaceFile(path)
+    assert node.stdout.readline() == "ready\n"
+    while file.now_us == 0:
+        time.sleep(0.01)
+    path.write_bytes(content)
+    _, said = node.communicate(timeout=60)
+    assert node.returncode == 1
+    assert "PaceError" in said
+    assert str(path) in said
+    assert keeper.stderr.readline().startswith(f"meshpoint pace: {path}: ")
+    keeper.communicate(timeout=60)
+    assert keeper.returncode == 1
+
+
+def test_a_node_whose_bus_time_is_gone_still_says_its_last(tmp_path):
+    """At the last time that there was: its valves are to be switched off."""
+    path = tmp_path / "pace"
+    file = PaceFile.create(path)
+    file.set_now(5_000_000)
+    core = _Ticker()
+    ended_us = []
+    core.shutdown = lambda now_us: ended_us.append(now_us) or Step([], [])
+
+    async def run():
+        node = asyncio.create_task(
+            run_node(
+                core,
+                _SilentBus,
+                PacedClock(file, "rig"),
+                on_event=print,
+                stop=asyncio.Event(),
+                name="rig",
+            )
+        )
+        while not core.next_step_us:
+            await asyncio.sleep(0.01)
+        path.write_bytes(b"")
+        await node
+
+    with pytest.raises(PaceError, match="pace: 0 bytes"):
+        asyncio.run(asyncio.wait_for(run(), 60))
+    assert ended_us == [5_000_000]
 
 
 class _Ticker:

@@ -243,6 +243,18 @@ def test_a_file_is_replaced_as_a_whole_or_not_at_all(tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8") == TEXT
 
 
+def test_saving_does_not_write_to_where_a_planted_link_points(tmp_path: Path) -> None:
+    target = tmp_path / "precious"
+    target.write_text("kept", encoding="utf-8")
+    (tmp_path / ".box.toml.new").symlink_to(target)
+    path = tmp_path / "box.toml"
+    save(path, example())
+    assert target.read_text(encoding="utf-8") == "kept"
+    assert path.read_text(encoding="utf-8") == TEXT
+    assert not path.is_symlink()
+    assert sorted(tmp_path.iterdir()) == [path, target]
+
+
 @pytest.mark.parametrize("threaded", [False, True])
 def test_what_the_next_start_would_refuse_is_not_written(tmp_path: Path, threaded: bool) -> None:
     path = tmp_path / "box.toml"

@@ -6,6 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.sensing.sensor_clock import (
+    BACK_US,
     HALF,
     JUMP_US,
     WINDOW,
@@ -77,7 +78,41 @@ def test_a_clock_that_started_anew_is_noticed(old_us: int, new_us: int, late_us:
         clock.stamp(wrap(old_us + 10_000 * k), 10_000 * k)
     jumped = clock.stamp(new_us, 50_000 + late_us)
     apart = (new_us - (old_us + 50_000 + late_us) + HALF) % (1 << 32) - HALF
-    assert clock.jumps == (abs(apart) > JUMP_US)
+    behind_newest_us = 40_000 - (apart + 50_000 + late_us)
+    assert clock.jumps == (abs(apart) > JUMP_US or behind_newest_us > BACK_US)
     assert wrap(jumped) == new_us
     if clock.jumps:
         assert wrap(clock.now_us(50_000 + late_us)) == new_us
+
+
+def on_time(clock: SensorClockEstimate, count: int = 50) -> int:
+    """Reads every 10 ms, heard 1 ms later; the time of the last one."""
+    for k in range(count):
+        clock.stamp(10_000 * k, 10_000 * k + 1_000)
+    return 10_000 * (count - 1)
+
+
+def test_frames_that_waited_are_late_and_no_jump_of_the_clock() -> None:
+    """An overloaded bus or machine: the stamps go on as they should, but come over 0.5 s later."""
+    clock = SensorClockEstimate()
+    last_us = on_time(clock)
+    for k in range(1, 40):
+        assert (
+            clock.stamp(last_us + 10_000 * k, last_us + 10_000 * k + 700_000)
+            == last_us + 10_000 * k
+        )
+    assert (clock.jumps, clock.late) == (0, 1)
+    assert clock.now_us(last_us + 2_000_000) == last_us + 1_999_000, "it is not set by late frames"
+    on_again_us = last_us + 1_000_000
+    for k in range(5):
+        clock.stamp(on_again_us + 10_000 * k, on_again_us + 10_000 * k + 1_000)
+    clock.stamp(on_again_us + 50_000, on_again_us + 700_000)
+    assert (clock.jumps, clock.late) == (0, 2)
+
+
+def test_a_clock_that_steps_back_is_still_a_jump() -> None:
+    for step_us in (-600_000, -5_000_000, 600_000):
+        clock = SensorClockEstimate()
+        last_us = on_time(clock)
+        clock.stamp((last_us + 10_000 + step_us) % (1 << 32), last_us + 11_000)
+        assert (clock.jumps, clock.late) == (1, 0)

@@ -12,6 +12,7 @@ import pytest
 from meshpoint.controller.header import HeaderError, RunHeader, header_name, load_header
 from meshpoint.controller.settings import Aim, ControllerSettings, ShiftLimits
 from meshpoint.dbc import DBC_SHA256
+from meshpoint.gearbox.sheet import SHEET_NAMES, load_sheet
 
 
 def test_a_header_comes_back_as_it_was_saved(header: RunHeader, tmp_path: Path) -> None:
@@ -107,3 +108,83 @@ def test_a_torn_header_is_refused(header: RunHeader, tmp_path: Path, group: str)
     (tmp_path / header_name(header.run_hash)).write_text(json.dumps(values))
     with pytest.raises(HeaderError, match=group):
         load_header(tmp_path, header.run_hash)
+
+
+def with_name(folder: Path, values: dict[str, object]) -> int:
+    """Saves a header of any content under the hash that it has."""
+    text = json.dumps(values, sort_keys=True, separators=(",", ":"))
+    run_hash = int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "little")
+    (folder / header_name(run_hash)).write_text(text, encoding="utf-8")
+    return run_hash
+
+
+@pytest.mark.parametrize(
+    ("where", "value"),
+    [
+        ("settings timing tick_ms", 0),
+        ("settings timing tick_ms", 10.5),
+        ("settings timing tick_ms", True),
+        ("settings timing tick_ms", 10**400),
+        ("settings window fire_slip_rad_s", float("nan")),
+        ("settings window fire_slip_rad_s", float("inf")),
+        ("settings window fire_slip_rad_s", 1e300),
+        ("settings strategy_name", "hope"),
+        ("settings crossing_filter fuse_input", 1),
+        ("settings guard", [1]),
+        ("settings limits attempts", None),
+        ("sheet wheels main teeth", 10**9),
+        ("sheet wheels main missing", [1, 1]),
+        ("sheet main first driving", 0),
+        ("sheet dog backlash_share", float("nan")),
+        ("sheet dog backlash_share", "0.2"),
+        ("sheet name", 7),
+        ("calibration", 7),
+        ("calibration", "a = 1"),
+        ("version", ["1"]),
+    ],
+)
+def test_a_value_out_of_its_range_is_refused_by_key(
+    header: RunHeader, tmp_path: Path, where: str, value: object
+) -> None:
+    """The hash of the file is right: it was made so, by whatever."""
+    values = json.loads(header.canonical())
+    *path, key = where.split()
+    table = values
+    for name in path:
+        table = table[name]
+    assert key in table
+    table[key] = value
+    run_hash = with_name(tmp_path, values)
+    with pytest.raises(HeaderError, match=header_name(run_hash)) as refusal:
+        load_header(tmp_path, run_hash)
+    is_number = isinstance(value, float) and value != 1e300
+    assert is_number or key in str(refusal.value)
+    assert len(str(refusal.value)) < 500
+
+
+@pytest.mark.parametrize("where", ["settings", "settings timing", "sheet", "sheet wheels main"])
+def test_a_key_too_many_or_too_few_is_refused(
+    header: RunHeader, tmp_path: Path, where: str
+) -> None:
+    for change in ("more", "less"):
+        values = json.loads(header.canonical())
+        table = values
+        for name in where.split():
+            table = table[name]
+        if change == "more":
+            table["further"] = 1
+        else:
+            table.pop(next(iter(table)))
+        run_hash = with_name(tmp_path, values)
+        with pytest.raises(HeaderError, match=f"{where.split()[-1]}.*key '"):
+            load_header(tmp_path, run_hash)
+
+
+def test_every_shipped_sheet_and_the_settings_come_back_bit_for_bit(
+    header: RunHeader, tmp_path: Path
+) -> None:
+    """Ranges in SI are those of the keys, rounded the same way: what a file may hold passes."""
+    for name in SHEET_NAMES:
+        saved = dataclasses.replace(header, sheet=load_sheet(name), calibration=None)
+        saved.save(tmp_path)
+        assert load_header(tmp_path, saved.run_hash).canonical() == saved.canonical()

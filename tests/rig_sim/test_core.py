@@ -207,3 +207,23 @@ def test_the_kernels_give_the_same_edges_without_the_compiler() -> None:
         # 1 ns apart may fall on either side of a microsecond
         assert all(abs(compiled[index] - time_us) <= 1 for index, time_us in plain)
         assert sum(compiled[index] != time_us for index, time_us in plain) <= 2
+
+
+def test_another_sender_of_the_commands_is_named_once_a_second() -> None:
+    """One bad frame for every good one: the rig obeys none, and said nothing."""
+    bench = RigBench()
+    for now_us in range(0, 2_500_000, 10_000):
+        bench.send(ValveCommand())
+        bad = Transmitter(Node.TRANSMISSION_CONTROL).encode(ValveCommand())
+        bench.core.receive(bad._replace(data=bytes([bad.data[0] ^ 1]) + bad.data[1:]))
+        bench.step(now_us)
+    said = [line for line in bench.lines if "another node sends it too" in line]
+    assert len(said) == 3
+    assert said[0].startswith("0.000000 s 1 x ValveCommand (0x0CFF4003)")
+    assert said[1].startswith("1.000000 s 100 x ValveCommand")
+
+
+def test_a_bus_without_strangers_is_not_suspected() -> None:
+    bench = RigBench()
+    bench.run(1_500_000)
+    assert not [line for line in bench.lines if "another node" in line]

@@ -92,6 +92,52 @@ def test_an_activation_is_switched_by_the_clock_as_it_has_become() -> None:
     assert driven.index(True) == 24  # the read at 240 ms, when the clock shows 260
 
 
+@pytest.mark.parametrize("ahead_us", [-1_000_000.0, -95_000.0, 95_000.0, 1_000_000.0])
+def test_valves_are_off_100_ms_after_the_last_command_whatever_the_clock_does(
+    ahead_us: float,
+) -> None:
+    """Commands stop at 200 ms; with the sensor clock as their time, valves stayed on until it had
+    come to the expiry again."""
+    bench = bench_with(RigFault.CLOCK_STEP, ahead_us, 205_000, 0)
+    bench.run(200_000, lambda now_us: ValveCommand(brake_action=ValveAction.ON_NOW))
+    assert bench.of(ValveStatus)[-1].brake_energised
+    for now_us in range(201_000, 400_000, 1_000):
+        bench.step(now_us)
+    driven = [status.brake_energised for status in bench.of(ValveStatus)]
+    last_command_us = 190_000
+    assert driven[20:] == [10_000 * k < last_command_us + 100_000 for k in range(20, 40)]
+    assert bench.of(ValveStatus)[-1].expired_count == 1
+
+
+@pytest.mark.parametrize("ahead_us", [900_000.0, 2_000_000.0])
+@pytest.mark.parametrize("at_us", [641_000, 648_500, 664_000, 680_000, 690_000])
+def test_an_activation_that_the_clock_has_left_behind_is_switched_now_and_not_in_the_past(
+    ahead_us: float, at_us: int
+) -> None:
+    """The gearbox went back in time for it: a sleeve stood on a tooth for -0.9 s, which no frame
+    can say."""
+    bench = bench_with(RigFault.CLOCK_STEP, ahead_us, at_us, 30_000)
+
+    def valves(now_us: int) -> ValveCommand:
+        command = upshift(now_us)
+        if now_us < 630_000:
+            return command
+        return command._replace(
+            main_second_action=ValveAction.ON_AT,
+            main_second_time_us=700_000,
+            brake_action=ValveAction.ON_AT,
+            brake_time_us=695_000,
+        )
+
+    bench.run(900_000, valves)
+    times_s = [float(line.split(" s ")[0]) for line in bench.lines]
+    assert times_s == sorted(times_s)
+    # The activation was 2 ms to 60 ms ahead when the clock jumped over it.
+    status = bench.of(ValveStatus)[at_us // 10_000 + 1]
+    assert status.main_second_energised
+    assert bench.core._world.plant.time_us == 900_000.0
+
+
 @settings(max_examples=50, deadline=None)
 @given(
     changes=st.lists(

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.dbc.messages import ValveAction
-from meshpoint.rig_sim.shared.valve_drivers import Change, Order, Valve, ValveBank
+from meshpoint.rig_sim.shared.valve_drivers import Order, Valve, ValveBank
 
 NINE = len(Valve)
 WRAP = 1 << 32
@@ -21,39 +21,54 @@ def brake(action: ValveAction, time_us: int = 0) -> tuple[Order, ...]:
     return (Order(action, time_us % WRAP), *[Order(OFF)] * (NINE - 1))
 
 
-def run_to(bank: ValveBank, now_us: int) -> list[Change]:
+class At(NamedTuple):
+    """A change and when it was."""
+
+    valve: Valve
+    on: bool
+    time_us: int
+
+
+def next_us(bank: ValveBank) -> int | None:
+    """When something is due, where the sensor clock is the drivers' own time."""
+    dues_us = [due for due in (bank.activation_us, bank.expiry_us) if due is not None]
+    return min(dues_us, default=None)
+
+
+def run_to(bank: ValveBank, now_us: int) -> list[At]:
     changes = []
-    while bank.next_us is not None and bank.next_us <= now_us:
-        changes += bank.run(bank.next_us)
+    while (due_us := next_us(bank)) is not None and due_us <= now_us:
+        made = bank.activate(due_us) + bank.expire(due_us)
+        changes += [At(*change, due_us) for change in made]
     return changes
 
 
 def test_an_activation_happens_at_its_microsecond() -> None:
     bank = ValveBank()
-    assert bank.command(brake(ON_AT, 34_567), 0) == []
+    assert bank.command(brake(ON_AT, 34_567), 0, 0) == []
     assert bank.pending[Valve.BRAKE]
-    assert run_to(bank, 50_000) == [Change(Valve.BRAKE, True, 34_567)]
+    assert run_to(bank, 50_000) == [At(Valve.BRAKE, True, 34_567)]
     assert bank.energised[Valve.BRAKE] and not bank.pending[Valve.BRAKE]
 
 
 def test_the_newest_frame_replaces_or_cancels() -> None:
     bank = ValveBank()
-    bank.command(brake(ON_AT, 30_000), 0)
-    bank.command(brake(ON_AT, 40_000), 10_000)
+    bank.command(brake(ON_AT, 30_000), 0, 0)
+    bank.command(brake(ON_AT, 40_000), 10_000, 10_000)
     assert run_to(bank, 35_000) == []
-    bank.command(brake(OFF), 36_000)
+    bank.command(brake(OFF), 36_000, 36_000)
     assert run_to(bank, 60_000) == []
 
 
 def test_resending_what_has_passed_holds_it_and_never_arms_it_again() -> None:
     bank = ValveBank()
-    bank.command(brake(ON_AT, 5_000), 0)
+    bank.command(brake(ON_AT, 5_000), 0, 0)
     run_to(bank, 10_000)
     for now_us in range(10_000, 90_000, 10_000):
-        assert bank.command(brake(ON_AT, 5_000), now_us) == []
+        assert bank.command(brake(ON_AT, 5_000), now_us, now_us) == []
         assert bank.energised[Valve.BRAKE]
-    bank.command(brake(OFF), 90_000)
-    assert bank.command(brake(ON_AT, 5_000), 90_500) == []
+    bank.command(brake(OFF), 90_000, 90_000)
+    assert bank.command(brake(ON_AT, 5_000), 90_500, 90_500) == []
     assert not bank.energised[Valve.BRAKE]
     assert bank.refused == 0
 
@@ -66,7 +81,7 @@ def test_activations_too_late_or_too_far_ahead_are_refused(ahead_us: int, taken:
     bank = ValveBank()
     now_us = 5 * WRAP - 10  # the 32-bit clock wraps in between
     for again in range(3):
-        bank.command(brake(ON_AT, now_us + ahead_us), now_us + again)
+        bank.command(brake(ON_AT, now_us + ahead_us), now_us + again, now_us + again)
     assert bank.refused == (0 if taken else 1)
     run_to(bank, now_us + 100_000)
     assert bank.energised[Valve.BRAKE] is taken
@@ -74,32 +89,46 @@ def test_activations_too_late_or_too_far_ahead_are_refused(ahead_us: int, taken:
 
 def test_a_refused_activation_leaves_the_valve_as_it_is() -> None:
     bank = ValveBank()
-    bank.command(brake(ON), 0)
-    bank.command(brake(OFF_AT, 500_000), 10_000)
+    bank.command(brake(ON), 0, 0)
+    bank.command(brake(OFF_AT, 500_000), 10_000, 10_000)
     run_to(bank, 100_000)
     assert bank.energised[Valve.BRAKE]
 
 
 def test_all_is_off_100_ms_after_the_last_frame() -> None:
     bank = ValveBank()
-    bank.command(brake(ON), 0)
-    bank.command((Order(ON), Order(ON_AT, 109_999), *[Order(OFF)] * (NINE - 2)), 10_000)
+    bank.command(brake(ON), 0, 0)
+    bank.command((Order(ON), Order(ON_AT, 109_999), *[Order(OFF)] * (NINE - 2)), 10_000, 10_000)
     assert run_to(bank, 109_998) == []
-    assert run_to(bank, 109_999) == [Change(Valve.SPLIT_LOW, True, 109_999)]
+    assert run_to(bank, 109_999) == [At(Valve.SPLIT_LOW, True, 109_999)]
     assert {(c.valve, c.on, c.time_us) for c in run_to(bank, 200_000)} == {
         (Valve.BRAKE, False, 110_000),
         (Valve.SPLIT_LOW, False, 110_000),
     }
     assert bank.expired == 1
-    assert bank.next_us is None
-    bank.command((Order(OFF), Order(ON_AT, 109_999), *[Order(OFF)] * (NINE - 2)), 111_000)
+    assert next_us(bank) is None
+    bank.command((Order(OFF), Order(ON_AT, 109_999), *[Order(OFF)] * (NINE - 2)), 111_000, 111_000)
+    assert not any(bank.energised)
+
+
+@pytest.mark.parametrize("step_us", [-1_000_000, -99_999, 99_999, 1_000_000, WRAP // 2])
+def test_the_expiry_does_not_go_by_the_sensor_clock(step_us: int) -> None:
+    """Commands stop; the sensor clock has jumped since the last one, or jumps before the next."""
+    bank = ValveBank()
+    clock_us = 2 * WRAP
+    bank.command(brake(ON), clock_us, 0)
+    bank.command(brake(ON), clock_us + 10_000 + step_us, 10_000)
+    assert bank.expire(109_999) == []
+    assert bank.energised[Valve.BRAKE]
+    assert [change.on for change in bank.expire(110_000)] == [False]
+    assert bank.expired == 1
     assert not any(bank.energised)
 
 
 def test_of_valves_switched_together_those_going_off_come_first() -> None:
     bank = ValveBank()
-    bank.command((Order(OFF), Order(OFF), Order(ON), *[Order(OFF)] * (NINE - 3)), 0)
-    changes = bank.command((Order(OFF), Order(ON), Order(OFF), *[Order(OFF)] * (NINE - 3)), 10)
+    bank.command((Order(OFF), Order(OFF), Order(ON), *[Order(OFF)] * (NINE - 3)), 0, 0)
+    changes = bank.command((Order(OFF), Order(ON), Order(OFF), *[Order(OFF)] * (NINE - 3)), 10, 10)
     assert [change.on for change in changes] == [False, True]
 
 
@@ -161,7 +190,7 @@ def test_the_bank_agrees_with_a_naive_reading_of_the_rules(sent: list[Sent]) -> 
     bank = ValveBank()
     for entry, following in zip(sent, [*sent[1:], None], strict=True):
         run_to(bank, entry.now_us)
-        bank.command(brake(entry.action, entry.now_us + entry.ahead_us), entry.now_us)
+        bank.command(brake(entry.action, entry.now_us + entry.ahead_us), entry.now_us, entry.now_us)
         if following is None or following.now_us > entry.now_us:
             assert bank.energised[Valve.BRAKE] == naive_output(sent, entry.now_us)
     for after_us in (3_000, 50_000, 99_999, 100_000, 150_000):

@@ -2,6 +2,7 @@
 
 Frames of all nodes are put into one total order, the same for every listener, and none is lost:
 a node that does not read is disconnected once `MAX_BACKLOG_BYTES` wait for it, never skipped.
+A node that sends faster than the others read is made to wait for them (`throttle`).
 Run by `python -m meshpoint.bus.local.hub CHANNEL`; nodes start it by themselves when nobody listens
 (`meshpoint.bus.local.launch`). It ends when it has been without nodes for a while.
 """
@@ -23,6 +24,7 @@ from meshpoint.bus.local import wire
 from meshpoint.bus.local.channel import SYNTAX, ChannelError, HubChannel, hub_log, parse_channel
 from meshpoint.bus.local.dial import NoHubError, dial
 from meshpoint.bus.local.listening import HubRunningError, clean_up, listen
+from meshpoint.bus.local.throttle import LOOK_S, Allowance, Progress
 
 DEFAULT_LINGER_S = 3.0
 MAX_BACKLOG_BYTES = 8 * 1024 * 1024
@@ -36,6 +38,7 @@ class Hub:
         self._nodes: dict[_Connection, None] = {}  # a dict, because it keeps its order
         self._linger_s = linger_s
         self._linger: asyncio.TimerHandle | None = None
+        self._held: list[_Connection] = []
         self.ended = asyncio.Event()
         # The first node may need a while, whatever it wants of the time after the last.
         self._start_lingering(max(linger_s, DEFAULT_LINGER_S))
@@ -59,11 +62,32 @@ class Hub:
         for node in tuple(self._nodes):  # one that reads too little leaves in between
             if node is not sender:
                 node.send(records)
+        if not sender.spend(len(records)) and self._is_anyone_behind(but=[sender]):
+            sender.hold()
+            if not self._held:
+                self._look_again()
+            self._held.append(sender)
 
     def disconnect_all(self) -> None:
         """Ends every connection."""
         for node in list(self._nodes):
             node.close()
+
+    def _is_anyone_behind(self, but: "list[_Connection]") -> bool:
+        return any(node.is_behind() for node in self._nodes if node not in but)
+
+    def _look_again(self) -> None:
+        asyncio.get_running_loop().call_later(LOOK_S, self._let_go)
+
+    def _let_go(self) -> None:
+        """Those that flooded the bus are heard again once nobody is behind."""
+        # One that is held may be busy sending, and reads later: nobody waits for it.
+        if self._is_anyone_behind(but=self._held):
+            self._look_again()
+            return
+        held, self._held = self._held, []
+        for node in held:
+            node.go_on()
 
     def _start_lingering(self, seconds: float) -> None:
         self._linger = asyncio.get_running_loop().call_later(seconds, self.ended.set)
@@ -77,11 +101,14 @@ class _Connection(asyncio.Protocol):
         self._number = number
         self._received = bytearray()
         self._greeted = False
+        self._was_held = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.Transport, transport)
         self._transport.set_write_buffer_limits(high=MAX_BACKLOG_BYTES)
-        loop = asyncio.get_running_loop()
+        self._loop = loop = asyncio.get_running_loop()
+        self._allowance = Allowance(loop.time())
+        self._progress = Progress(loop.time())
         self._greeting_timer = loop.call_later(
             _GREETING_TIMEOUT_S, self._drop, "it did not say what it is"
         )
@@ -101,7 +128,28 @@ class _Connection(asyncio.Protocol):
     def send(self, records: bytes) -> None:
         """Queues records for this node."""
         if not self._transport.is_closing():
+            self._progress.sent(len(records))
             self._transport.write(records)
+
+    def spend(self, sent_bytes: int) -> bool:
+        """It has sent this much; whether that is within what any node may send."""
+        return self._allowance.spend(sent_bytes, self._loop.time())
+
+    def is_behind(self) -> bool:
+        """Whether more waits for it than should, and it reads."""
+        return self._progress.is_behind(self._transport.get_write_buffer_size(), self._loop.time())
+
+    def hold(self) -> None:
+        """Takes nothing from this node until `go_on`."""
+        self._transport.pause_reading()
+        if not self._was_held:
+            self._was_held = True
+            _say(f"node {self._number} is made to wait: it sends faster than the others read")
+
+    def go_on(self) -> None:
+        """Takes its frames again."""
+        if not self._transport.is_closing():
+            self._transport.resume_reading()
 
     def close(self) -> None:
         """Ends this connection."""

@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from struct import Struct
 from typing import BinaryIO, NamedTuple
 
-from meshpoint.bus.logs.entry import DefectError, Entries, Skipped, checked
+from meshpoint.bus.logs.entry import DefectError, Entries, Skipped, Unfinished, checked
 from meshpoint.dbc.frame import Frame
 
 # Writers put 128 KiB into a container.
@@ -67,18 +67,26 @@ def blf_entries(file: BinaryIO, file_bytes: int) -> Entries:
     header = file.read(_FILE_HEADER.size)
     if len(header) < _FILE_HEADER.size or not header.startswith(b"LOGG"):
         raise DefectError("offset 0", "not a BLF log: it does not begin with a LOGG header")
-    _, header_bytes, declared_bytes, _, _, _, *times = _FILE_HEADER.unpack(header)
+    _, header_bytes, declared_bytes, _, declared_objects, _, *times = _FILE_HEADER.unpack(header)
     if not _FILE_HEADER.size <= header_bytes <= file_bytes:
         raise DefectError("offset 4", f"the header cannot have {header_bytes} bytes")
     file.seek(header_bytes)
     start_s = _epoch_s(times[:8])
+    objects = 0
     for item in _objects(file, file_bytes):
+        objects += 1
         entry = _entry(item, start_s)
         if entry is not None:
             yield entry
+    end = f"offset {file_bytes}"
     if declared_bytes > file_bytes:
-        cause = f"cut off: {file_bytes} bytes are left of {declared_bytes}"
-        raise DefectError(f"offset {file_bytes}", cause)
+        raise DefectError(end, f"cut off: {file_bytes} bytes are left of {declared_bytes}")
+    if objects < declared_objects:
+        raise DefectError(end, f"{objects} objects are left of {declared_objects} that it tells")
+    if declared_bytes and (declared_bytes < file_bytes or objects > declared_objects):
+        # The header is written last: what came behind it was on its way.
+        cause = f"the header tells {declared_objects} objects in {declared_bytes} bytes, there are "
+        yield Unfinished(f"{cause}{objects} in {file_bytes} (interrupted)")
 
 
 def _objects(file: BinaryIO, file_bytes: int) -> Iterator[_Object]:
@@ -94,6 +102,8 @@ def _objects(file: BinaryIO, file_bytes: int) -> Iterator[_Object]:
                 raise DefectError(position, "no object where one should begin")
             if found < 0 or found + _OBJECT_HEADER.size > len(buffer):
                 break
+            if buffer[start:found].strip(b"\0"):
+                raise DefectError(position, "no object where one should begin")
             _, header_bytes, _, size, kind = _OBJECT_HEADER.unpack_from(buffer, found)
             if not _MIN_HEADER_BYTES <= header_bytes <= size <= MAX_CONTAINER_BYTES:
                 raise DefectError(
@@ -115,8 +125,10 @@ def _containers(file: BinaryIO, file_bytes: int) -> Iterator[tuple[bytes, str]]:
         offset = file.tell()
         position = f"offset {offset}"
         header = file.read(_OBJECT_HEADER.size)
-        if not header.strip(b"\0"):
+        if len(header) < _ALIGNMENT and not header.strip(b"\0"):
             return
+        if not header.strip(b"\0"):
+            raise DefectError(position, "zeros where a container should begin (a hole in the log)")
         if len(header) < _OBJECT_HEADER.size:
             raise DefectError(position, "the log ends inside a container (interrupted or cut off)")
         signature, _, _, size, kind = _OBJECT_HEADER.unpack(header)
@@ -124,12 +136,11 @@ def _containers(file: BinaryIO, file_bytes: int) -> Iterator[tuple[bytes, str]]:
             raise DefectError(position, "no container where one should begin")
         if offset + size > file_bytes:
             raise DefectError(position, "the log ends inside a container (interrupted or cut off)")
-        if kind == _CONTAINER_TYPE:
-            if size > MAX_CONTAINER_BYTES:
-                raise DefectError(
-                    position, f"container of {size} bytes, limit {MAX_CONTAINER_BYTES}"
-                )
-            yield _unpacked(file.read(size - _OBJECT_HEADER.size), position), position
+        if kind != _CONTAINER_TYPE:
+            raise DefectError(position, f"an object of type {kind} where a container should begin")
+        if size > MAX_CONTAINER_BYTES:
+            raise DefectError(position, f"container of {size} bytes, limit {MAX_CONTAINER_BYTES}")
+        yield _unpacked(file.read(size - _OBJECT_HEADER.size), position), position
         file.seek(offset + size + size % _ALIGNMENT)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from enum import Enum, auto
+from typing import NamedTuple
 
 from meshpoint.bus.local.wire import CLASSIC_LENGTHS, FD_LENGTHS
 from meshpoint.dbc.frame import Frame
@@ -17,7 +18,14 @@ class Skipped(Enum):
     ERROR = auto()
 
 
-Entries = Iterator[tuple[float, Frame] | Skipped]
+class Unfinished(NamedTuple):
+    """The last entry of a log that its writer has not completed: all of it can be read, but
+    there may have been more."""
+
+    cause: str
+
+
+Entries = Iterator[tuple[float, Frame] | Skipped | Unfinished]
 
 
 class DefectError(Exception):

@@ -14,7 +14,7 @@ from pathlib import Path
 import can
 
 from meshpoint.bus.local.closing import Closing
-from meshpoint.bus.logs.limits import FORMATS, EmptyLogError, LogError, read_log
+from meshpoint.bus.logs.limits import FORMATS, EmptyLogError, LogError, UnfinishedLogError, read_log
 from meshpoint.bus.logs.recorder import FLUSH_EVERY_S, LogWriter
 from meshpoint.dbc.frame import Frame
 
@@ -168,15 +168,23 @@ def log_files(paths: Iterable[Path]) -> list[Path]:
 def read_logs(files: Iterable[Path]) -> Iterator[tuple[float, Frame]]:
     """The frames of several logs, one file after the other. Raises LogError as LogReader does, and
     does not go on behind a defect: what follows would not fit. The last of several may hold
-    nothing: a process may be killed just after it has begun it."""
+    nothing: a process may be killed just after it has begun it. A log that its writer has not
+    completed is a defect at its end, as frames may be missing there."""
     *before, last = files
     for path in before:
-        yield from read_log(path)
+        yield from _whole(path)
     try:
-        yield from read_log(last)
+        yield from _whole(last)
     except EmptyLogError:
         if not before:
             raise
+
+
+def _whole(path: Path) -> Iterator[tuple[float, Frame]]:
+    reader = read_log(path)
+    yield from reader
+    if reader.unfinished:
+        raise UnfinishedLogError(path, "", reader.unfinished)
 
 
 def _entries(folder: Path) -> list[Path]:

@@ -5,10 +5,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
+from meshpoint.bus.logs.asc import asc_entries
 from meshpoint.bus.logs.blf import blf_entries
-from meshpoint.bus.logs.entry import DefectError, Entries, Skipped
-from meshpoint.bus.logs.text import asc_entries, candump_entries
+from meshpoint.bus.logs.entry import DefectError, Entries, Skipped, Unfinished
+from meshpoint.bus.logs.text import candump_entries
 from meshpoint.dbc.frame import Frame
+from meshpoint.gearbox.reading import UnreadableError, open_regular
 
 FORMATS = (".log", ".blf", ".asc")
 MAX_LOG_BYTES = 4 * 1024**3
@@ -32,6 +34,10 @@ class EmptyLogError(LogError):
     """A log without a frame, but without a defect: a process killed just after it began one."""
 
 
+class UnfinishedLogError(LogError):
+    """A log that could be read to its end, but that its writer has not completed."""
+
+
 class LogReader:
     """The data frames of a log, in its order, each with its time in seconds.
 
@@ -47,14 +53,20 @@ class LogReader:
         self.frames = 0
         self.remote_frames = 0
         self.error_frames = 0
+        self.unfinished = ""
+        """Known after the last frame: by what it shows that a log was not completed by its writer,
+        so that frames may be missing at its end. Empty also where the format cannot tell: a
+        candump log has no mark of its end."""
         self._max_bytes = max_bytes
 
     def __iter__(self) -> Iterator[tuple[float, Frame]]:
         try:
-            with self.path.open("rb") as file:
+            with open_regular(self.path) as file:
                 if os.fstat(file.fileno()).st_size == 0:
                     raise EmptyLogError(self.path, "", "is empty")
                 yield from self._frames_of(_entries(file, self.path, self._max_bytes))
+        except UnreadableError as error:
+            raise LogError(self.path, "", error.cause) from error
         except OSError as error:
             raise LogError(self.path, "", error.strerror or str(error)) from error
         except DefectError as defect:
@@ -68,6 +80,8 @@ class LogReader:
                 self.remote_frames += 1
             elif entry is Skipped.ERROR:
                 self.error_frames += 1
+            elif isinstance(entry, Unfinished):
+                self.unfinished = entry.cause
             else:
                 self.frames += 1
                 yield entry

@@ -15,6 +15,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args, get_type_hints
 
+from meshpoint.gearbox.reading import read_text
+from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
 from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 from meshpoint.testbench.campaign.sweep import SweepPoint
@@ -83,9 +85,11 @@ class Store:
 
     def _check(self, head: Path, spec: CampaignSpec) -> None:
         try:
-            before = json.loads(head.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+            before = json.loads(read_text(head, TABLE_LIMIT_BYTES))
+        except (ValueError, RecursionError) as error:
             raise CommandError(f"{head}: cannot be read: {error}") from error
+        if not isinstance(before, dict):
+            raise CommandError(f"{head}: holds no description of a campaign")
         if before.get("sha256") == spec.sha256:
             return
         now = spec.to_json()

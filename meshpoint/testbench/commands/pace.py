@@ -37,18 +37,24 @@ def run(namespace: argparse.Namespace) -> int:
     except OSError as error:
         raise CommandError(f"{path}: {error.strerror}") from error
     ending = threading.Event()
-    keeper = threading.Thread(target=keep_pace, args=(path, namespace.speed, ending))
 
-    async def until_signal() -> None:
+    async def until_signal() -> str:
         stop = asyncio.Event()
         with stop_on_signals(stop):
-            keeper.start()
-            await stop.wait()
+            keeper = asyncio.create_task(
+                asyncio.to_thread(keep_pace, path, namespace.speed, ending)
+            )
+            waiting = asyncio.create_task(stop.wait())
+            await asyncio.wait((keeper, waiting), return_when=asyncio.FIRST_COMPLETED)
+            waiting.cancel()
+            ending.set()
+            return await keeper
 
     try:
-        asyncio.run(until_signal())
+        fault = asyncio.run(until_signal())
     finally:
         ending.set()
-        keeper.join()
         path.unlink(missing_ok=True)
+    if fault:
+        raise CommandError(fault)
     return Exit.DONE

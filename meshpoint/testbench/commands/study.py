@@ -10,6 +10,8 @@ from typing import Any
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from meshpoint.gearbox.reading import read_text
+from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
@@ -125,7 +127,7 @@ def _write(
     write_page(namespace.out / PAGE, records, {key: str(value) for key, value in source.items()})
     text = shipped_text()
     if namespace.settings is not None:
-        text = namespace.settings.read_text(encoding="utf-8")
+        text = read_text(namespace.settings, TABLE_LIMIT_BYTES)
     path = namespace.out / SETTINGS
     try:
         path.write_text(text, encoding="utf-8")

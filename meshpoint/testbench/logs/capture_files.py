@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from meshpoint.gearbox.reading import UnreadableError, read_text
 from meshpoint.testbench.errors import CommandError
 from meshpoint.units import SECOND_US
 
@@ -62,12 +63,9 @@ class FoundWheel:
 def read_capture(path: Path) -> Capture:
     """The edges of a file. CommandError names the file and what is wrong with it."""
     try:
-        size = path.stat().st_size
-        if size > CAPTURE_LIMIT_BYTES:
-            raise CommandError(f"{path}: {size} bytes, allowed are {CAPTURE_LIMIT_BYTES}")
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise CommandError(f"{path}: cannot be read: {error}") from error
+        lines = read_text(path, CAPTURE_LIMIT_BYTES).splitlines()
+    except UnreadableError as error:
+        raise CommandError(str(error)) from error
     first = 0 if lines and _numbers(lines[0]) is not None else 1
     rows = [_numbers(line) for line in lines[first:] if line.strip()]
     width = 0 if not rows or rows[0] is None else len(rows[0])
