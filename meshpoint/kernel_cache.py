@@ -45,7 +45,7 @@ PLAIN: Final = (bool, int, float, complex, str, bytes, type(None), type(...), np
 
 def keep_compiled(kernel: Any, beside: Path) -> None:
     """Gives a dispatcher of numba this cache; `beside` is the folder of its package."""
-    kernel._cache = KernelCache(kernel, folders(beside))
+    kernel._cache = KernelCache(kernel, folders(beside))  # noqa: SLF001  # numba has no other way
 
 
 def folders(beside: Path) -> tuple[Path, ...]:

@@ -20,7 +20,7 @@ from meshpoint.controller.estimation.crossing_layout import (
     FilterMemory,
     TeethArrays,
 )
-from meshpoint.controller.motion.models import LayshaftState, MotionModel, ahead, diagonal, state_of
+from meshpoint.controller.motion.models import LayshaftState, MotionModel, ahead, state_of
 from meshpoint.controller.records import Vector
 from meshpoint.controller.settings import CrossingFilterTuning
 
@@ -151,15 +151,6 @@ class CrossingFilter:
     def at(self, time_us: float, switches: Vector, model: MotionModel) -> LayshaftState:
         """The state at a time, with its spread grown to then."""
         return ahead(self.x, self.p, self.time_us, time_us, switches, model)
-
-
-def start_covariance(
-    tuning: CrossingFilterTuning, theta_sd_rad: float, omega_sd_rad_s: float, acceleration: float
-) -> Vector:
-    """Of a state that begins: steady accelerations as unknown as `acceleration` (rad/s2)."""
-    return diagonal(
-        theta_sd_rad, omega_sd_rad_s, tuning.pressure_start_sd_pa, acceleration, 1e-6, acceleration
-    )
 
 
 def _merged(early: _Batch, late: _Batch) -> _Batch:

@@ -24,9 +24,6 @@ from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
 
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
-LEAST_RATE: float = 1e-3
-"""A pressure law's b closer to zero than this is taken as this: a singularity that can be avoided
-and makes no difference (1e-4 of the pressure in 0.1 s)."""
 
 
 class LayshaftState(NamedTuple):

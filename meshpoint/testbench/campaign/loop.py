@@ -27,7 +27,7 @@ from meshpoint.testbench.campaign.draw import Draw
 from meshpoint.testbench.campaign.oracle import Oracle
 from meshpoint.testbench.campaign.scorer import NO_STEP_US, SCORED_IDS, Scorer
 from meshpoint.testbench.loop.bench import BenchCore, Pauses
-from meshpoint.testbench.loop.simulate import not_addressed_to, tick_phases
+from meshpoint.testbench.loop.simulate import LIMIT_US_PER_SHIFT, not_addressed_to, tick_phases
 from meshpoint.testbench.loop.virtual_time import VirtualTime
 from meshpoint.testbench.provenance import product_version
 from meshpoint.testbench.results.monitor import identifiers
@@ -42,7 +42,6 @@ every look, and the clutch closes meanwhile, which it would else do in the old g
 FAST_RETURN_RAMP_S: Final = 0.05
 """From the new gear's speeds to the old one's. As fast as this the wheels' teeth are still counted
 without a loss; it is the bench's doing and no part of a shift."""
-LIMIT_US_PER_SHIFT: Final = 30_000_000
 ALL_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
 SHARED: Final = tuple(CODECS.values())
 """What a copy shares with its original: it never changes."""

@@ -24,6 +24,7 @@ from meshpoint.testbench.report.layout import (
     PREDICTION,
     PURPLE,
     SLEEVE,
+    SLEEVE_NAME,
     SLIP,
     SPEED,
     VALVE,
@@ -35,10 +36,6 @@ from meshpoint.testbench.report.phase import estimated_phase, true_phase
 
 HOLE_MS: Final = 50.0
 """A line is broken where the bus was silent for longer."""
-SLEEVE_NAME: Final = {
-    Sleeve.FIRST_SECOND: "sleeve_first_second_mm",
-    Sleeve.CRAWL_THIRD: "sleeve_crawl_third_mm",
-}
 VALVE_NAMES: Final = (
     "brake", "main_first", "main_second", "main_crawl", "main_third",
     "split_low", "split_high", "range_low", "range_high",

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any, Final
 
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.gears import Sleeve
 
 INK, GREY, GRID = "#1a1a1a", "#6b6b6b", "#e4e4e4"
 BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#aa4499"
@@ -28,6 +29,11 @@ PANELS: Final = (
 )
 SPEED, SLIP, BRAKE, VALVE, SLEEVE, PHASE, PREDICTION = range(len(PANELS))
 SPACE: Final = 0.018
+SLEEVE_NAME: Final = {
+    Sleeve.FIRST_SECOND: "sleeve_first_second_mm",
+    Sleeve.CRAWL_THIRD: "sleeve_crawl_third_mm",
+}
+"""What a main sleeve's position is called among the traces."""
 Figure = dict[str, Any]
 
 

@@ -30,9 +30,9 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.results.rows import CONTACT_KINDS
+from meshpoint.testbench.results.traces import ENCODER_STEP_US
 from meshpoint.units import DEG, RPM
 
-ENCODER_STEP_US: Final = 2_000
 SWITCHED_ON: Final = (ValveAction.ON_AT, ValveAction.ON_NOW)
 SCHEDULED: Final = (ValveAction.ON_AT, ValveAction.OFF_AT)
 

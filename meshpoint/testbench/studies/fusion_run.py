@@ -32,8 +32,9 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.loop.simulate import Setup, simulate
-from meshpoint.testbench.results.estimation import ENCODER_STEP_US, EstimationScore, Sample
+from meshpoint.testbench.results.estimation import EstimationScore, Sample
 from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.results.traces import ENCODER_STEP_US
 from meshpoint.testbench.studies.jobs import AsBuilt, ShiftErrors
 from meshpoint.units import US
 
