@@ -28,7 +28,7 @@ from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pres
 from meshpoint.controller.motion.linear import layshaft_model
 from meshpoint.controller.motion.linear_kernels import THESIS_FILTER, thesis_filter
 from meshpoint.controller.motion.models import diagonal, first_order_law, free_motion
-from meshpoint.controller.records import Memory
+from meshpoint.controller.records import RecordMemory
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import Split, load_sheet
 from meshpoint.units import US
@@ -58,7 +58,7 @@ class Thesis:
     """The product's kernel, in batches as the bus delivers them."""
 
     def __init__(self, model: np.ndarray) -> None:
-        self._memory = memory = Memory(THESIS_FILTER)
+        self._memory = memory = RecordMemory(THESIS_FILTER)
         memory.part("model")[:], memory.part("w")[:], memory.part("r_rad2")[0] = model, W, R
         self._time_us, self._x, self._p = (memory.part(name) for name in ("time_us", "x", "p"))
         self._switches = np.empty((2, 0))

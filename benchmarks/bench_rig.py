@@ -34,7 +34,7 @@ import numpy as np
 
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.rig_sim.jit import OPTIONS
-from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.records import RecordArray
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.motion import rates
@@ -88,8 +88,8 @@ def scipy_peer(world: TruckWorld, seconds: float) -> None:
     """The same equations by SciPy, with events."""
     from scipy.integrate import solve_ivp
 
-    memory = Memory(world.plant.rig)
-    angle = at.State.angle_rad.offset // 8  # type: ignore[attr-defined]
+    memory = RecordArray(world.plant.rig)
+    angle = at.RigState.angle_rad.offset // 8  # type: ignore[attr-defined]
 
     def slope(_: float, y: Any) -> Any:
         rate = np.empty_like(y)
@@ -139,7 +139,7 @@ def _sampled(samples: int, rigs: Any, above: Any) -> int:
 def analog_peer(world: TruckWorld, seconds: float) -> None:
     """The thesis's route for the same gearbox."""
     above = np.zeros(4, dtype=np.bool_)
-    _sampled(round(seconds * 1e6), Memory(world.plant.rig).array, above)
+    _sampled(round(seconds * 1e6), RecordArray(world.plant.rig).array, above)
 
 
 def sine_peer(world: TruckWorld, seconds: float) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from meshpoint.controller.calibration.learned import (
-    FORMAT,
+    CALIBRATION_FORMAT,
     Calibration,
     End,
     Provenance,
@@ -64,7 +64,7 @@ def collect(
         references = _references(saved, header.sheet.dog.pitch_rad)
         brake = observer.brake.record()
     return Calibration(
-        format_=FORMAT,
+        format_=CALIBRATION_FORMAT,
         provenance=provenance,
         wheels=wheels,
         references=references,

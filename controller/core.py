@@ -59,7 +59,7 @@ FOREIGN: Final = FrameVerdict.FOREIGN
 _identifier = itemgetter(0)
 FRESH_US: Final = 45_000
 """A sample older than this is lost, even where frames with live counters go on repeating it."""
-QUIET_US: Final = 8_000
+FRAME_WAIT_US: Final = 8_000
 """A step's last frames may wait for so long behind the sensors' before they are on the bus."""
 UNARMED: Final = (
     "outputs not armed: all valves stay off, clutch and engine are not commanded, requests are "
@@ -312,7 +312,7 @@ class ControllerCore:
         sent_us = sensor_us + self._ahead_us
         switch_us = self._board.next_switch_us(sent_us)
         self._wake_us = None if switch_us is None else now_us + max(0, switch_us - sent_us)
-        if self._wake_us is not None and due_us < self._wake_us < due_us + QUIET_US:
+        if self._wake_us is not None and due_us < self._wake_us < due_us + FRAME_WAIT_US:
             # The tick's own frames would still stand before the command: leave this one out.
             due_us += tick_us
         self._due_us = due_us

@@ -23,7 +23,7 @@ from meshpoint.gearbox.reading import UnreadableError, read_bounded
 from meshpoint.gearbox.sheet import sheet_from_canonical
 from meshpoint.gearbox.tables import TableError, read_values
 
-SIZE_LIMIT_BYTES: Final = 4 * 1024 * 1024
+HEADER_LIMIT_BYTES: Final = 4 * 1024 * 1024
 
 
 class HeaderError(ValueError):
@@ -104,7 +104,7 @@ def load_header(folder: Path, run_hash: int) -> RunHeader:
     """The header with this hash from `folder`. HeaderError where it is missing or changed."""
     path = folder / header_name(run_hash)
     try:
-        content = read_bounded(path, SIZE_LIMIT_BYTES)
+        content = read_bounded(path, HEADER_LIMIT_BYTES)
     except UnreadableError as error:
         raise HeaderError(str(error)) from error
     try:

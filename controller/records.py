@@ -24,7 +24,7 @@ Integers = NDArray[np.int64]
 Layout = np.dtype[np.record]
 Item = TypeVar("Item", covariant=True)
 
-WORD: Final = 8
+WORD_BYTES: Final = 8
 """Bytes of a number, float or integer: a record is a whole number of them."""
 
 
@@ -81,29 +81,26 @@ def filled(layout: Layout, **values: float) -> Vector:
     return np.array([*values.values()], dtype=np.float64)
 
 
-class Memory:
+class RecordMemory:
     """A record and the flat memory it stands on. Copied (a campaign copies whole controllers) as
     the memory alone: copies of views would be arrays of their own."""
 
     def __init__(self, layout: Layout) -> None:
         self._layout = layout
-        self._on(np.zeros(layout.itemsize // WORD))
+        self.flat: Vector = np.zeros(layout.itemsize // WORD_BYTES)
+        self._record = self.flat.view(layout)
+        self._name_parts()
 
     def part(self, name: str) -> NDArray[Any]:
         """A field as a view: of one element where it is a single number."""
         view: NDArray[Any] = self._record[name]
         return view if view.ndim == 1 else view[0]
 
-    def _on(self, flat: Vector) -> None:
-        self.flat = flat
-        self._record = flat.view(self._layout)
-        self._name_parts()
-
     def _name_parts(self) -> None:
         """Makes the views that are asked for often; called again for a copy."""
 
     def __deepcopy__(self, _memo: dict[int, Any]) -> Any:
         other = type(self).__new__(type(self))
-        other._layout = self._layout
-        other._on(self.flat.copy())
+        RecordMemory.__init__(other, self._layout)
+        other.flat[:] = self.flat
         return other

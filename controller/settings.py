@@ -198,7 +198,7 @@ class GuardSettings:
 
 
 @dataclass(frozen=True)
-class ThesisFilter:
+class ThesisFilterTuning:
     """Tuning of the thesis's Kalman filter: Q_k = (w dt)(w dt)' (5.8) and R."""
 
     w_angle_rad_s: float = quantity("w_angle_deg_s", 0.0, 1e4, DEG, default=0.5 * DEG)
@@ -212,7 +212,7 @@ class ThesisFilter:
 
 
 @dataclass(frozen=True)
-class CruiseFilter:
+class CruiseFilterTuning:
     """Tuning of the constant-speed filter of main shaft and engaged layshaft."""
 
     acceleration_rad_s2: float = quantity("acceleration_rad_s2", 0.0, 1e5, default=30.0)
@@ -298,8 +298,8 @@ class ControllerSettings:
     limits: ShiftLimits = group(ShiftLimits, default=ShiftLimits())
     engine: EngineRequests = group(EngineRequests, default=EngineRequests())
     guard: GuardSettings = group(GuardSettings, default=GuardSettings())
-    thesis_filter: ThesisFilter = group(ThesisFilter, default=ThesisFilter())
-    cruise_filter: CruiseFilter = group(CruiseFilter, default=CruiseFilter())
+    thesis_filter: ThesisFilterTuning = group(ThesisFilterTuning, default=ThesisFilterTuning())
+    cruise_filter: CruiseFilterTuning = group(CruiseFilterTuning, default=CruiseFilterTuning())
     crossing_filter: CrossingFilterTuning = group(
         CrossingFilterTuning, default=CrossingFilterTuning()
     )

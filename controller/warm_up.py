@@ -18,7 +18,7 @@ from meshpoint.controller.motion.linear_kernels import (
 )
 from meshpoint.controller.motion.models import first_order_law, following_motion, predict
 from meshpoint.controller.planning import plan_kernels
-from meshpoint.controller.records import Memory, filled
+from meshpoint.controller.records import RecordMemory, filled
 from meshpoint.controller.sensing import chain_kernels as edge_kernels
 from meshpoint.controller.sensing import gate_kernels as edge_gate
 from meshpoint.controller.settings import CrossingFilterTuning
@@ -38,10 +38,10 @@ def _warm_up_baselines() -> None:
     model = filled(LINEAR, friction_per_s=0.1, brake_per_s=10.0, brake_rad_s2_pa=0.0, supply_pa=1.0)
     edges, switches = np.array([1.0]), np.array([[0.5], [0.5]])
     propagate(np.zeros(3), 0.0, 1.0, switches, model)
-    thesis = Memory(THESIS_FILTER)
+    thesis = RecordMemory(THESIS_FILTER)
     thesis.part("model")[:], thesis.part("r_rad2")[0] = model, 1.0
     thesis_filter(thesis.flat, edges, edges, switches)
-    cruise = Memory(CRUISE_FILTER)
+    cruise = RecordMemory(CRUISE_FILTER)
     cruise.part("edge_time_s")[0] = 1e-6
     cruise_filter(cruise.flat, edges, edges)
 

@@ -37,7 +37,7 @@ from numba.core.dispatcher import Dispatcher
 from meshpoint.kernel_watch import WATCH
 
 DIGEST_BYTES: Final = 32
-FOREIGN: Final = frozenset({"math", "cmath", "operator", "numpy", "numba"})
+STABLE_MODULES: Final = frozenset({"math", "cmath", "operator", "numpy", "numba"})
 """Modules that change with their version alone."""
 numba_config: Any = numba.core.config
 PLAIN: Final = (bool, int, float, complex, str, bytes, type(None), type(...), np.generic, np.dtype)
@@ -45,7 +45,7 @@ PLAIN: Final = (bool, int, float, complex, str, bytes, type(None), type(...), np
 
 def keep_compiled(kernel: Any, beside: Path) -> None:
     """Gives a dispatcher of numba this cache; `beside` is the folder of its package."""
-    kernel._cache = KernelCache(kernel, folders(beside))
+    kernel._cache = KernelCache(kernel, folders(beside))  # noqa: SLF001  # numba has no other way
 
 
 def folders(beside: Path) -> tuple[Path, ...]:
@@ -231,7 +231,7 @@ def _named(value: Any) -> str:
 
 
 def _is_foreign(value: Any) -> bool:
-    return getattr(value, "__module__", "").split(".")[0] in FOREIGN and hasattr(
+    return getattr(value, "__module__", "").split(".")[0] in STABLE_MODULES and hasattr(
         value, "__qualname__"
     )
 
@@ -261,5 +261,5 @@ def _feed_module(put: Callable[[bytes], None], module: types.ModuleType) -> None
     """A foreign module by its name; one of ours with its whole source."""
     put(f"{module.__name__};".encode())
     source = getattr(module, "__file__", None)
-    if module.__name__.split(".")[0] not in FOREIGN and source is not None:
+    if module.__name__.split(".")[0] not in STABLE_MODULES and source is not None:
         put(Path(source).read_bytes())

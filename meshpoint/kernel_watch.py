@@ -12,7 +12,7 @@ def _say(line: str) -> None:
     sys.stderr.flush()
 
 
-class Watch:
+class CacheWatch:
     """What a command may set to show it."""
 
     say: Callable[[str], None] = staticmethod(_say)
@@ -30,4 +30,4 @@ class Watch:
             self.say(line)
 
 
-WATCH: Final = Watch()
+WATCH: Final = CacheWatch()

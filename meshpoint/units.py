@@ -22,5 +22,7 @@ MS: Final = 1e-3
 """s"""
 US: Final = 1e-6
 """s"""
+MS_US: Final = 1e3
+"""A millisecond in microseconds, where times are counted in them."""
 SECOND_US: Final = 1e6
 """A second in microseconds, where times are counted in them."""

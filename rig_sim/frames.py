@@ -35,7 +35,7 @@ from meshpoint.rig_sim.shared.world import RigWorld, SensorRead
 from meshpoint.units import RPM
 
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
-EDGES: Final[tuple[type[Message], ...]] = (
+EDGE_MESSAGES: Final[tuple[type[Message], ...]] = (
     EdgesInputRise,
     EdgesInputFall,
     EdgesLayshaftRise,
@@ -59,7 +59,7 @@ def read_messages(world: RigWorld, now_us: int) -> list[Message]:
     messages: list[Message] = [
         _new(edges, (clock_us, index, valid, long, stopped, False, stamps))
         for edges, (index, valid, long, stopped, stamps) in zip(
-            EDGES, world.edge_reads(now_us), strict=True
+            EDGE_MESSAGES, world.edge_reads(now_us), strict=True
         )
     ]
     sensors = world.sensors(now_us)

@@ -131,7 +131,7 @@ class Vector(Record):
 Kept = TypeVar("Kept", bound=Record)
 
 
-class Memory(Generic[Kept]):
+class RecordArray(Generic[Kept]):
     """A record and the array through which kernels see it. A copy of both still is one memory."""
 
     def __init__(self, record: Kept) -> None:
@@ -141,8 +141,8 @@ class Memory(Generic[Kept]):
             view = np.ndarray(1, dtype_of(type(record)), buffer=cast(Any, record))
             self.array = cast(Sequence[Kept], view)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Memory[Kept]:
-        return Memory(copy.deepcopy(self.record, memo))
+    def __deepcopy__(self, memo: dict[int, Any]) -> RecordArray[Kept]:
+        return RecordArray(copy.deepcopy(self.record, memo))
 
 
 _dtypes: Final[dict[type[Record], np.dtype[Any]]] = {}

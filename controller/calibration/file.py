@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 from meshpoint.controller.calibration.learned import Calibration, CalibrationError, read_calibration
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.reading import UnreadableError, read_text
-from meshpoint.gearbox.tables import SIZE_LIMIT_BYTES
+from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
 
 REFUSED: Final = ".refused"
 _NEW_FILE: Final = (
@@ -34,7 +34,7 @@ class Loaded(NamedTuple):
 def read_file(path: Path, sheet: GearboxSheet | None) -> Calibration:
     """The calibration in a file. CalibrationError names file, key, found and allowed."""
     try:
-        content = read_text(path, SIZE_LIMIT_BYTES)
+        content = read_text(path, TABLE_LIMIT_BYTES)
     except UnreadableError as error:
         raise CalibrationError(str(error)) from error
     return read_calibration(content, str(path), sheet)

@@ -27,7 +27,7 @@ from meshpoint.units import BAR, DEG, MS, RPM
 
 Record = TypeVar("Record")
 
-FORMAT: Final = 1
+CALIBRATION_FORMAT: Final = 1
 MOST_SHIFTS: Final = 1_000_000_000
 PITCH_SHARE: Final = 0.25
 """A tooth's place is wrong by less than this share of a pitch, or it is another wheel's."""
@@ -195,7 +195,7 @@ class End:
 class Calibration:
     """All of it."""
 
-    format_: int = count("format", FORMAT, FORMAT)
+    format_: int = count("format", CALIBRATION_FORMAT, CALIBRATION_FORMAT)
     provenance: Provenance = group(Provenance)
     wheels: WheelRecords = group(WheelRecords, default=WheelRecords())
     references: ReferenceRecords = group(ReferenceRecords, default=ReferenceRecords())

@@ -18,7 +18,7 @@ from meshpoint.controller.estimation.layshaft import LayshaftModels
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.linear_kernels import THESIS_FILTER, propagate, thesis_filter
 from meshpoint.controller.motion.models import LayshaftState, MotionModel, predict
-from meshpoint.controller.records import Memory
+from meshpoint.controller.records import RecordMemory
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
@@ -27,7 +27,7 @@ START_SD_PRESSURE_PA = 2e4
 """How far the filter trusts the pressure when it starts: the valve has been off, not for ever."""
 
 
-class _ThesisMemory(Memory):
+class _ThesisMemory(RecordMemory):
     """State and parameters of the thesis's filter; the window speed keeps its state there too."""
 
     def _name_parts(self) -> None:

@@ -40,7 +40,7 @@ DELAY_SD_SHARE: Final = 0.15
 LEAST_DELAY_SD_S: Final = 5e-4
 FIT_PA: Final = 0.03e5
 """How well the law is expected to follow the measured pressure."""
-DRIFT: Final = 1.1
+VARIANCE_GROWTH: Final = 1.1
 """Variances grow by this from shift to shift: temperatures change."""
 ITERATIONS: Final = 3
 LEAST_SAMPLES: Final = 8
@@ -175,7 +175,7 @@ class BrakeModel:
         False, and nothing learned, where there is too little or the fit does not hold."""
         if sample_us.size < LEAST_SAMPLES or command_u.size == 0 or command_u.max() < 1.0:
             return False
-        prior_mean, prior = self._mean, self._covariance * DRIFT
+        prior_mean, prior = self._mean, self._covariance * VARIANCE_GROWTH
         weight = np.linalg.inv(prior)
         mean = prior_mean.copy()
         for _ in range(ITERATIONS):

@@ -14,8 +14,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.estimation.crossing_kernels import crossing_filter
-from meshpoint.controller.estimation.crossing_layout import KEPT, LATE, FilterMemory, TeethArrays
-from meshpoint.controller.motion.models import LayshaftState, MotionModel, ahead, diagonal, state_of
+from meshpoint.controller.estimation.crossing_layout import (
+    BATCHES_KEPT,
+    LATE,
+    FilterMemory,
+    TeethArrays,
+)
+from meshpoint.controller.motion.models import LayshaftState, MotionModel, ahead, state_of
 from meshpoint.controller.records import Vector
 from meshpoint.controller.settings import CrossingFilterTuning
 
@@ -32,7 +37,7 @@ class Pressures(NamedTuple):
 NO_PRESSURES: Final = Pressures(np.empty(0), np.empty(0))
 
 
-class FurtherEdges(NamedTuple):
+class GearedEdges(NamedTuple):
     """New edges of a wheel that turns with the filter's shaft by an exact ratio, rising in time."""
 
     edges: Vector
@@ -43,7 +48,7 @@ class FurtherEdges(NamedTuple):
 
 
 _Batch = tuple[Vector, int, Pressures]
-"""Times and angles of edges (2, n), how many of them, at the end, are a further wheel's, pressures.
+"""Times and angles of edges (2, n), how many of them, at the end, are a geared wheel's, pressures.
 """
 
 
@@ -58,7 +63,7 @@ class CrossingFilter:
         )
         self._sd_rad = tuning.tooth_error_rad
         self._model: MotionModel | None = None
-        self._taken: deque[_Batch] = deque(maxlen=KEPT)
+        self._taken: deque[_Batch] = deque(maxlen=BATCHES_KEPT)
         """The batches behind the moments that the memory holds."""
 
     def begin(self, time_us: float, x: Vector, p: Vector) -> None:
@@ -69,17 +74,17 @@ class CrossingFilter:
         self.lose_offset()
 
     def set_mesh(self, at_flank_rad2_s: float, loose_rad2_s: float, loose_us: float) -> None:
-        """How the angle between this wheel and a further one moves (`crossing_layout.Filter`)."""
+        """How the angle between this wheel and a geared one moves (`crossing_layout.Filter`)."""
         self._memory.part("mesh")[:] = at_flank_rad2_s, loose_rad2_s, loose_us
 
     def lose_offset(self) -> None:
-        """How a further wheel stands to this one is not known any more; nor what came before."""
+        """How a geared wheel stands to this one is not known any more; nor what came before."""
         self._memory.offset_rad2[0] = 0.0
         self.forget_past()
 
     @property
     def offset(self) -> tuple[float, float] | None:
-        """Angle of a further wheel less that of the shaft, and its sd, rad; None while unknown."""
+        """Angle of a geared wheel less that of the shaft, and its sd, rad; None while unknown."""
         variance = self._memory.offset_rad2.item()
         return (self._memory.offset_rad.item(), math.sqrt(variance)) if variance > 0.0 else None
 
@@ -104,9 +109,9 @@ class CrossingFilter:
         return self._memory.p
 
     @property
-    def agreement(self) -> Vector:
+    def nis(self) -> Vector:
         """Sum and number of normalised squared innovations (NIS) since it was last cleared."""
-        return self._memory.agreement
+        return self._memory.nis
 
     def take(
         self,
@@ -115,10 +120,10 @@ class CrossingFilter:
         pressures: Pressures,
         switches: Vector,
         model: MotionModel,
-        further: FurtherEdges | None = None,
+        geared: GearedEdges | None = None,
     ) -> None:
         """New edges (2, n), times and the angles they stand for, and what is unknown of these (sd);
-        and those of a further wheel."""
+        and those of a geared wheel."""
         memory = self._memory
         if model is not self._model:
             self._model = model
@@ -126,18 +131,18 @@ class CrossingFilter:
         if sd_rad != self._sd_rad:
             self._sd_rad = memory.tooth_rad[0] = sd_rad
         extra = 0
-        if further is not None:
-            extra = memory.further[0] = further.edges.shape[1]
-            edges = np.concatenate((edges, further.edges), axis=1)
-            memory.part("further_tooth_rad")[0] = further.sd_rad
+        if geared is not None:
+            extra = memory.geared[0] = geared.edges.shape[1]
+            edges = np.concatenate((edges, geared.edges), axis=1)
+            memory.part("geared_tooth_rad")[0] = geared.sd_rad
         flat = memory.flat
         while crossing_filter(flat, edges, *pressures, switches, NO_TEETH) == LATE:
             edges, extra, pressures = _merged(self._taken.pop(), (edges, extra, pressures))
             memory.go_back()
-            memory.further[0] = extra
+            memory.geared[0] = extra
         self._taken.append((edges, extra, pressures))
         if extra:
-            memory.further[0] = 0
+            memory.geared[0] = 0
 
     def latest(self) -> LayshaftState:
         """The state at the newest edge; where a prediction starts."""
@@ -146,15 +151,6 @@ class CrossingFilter:
     def at(self, time_us: float, switches: Vector, model: MotionModel) -> LayshaftState:
         """The state at a time, with its spread grown to then."""
         return ahead(self.x, self.p, self.time_us, time_us, switches, model)
-
-
-def start_covariance(
-    tuning: CrossingFilterTuning, theta_sd_rad: float, omega_sd_rad_s: float, acceleration: float
-) -> Vector:
-    """Of a state that begins: steady accelerations as unknown as `acceleration` (rad/s2)."""
-    return diagonal(
-        theta_sd_rad, omega_sd_rad_s, tuning.pressure_start_sd_pa, acceleration, 1e-6, acceleration
-    )
 
 
 def _merged(early: _Batch, late: _Batch) -> _Batch:

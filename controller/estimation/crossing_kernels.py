@@ -19,21 +19,21 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.estimation.crossing_layout import (
+    BATCHES_KEPT,
     DONE,
     FILTER,
-    KEPT,
     LATE,
-    MOMENT_WORDS,
     NORMAL,
     RIGHT,
     ROW,
+    SNAPSHOT_WORDS,
     Filter,
 )
 from meshpoint.controller.estimation.fusion_kernels import (
     MOST_IN_A_ROW,
     carry_offset,
     follow_offset,
-    take_further,
+    take_geared,
 )
 from meshpoint.controller.jit import bare, compiled, inlined
 from meshpoint.controller.motion.kernels import (
@@ -43,7 +43,7 @@ from meshpoint.controller.motion.kernels import (
     PRESSURE,
     STATES,
     THETA,
-    Step,
+    MotionStep,
     input_at,
     longest_in_segment,
     measure,
@@ -70,22 +70,22 @@ def crossing_filter(
 ) -> int:  # fmt: skip
     """The filter over a batch of edges and pressure samples, both rising in time, in place.
 
-    memory: a `Filter`; edges (2, n): times and the angles they stand for, the last `further` of
-    them those of a further wheel (`fusion_kernels`), rising by themselves; switches as in `travel`.
+    memory: a `Filter`; edges (2, n): times and the angles they stand for, the last `geared` of
+    them those of a geared wheel (`fusion_kernels`), rising by themselves; switches as in `travel`.
     To learn teeth: teeth as `TeethArrays` has it, and edges with a third row, which of the wheel's
     N edges each is; N = 0 otherwise. Says LATE and takes nothing where the batch begins before the
     state and a moment is held; what is not later than the state is skipped where none is. Else
     keeps the moment before the batch."""
     f = memory.view(FILTER)[0]
     edge_us, edge_rad = edges[0], edges[1]
-    count, n, m = edge_us.shape[0], edge_us.shape[0] - f.further, pressure_us.shape[0]
+    count, n, m = edge_us.shape[0], edge_us.shape[0] - f.geared, pressure_us.shape[0]
     if f.held > 0 and begins_before(f.time_us, edge_us, n):
         return LATE
     keep(f)
-    i, j, k, further = input_at(f.time_us, switches[0]), 0, 0, n
-    while k < n or further < count or j < m:
-        own = k < n and not (further < count and edge_us[further] < edge_us[k])
-        edge = k if own else further
+    i, j, k, geared = input_at(f.time_us, switches[0]), 0, 0, n
+    while k < n or geared < count or j < m:
+        own = k < n and not (geared < count and edge_us[geared] < edge_us[k])
+        edge = k if own else geared
         pressure_is_next = j < m and (edge == count or pressure_us[j] < edge_us[edge])
         when_us = pressure_us[j] if pressure_is_next else edge_us[edge]
         late = when_us <= f.time_us
@@ -105,8 +105,8 @@ def crossing_filter(
             k += 1
         else:
             if not late:
-                take_further(f, edge_rad[further])
-            further += 1
+                take_geared(f, edge_rad[geared])
+            geared += 1
         f.state.gain = max(f.state.gain, LEAST_GAIN)
     mirror(f.p)
     return DONE
@@ -116,17 +116,17 @@ def crossing_filter(
 def begins_before(t_us: float, edge_us: Vector, n: int) -> bool:
     """Whether edges, n of one wheel and the rest of another, begin before a time."""
     own_does = n > 0 and edge_us[0] < t_us
-    further_does = edge_us.shape[0] > n and edge_us[n] < t_us
-    return bool(own_does or further_does)
+    geared_does = edge_us.shape[0] > n and edge_us[n] < t_us
+    return bool(own_does or geared_does)
 
 
 @inlined
 def keep(f: Filter) -> None:
     """The present moment into the ring."""
-    for k in range(MOMENT_WORDS):
-        f.moments[f.next, k] = f.moment[k]
-    f.next = (f.next + 1) % KEPT
-    f.held = min(f.held + 1, KEPT)
+    for k in range(SNAPSHOT_WORDS):
+        f.snapshots[f.next, k] = f.snapshot[k]
+    f.next = (f.next + 1) % BATCHES_KEPT
+    f.held = min(f.held + 1, BATCHES_KEPT)
 
 
 @inlined
@@ -220,7 +220,7 @@ def follow(teeth: Vector, gain: Vector) -> None:
 
 
 @inlined
-def carry(teeth: Vector, step: Step) -> None:
+def carry(teeth: Vector, step: MotionStep) -> None:
     """The derivatives by the tooth errors after a step."""
     for c in range(teeth.shape[1]):
         theta, omega = teeth[0, c], 0.0

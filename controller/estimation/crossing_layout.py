@@ -6,37 +6,37 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from meshpoint.controller.motion.kernels import STATES, Model, State, Step
-from meshpoint.controller.records import WORD, Memory, Over, Records, Vector, layout_of
+from meshpoint.controller.motion.kernels import STATES, Model, MotionState, MotionStep
+from meshpoint.controller.records import WORD_BYTES, Over, RecordMemory, Records, Vector, layout_of
 
-KEPT: Final = 4
+BATCHES_KEPT: Final = 4
 """Batches that can be taken back: 40 ms, more than two lost frames."""
 
 
-class Moment:
+class FilterSnapshot:
     """What is kept of a moment to go back to."""
 
     time_us: float
     """Of the state."""
-    state: State
+    state: MotionState
     p: Annotated[Vector, STATES, STATES]
     """Its covariance."""
     offset_rad: float
-    """Angle of a further wheel, by the exact ratio, less that of the shaft."""
+    """Angle of a geared wheel, by the exact ratio, less that of the shaft."""
     offset_rad2: float
     """Its variance; 0 while it is not known."""
     offset_by: Annotated[Vector, STATES]
     """Its covariances with the state."""
 
 
-MOMENT_WORDS: Final = layout_of(Moment).itemsize // WORD
+SNAPSHOT_WORDS: Final = layout_of(FilterSnapshot).itemsize // WORD_BYTES
 
 
 class Filter:
-    """A crossing-time filter; the fields of `Moment` come first."""
+    """A crossing-time filter; the fields of `FilterSnapshot` come first."""
 
     time_us: float
-    state: State
+    state: MotionState
     p: Annotated[Vector, STATES, STATES]
     offset_rad: float
     offset_rad2: float
@@ -49,8 +49,8 @@ class Filter:
     """sd of an edge's time, of its angle, of the measured pressure."""
     gate_sd: float
     """How many sd an innovation may have."""
-    further_tooth_rad: float
-    """sd of a further wheel's edge, as an angle of the shaft."""
+    geared_tooth_rad: float
+    """sd of a geared wheel's edge, as an angle of the shaft."""
     model: Model
     at_flank_rad2_s: float
     loose_rad2_s: float
@@ -59,8 +59,8 @@ class Filter:
     the other, and how long after a switch of the brake it may."""
     scale: float
     """Angle of the shaft over that of the wheel whose teeth are learned."""
-    further: int
-    """How many of a batch's edges, at their end, are those of a further wheel."""
+    geared: int
+    """How many of a batch's edges, at their end, are those of a geared wheel."""
 
     # What it says and works with.
     squares: float
@@ -70,23 +70,23 @@ class Filter:
     gated_in_a_row: int
     """Edges refused in a row."""
     astray_in_a_row: int
-    """The same of the further wheel."""
+    """The same of the geared wheel."""
     held: int
     """How many moments of the ring may be gone back to."""
     next: int
     """Where in the ring the next one goes."""
-    step: Step
+    step: MotionStep
     gain: Annotated[Vector, STATES]
     """The last Kalman gain."""
-    ring: Annotated[Records[Moment], KEPT]
+    ring: Annotated[Records[FilterSnapshot], BATCHES_KEPT]
     """Moments before each of the last batches."""
 
     x: Annotated[Vector, Over("state"), STATES]
-    motion: Annotated[Vector, Over("model"), layout_of(Model).itemsize // WORD]
+    motion: Annotated[Vector, Over("model"), layout_of(Model).itemsize // WORD_BYTES]
     mesh: Annotated[Vector, Over("at_flank_rad2_s"), 3]
-    agreement: Annotated[Vector, Over("squares"), 2]
-    moment: Annotated[Vector, Over("time_us"), MOMENT_WORDS]
-    moments: Annotated[Vector, Over("ring"), KEPT, MOMENT_WORDS]
+    nis: Annotated[Vector, Over("squares"), 2]
+    snapshot: Annotated[Vector, Over("time_us"), SNAPSHOT_WORDS]
+    snapshots: Annotated[Vector, Over("ring"), BATCHES_KEPT, SNAPSHOT_WORDS]
 
 
 FILTER: Final = layout_of(Filter)
@@ -106,7 +106,7 @@ LATE: Final = 1
 """Nothing was taken: the batch begins before the state, and there is a moment to go back to."""
 
 
-class FilterMemory(Memory):
+class FilterMemory(RecordMemory):
     """A filter's record, and those of its parts that are asked for often; all are views."""
 
     def __init__(self) -> None:
@@ -117,7 +117,7 @@ class FilterMemory(Memory):
         self.time_us, self.x, self.p = self.part("time_us"), self.part("x"), self.part("p")
         self.offset_rad, self.offset_rad2 = self.part("offset_rad"), self.part("offset_rad2")
         self.tooth_rad, self.model = self.part("tooth_rad"), self.part("motion")
-        self.further, self.agreement = self.part("further"), self.part("agreement")
+        self.geared, self.nis = self.part("geared"), self.part("nis")
         self.held = self.part("held")
 
     def set_sensor(
@@ -140,9 +140,9 @@ class FilterMemory(Memory):
     def go_back(self) -> None:
         """To the moment before the newest batch that is still held. There must be one."""
         following = self.part("next")
-        following[0] = (following[0] - 1) % KEPT
+        following[0] = (following[0] - 1) % BATCHES_KEPT
         self.held[0] -= 1
-        self.part("moment")[:] = self.part("moments")[following[0]]
+        self.part("snapshot")[:] = self.part("snapshots")[following[0]]
 
 
 class TeethArrays:

@@ -55,7 +55,7 @@ class _Shaft:
         teeth: int,
         missing: tuple[int, ...],
         start_rad_s2: float,
-        further: GearedWheel | None,
+        geared: GearedWheel | None,
     ) -> None:
         self._tuning = tuning
         self._start_rad_s2 = start_rad_s2
@@ -64,7 +64,7 @@ class _Shaft:
         self._half_pitch_rad = math.pi / teeth
         self._seed = WindowSpeed()
         self._running = False
-        self._further = further
+        self._geared = geared
         self._own_us = 0.0
         self._start_p = np.zeros((STATES, STATES))
         """What is not known of the shaft where a window of its teeth begins."""
@@ -74,11 +74,11 @@ class _Shaft:
         self._fuses = False
 
     def _fuse(self, free: bool) -> None:
-        """The shaft becomes free, or ceases to be: a further wheel's mesh lies at another flank
+        """The shaft becomes free, or ceases to be: a geared wheel's mesh lies at another flank
         than before. With a gear in mesh it turns over at any time, and what it would tell is worse
         than nothing (docs/estimation.md)."""
-        self._fuses = free and self._further is not None
-        if self._further is not None:
+        self._fuses = free and self._geared is not None
+        if self._geared is not None:
             self._filter.lose_offset()
 
     def lose_speed(self) -> None:
@@ -86,8 +86,8 @@ class _Shaft:
         self._running = self._fuses = False
         self._seed.restart()
         self.teeth.learner.running = False
-        if self._further is not None:
-            self._further.teeth.learner.running = False
+        if self._geared is not None:
+            self._geared.teeth.learner.running = False
 
     def restart(self) -> None:
         """Tooth numbers were lost: starts anew; which tooth is which is not known any more."""
@@ -109,15 +109,15 @@ class _Shaft:
         if not self._running:
             self._start(batch)
             return
-        wheel, further = self._further, None
+        wheel, geared = self._geared, None
         if wheel is not None:
-            further = wheel.edges_for(self._filter) if self._fuses else None
+            geared = wheel.edges_for(self._filter) if self._fuses else None
             self._own_us = batch.time_us[-1] if batch.time_us.size else self._own_us
-        if not batch.time_us.size and not pressures.time_us.size and further is None:
+        if not batch.time_us.size and not pressures.time_us.size and geared is None:
             return
         teeth, place = self.teeth, self.teeth.place(batch)
         edges = teeth.edges(batch, place)
-        self._filter.take(edges, teeth.sd_rad, pressures, switches, model, further)
+        self._filter.take(edges, teeth.sd_rad, pressures, switches, model, geared)
         if teeth.learner.running:
             if wheel is not None:
                 wheel.learn(self._filter, self._start_p, pressures, switches, model)
@@ -146,8 +146,8 @@ class _Shaft:
         return diagonal(theta_sd, omega_sd_rad_s, 1.0, rad_s2, 1e-9, rad_s2)
 
     def _fresh(self, time_us: float) -> bool:
-        # A further wheel's edges do not stand for a sensor that has died.
-        newest_us = self._filter.time_us if self._further is None else self._own_us
+        # A geared wheel's edges do not stand for a sensor that has died.
+        newest_us = self._filter.time_us if self._geared is None else self._own_us
         return self._running and time_us - newest_us <= ESTIMATE_STALE_US
 
 
@@ -161,9 +161,9 @@ class CrossingTracker(_Shaft):
         known: BrakeModel,
         teeth: int,
         missing: tuple[int, ...] = (),
-        further: GearedWheel | None = None,
+        geared: GearedWheel | None = None,
     ) -> None:
-        super().__init__(tuning, teeth, missing, tuning.follow_rad_s2, further)
+        super().__init__(tuning, teeth, missing, tuning.follow_rad_s2, geared)
         self._brake = brake
         self._known = known
         self._following = following_motion(tuning.follow_rad_s2, tuning.follow_s, 50.0)
@@ -259,8 +259,8 @@ class CrossingTracker(_Shaft):
         line = self.teeth.end_window()
         if line is not None:
             events.append(f"layshaft {line}")
-        if self._further is not None:
-            self._further.end_window(events)
+        if self._geared is not None:
+            self._geared.end_window(events)
         self._fuse(False)
         x, sd = state.x, np.sqrt(np.maximum(np.diag(state.p), 0.0))
         if self._free_edges >= LEAST_FREE_EDGES and np.isfinite(x).all():
@@ -289,9 +289,9 @@ class MainTracker(_Shaft):
         tuning: CrossingFilterTuning,
         teeth: int,
         missing: tuple[int, ...] = (),
-        further: GearedWheel | None = None,
+        geared: GearedWheel | None = None,
     ) -> None:
-        super().__init__(tuning, teeth, missing, tuning.main_rad_s2, further)
+        super().__init__(tuning, teeth, missing, tuning.main_rad_s2, geared)
         self._model = following_motion(tuning.main_rad_s2, tuning.main_s, tuning.main_walk_rad_s2)
 
     def edges(self, batch: EdgeBatch) -> None:
@@ -309,8 +309,8 @@ class MainTracker(_Shaft):
             line = self.teeth.end_window()
             if line is not None:
                 events.append(f"main shaft {line}")
-            if self._further is not None:
-                self._further.end_window(events)
+            if self._geared is not None:
+                self._geared.end_window(events)
             self._fuse(False)
 
     def at(self, time_us: float) -> ShaftState | None:

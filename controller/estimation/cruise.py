@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from meshpoint.controller.motion.linear_kernels import CRUISE_FILTER, cruise_filter
-from meshpoint.controller.records import Memory
+from meshpoint.controller.records import RecordMemory
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
-from meshpoint.controller.settings import CruiseFilter
+from meshpoint.controller.settings import CruiseFilterTuning
 from meshpoint.units import US
 
 SPEED_WINDOW_US = 10_000
@@ -74,7 +74,7 @@ class WindowSpeed:
         return (self._times[-1], self._angles[-1]) if self._times else None
 
 
-class _CruiseMemory(Memory):
+class _CruiseMemory(RecordMemory):
     """State and parameters of the filter."""
 
     def _name_parts(self) -> None:
@@ -84,7 +84,7 @@ class _CruiseMemory(Memory):
 class CruiseTracker:
     """Angle and speed of a shaft whose speed changes little, by a Kalman filter on its edges."""
 
-    def __init__(self, tuning: CruiseFilter, pitch_rad: float) -> None:
+    def __init__(self, tuning: CruiseFilterTuning, pitch_rad: float) -> None:
         self._tuning = tuning
         self._pitch_rad = pitch_rad
         self._filter = _CruiseMemory(CRUISE_FILTER)

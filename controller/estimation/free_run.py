@@ -86,4 +86,4 @@ class FreeRun:
         above = Pressures(measured.time_us, np.maximum(measured.pressure_pa - touch_pa, 0.0))
         edges = np.concatenate(self._edges, axis=1)
         run.take(edges, sd_rad, above, switches, model.with_law(brake.law(touch_pa)))
-        return float(run.agreement[0])
+        return float(run.nis[0])

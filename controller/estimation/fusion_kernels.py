@@ -1,4 +1,4 @@
-"""A further wheel's edges in the crossing-time filter: the offset between two wheels as a state.
+"""A geared wheel's edges in the crossing-time filter: the offset between two wheels as a state.
 
 A wheel on a shaft that turns with the filter's own by an exact ratio i stands at theta_2; its edge,
 as an angle of the filter's shaft, is
@@ -8,7 +8,7 @@ as an angle of the filter's shaft, is
 o is constant but for the mesh's backlash: a random walk, slow while the mesh lies at one flank,
 fast while it may change to the other. It is a seventh state: beside P its variance and its
 covariances c with the six. An update of one of the six by gain K and variance s takes c_i^2 / s
-from its variance and K c_i from c; an edge of the further wheel has H = [1 0 0 0 0 0 | 1]. Where o
+from its variance and K c_i from c; an edge of the geared wheel has H = [1 0 0 0 0 0 | 1]. Where o
 is not known, the first edge gives it: o = y - theta, c = -P e_theta, variance p_theta + R, which
 is the limit of a prior without bounds.
 
@@ -53,10 +53,10 @@ def follow_offset(f: Filter, i: int, innovation: float, s: float) -> None:
 
 
 @inlined
-def take_further(f: Filter, angle_rad: float) -> None:
-    """One edge of the further wheel, as an angle of the shaft, into the filter."""
+def take_geared(f: Filter, angle_rad: float) -> None:
+    """One edge of the geared wheel, as an angle of the shaft, into the filter."""
     p, by, x, gain = f.p, f.offset_by, f.x, f.gain
-    sigma, tooth = f.state.omega_rad_s * f.edge_time_s, f.further_tooth_rad
+    sigma, tooth = f.state.omega_rad_s * f.edge_time_s, f.geared_tooth_rad
     r = sigma * sigma + tooth * tooth
     if f.offset_rad2 <= 0.0:
         f.offset_rad = angle_rad - f.state.theta_rad

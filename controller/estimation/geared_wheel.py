@@ -1,7 +1,7 @@
 """A sensor wheel on a shaft that turns with an estimated one by an exact ratio.
 
 Input shaft with layshaft through the splitter's gear, propeller shaft with main shaft through the
-range's. Its edges are further edges of the shaft, but for the offset between the wheels
+range's. Its edges are edges of the shaft, but for the offset between the wheels
 (`fusion_kernels`), which the filter estimates; its own teeth are learned as those of any wheel.
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from meshpoint.controller.estimation.crossing_filter import CrossingFilter, FurtherEdges, Pressures
+from meshpoint.controller.estimation.crossing_filter import CrossingFilter, GearedEdges, Pressures
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.motion.kernels import THETA
 from meshpoint.controller.motion.models import MotionModel
@@ -62,7 +62,7 @@ class GearedWheel:
         if scale != self._scale:
             self._scale, self._moved = scale, True
 
-    def edges_for(self, shaft: CrossingFilter) -> FurtherEdges | None:
+    def edges_for(self, shaft: CrossingFilter) -> GearedEdges | None:
         """New edges as those of the shaft. Makes the filter forget the offset where it is a new
         one."""
         if self._moved:
@@ -73,7 +73,7 @@ class GearedWheel:
             return None
         edges = teeth.edges(batch, teeth.place(batch))
         edges[1] *= scale
-        return FurtherEdges(edges, scale * teeth.sd_rad)
+        return GearedEdges(edges, scale * teeth.sd_rad)
 
     def learn(
         self,

@@ -55,7 +55,7 @@ class TeethLearner:
         """A window begins with the shaft in this state."""
         memory = self._memory
         memory.time_us[0] = time_us
-        memory.x[:], memory.p[:], memory.agreement[:] = x, p, 0.0
+        memory.x[:], memory.p[:], memory.nis[:] = x, p, 0.0
         self._teeth.flat[:] = 0.0
         self.running = True
 
@@ -84,7 +84,7 @@ class TeethLearner:
     @property
     def edges(self) -> float:
         """How many edges the window has so far."""
-        return float(self._memory.agreement[1]) if self.running else 0.0
+        return float(self._memory.nis[1]) if self.running else 0.0
 
     def end(self) -> PatternEquations | None:
         """The window ends; its equations, None where it was too short."""
@@ -94,7 +94,7 @@ class TeethLearner:
 
     def so_far(self) -> PatternEquations:
         """The window's equations up to now."""
-        squares, count = self._memory.agreement.tolist()
+        squares, count = self._memory.nis.tolist()
         upper = np.triu(self._teeth.normal)
         return PatternEquations(
             upper + np.triu(upper, 1).T, self._teeth.right.copy(), squares, count

@@ -23,23 +23,22 @@ from meshpoint.controller.guard.limits import (
     SLIP_MARGIN_RAD_S,
     GuardLimits,
 )
-from meshpoint.controller.guard.view import GuardInputs
+from meshpoint.controller.guard.view import HALF_WRAP, GuardInputs
 
 ACTION_BYTES: Final = slice(3, 6)
 TIME_BYTES: Final = 6
 FRAME_LENGTH: Final = 48
-VALVES: Final = 9
-_times_us: Final = struct.Struct(f"<{VALVES}I").unpack_from
-_SHIFTS: Final = range(0, 2 * VALVES, 2)
+VALVE_COUNT: Final = 9
+_times_us: Final = struct.Struct(f"<{VALVE_COUNT}I").unpack_from
+_SHIFTS: Final = range(0, 2 * VALVE_COUNT, 2)
 BRAKE: Final = 0
 SPLIT_LOW, SPLIT_HIGH = 1, 2
 RANGE_LOW, RANGE_HIGH = 7, 8
-PAIRS: Final = ((1, 2), (3, 4), (5, 6), (7, 8))
+SLEEVE_VALVE_PAIRS: Final = ((1, 2), (3, 4), (5, 6), (7, 8))
 """The two valves of one sleeve: splitter, first/second, crawl/third, range."""
 MAIN_VALVES: Final = (3, 4, 5, 6)
 OFF_NOW, ON_NOW, OFF_AT, ON_AT = range(4)
 FOREVER_US: Final = 1 << 62
-HALF_WRAP: Final = 1 << 31
 PROOF_STEPS: Final = 3
 """So many steps in a row everything must be valid before anything may be driven."""
 REACT_US: Final = 15_000
@@ -77,7 +76,7 @@ class Span(NamedTuple):
 
 
 Spans = tuple[Span | None, ...]
-NO_SPANS: Final[Spans] = (None,) * VALVES
+NO_SPANS: Final[Spans] = (None,) * VALVE_COUNT
 NO_PULLS: Final[frozenset[int]] = frozenset()
 
 
@@ -183,7 +182,9 @@ Rule = Callable[[Case], bool]
 
 def both_valves_of_a_sleeve(case: Case) -> bool:
     """Row 1."""
-    return any(case.spans[a] is not None and case.spans[b] is not None for a, b in PAIRS)
+    return any(
+        case.spans[a] is not None and case.spans[b] is not None for a, b in SLEEVE_VALVE_PAIRS
+    )
 
 
 def two_sleeves_of_the_main_box(case: Case) -> bool:
@@ -353,7 +354,7 @@ def sensor_denies_a_gear(case: Case) -> bool:
     return any(case.spans[v] is not None for v in (BRAKE, RANGE_LOW, RANGE_HIGH, *others))
 
 
-class Row(NamedTuple):
+class GuardRow(NamedTuple):
     """One rule: its number in docs/guard.md, whether it latches, and the test."""
 
     number: int
@@ -361,20 +362,20 @@ class Row(NamedTuple):
     forbids: Rule
 
 
-ROWS: Final = (
-    Row(12, False, output_before_the_self_test),
-    Row(1, True, both_valves_of_a_sleeve),
-    Row(2, True, two_sleeves_of_the_main_box),
-    Row(7, False, driven_too_long_or_blind),
-    Row(13, False, sensor_denies_a_gear),
-    Row(5, False, brake_against_the_driveline),
-    Row(6, False, brake_beyond_its_limits),
-    Row(8, False, range_change_out_of_neutral),
-    Row(9, False, input_overspeed),
-    Row(10, False, disengage_under_torque),
-    Row(4, False, engage_on_unknown_speed),
-    Row(3, False, slip_out_of_its_window),
-    Row(11, False, actuation_at_low_supply),
+GUARD_ROWS: Final = (
+    GuardRow(12, False, output_before_the_self_test),
+    GuardRow(1, True, both_valves_of_a_sleeve),
+    GuardRow(2, True, two_sleeves_of_the_main_box),
+    GuardRow(7, False, driven_too_long_or_blind),
+    GuardRow(13, False, sensor_denies_a_gear),
+    GuardRow(5, False, brake_against_the_driveline),
+    GuardRow(6, False, brake_beyond_its_limits),
+    GuardRow(8, False, range_change_out_of_neutral),
+    GuardRow(9, False, input_overspeed),
+    GuardRow(10, False, disengage_under_torque),
+    GuardRow(4, False, engage_on_unknown_speed),
+    GuardRow(3, False, slip_out_of_its_window),
+    GuardRow(11, False, actuation_at_low_supply),
 )
 """In the order in which they are asked: the first that forbids is the one reported."""
 
@@ -414,7 +415,7 @@ class Guard:
         return self.blocked_row is None
 
     def _judge(self, case: Case) -> int | None:
-        for row in ROWS:
+        for row in GUARD_ROWS:
             if row.forbids(case):
                 if row.latches:
                     self._state.latched_by = row.number
@@ -448,6 +449,6 @@ class Guard:
 def _decodes_as_it_should() -> bool:
     """The self-test of the decoder: a frame that drives nothing and one that drives everything."""
     nothing, everything = bytes(FRAME_LENGTH), b"\xff" * FRAME_LENGTH
-    return decode(nothing).driven == (False,) * VALVES and decode(everything).driven == (
-        (True,) * VALVES
+    return decode(nothing).driven == (False,) * VALVE_COUNT and decode(everything).driven == (
+        (True,) * VALVE_COUNT
     )

@@ -7,7 +7,6 @@ shafts (row 13).
 
 from __future__ import annotations
 
-import math
 from collections import deque
 from typing import Any, Final, NamedTuple
 
@@ -25,8 +24,9 @@ from meshpoint.dbc.messages import (
     SleevesMain,
 )
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.units import TURN
 
-FRESH_US: Final = 45_000
+GUARD_FRESH_US: Final = 45_000
 """Samples older than this are lost, whatever their counters say."""
 AGREE_US: Final = 100_000
 """Twice this long a gear's turns are compared with its sleeve's before they are believed."""
@@ -34,8 +34,7 @@ AGREE_RAD_S: Final = 0.15
 """A mean slip below this (1.4 rpm) in both halves: they turn as one."""
 TURNING_RAD_S: Final = 10.0
 """Below this speed every ratio agrees with every other."""
-RAD: Final = 2.0 * math.pi
-HALF: Final = 1 << 31
+HALF_WRAP: Final = 1 << 31
 SLOW: Final = (SleevesMain, SleevesAux, GearboxSensors)
 
 
@@ -103,7 +102,7 @@ class GuardView:
     def _valid(self, receiver: Receiver, now_us: int) -> bool:
         if not receiver.all_valid(SLOW):
             return False
-        return max([_age_us(newest, now_us) for newest in self._newest.values()]) <= FRESH_US
+        return max([_age_us(newest, now_us) for newest in self._newest.values()]) <= GUARD_FRESH_US
 
     def _agreeing(
         self,
@@ -140,11 +139,11 @@ class GuardView:
     ) -> float:
         """Mean slip between two looks, from whole teeth and the times of their edges."""
         layshaft, main = (
-            RAD / teeth * (late.teeth - early.teeth) * 1e6 / max(1, late.time_us - early.time_us)
+            TURN / teeth * (late.teeth - early.teeth) * 1e6 / max(1, late.time_us - early.time_us)
             for teeth, early, late in zip(self._teeth, before, after, strict=True)
         )
         return ratio * layshaft - main
 
 
 def _age_us(message: Any, now_us: int) -> int:
-    return int((now_us - message.sample_time_us + HALF) % (2 * HALF)) - HALF
+    return int((now_us - message.sample_time_us + HALF_WRAP) % (2 * HALF_WRAP)) - HALF_WRAP

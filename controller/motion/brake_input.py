@@ -12,7 +12,7 @@ import numpy as np
 
 from meshpoint.controller.records import Vector
 
-KEPT: Final = 16
+SWITCHES_KEPT: Final = 16
 """Switches kept: a shift makes a handful, and pressure forgets within ten time constants."""
 
 
@@ -37,7 +37,7 @@ class BrakeInput:
         if (not kept or kept[-1].on != on) and (kept or on):
             kept.append(Switch(time_us, on))
         if kept != self._switches:
-            self._switches = kept[-KEPT:]
+            self._switches = kept[-SWITCHES_KEPT:]
             self._arrays = None
 
     def seen_through(self, valve_delay_us: int) -> BrakeInput:

@@ -24,7 +24,7 @@ from typing import Annotated, Final
 import numpy as np
 
 from meshpoint.controller.jit import compiled, inlined
-from meshpoint.controller.records import WORD, Over, Records, Vector, layout_of
+from meshpoint.controller.records import WORD_BYTES, Over, Records, Vector, layout_of
 from meshpoint.units import US
 
 STATES: Final = 6
@@ -34,11 +34,11 @@ PRESSURE: Final = 2
 DISTURBANCE: Final = 3
 GAIN: Final = 4
 DRAG: Final = 5
-"""Rows of the covariance: the fields of `State` in their order."""
+"""Rows of the covariance: the fields of `MotionState` in their order."""
 SEGMENTS: Final = 6
 
 
-class State:
+class MotionState:
     """The six states of a shaft."""
 
     theta_rad: float
@@ -55,7 +55,7 @@ class State:
     """All six."""
 
 
-class Segment:
+class LawSegment:
     """A stretch of the pressure law: p' = r - b p."""
 
     above_pa: float
@@ -73,7 +73,7 @@ class Model:
     """g: deceleration by the brake's pressure."""
     fading_per_s: float
     """b_d: rate at which a disturbance is forgotten."""
-    law: Annotated[Records[Segment], 2, SEGMENTS]
+    law: Annotated[Records[LawSegment], 2, SEGMENTS]
     """[u, i]: the i-th segment with the valve off (u = 0) or on, rising in pressure."""
     disturbance_rad2_s5: float
     pressure_pa2_s: float
@@ -84,7 +84,7 @@ class Model:
     """The law as numbers."""
 
 
-class Step:
+class MotionStep:
     """Derivatives of the state after a step by the state before; gain and drag stay."""
 
     theta_by: Annotated[Vector, STATES]
@@ -94,10 +94,10 @@ class Step:
     """By themselves alone."""
 
 
-STATE: Final = layout_of(State)
+STATE: Final = layout_of(MotionState)
 MODEL: Final = layout_of(Model)
-STEP: Final = layout_of(Step)
-STEP_WORDS: Final = STEP.itemsize // WORD
+STEP: Final = layout_of(MotionStep)
+STEP_WORDS: Final = STEP.itemsize // WORD_BYTES
 
 LONGEST_S: Final = 5e-3
 """Within this step the process noise of `spread_over` is good to 2 %."""
@@ -134,7 +134,7 @@ def longest_in_segment(model: Model, u: int, pressure_pa: float, dt: float) -> f
 
 
 @inlined
-def transition(state: State, dt: float, u: int, model: Model, step: Step) -> None:
+def transition(state: MotionState, dt: float, u: int, model: Model, step: MotionStep) -> None:
     """Moves the state on by `dt` seconds, in place; its derivatives are written to `step`."""
     i = segment(model, u, state.pressure_pa)
     a, g, b_d = model.friction_per_s, model.brake_rad_s2_pa, model.fading_per_s
@@ -179,7 +179,7 @@ def transition(state: State, dt: float, u: int, model: Model, step: Step) -> Non
 
 
 @inlined
-def spread_over(p: Vector, dt: float, step: Step, model: Model, gain: float) -> None:
+def spread_over(p: Vector, dt: float, step: MotionStep, model: Model, gain: float) -> None:
     """Covariance prediction P = F P F' + Q, in place; p (6, 6), its upper half; step: that of
     `transition` over the same time; gain: that of the brake.
 
@@ -267,8 +267,8 @@ def input_at(t_us: float, switch_us: Vector) -> int:
 def travel(x: Vector, t_us: float, to_us: float, switches: Vector, model: Vector) -> None:
     """Moves a state from `t_us` to `to_us` through every brake switch and segment, in place.
 
-    x: a `State`; switches (2, n): rising times, and the u that holds from each on, before the first
-    one 0; model: a `Model`."""
+    x: a `MotionState`; switches (2, n): rising times (us), and the valve's state u from
+    each on, 0 before the first; model: a `Model`."""
     state, motion = x.view(STATE)[0], model.view(MODEL)[0]
     step = np.zeros(STEP_WORDS).view(STEP)[0]
     switch_us, switch_u = switches[0], switches[1]

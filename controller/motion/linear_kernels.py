@@ -23,7 +23,7 @@ import numpy as np
 
 from meshpoint.controller import records
 from meshpoint.controller.jit import compiled, inlined
-from meshpoint.controller.records import WORD, Over, layout_of
+from meshpoint.controller.records import WORD_BYTES, Over, layout_of
 from meshpoint.units import US
 
 Vector = records.Vector
@@ -89,7 +89,7 @@ class CruiseFilter:
 
 LINEAR: Final = layout_of(Linear)
 HOLD: Final = layout_of(Hold)
-HOLD_WORDS: Final = HOLD.itemsize // WORD
+HOLD_WORDS: Final = HOLD.itemsize // WORD_BYTES
 THESIS_FILTER: Final = layout_of(ThesisFilter)
 CRUISE_FILTER: Final = layout_of(CruiseFilter)
 

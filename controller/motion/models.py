@@ -19,14 +19,11 @@ from meshpoint.controller.motion.kernels import (
     travel,
 )
 from meshpoint.controller.motion.kinematics import are_finite
-from meshpoint.controller.records import Memory, Vector
+from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
 
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
-LEAST_RATE: float = 1e-3
-"""A pressure law's b closer to zero than this is taken as this: a singularity that can be avoided
-and makes no difference (1e-4 of the pressure in 0.1 s)."""
 
 
 class LayshaftState(NamedTuple):
@@ -59,7 +56,7 @@ class LayshaftState(NamedTuple):
         return np.array([*self[1:4], *self[7:10]])
 
 
-class MotionModel(Memory):
+class MotionModel(RecordMemory):
     """A `motion_kernels.Model`. It is not changed once it is made."""
 
     def __init__(self, rates: Vector, law: Vector, noise: Vector) -> None:

@@ -35,8 +35,8 @@ from meshpoint.controller.phase.turn_candidates import (
 from meshpoint.controller.sensing.sensor_count import Renumbered
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear
+from meshpoint.units import TURN
 
-TURN: Final = 2.0 * math.pi
 LEARNED_SD_RAD: Final = math.radians(0.1)
 """Of the difference of two references of one gear learned apart (docs/calibration.md)."""
 AGREES_SDS: Final = 4.0

@@ -20,7 +20,7 @@ import numpy as np
 
 from meshpoint.controller.jit import compiled, inlined
 from meshpoint.controller.motion.kernels import MODEL, STATE, STATES, travel
-from meshpoint.controller.records import WORD, Vector, filled, layout_of
+from meshpoint.controller.records import WORD_BYTES, Vector, filled, layout_of
 from meshpoint.units import US
 
 
@@ -41,7 +41,7 @@ class Meeting:
     """The main shaft's time, and its angle, speed and acceleration then."""
 
 
-class Contacts:
+class ContactSeries:
     """The contacts of a course: one every step, and what is not known of their phase."""
 
     wait_s: float
@@ -77,7 +77,7 @@ class Terms:
 
 
 MEETING: Final = layout_of(Meeting)
-CONTACTS: Final = layout_of(Contacts)
+CONTACT_SERIES: Final = layout_of(ContactSeries)
 TERMS: Final = layout_of(Terms)
 
 LEAST_VARIANCE: Final = 1e-10
@@ -139,11 +139,11 @@ def contact_cost(wait_s: float, phase: float, slip: float, variance: float, term
 def cheapest(
     phase: Vector, slip: Vector, contacts: Vector, terms: Vector, shift_rad: float
 ) -> tuple[int, float]:
-    """Index and cost of the cheapest contact of a course: phase and slip at each of its `Contacts`.
+    """Index and cost of the cheapest contact of a course: phase and slip at each contact.
 
-    shift_rad is added to the phase; terms: `Terms`. Contacts below the allowed slips are looked at
-    only where there is none before."""
-    series, price = contacts.view(CONTACTS)[0], terms.view(TERMS)[0]
+    contacts: a `ContactSeries`; terms: `Terms`; shift_rad is added to the phase. The search ends at
+    the first contact whose slip is below the allowed ones."""
+    series, price = contacts.view(CONTACT_SERIES)[0], terms.view(TERMS)[0]
     best, least = 0, math.inf
     for k in range(phase.shape[0]):
         later = k * series.step_s
@@ -172,10 +172,10 @@ def expected_least(
 
 def warm_up() -> None:
     """Compiles all, or loads what was compiled before."""
-    model = np.ones(MODEL.itemsize // WORD)
+    model = np.ones(MODEL.itemsize // WORD_BYTES)
     law = model.view(MODEL)["segments"]
     law[..., 0], law[0, :, 0, 0] = np.inf, -np.inf
     meeting = np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     course(np.ones(STATES), np.empty((2, 0)), model, meeting, np.empty((2, 1)))
-    contacts = filled(CONTACTS, wait_s=0.0, step_s=1.0, variance_rad2=0.1, growth_rad2_s=0.1)
-    expected_least(np.ones(1), np.ones(1), contacts, np.ones(TERMS.itemsize // WORD), 0.1)
+    contacts = filled(CONTACT_SERIES, wait_s=0.0, step_s=1.0, variance_rad2=0.1, growth_rad2_s=0.1)
+    expected_least(np.ones(1), np.ones(1), contacts, np.ones(TERMS.itemsize // WORD_BYTES), 0.1)

@@ -6,9 +6,8 @@ from typing import Final
 
 from meshpoint.controller.planning.strategist import Plan
 from meshpoint.dbc.messages import ShiftDecision
-from meshpoint.units import DEG, RPM
+from meshpoint.units import DEG, MS_US, RPM
 
-MS_US: Final = 1000.0
 LINES: Final = {
     ShiftDecision.BRAKE: "brake: contact planned in {contact:.0f} ms, at {slip:.1f} rpm",
     ShiftDecision.RELEASE: "release: contact in {contact:.0f} ms, at {slip:.1f} rpm",

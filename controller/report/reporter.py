@@ -27,7 +27,7 @@ from meshpoint.gearbox.gears import DRIVE_GEARS
 
 ETC2_EVERY: Final = 10
 LATENESS_TOP_US: Final = 65_535
-WORD: Final = 0xFFFF
+COUNTER_MASK: Final = 0xFFFF
 
 
 class Reporter:
@@ -149,10 +149,10 @@ class Reporter:
             estimator=self._header.settings.estimator,
             reference_known=self._observer.references.mask,
             active_fault=sequence.fault,
-            e2e_errors=receiver.e2e_errors & WORD,
-            format_errors=receiver.format_errors & WORD,
-            foreign_frames=receiver.foreign_frames & WORD,
-            guard_blocks=guard_blocks & WORD,
+            e2e_errors=receiver.e2e_errors & COUNTER_MASK,
+            format_errors=receiver.format_errors & COUNTER_MASK,
+            foreign_frames=receiver.foreign_frames & COUNTER_MASK,
+            guard_blocks=guard_blocks & COUNTER_MASK,
             invalid_channels=receiver.invalid_channels,
             step_lateness_us=min(lateness_us, LATENESS_TOP_US),
             cold_start=self._header.calibration is None,

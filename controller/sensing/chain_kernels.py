@@ -11,13 +11,13 @@ from typing import Annotated, Final
 import numpy as np
 
 from meshpoint.controller.jit import bare, compiled
-from meshpoint.controller.records import WORD, Integers, Vector, layout_of
+from meshpoint.controller.records import WORD_BYTES, Integers, Vector, layout_of
 
 STAMPS: Final = 27
 BROKEN: Final = -1
 
 
-class Chain:
+class EdgeChain:
     """One polarity's edges over all frames: the newest frame, then what is known before it."""
 
     newest_index: int
@@ -41,10 +41,10 @@ class Chain:
     """The last of the edges after power-up that may lie wrong."""
 
 
-CHAIN: Final = layout_of(Chain)
-CHAIN_WORDS: Final = CHAIN.itemsize // WORD
+CHAIN: Final = layout_of(EdgeChain)
+CHAIN_WORDS: Final = CHAIN.itemsize // WORD_BYTES
 pack_frame: Final = struct.Struct(f"={5 + STAMPS}q").pack_into
-"""The fields of a frame into a `Chain`, from its first byte on."""
+"""The fields of a frame into an `EdgeChain`, from its first byte on."""
 pack_stamps: Final = struct.Struct(f"={STAMPS}q").pack_into
 """A tuple of them gets into an array fastest through the bytes that the array stands on."""
 FIRST_WRONG: Final = 9
@@ -78,10 +78,10 @@ def newest_teeth(low: Integers, valid: int) -> tuple[int, int]:
 def chain_edges(memory: Vector, edges: Integers, count: int) -> int:
     """Appends the edges since the last frame, oldest first, behind the first `count`.
 
-    memory: a `Chain` with the new frame, moved on; edges (2, n): their running numbers and times.
-    The first edges after power-up are left out: a frame that is not full shows that the sensor has
-    just begun to count. Returns the new count, or BROKEN when numbers before and after cannot be
-    tied together: the wheel stood still, or more edges came than a frame holds.
+    memory: an `EdgeChain` with the new frame, moved on; edges (2, n): running numbers and
+    times (us). The first edges after power-up are left out: a frame that is not full shows that
+    the sensor has just begun to count. Returns the new count, or BROKEN when the numbers before
+    and after cannot be joined: the wheel stood still, or more edges came than a frame holds.
     """
     chain = memory.view(CHAIN)[0]
     low, valid, newest_index, read_us = chain.low_us, chain.valid, chain.newest_index, chain.read_us

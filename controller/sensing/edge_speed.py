@@ -13,6 +13,7 @@ import numpy as np
 
 from meshpoint.controller.records import Integers
 from meshpoint.controller.sensing.chain_kernels import STAMPS, newest_teeth, pack_stamps
+from meshpoint.controller.sensing.sensor_clock import HALF, WRAP
 from meshpoint.controller.sensing.wheel_edges import EdgeFrame
 
 DEAD_US: Final = 20_000
@@ -23,8 +24,6 @@ SPEED_STALE_US: Final = 25_000
 TEETH_LATE: Final = 3
 SPEED_HELD_US: Final = 45_000
 """While a frame holds a tooth too many or too few, the speed before it stands for so long."""
-WRAP: Final = 1 << 32
-HALF: Final = 1 << 31
 LOW: Final = 0xFFFF
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 

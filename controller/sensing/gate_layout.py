@@ -6,7 +6,7 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from meshpoint.controller.records import Integers, Memory, layout_of
+from meshpoint.controller.records import Integers, RecordMemory, layout_of
 
 SEEKING, SEARCHING, COUNTING = range(3)
 """Modes: no steady speed yet; a speed, but not yet the place of the missing teeth; each edge gets
@@ -118,7 +118,7 @@ count. On an erratic wheel edges so far apart (pitches) may be those of two teet
 DUTY_SHARE: Final = 0.02
 
 
-class GateMemory(Memory):
+class GateMemory(RecordMemory):
     """A gate's record, and those of its parts that are asked for often; all are views."""
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ ENGAGED_SHORT_M: Final = 1.0e-3
 ENTERED_M: Final = 0.3e-3
 """A sleeve this far past contact has entered its gear; at contact it may rest on a tooth."""
 SAMPLE_US: Final = 1000
-SLEEVES: Final = len(Sleeve)
+SLEEVE_COUNT: Final = len(Sleeve)
 
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 _GEAR_AT: Final = {(side.sleeve, side.direction): g for g, side in SLEEVE_OF_MAIN.items()}
@@ -106,7 +106,7 @@ class GearboxView:
     @property
     def complete(self) -> bool:
         """Whether every position and the clutch have been seen."""
-        return len(self.tracks) == SLEEVES and self.clutch_closed is not None
+        return len(self.tracks) == SLEEVE_COUNT and self.clutch_closed is not None
 
     @property
     def oldest_us(self) -> int:
@@ -130,7 +130,7 @@ class GearboxView:
 
     def work_out(self) -> None:
         """Which gears are in mesh, from the positions taken."""
-        if len(self.tracks) < SLEEVES:
+        if len(self.tracks) < SLEEVE_COUNT:
             return
         self.main_gear = self._main_gear()
         self.split = _SPLIT_AT[self.side(Sleeve.SPLITTER)]

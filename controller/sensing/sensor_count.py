@@ -1,14 +1,15 @@
-"""By how many teeth a wheel was renumbered, as the sensor's own running number tells.
+"""By how many teeth a wheel was renumbered, bounded by the sensor's own running edge number.
 
-The sensor counts edges on while the gate (`gate_kernels`) is not sure of teeth: while frames are
-lost, and while a wheel stops and starts again. It cannot count backwards, so of E edges each may
-have been a tooth back: the tooth that has number t now had t + k before, k = a - 2 E to a where a
-would be right had all gone forward, and some teeth more either way for what a sensor misses. Where
-there was no time to stop and come up again, none has gone back: k = a. With k modulo the wheel's
-teeth known from its pattern (`tooth_match`), whole turns are known, or are few.
+The sensor goes on counting edges while the gate (`gate_kernels`) is not sure of tooth numbers:
+while frames are lost, and while a wheel stops and starts again. It cannot count backwards, so each
+of E edges may have been a tooth passing in reverse. The tooth that now has number t had number
+t + k before, with k between a - 2 E and a, where a is the count if all edges went forward; some
+teeth are added at both ends for edges that a sensor misses. Where there was no time to stop and
+start again, no edge went backwards and k = a. With k modulo the wheel's teeth known from its tooth
+pattern (`tooth_match`), the number of whole turns follows, or only a few are possible.
 
-A loss at speed with all frames there is no such case: a blind sensor has not counted. Then nothing
-is said, and neither of a wheel with missing teeth, whose edges are not its teeth.
+No bound is given after a loss at speed while all frames arrived (the sensor was blind and has not
+counted), nor for a wheel with missing teeth, whose edges are not its teeth.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 
-EDGES: Final = (
+EDGE_INPUTS: Final = (
     EdgesLayshaftRise,
     EdgesLayshaftFall,
     EdgesMainRise,
@@ -38,7 +38,7 @@ class StepInputs:
     """What the frames of one step said."""
 
     def __init__(self) -> None:
-        self.edges: dict[type, list[EdgeFrame]] = {kind: [] for kind in EDGES}
+        self.edges: dict[type, list[EdgeFrame]] = {kind: [] for kind in EDGE_INPUTS}
         self.sleeves_main: list[SleevesMain] = []
         self.sleeves_aux: list[SleevesAux] = []
         self.sensors: list[GearboxSensors] = []

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
-from meshpoint.controller.records import Integers, Memory, Vector
+from meshpoint.controller.records import Integers, RecordMemory, Vector
 from meshpoint.controller.sensing.chain_kernels import (
     BROKEN,
     CHAIN,
@@ -105,7 +105,7 @@ class Polarity:
     """One polarity of a wheel: the chain of its frames, and the edges of this step."""
 
     def __init__(self) -> None:
-        self._chain = Memory(CHAIN)
+        self._chain = RecordMemory(CHAIN)
         self.rows: Integers = np.empty((2, _ROOM), np.int64)
         """Running numbers and times (us) of edges."""
         self.count = 0

@@ -11,7 +11,7 @@ from meshpoint.controller.shift.table import Trigger
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.gearbox import MainGear
 
-PAUSE_US: Final = 60 * MS_IN_US
+PULL_PAUSE_US: Final = 60 * MS_IN_US
 """Between two tries to pull a gear out the valve is off: torque may turn meanwhile."""
 
 
@@ -36,7 +36,7 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         return Trigger.MAIN_BOX_NEUTRAL
     limits = context.settings.limits
     # Each try has its share of the time; in the last PAUSE_US of it the valve is off.
-    share_us = limits.disengage_ms * MS_IN_US + PAUSE_US
+    share_us = limits.disengage_ms * MS_IN_US + PULL_PAUSE_US
     tried, within_us = divmod(snapshot.now_us - context.since_us, share_us)
     if tried >= limits.attempts:
         return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)

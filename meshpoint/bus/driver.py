@@ -20,7 +20,7 @@ from meshpoint.bus.reception import Reception, receive_from
 from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.dbc.frame import Frame
 
-RETRY_S = 0.5
+RECONNECT_S = 0.5
 _REPORT_EVERY_S = 1.0
 
 _LAST_SEND_TIMEOUT_S = 0.2
@@ -268,14 +268,14 @@ class _Node:
         if self._lost_at_s is None:
             self.statistics.outages += 1
             self._lost_at_s = self._loop.time()
-            self._say(f"bus lost: {error}; trying again every {RETRY_S:g} s")
+            self._say(f"bus lost: {error}; trying again every {RECONNECT_S:g} s")
         self._reopening = self._loop.create_task(self._reopen(bus, reception))
 
     async def _reopen(self, lost: can.BusABC, reception: Reception) -> None:
         """Opens anew instead of using the same bus again, so that nothing stale is in a queue."""
         await _close(lost, reception)
         complaint = ""
-        while not await self._ends_within(RETRY_S):
+        while not await self._ends_within(RECONNECT_S):
             try:
                 self._attach(await asyncio.to_thread(self._open_bus))
             except Exception as error:  # noqa: BLE001 (a vendor's driver may raise anything)

@@ -25,7 +25,7 @@ PACED_NODES = ("rig", "controller", "bench")
 HEARTBEAT_US = 2_000
 """How long, at speed 1, a node may go without looking at the clock."""
 SLACK_US = 1_000
-SILENCE_US = 14_000
+BUS_SILENCE_US = 14_000
 """How long a bus on which nodes speak every 10 ms may seem silent before time waits for frames."""
 TICK_S = 0.0005
 LONGEST_TICK_US = 2_000.0
@@ -164,7 +164,7 @@ class PacedClock:
         if self._heard_us is not None:
             if now_us > self._promised_us + self._heartbeat_us + SLACK_US * max(1.0, self.speed):
                 self._heard_us = None  # given up: there is nobody to wait for
-            elif now_us - self._heard_us > SILENCE_US * max(1.0, self.speed):
+            elif now_us - self._heard_us > BUS_SILENCE_US * max(1.0, self.speed):
                 return
         self._promised_us = now_us + self._heartbeat_us
         self._file.promise(self._node, self._promised_us)

@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from meshpoint.gearbox.tables import Rule, key_of
 
-UNITS: Final = {
+KEY_UNITS: Final = {
     "_percent_of_pitch": "% of pitch",
     "_percent_of_gap": "% of half a gap",
     "_ms_per_j": "ms/J",
@@ -40,9 +40,9 @@ UNITS: Final = {
     "_us": "us",
 }
 """A key's ending, and the unit it stands for; the longest that fits counts."""
-DIGITS: Final = 17
+FLOAT_DIGITS: Final = 17
 """Enough for every float to come back as it was."""
-WIDTH: Final = 80
+KEY_WIDTH: Final = 80
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Key:
 
 
 @dataclass(frozen=True)
-class Group:
+class KeyGroup:
     """One table of a file and the keys that stand in it."""
 
     name: str
@@ -73,14 +73,14 @@ class Group:
     keys: tuple[Key, ...]
 
 
-def groups_of(cls: type, values: Any = None) -> list[Group]:
+def groups_of(cls: type, values: Any = None) -> list[KeyGroup]:
     """Every table of the file that `cls` is read from, in order; the first is the top.
 
     values: an instance, whose values then take the place of the defaults."""
     return list(_walk(cls, "", values))
 
 
-def _walk(cls: Any, name: str, values: Any) -> Iterator[Group]:
+def _walk(cls: Any, name: str, values: Any) -> Iterator[KeyGroup]:
     docs, keys, inner = field_docs(cls), [], []
     for field in dataclasses.fields(cls):
         if not field.metadata:
@@ -94,7 +94,7 @@ def _walk(cls: Any, name: str, values: Any) -> Iterator[Group]:
             text = None if value is None else toml_value(value, rule)
             meaning = docs.get(field.name, "")
             keys.append(Key(name, rule.key, unit_of(rule.key), rule.allowed(), text, meaning))
-    yield Group(name, _one_line(cls.__doc__ or ""), tuple(keys))
+    yield KeyGroup(name, _one_line(cls.__doc__ or ""), tuple(keys))
     for group, path, value in inner:
         yield from _walk(group, path, value)
 
@@ -105,8 +105,8 @@ def _default(field: dataclasses.Field[Any]) -> Any:
 
 def unit_of(key: str) -> str:
     """The unit that a key's name ends with; empty for a bare number."""
-    fits = [ending for ending in UNITS if key.endswith(ending)]
-    return UNITS[max(fits, key=len)] if fits else ""
+    fits = [ending for ending in KEY_UNITS if key.endswith(ending)]
+    return KEY_UNITS[max(fits, key=len)] if fits else ""
 
 
 def toml_value(value: Any, rule: Rule) -> str:
@@ -124,7 +124,7 @@ def toml_value(value: Any, rule: Rule) -> str:
 def _in_unit(value: float, si: float) -> str:
     """The shortest number that is `value` times its factor to SI."""
     near = value / si
-    for digits in range(1, DIGITS + 1):
+    for digits in range(1, FLOAT_DIGITS + 1):
         for other in (near, math.nextafter(near, -math.inf), math.nextafter(near, math.inf)):
             text = repr(float(f"{other:.{digits}g}"))
             if float(text) * si == value:
@@ -166,7 +166,7 @@ def _one_line(text: str) -> str:
     return " ".join(text.split())
 
 
-def to_toml(groups: list[Group], title: str) -> str:
+def to_toml(groups: list[KeyGroup], title: str) -> str:
     """A file that holds every key, each with its meaning, unit and allowed values above it."""
     lines = _comment(title)
     for group in groups:
@@ -184,4 +184,4 @@ def to_toml(groups: list[Group], title: str) -> str:
 
 
 def _comment(text: str) -> list[str]:
-    return textwrap.wrap(text, WIDTH, initial_indent="# ", subsequent_indent="# ")
+    return textwrap.wrap(text, KEY_WIDTH, initial_indent="# ", subsequent_indent="# ")

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from meshpoint.gearbox.tables import Rule, key_of
 
-DIGITS: Final = 9
+TABLE_DIGITS: Final = 9
 A_LINE: Final = 8
 """Numbers on a line of a long list."""
 
@@ -58,7 +58,7 @@ def _text(value: Any, rule: Rule) -> str:
 
 def _number(value: float, si: float) -> str:
     """In the key's unit; always with a point or an exponent, so that it is read as a float."""
-    text = f"{value / si:.{DIGITS}g}"
+    text = f"{value / si:.{TABLE_DIGITS}g}"
     if text == "-0":
         text = "0"
     return text if any(mark in text for mark in ".en") else f"{text}.0"

@@ -16,7 +16,7 @@ from typing import Any, Final, TypeVar
 
 from meshpoint.gearbox.reading import UnreadableError, read_text
 
-SIZE_LIMIT_BYTES: Final = 256 * 1024
+TABLE_LIMIT_BYTES: Final = 256 * 1024
 DEPTH_LIMIT: Final = 6
 # A key of so many parts, or a text that looks like one: reading it takes time by their square.
 _LONG_KEY: Final = re.compile(
@@ -90,16 +90,16 @@ def flag(key: str, **default: Any) -> Any:
 def load_toml(path: Path) -> dict[str, Any]:
     """The parsed file. TableError where it is missing, too large, too deep or not TOML."""
     try:
-        content = read_text(path, SIZE_LIMIT_BYTES)
+        content = read_text(path, TABLE_LIMIT_BYTES)
     except UnreadableError as error:
         raise TableError(str(error)) from error
     return parse_toml(content, str(path))
 
 
 def parse_toml(content: str, where: str) -> dict[str, Any]:
-    """The tables in a text of at most `SIZE_LIMIT_BYTES` characters. TableError names `where`."""
-    if len(content) > SIZE_LIMIT_BYTES:
-        raise TableError(f"{where}: {len(content)} characters, allowed are {SIZE_LIMIT_BYTES}")
+    """The tables in a text of at most `TABLE_LIMIT_BYTES` characters. TableError names `where`."""
+    if len(content) > TABLE_LIMIT_BYTES:
+        raise TableError(f"{where}: {len(content)} characters, allowed are {TABLE_LIMIT_BYTES}")
     if _LONG_KEY.search(content):
         raise TableError(f"{where}: torn, or not a TOML file: a key of too many parts")
     try:

@@ -13,7 +13,7 @@ from __future__ import annotations
 from meshpoint.rig_sim.jit import part
 from meshpoint.rig_sim.records import Record
 
-LEAST_SHARE = 0.2
+LEAST_FRICTION_SHARE = 0.2
 
 
 class DiscBrake(Record):
@@ -35,7 +35,7 @@ def friction_share(omega_rad_s: float, disc_k: float, brake: DiscBrake) -> float
     share = (1.0 - brake.fade_per_k * (disc_k - brake.reference_k)) * (
         1.0 + brake.fade_per_rad_s * (abs(omega_rad_s) - brake.reference_rad_s)
     )
-    return max(share, LEAST_SHARE)
+    return max(share, LEAST_FRICTION_SHARE)
 
 
 @part

@@ -18,9 +18,9 @@ from meshpoint.rig_sim.jit import entry
 from meshpoint.rig_sim.parts.pneumatics import GAS_J_KGK, NORMAL_K, NORMAL_KG_M3, flow_share
 from meshpoint.rig_sim.shared.angle_kernels import Floats
 
-STEP_S: Final = 1e-5
+CYLINDER_STEP_S: Final = 1e-5
 EVERY: Final = 20
-SAMPLES: Final = 1024
+TRAVEL_SAMPLES: Final = 1024
 CRITICAL: Final = 0.3
 POLYTROPIC: Final = 1.2
 
@@ -69,28 +69,28 @@ def _travel(
         volume_b = dead + area * (stroke - x)
         in_a = per_pa * supply_pa * flow_share(supply_pa, p_a, CRITICAL)
         out_b = per_pa * p_b * flow_share(p_b, atmosphere_pa, CRITICAL)
-        p_a += STEP_S * (in_a - POLYTROPIC * p_a * area * v) / volume_a
-        p_b += STEP_S * (POLYTROPIC * p_b * area * v - out_b) / volume_b
+        p_a += CYLINDER_STEP_S * (in_a - POLYTROPIC * p_a * area * v) / volume_a
+        p_b += CYLINDER_STEP_S * (POLYTROPIC * p_b * area * v - out_b) / volume_b
         push = (p_a - p_b) * area
         if v == 0.0 and abs(push) <= friction:
             continue
         direction = 1.0 if v > 0.0 or (v == 0.0 and push > 0.0) else -1.0
-        change = STEP_S * (push - direction * friction - damping * v) / mass
+        change = CYLINDER_STEP_S * (push - direction * friction - damping * v) / mass
         moved = v + change
         v = 0.0 if v * moved < 0.0 else moved
         if v < 0.0 and x <= 0.0:
             v = 0.0
-        if x + STEP_S * v >= to_m:
+        if x + CYLINDER_STEP_S * v >= to_m:
             rest = (to_m - x) / v
             samples[count] = to_m
-            return i * STEP_S + rest, v, (p_a - p_b) * area, count + 1
-        x += STEP_S * v
+            return i * CYLINDER_STEP_S + rest, v, (p_a - p_b) * area, count + 1
+        x += CYLINDER_STEP_S * v
     return -1.0, 0.0, 0.0, count
 
 
 def travel(cylinder: Cylinder, supply_pa: float, atmosphere_pa: float, to_m: float) -> Travel:
     """The stroke from neutral to contact at a supply pressure (absolute)."""
-    samples = np.zeros(SAMPLES)
+    samples = np.zeros(TRAVEL_SAMPLES)
     time_s, speed, force, count = _travel(tuple(cylinder), supply_pa, atmosphere_pa, to_m, samples)
     if time_s < 0.0:
         return Travel(float("inf"), 0.0, 0.0, samples[:count])

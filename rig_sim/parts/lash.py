@@ -15,7 +15,7 @@ from meshpoint.rig_sim.jit import part
 from meshpoint.rig_sim.parts.saturation import saturated
 from meshpoint.rig_sim.records import Record
 
-FIRM_NM: Final = 0.5  # T_s; s is `saturation.saturated`
+LASH_FIRM_NM: Final = 0.5  # T_s; s is `saturation.saturated`
 
 
 class Backlash(Record):
@@ -28,4 +28,4 @@ class Backlash(Record):
 @part
 def lash_rad_s(y_rad: float, torque_nm: float, lash: Backlash) -> float:
     """How fast the wheel moves in its backlash."""
-    return (-lash.half_rad * saturated(torque_nm / FIRM_NM) - y_rad) * lash.rate
+    return (-lash.half_rad * saturated(torque_nm / LASH_FIRM_NM) - y_rad) * lash.rate

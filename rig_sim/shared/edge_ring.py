@@ -5,12 +5,12 @@ from __future__ import annotations
 import struct
 from typing import Final, NamedTuple
 
-from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.records import RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import read_ring
 from meshpoint.rig_sim.shared.capture_records import CHANNELS, STAMPS, Captured, Reading
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
 
-HEAD: Final = 4
+HEAD_VALUES: Final = 4
 
 ENCODER_SAMPLES_S: Final = (0.0, 0.002, 0.004, 0.006, 0.008)
 
@@ -18,13 +18,13 @@ ENCODER_STEPS_PER_TURN: Final = 1 << 24
 
 ENCODER_MODULUS: Final = 1 << 32
 
-_unpack: Final = struct.Struct(f"={CHANNELS * HEAD}q{CHANNELS * STAMPS}H").unpack
+_unpack: Final = struct.Struct(f"={CHANNELS * HEAD_VALUES}q{CHANNELS * STAMPS}H").unpack
 """All numbers of a `kernels.Reading` at once, faster than field by field."""
 
-_STAMPS_FROM: Final = CHANNELS * HEAD
+_STAMPS_FROM: Final = CHANNELS * HEAD_VALUES
 
 _ROWS: Final = [
-    (HEAD * i, slice(_STAMPS_FROM + STAMPS * i, _STAMPS_FROM + STAMPS * (i + 1)))
+    (HEAD_VALUES * i, slice(_STAMPS_FROM + STAMPS * i, _STAMPS_FROM + STAMPS * (i + 1)))
     for i in range(CHANNELS)
 ]
 
@@ -45,10 +45,10 @@ class RingReader:
     """Puts the newest edges of all channels into reads; its memory is used again each time."""
 
     def __init__(self) -> None:
-        self._reading = Memory(Reading())
+        self._reading = RecordArray(Reading())
 
     def read(
-        self, now_us: int, on_us: float, clock: SensorClock, captured: Memory[Captured]
+        self, now_us: int, on_us: float, clock: SensorClock, captured: RecordArray[Captured]
     ) -> list[EdgeRead]:
         """The read of all channels now (`kernels.read_ring`)."""
         reading = self._reading

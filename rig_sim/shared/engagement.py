@@ -19,18 +19,17 @@ from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.shared.rotation import Rotation
-from meshpoint.rig_sim.shared.sleeves import Sleeve as SleeveAxis
-from meshpoint.rig_sim.shared.sleeves import SleeveState
+from meshpoint.rig_sim.shared.sleeves import SleeveAxis, SleeveState
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.units import RPM
 
-MAIN_VALVES: Final[dict[Valve, MainGear]] = {
+GEAR_OF_VALVE: Final[dict[Valve, MainGear]] = {
     Valve.MAIN_FIRST: MainGear.FIRST,
     Valve.MAIN_SECOND: MainGear.SECOND,
     Valve.MAIN_CRAWL: MainGear.CRAWL,
     Valve.MAIN_THIRD: MainGear.THIRD,
 }
-VALVE_OF_MAIN: Final = {gear: valve for valve, gear in MAIN_VALVES.items()}
+VALVE_OF_MAIN: Final = {gear: valve for valve, gear in GEAR_OF_VALVE.items()}
 GEAR_AT: Final = {(where.sleeve, where.direction): gear for gear, where in SLEEVE_OF_MAIN.items()}
 
 
@@ -101,7 +100,7 @@ class Engagement(ABC, Generic[SleeveT]):
         if valve is Valve.BRAKE:
             self._count_brake_in_gear(time_us)
             return
-        where = SLEEVE_OF_MAIN[MAIN_VALVES[valve]]
+        where = SLEEVE_OF_MAIN[GEAR_OF_VALVE[valve]]
         opposite = VALVE_OF_MAIN[GEAR_AT[where.sleeve, -where.direction]]
         if on and opposite in self._energised:
             self._violate(Violation.BOTH_VALVES, time_us, f"both valves of {where.sleeve.name} on")

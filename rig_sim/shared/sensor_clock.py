@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.records import RecordArray
 from meshpoint.rig_sim.shared.capture_records import PIECES, ClockPieces
 
 PPM: Final = 1e-6
@@ -24,7 +24,7 @@ class SensorClock:
     """
 
     def __init__(self, start_us: int) -> None:
-        self.memory = Memory(ClockPieces(pieces=((0.0, start_us, 1.0),) * PIECES))
+        self.memory = RecordArray(ClockPieces(pieces=((0.0, start_us, 1.0),) * PIECES))
         self._since_us, self._base_us, self._rate = 0.0, start_us, 1.0
 
     def at(self, time_us: float) -> int:

@@ -30,7 +30,7 @@ from typing import Final, NamedTuple, Protocol
 from meshpoint.gearbox.sheet import SleeveActuator
 from meshpoint.units import SECOND_US
 
-HISTORY_US: Final = 10_000.0
+STROKES_KEPT_US: Final = 10_000.0
 NEVER_US: Final = math.inf
 
 
@@ -60,7 +60,7 @@ class SleeveEvent(IntEnum):
 
 
 S, E = SleeveState, SleeveEvent
-TRANSITIONS: Final[dict[tuple[SleeveState, SleeveEvent], SleeveState]] = {
+SLEEVE_TRANSITIONS: Final[dict[tuple[SleeveState, SleeveEvent], SleeveState]] = {
     (S.NEUTRAL, E.ENGAGE): S.APPROACH,
     (S.APPROACH, E.ON_TOOTH): S.FACE,
     (S.APPROACH, E.IN_GAP): S.ENTER,
@@ -117,7 +117,7 @@ def resting(since_us: float, position_m: float) -> Stroke:
     return Stroke(since_us, since_us, since_us, position_m, position_m, 1)
 
 
-class Sleeve:
+class SleeveAxis:
     """One sleeve: axial state and position. `side` is the direction of the gear it is at or moves
     to or from, -1 or +1, and 0 in neutral."""
 
@@ -228,7 +228,7 @@ class Sleeve:
         self._move(resting(time_us, 0.0))
 
     def _go(self, event: SleeveEvent) -> None:
-        self.state = TRANSITIONS[self.state, event]
+        self.state = SLEEVE_TRANSITIONS[self.state, event]
 
     def _move_in(self, time_us: float) -> None:
         from_m = abs(self.position_m(time_us))
@@ -237,7 +237,7 @@ class Sleeve:
         self._move(Stroke(time_us, time_us, end_us, from_m, to_m, 1))
 
     def _move(self, stroke: Movement) -> None:
-        oldest_us = stroke.since_us - HISTORY_US
+        oldest_us = stroke.since_us - STROKES_KEPT_US
         while len(self._strokes) > 1 and self._strokes[1].since_us < oldest_us:
             del self._strokes[0], self._sides[0]
         self._strokes.append(stroke)

@@ -18,11 +18,11 @@ from enum import IntEnum
 from typing import Final, NamedTuple
 
 from meshpoint.dbc.messages import ValveAction
+from meshpoint.rig_sim.settings import CLOCK_MODULUS
 
 MAX_LATE_US: Final = 2_000
 MAX_AHEAD_US: Final = 100_000
 EXPIRY_US: Final = 100_000
-CLOCK_MODULUS: Final = 1 << 32
 
 
 class Valve(IntEnum):

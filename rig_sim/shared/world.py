@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from meshpoint.gearbox.gears import MainGear, Sleeve
 from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
@@ -15,6 +15,9 @@ from meshpoint.rig_sim.shared.rotation import Drive
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
 from meshpoint.rig_sim.shared.sleeves import SleeveState
 from meshpoint.rig_sim.shared.valve_drivers import Order, ValveBank
+
+READ_US: Final = 10_000
+"""The sensors are read, and their frames sent, once in this time."""
 
 
 class SensorRead(NamedTuple):

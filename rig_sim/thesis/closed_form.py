@@ -13,7 +13,7 @@ import math
 from collections.abc import Sequence
 from typing import Annotated, Final
 
-from meshpoint.rig_sim.records import Memory, Record, Row
+from meshpoint.rig_sim.records import Record, RecordArray, Row
 from meshpoint.rig_sim.shared.angle_kernels import (
     TAU,
     compiled,
@@ -35,7 +35,7 @@ ACCELERATED, FREE = range(2)
 SERIES_BELOW: Final = 0.02
 SETTLED_S: Final = 1e-9
 BISECTED_S: Final = 1e-14
-MAX_ITERATIONS: Final = 80
+ROOT_ITERATIONS: Final = 80
 
 
 class Motion(Record):
@@ -128,7 +128,7 @@ def time_to_turn(motion: Motion, angle: float, low: float, high: float, guess: f
         root = math.sqrt(max(omega * omega + 2.0 * motion.accel_rad_s2 * angle, 0.0))
         return min(max(2.0 * angle / (omega + root), low), high) if omega + root > 0.0 else high
     s = min(max(guess, low), high)
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(ROOT_ITERATIONS):
         turned, omega = motion_at(motion, s)
         error = turned - angle
         if error > 0.0:
@@ -152,7 +152,7 @@ def time_of_stop(motion: Motion, horizon: float) -> float:
     if motion.kind != FREE or motion_at(motion, horizon)[1] > 0.0:
         return -1.0
     low, high = 0.0, horizon
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(ROOT_ITERATIONS):
         middle = 0.5 * (low + high)
         if motion_at(motion, middle)[1] > 0.0:
             low = middle
@@ -179,7 +179,7 @@ def phase_at(driving: Motion, sleeve: Motion, ratio: float, phase: float, s: flo
 def _time_of_no_slip(driving: Motion, sleeve: Motion, ratio: float, horizon: float) -> float:
     rising = slip_at(driving, sleeve, ratio, horizon) > 0.0
     low, high = 0.0, horizon
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(ROOT_ITERATIONS):
         middle = 0.5 * (low + high)
         if (slip_at(driving, sleeve, ratio, middle) > 0.0) == rising:
             high = middle
@@ -202,7 +202,7 @@ def _time_of_phase(
     low, high = bracket
     rising = phase_at(driving, sleeve, ratio, phase, high) >= level
     s = 0.5 * (low + high)
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(ROOT_ITERATIONS):
         error = phase_at(driving, sleeve, ratio, phase, s) - level
         if (error >= 0.0) == rising:
             high = s
@@ -283,7 +283,7 @@ def capture_edges(pieces: Sequence[Piece], sensors: Sequence[SensorWheels]) -> N
 
 def warm_up() -> None:
     """Compile everything now, so that no live run stalls at its first shift."""
-    motion = Memory(Motion(speed_rad_s=1.0, valve_rate=1.0)).array[0]
+    motion = RecordArray(Motion(speed_rad_s=1.0, valve_rate=1.0)).array[0]
     angle = settled(0, 0.5)
     geared(angle, 2, 3, angle)
     wrapped(0.5, 1.0)
@@ -291,6 +291,6 @@ def warm_up() -> None:
     time_of_exit(motion, motion, 1.0, 0.0, (-1.0, 1.0), 0.01)
     motion_at(motion, 0.01)
     wheels = SensorWheels(teeth=(1, 1, 1, 1))
-    capture_edges(Memory(Piece()).array, Memory(wheels).array)
-    edges, reading = Memory(Captured()).array, Memory(Reading()).array
-    read_ring(0.0, 0.0, Memory(ClockPieces()).array, edges, reading)
+    capture_edges(RecordArray(Piece()).array, RecordArray(wheels).array)
+    edges, reading = RecordArray(Captured()).array, RecordArray(Reading()).array
+    read_ring(0.0, 0.0, RecordArray(ClockPieces()).array, edges, reading)

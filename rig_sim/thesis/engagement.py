@@ -6,8 +6,7 @@ from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.shared.engagement import Engagement
-from meshpoint.rig_sim.shared.sleeves import Sleeve as SleeveAxis
-from meshpoint.rig_sim.shared.sleeves import SleeveState
+from meshpoint.rig_sim.shared.sleeves import SleeveAxis, SleeveState
 from meshpoint.rig_sim.thesis.delays import Delays
 from meshpoint.rig_sim.thesis.plant import Crossing, Plant
 

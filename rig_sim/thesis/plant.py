@@ -12,7 +12,7 @@ from typing import NamedTuple, Protocol
 
 from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.sheet import GearboxSheet
-from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.records import RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import settled
 from meshpoint.rig_sim.shared.angles import Angle, Shafts
 from meshpoint.rig_sim.shared.rotation import Drive, Rotation
@@ -34,7 +34,7 @@ class Crossing(NamedTuple):
     side: int
 
 
-class Segment(NamedTuple):
+class MotionSegment(NamedTuple):
     """A piece of the past, exact: both motions and all wheel angles at its start and end.
 
     Wheels are in the order of `sensors.Shaft`; share is wheel angle over angle of the driving
@@ -43,8 +43,8 @@ class Segment(NamedTuple):
 
     start_us: float
     duration_s: float
-    layshaft: Memory[Motion]
-    main: Memory[Motion]
+    layshaft: RecordArray[Motion]
+    main: RecordArray[Motion]
     before: tuple[Angle, Angle, Angle, Angle]
     after: tuple[Angle, Angle, Angle, Angle]
     shares: tuple[float, float, float, float]
@@ -61,7 +61,7 @@ class Plant(Rotation, Protocol):
     def stop_us(self, horizon_us: float) -> float | None:
         """When the layshaft is braked to rest; None: not before the horizon."""
 
-    def move_to(self, time_us: float) -> Segment:
+    def move_to(self, time_us: float) -> MotionSegment:
         """Go on to a later instant, exactly, and say what happened on the way."""
 
     def set_brake(self, on: bool) -> None:
@@ -84,8 +84,8 @@ class ThesisPlant:
         self.drive = Drive.COASTING
         self._ratios = {gear: sheet.main_mesh(gear).ratio for gear in MAIN_GEARS}
         self._locked_ratio = 1.0
-        self._layshaft = Memory(Motion(valve_rate=1.0 / sheet.brake.time_constant_s))
-        self._main = Memory(Motion(speed_rad_s=main_rad_s))
+        self._layshaft = RecordArray(Motion(valve_rate=1.0 / sheet.brake.time_constant_s))
+        self._main = RecordArray(Motion(speed_rad_s=main_rad_s))
         self._load_inertia()
 
     @property
@@ -123,11 +123,11 @@ class ThesisPlant:
         s = time_of_stop(self._layshaft.array[0], (horizon_us - self.time_us) * US)
         return None if s < 0.0 else self.time_us + s / US
 
-    def move_to(self, time_us: float) -> Segment:
+    def move_to(self, time_us: float) -> MotionSegment:
         """Go on to a later instant, exactly, and say what happened on the way."""
         duration_s = (time_us - self.time_us) * US
         now, main_now, shafts = self._layshaft.record, self._main.record, self.shafts
-        layshaft, main = Memory(now.copy()), Memory(main_now.copy())
+        layshaft, main = RecordArray(now.copy()), RecordArray(main_now.copy())
         before = (shafts.input, shafts.layshaft, shafts.main, shafts.propeller)
         turned, now.speed_rad_s = motion_at(layshaft.array[0], duration_s)
         shafts.layshaft = settled(shafts.layshaft[0], shafts.layshaft[1] + turned)
@@ -138,7 +138,7 @@ class ThesisPlant:
             self._follow_main()
         shafts.follow()
         after = (shafts.input, shafts.layshaft, shafts.main, shafts.propeller)
-        segment = Segment(
+        segment = MotionSegment(
             self.time_us,
             duration_s,
             layshaft,

@@ -10,7 +10,7 @@ import math
 from enum import IntEnum
 
 from meshpoint.gearbox.sheet import Wheels
-from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.records import RecordArray
 from meshpoint.rig_sim.settings import SettingsError
 from meshpoint.rig_sim.shared.angle_kernels import TAU, settled
 from meshpoint.rig_sim.shared.angles import Angle
@@ -23,7 +23,7 @@ from meshpoint.rig_sim.shared.edge_ring import (
 )
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
 from meshpoint.rig_sim.thesis.closed_form import Piece, SensorWheels, capture_edges, motion_at
-from meshpoint.rig_sim.thesis.plant import Segment
+from meshpoint.rig_sim.thesis.plant import MotionSegment
 from meshpoint.units import US
 
 
@@ -44,11 +44,11 @@ class EdgeCapture:
         if any(wheel.missing for wheel in order):
             raise SettingsError("preset thesis: wheels.*.missing, allowed are whole wheels only")
         offsets = [offset for wheel in order for offset in (0.0, wheel.duty_share)]
-        self._wheels = Memory(
+        self._wheels = RecordArray(
             SensorWheels(teeth=tuple(w.teeth for w in order), offsets=tuple(offsets))
         )
-        self._captured = Memory(self._wheels.record.captured)
-        self._piece = Memory(Piece())
+        self._captured = RecordArray(self._wheels.record.captured)
+        self._piece = RecordArray(Piece())
         self._reader = RingReader()
         for edge, channel in enumerate(self._captured.record.channels):
             turns, rest = angles[edge // 2]
@@ -56,7 +56,7 @@ class EdgeCapture:
             tooth = math.floor(rest * teeth / TAU - offsets[edge])
             channel.tooth = turns * teeth + tooth
 
-    def add(self, segment: Segment) -> None:
+    def add(self, segment: MotionSegment) -> None:
         """Find all edges of a segment."""
         piece = self._piece.record
         piece.start_us, piece.duration_s = segment.start_us, segment.duration_s
@@ -77,9 +77,9 @@ class Encoder:
     """The reference encoder: layshaft angle and speed at five instants before a read, exact."""
 
     def __init__(self) -> None:
-        self._segments: list[Segment] = []
+        self._segments: list[MotionSegment] = []
 
-    def add(self, segment: Segment) -> None:
+    def add(self, segment: MotionSegment) -> None:
         """Remember a segment until the next read."""
         self._segments.append(segment)
 

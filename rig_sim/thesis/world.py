@@ -18,14 +18,14 @@ from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
 from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.rig_sim.shared.angles import Shafts
 from meshpoint.rig_sim.shared.edge_ring import EdgeRead
-from meshpoint.rig_sim.shared.engagement import MAIN_VALVES, Engaged
+from meshpoint.rig_sim.shared.engagement import GEAR_OF_VALVE, Engaged
 from meshpoint.rig_sim.shared.node_state import NodeState
 from meshpoint.rig_sim.shared.script import BenchScript
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
 from meshpoint.rig_sim.shared.sleeves import NEVER_US
 from meshpoint.rig_sim.shared.start import draw_start, seeded
 from meshpoint.rig_sim.shared.valve_drivers import Change, Order, Valve, ValveBank
-from meshpoint.rig_sim.shared.world import EncoderRead, PhaseRead, SensorRead, Truth
+from meshpoint.rig_sim.shared.world import READ_US, EncoderRead, PhaseRead, SensorRead, Truth
 from meshpoint.rig_sim.thesis.clutch import ClutchActuator, Engine
 from meshpoint.rig_sim.thesis.delays import Delays
 from meshpoint.rig_sim.thesis.engagement import ThesisEngagement
@@ -34,7 +34,6 @@ from meshpoint.rig_sim.thesis.sensors import EdgeCapture, Encoder
 from meshpoint.rig_sim.thesis.truth import ThesisTruth
 from meshpoint.units import RPM, SECOND_US
 
-READ_US: Final = 10_000
 OIL_K: Final = 353.15
 
 
@@ -217,7 +216,7 @@ class World:
                 delay_us = self.sheet.brake.valve_delay_s * SECOND_US
                 self._brake_inputs.append((time_us + delay_us, on))
                 self.engagement.switch(valve, on, time_us)
-            elif valve in MAIN_VALVES:
+            elif valve in GEAR_OF_VALVE:
                 self.engagement.switch(valve, on, time_us)
             elif on:
                 text = f"valve {valve.name} ignored: splitter and range move with the bench script"

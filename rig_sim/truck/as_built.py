@@ -22,7 +22,7 @@ from meshpoint.gearbox.reading import read_text
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.gearbox.tables import TableError, load_toml
 
-STREAM: Final = 0xA5B
+AS_BUILT_STREAM: Final = 0xA5B
 """Keeps the draws of the gearbox apart from those of the start and of the delays."""
 
 
@@ -84,7 +84,7 @@ class AsBuilt:
 
 def draw_as_built(seed: int, fixed: Mapping[str, float] | None = None) -> AsBuilt:
     """The gearbox of a seed. Everything is drawn, whatever is fixed, so runs stay comparable."""
-    rng = np.random.Generator(np.random.PCG64([seed, STREAM]))
+    rng = np.random.Generator(np.random.PCG64([seed, AS_BUILT_STREAM]))
     known = parameters()
     values = {name: _drawn(rng, known[name]) for name in known if not name.startswith(LATER)}
     teeth_seed = int(rng.integers(1 << 31))

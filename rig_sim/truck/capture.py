@@ -18,7 +18,7 @@ from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.layout import Rig
 from meshpoint.units import SECOND_US
 
-MAX_ITERATIONS: Final = 60
+EDGE_ITERATIONS: Final = 60
 SETTLED: Final = 1e-9
 
 
@@ -44,7 +44,7 @@ def _share_at(way: Way, angle_rad: float) -> float:
     c = v0 * h / length
     wanted = (angle_rad - start) / length
     x, low, high = wanted, 0.0, 1.0
-    for _ in range(MAX_ITERATIONS):
+    for _ in range(EDGE_ITERATIONS):
         error = x * (c + x * (b + x * a)) - wanted
         if error > 0.0:
             high = x

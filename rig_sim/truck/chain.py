@@ -18,7 +18,7 @@ from meshpoint.rig_sim.truck.layout import Rig
 UNLIMITED: Final = float("inf")
 
 
-class Chain:
+class BodyChain:
     """What is linked to what. Works in place on the rig's state and connections."""
 
     def __init__(self, rig: Rig) -> None:

@@ -16,12 +16,12 @@ import numpy as np
 
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.gearbox.sheet import GearboxSheet
-from meshpoint.rig_sim.parts.cylinder import EVERY, STEP_S, Cylinder, travel
+from meshpoint.rig_sim.parts.cylinder import CYLINDER_STEP_S, EVERY, Cylinder, travel
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.strokes import SampledStroke
 from meshpoint.units import MS, SECOND_US
 
-LEAST_SHARE: Final = 0.3
+LEAST_DELAY_SHARE: Final = 0.3
 WARM_C: Final = 80.0
 LEAST_GAUGE_PA: Final = 1e4
 
@@ -55,7 +55,7 @@ class TruckDelays:
         """From activation to contact with this gear, or from it to neutral, s."""
         actuator = self._sheet.sleeve
         drawn_s = self.mean_gear_s(gear, supply_gauge_pa) + self._noise_s() + self.extra_s
-        return max(drawn_s, actuator.valve_delay_s + LEAST_SHARE * actuator.delay_s)
+        return max(drawn_s, actuator.valve_delay_s + LEAST_DELAY_SHARE * actuator.delay_s)
 
     def mean_gear_s(self, gear: MainGear, supply_gauge_pa: float) -> float:
         """The same without chance."""
@@ -103,7 +103,7 @@ class TruckDelays:
             start_us,
             start_us + found.time_s * SECOND_US,
             actuator.to_contact_m,
-            EVERY * STEP_S * SECOND_US,
+            EVERY * CYLINDER_STEP_S * SECOND_US,
             found.samples_m,
         )
         return CylinderTravel(stroke, found.speed_m_s, found.force_n)

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from meshpoint.rig_sim.jit import inlined
 from meshpoint.rig_sim.parts.vehicle import resistance_n
-from meshpoint.rig_sim.truck.layout import PROPELLER, Rig, State
+from meshpoint.rig_sim.truck.layout import PROPELLER, Rig, RigState
 
 
 @inlined
-def load_propeller(y: State, rate: State, rig: Rig) -> None:
+def load_propeller(y: RigState, rate: RigState, rig: Rig) -> None:
     """Torque of the vehicle on the propeller shaft, its motion, and what road and slope take.
 
     Adds to `work_j` what the bench spends on wheels that it drives; so the rate must be there."""

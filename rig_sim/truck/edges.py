@@ -18,7 +18,7 @@ import numpy as np
 
 from meshpoint.gearbox.sheet import GearboxSheet, Wheel
 from meshpoint.rig_sim.parts.drag import WARM_K
-from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.records import RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import TAU, Floats
 from meshpoint.rig_sim.shared.capture_records import CHANNELS
 from meshpoint.rig_sim.shared.edge_ring import (
@@ -94,7 +94,7 @@ class TruckEdges:
         for past in rig.history:
             past.turns = rig.laps[at.LAYSHAFT]
             past.rest_rad = rig.y.angle_rad[at.LAYSHAFT]
-        self._captured = Memory(rig.captured)
+        self._captured = RecordArray(rig.captured)
         self._reader = RingReader()
         self._on_us = 0.0
         for edge in range(CHANNELS):
@@ -136,7 +136,7 @@ class TruckEdges:
         angles, speeds = [], []
         for back_s in ENCODER_SAMPLES_S:
             time_us = now_us - round(back_s * 1e6)
-            past = history[time_us // at.HISTORY_US % at.HISTORY if time_us > 0 else 0]
+            past = history[time_us // at.HISTORY_STEP_US % at.HISTORY if time_us > 0 else 0]
             rest, speed = past.rest_rad, past.speed_rad_s
             if time_us <= 0:
                 speed = omega_rad_s if now_us == 0 else speed

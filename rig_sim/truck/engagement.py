@@ -28,8 +28,8 @@ from meshpoint.units import MM
 
 SETTLED_RAD_S: Final = 0.02
 """A flank that would leave slower than this stays."""
-NAMES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
-ROWS: Final = {name: row for row, name in enumerate(NAMES)}
+MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
+ROW_OF_SLEEVE: Final = {name: row for row, name in enumerate(MAIN_SLEEVES)}
 
 
 class TruckEngagement(Engagement[TruckSleeve]):
@@ -47,7 +47,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
         where = SLEEVE_OF_MAIN[engaged]
         sleeves = {
             name: TruckSleeve(sheet.sleeve, where.direction if name is where.sleeve else 0, axis)
-            for name in NAMES
+            for name in MAIN_SLEEVES
         }
         super().__init__(sheet, plant, sleeves)
         self._truck = plant
@@ -59,7 +59,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
         self._static_factor = built["dog.static_factor"]
         self._chamfer_rad = built["dog.chamfer_mm"] * MM / sheet.dog.radius_m
         self._flank_rad = self._half_rad + plant.p.main_lash.half_rad
-        self._tallies = dict.fromkeys(NAMES, Tally())
+        self._tallies = dict.fromkeys(MAIN_SLEEVES, Tally())
         self._face_since_us: dict[Sleeve, float] = {}
         self._stuck: Sleeve | None = None
 
@@ -70,6 +70,13 @@ class TruckEngagement(Engagement[TruckSleeve]):
         if since_us is None:
             return tally
         return tally._replace(face_us=tally.face_us + round(self._plant.time_us - since_us))
+
+    def reset_sleeve(self, name: Sleeve) -> None:
+        """A main sleeve stands in neutral at once, all main valves off; nothing is recorded."""
+        self._leave_face(name)
+        self._energised.clear()
+        self._truck.unwatch(ROW_OF_SLEEVE[name])
+        self.sleeves[name] = TruckSleeve(self._sheet.sleeve, 0, self.sleeves[name].axis)
 
     def due(self, time_us: float) -> None:
         """Do what is due now; the plant stands at this instant."""
@@ -83,7 +90,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
 
     def left(self, row: int, side: int) -> None:
         """The plant stands where the tooth leaves the face (to a gap) or the gap (to a flank)."""
-        name = NAMES[row]
+        name = MAIN_SLEEVES[row]
         sleeve, time_us = self.sleeves[name], self._plant.time_us
         if sleeve.state is SleeveState.FACE:
             if self._another_meshed(name):
@@ -98,7 +105,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
 
     def no_slip(self, slot: int) -> None:
         """Face and tooth have the same speed: they stick if friction can hold them."""
-        name = NAMES[slot]
+        name = MAIN_SLEEVES[slot]
         gear, truck = self.gear_at(name), self._truck
         truck.smooth(slot)
         if truck.chain.is_rigid(at.MAIN_BOX):
@@ -171,7 +178,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
             was = sleeve.state
             super()._valve_on(name, direction, time_us)
             if was is SleeveState.ENTER and sleeve.state is SleeveState.RETRACT:
-                self._truck.unwatch(ROWS[name])
+                self._truck.unwatch(ROW_OF_SLEEVE[name])
 
     def _valve_off(self, name: Sleeve, direction: int, time_us: float) -> None:
         sleeve = self.sleeves[name]
@@ -199,7 +206,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
         self._record(EngagementEvent.TOOTH_CONTACT, gear, phase, slip)
         self._face(name)
         if blocked:
-            self._truck.unwatch(ROWS[name])
+            self._truck.unwatch(ROW_OF_SLEEVE[name])
             self._block(name, time_us)
 
     def _face(self, name: Sleeve, thrown_back: bool = False) -> None:
@@ -214,14 +221,14 @@ class TruckEngagement(Engagement[TruckSleeve]):
             # By either edge it has a chamfer's width to go in first. Friction on the face turns the
             # backlash of its mesh over, and a tooth that hardly slips would go in and out for ever.
             low, high = self._half_rad - self._chamfer_rad, high + ahead + self._chamfer_rad
-        self._truck.watch(ROWS[name], gear, (low, high), with_lash=True)
+        self._truck.watch(ROW_OF_SLEEVE[name], gear, (low, high), with_lash=True)
         self._rub(name)
 
     def _rub(self, name: Sleeve, sign: float = 0.0) -> None:
         torque = self._face_nm(name)
         if torque > 0.0:
             ratio = self._truck.ratio(self.gear_at(name))
-            self._truck.rub(ROWS[name], at.MAIN_BOX, ratio, torque, sign)
+            self._truck.rub(ROW_OF_SLEEVE[name], at.MAIN_BOX, ratio, torque, sign)
 
     def _face_nm(self, name: Sleeve) -> float:
         return self._face_m * self.sleeves[name].net_force_n
@@ -233,8 +240,8 @@ class TruckEngagement(Engagement[TruckSleeve]):
         tally = self._tallies[name]
         spent_us = round(self._plant.time_us - since_us)
         self._tallies[name] = tally._replace(face_us=tally.face_us + spent_us)
-        self._truck.smooth(ROWS[name])
-        self._truck.unwatch(ROWS[name])
+        self._truck.smooth(ROW_OF_SLEEVE[name])
+        self._truck.unwatch(ROW_OF_SLEEVE[name])
         if self._stuck is name:
             self._stuck = None
             self._truck.chain.open(at.MAIN_BOX)
@@ -249,7 +256,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
         self._watch_gap(name)
 
     def _watch_gap(self, name: Sleeve) -> None:
-        gear, row = self.gear_at(name), ROWS[name]
+        gear, row = self.gear_at(name), ROW_OF_SLEEVE[name]
         if self._truck.chain.is_rigid(at.MAIN_BOX):
             return
         if self.sleeves[name].overlap_us < NEVER_US:
@@ -273,7 +280,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
         ratio = truck.ratio(gear)
         lost = truck.strike(at.MAIN_BOX, ratio, bounce)
         if bounce == 0.0:
-            truck.unwatch(ROWS[name])
+            truck.unwatch(ROW_OF_SLEEVE[name])
             truck.engage(gear, side, self._free_play)
         if sleeve.state is SleeveState.ENTER:
             sleeve.lock()
@@ -302,13 +309,13 @@ class TruckEngagement(Engagement[TruckSleeve]):
         slip = self._plant.slip_rad_s(gear)
         self._record(EngagementEvent.RELEASED, gear, phase, slip)
         self.sleeves[name].unmesh()
-        self._truck.unwatch(ROWS[name])
+        self._truck.unwatch(ROW_OF_SLEEVE[name])
         self._truck.coast()
 
     def _give_up(self, name: Sleeve, was: SleeveState) -> None:
         """A sleeve goes back without having locked."""
         self._leave_face(name)
-        self._truck.unwatch(ROWS[name])
+        self._truck.unwatch(ROW_OF_SLEEVE[name])
         if was is not SleeveState.APPROACH:
             self._record_now(EngagementEvent.GIVEN_UP, name)
 

@@ -12,18 +12,18 @@ from typing import Final
 from meshpoint.rig_sim.jit import inlined, part
 from meshpoint.rig_sim.parts.engine import capacity_nm
 from meshpoint.rig_sim.truck import layout as at
-from meshpoint.rig_sim.truck.layout import Rig, State, Watch
+from meshpoint.rig_sim.truck.layout import PhaseWatch, Rig, RigState
 from meshpoint.rig_sim.truck.motion import rates
 from meshpoint.rig_sim.truck.step import step
 
-ROOT_S: Final = 1e-11
-MAX_ITERATIONS: Final = 60
-FIRM_NM: Final = 0.2
+EVENT_ROOT_S: Final = 1e-11
+EVENT_ITERATIONS: Final = 60
+TORQUE_MARGIN_NM: Final = 0.2
 TORQUE_S: Final = 1e-9
 
 
 @inlined
-def _watched(y: State, watch: Watch) -> float:
+def _watched(y: RigState, watch: PhaseWatch) -> float:
     phase = y.phase_rad[watch.gear] + watch.offset_rad
     if watch.with_lash != 0:
         phase += y.lash_rad[watch.gear]
@@ -31,7 +31,7 @@ def _watched(y: State, watch: Watch) -> float:
 
 
 @inlined
-def _beyond(y: State, event: int, rig: Rig) -> float:
+def _beyond(y: RigState, event: int, rig: Rig) -> float:
     """How far a state is beyond an event's limit: positive once the event has happened."""
     beyond: float
     if event >= at.STOPPED:
@@ -64,15 +64,15 @@ def _root(event: int, h: float, rig: Rig) -> float:
     f_low = _beyond(rig.y, event, rig)
     f_high = _beyond(rig.after, event, rig)
     side = 0
-    for iteration in range(MAX_ITERATIONS):
-        last = f_low >= 0.0 or high - low < ROOT_S or iteration == MAX_ITERATIONS - 1
+    for iteration in range(EVENT_ITERATIONS):
+        last = f_low >= 0.0 or high - low < EVENT_ROOT_S or iteration == EVENT_ITERATIONS - 1
         if f_low >= 0.0:
             high = 0.0
         s = high
         if not last:
             s = (low * f_high - high * f_low) / (f_high - f_low)
             # a hair inside the bracket: an almost linear function lands on the root and would stay
-            s = min(max(s, low + 0.5 * ROOT_S), high - 0.5 * ROOT_S)
+            s = min(max(s, low + 0.5 * EVENT_ROOT_S), high - 0.5 * EVENT_ROOT_S)
         step(rig, s)
         if last:
             break
@@ -126,11 +126,11 @@ def _torque_event(rig: Rig) -> int:
         if i == at.CLUTCH:
             high = capacity_nm(rig.after.clutch, rig.p.plates)
             low = -high
-        if torque < low - FIRM_NM or torque > high + FIRM_NM:
+        if torque < low - TORQUE_MARGIN_NM or torque > high + TORQUE_MARGIN_NM:
             return at.LINK_SLIPS + i
     if g.release_nm >= 0.0 and abs(torques.link_nm[at.MAIN_BOX]) <= g.release_nm:
         return at.CAN_RELEASE
-    if g.held != 0 and abs(torques.pull_nm) > torques.hold_nm + FIRM_NM:
+    if g.held != 0 and abs(torques.pull_nm) > torques.hold_nm + TORQUE_MARGIN_NM:
         return at.LET_GO
     return at.REACHED
 

@@ -26,11 +26,11 @@ from meshpoint.rig_sim.truck.position_sensors import PositionSensors
 from meshpoint.units import BAR, MM, MS, SECOND_US
 
 T = TypeVar("T")
-CHANNELS: Final = "channel 0..7: input, layshaft, main, propeller, each rise then fall"
-VALVES: Final = "valve 0..8 in the order of ValveCommand"
-SLEEVES: Final = "sleeve 0 first/second, 1 crawl/third, 2 splitter, 3 range"
+CHANNEL_TARGETS: Final = "channel 0..7: input, layshaft, main, propeller, each rise then fall"
+VALVE_TARGETS: Final = "valve 0..8 in the order of ValveCommand"
+SLEEVE_TARGETS: Final = "sleeve 0 first/second, 1 crawl/third, 2 splitter, 3 range"
 MOST_PPM: Final = 1e4
-FOREVER_US: Final = 1 << 53
+FAULT_FOREVER_US: Final = 1 << 53
 
 
 class Kind(NamedTuple):
@@ -44,18 +44,18 @@ class Kind(NamedTuple):
 
 KINDS: Final[dict[RigFault, Kind]] = {
     RigFault.NO_FAULT: Kind("ends all faults", "-", 0, "-"),
-    RigFault.HALL_DROPOUT: Kind("a Hall channel is silent", CHANNELS, 8, "-"),
-    RigFault.HALL_MISSING_TOOTH: Kind("a tooth gives no edge", CHANNELS, 8, "tooth, from 0"),
-    RigFault.HALL_DOUBLE_EDGE: Kind("each edge comes twice, 60 us apart", CHANNELS, 8, "-"),
+    RigFault.HALL_DROPOUT: Kind("a Hall channel is silent", CHANNEL_TARGETS, 8, "-"),
+    RigFault.HALL_MISSING_TOOTH: Kind("a tooth gives no edge", CHANNEL_TARGETS, 8, "tooth, from 0"),
+    RigFault.HALL_DOUBLE_EDGE: Kind("each edge comes twice, 60 us apart", CHANNEL_TARGETS, 8, "-"),
     RigFault.HALL_NOISE_BURST: Kind(
-        "each edge comes with a burst", CHANNELS, 8, "edges more, 1..8"
+        "each edge comes with a burst", CHANNEL_TARGETS, 8, "edges more, 1..8"
     ),
-    RigFault.VALVE_STUCK: Kind("a valve stays as it is", VALVES, 9, "-"),
-    RigFault.VALVE_SLOW: Kind("a valve follows its coil late", VALVES, 9, "ms"),
+    RigFault.VALVE_STUCK: Kind("a valve stays as it is", VALVE_TARGETS, 9, "-"),
+    RigFault.VALVE_SLOW: Kind("a valve follows its coil late", VALVE_TARGETS, 9, "ms"),
     RigFault.SUPPLY_DROP: Kind("the tank leaks down to a pressure", "-", 0, "bar, absolute"),
-    RigFault.SLEEVE_JAMMED: Kind("activations do not move a sleeve", SLEEVES, 4, "-"),
-    RigFault.POSITION_OFFSET: Kind("a position sensor lies by", SLEEVES, 4, "mm"),
-    RigFault.POSITION_FROZEN: Kind("a position sensor repeats itself", SLEEVES, 4, "-"),
+    RigFault.SLEEVE_JAMMED: Kind("activations do not move a sleeve", SLEEVE_TARGETS, 4, "-"),
+    RigFault.POSITION_OFFSET: Kind("a position sensor lies by", SLEEVE_TARGETS, 4, "mm"),
+    RigFault.POSITION_FROZEN: Kind("a position sensor repeats itself", SLEEVE_TARGETS, 4, "-"),
     RigFault.FROZEN_PAYLOAD: Kind("old content under a live counter", "0 edges, 1 slow", 2, "-"),
     RigFault.BRAKE_FADE: Kind("the brake has this share of its torque", "-", 0, "%"),
     RigFault.CLUTCH_STUCK: Kind("the clutch stays on its way", "-", 0, "-"),
@@ -105,7 +105,7 @@ class Faultable(Protocol):
         """Does something this much after the plant's present instant."""
 
 
-class FaultDesk:
+class FaultInjector:
     """Switches faults of one world on and off, at the plant's present instant."""
 
     def __init__(self, world: Faultable) -> None:
@@ -177,12 +177,12 @@ class FaultDesk:
         self._slow_us.pop(valve, None)
 
 
-Starter = Callable[[Faultable, FaultDesk, FaultOrder], Callable[[], None]]
+Starter = Callable[[Faultable, FaultInjector, FaultOrder], Callable[[], None]]
 """Begins a fault and returns what ends it: a partial, so that a copy of the world ends its own."""
 
 
 def _channel(field: str, value: Callable[[FaultOrder], int]) -> Starter:
-    def start(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+    def start(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
         hall = world.plant.rig.hall[order.target]
         setattr(hall, field, value(order))
         return partial(setattr, hall, field, 0)
@@ -190,14 +190,14 @@ def _channel(field: str, value: Callable[[FaultOrder], int]) -> Starter:
     return start
 
 
-def _freeze(_: Faultable, desk: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _freeze(_: Faultable, injector: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     freezer: Freezer[list[EdgeRead]] | Freezer[SensorRead]
-    freezer = desk.edges if order.target == 0 else desk.slow
+    freezer = injector.edges if order.target == 0 else injector.slow
     freezer.frozen = True
     return partial(setattr, freezer, "frozen", False)
 
 
-def _leak(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _leak(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     g, y, p = world.plant.g, world.plant.y, world.plant.p
     before = g.governed_pa
     g.governed_pa = max(order.value * BAR, p.air.atmosphere_pa)
@@ -205,27 +205,27 @@ def _leak(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], Non
     return partial(setattr, g, "governed_pa", before)
 
 
-def _fade(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _fade(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     brake = world.plant.p.brake
     before = brake.gain_nm_pa
     brake.gain_nm_pa = before * max(order.value, 0.0) / 100.0
     return partial(setattr, brake, "gain_nm_pa", before)
 
 
-def _jam(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _jam(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     name = Sleeve(order.target)
     sleeve = world.script.step_sleeve(name) or world.engagement.sleeves[name]
     sleeve.jammed = True
     return partial(setattr, sleeve, "jammed", False)
 
 
-def _lie(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _lie(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     name = Sleeve(order.target)
     world.positions.lie(name, order.value * MM)
     return partial(world.positions.lie, name, 0.0)
 
 
-def _repeat(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _repeat(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     name = Sleeve(order.target)
     world.positions.freeze(name, frozen=True)
     return partial(world.positions.freeze, name, frozen=False)
@@ -241,7 +241,7 @@ def _deafen(world: Faultable, *_: object) -> Callable[[], None]:
     return partial(setattr, world.engine, "deaf", False)
 
 
-def _drift(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _drift(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     _run_fast(world, min(max(order.value, -MOST_PPM), MOST_PPM))
     return partial(_run_fast, world, 0.0)
 
@@ -250,7 +250,7 @@ def _run_fast(world: Faultable, ppm: float) -> None:
     world.clock.drift(world.plant.time_us, ppm)
 
 
-def _jump(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _jump(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     ahead_us = round(order.value)
     _step_ahead(world, ahead_us)
     return partial(_step_ahead, world, -ahead_us)
@@ -274,9 +274,9 @@ def _come_back(world: Faultable) -> None:
     world.plant.edges.power_up(time_us)
 
 
-def _stall(world: Faultable, _: FaultDesk, order: FaultOrder) -> Callable[[], None]:
+def _stall(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
     now_us = round(world.plant.time_us)
-    world.node.stalled_until_us = now_us + (order.duration_us or FOREVER_US)
+    world.node.stalled_until_us = now_us + (order.duration_us or FAULT_FOREVER_US)
     return partial(setattr, world.node, "stalled_until_us", 0)
 
 
@@ -285,8 +285,8 @@ _STARTERS: Final[dict[RigFault, Starter]] = {
     RigFault.HALL_MISSING_TOOTH: _channel("missing", lambda order: int(order.value) + 1),
     RigFault.HALL_DOUBLE_EDGE: _channel("extra", lambda _: 1),
     RigFault.HALL_NOISE_BURST: _channel("extra", lambda order: min(max(int(order.value), 1), 8)),
-    RigFault.VALVE_STUCK: lambda _, desk, order: desk.stick(Valve(order.target)),
-    RigFault.VALVE_SLOW: lambda _, desk, order: desk.slow_down(
+    RigFault.VALVE_STUCK: lambda _, injector, order: injector.stick(Valve(order.target)),
+    RigFault.VALVE_SLOW: lambda _, injector, order: injector.slow_down(
         Valve(order.target), max(order.value, 0.0) * MS * SECOND_US
     ),
     RigFault.SUPPLY_DROP: _leak,

@@ -20,7 +20,7 @@ from meshpoint.rig_sim.truck.layout import Rig
 from meshpoint.rig_sim.truck.step import step
 from meshpoint.units import SECOND_US
 
-FINE_US: Final = 250.0
+FINE_GRID_US: Final = 250.0
 QUIET_PA_S: Final = 1e4
 
 
@@ -51,7 +51,7 @@ def _next_grid_us(t_us: float, rig: Rig) -> float:
     for shafts that twist, which swing fast."""
     grid_us = rig.p.step_us
     if abs(rig.stages[0].brake_pa) > QUIET_PA_S or rig.p.twisting.stiff_nm_rad > 0.0:
-        grid_us = min(grid_us, FINE_US)
+        grid_us = min(grid_us, FINE_GRID_US)
     return (math.floor(t_us / grid_us) + 1.0) * grid_us
 
 
@@ -64,8 +64,8 @@ def _copy(source: Floats, target: Floats) -> None:
 @inlined
 def _remember(t_us: float, rig: Rig) -> None:
     """The layshaft's angle and speed, every 2 ms, for the reference encoder."""
-    count = math.floor(t_us / at.HISTORY_US)
-    if count * at.HISTORY_US == t_us:
+    count = math.floor(t_us / at.HISTORY_STEP_US)
+    if count * at.HISTORY_STEP_US == t_us:
         past = rig.history[int(count) % at.HISTORY]
         past.turns = rig.laps[at.LAYSHAFT]
         past.rest_rad = rig.y.angle_rad[at.LAYSHAFT]

@@ -47,10 +47,10 @@ FIRST_EDGES: Final = 16
 JITTERS: Final = 4096
 EXTRA_EDGE_US: Final = 60.0
 HISTORY: Final = 8
-HISTORY_US: Final = 2000
+HISTORY_STEP_US: Final = 2000
 
 
-class State(Vector):
+class RigState(Vector):
     """What is integrated; and, with the same names, its rates of change, each per second."""
 
     speed_rad_s: Annotated[Row[float], BODIES]
@@ -150,7 +150,7 @@ class Contact(Record):
     behind: int
 
 
-class Watch(Record):
+class PhaseWatch(Record):
     """A phase whose leaving a span is an event; one for each main sleeve."""
 
     gear: int  # index; -1: not watched
@@ -192,19 +192,19 @@ class Past(Record):
 class Rig(Record):
     """All that the kernels read and change."""
 
-    y: State
+    y: RigState
     g: Connections
     contacts: Annotated[Row[Contact], CONTACTS]
     laps: Annotated[Row[int], BODIES]  # whole turns
     captured: Captured
     p: PlantParameters
-    watches: Annotated[Row[Watch], WATCHES]
+    watches: Annotated[Row[PhaseWatch], WATCHES]
     hall: Annotated[Row[Hall], CHANNELS]
     jitter_s: Annotated[Row[float], JITTERS]  # turned into angle at the present speed
     history: Annotated[Row[Past], HISTORY]
-    stages: Annotated[Row[State], 4]  # rates at the stages of a step
-    after: State  # at its end
-    ahead: State  # the rates there
+    stages: Annotated[Row[RigState], 4]  # rates at the stages of a step
+    after: RigState  # at its end
+    ahead: RigState  # the rates there
     torques: Torques
 
     def moving(self) -> bytes:

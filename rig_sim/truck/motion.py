@@ -19,11 +19,11 @@ from meshpoint.rig_sim.parts.lash import lash_rad_s
 from meshpoint.rig_sim.parts.pneumatics import chamber_pa_s, tank_pa_s
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.driveline import load_propeller
-from meshpoint.rig_sim.truck.layout import Rig, State
+from meshpoint.rig_sim.truck.layout import Rig, RigState
 
 
 @inlined
-def _load_bodies(y: State, rate: State, rig: Rig) -> float:
+def _load_bodies(y: RigState, rate: RigState, rig: Rig) -> float:
     """Torque on each body from outside, and its power. Returns the brake's torque."""
     p, g, torques = rig.p, rig.g, rig.torques
     speed = y.speed_rad_s
@@ -47,7 +47,7 @@ def _load_bodies(y: State, rate: State, rig: Rig) -> float:
 
 
 @inlined
-def _rub(y: State, rate: State, rig: Rig) -> None:
+def _rub(y: RigState, rate: RigState, rig: Rig) -> None:
     """Friction of all surfaces that rub, and its power."""
     torques = rig.torques
     rate.rub_j = 0.0
@@ -66,7 +66,7 @@ def _rub(y: State, rate: State, rig: Rig) -> None:
 
 
 @inlined
-def _accelerate(y: State, rate: State, rig: Rig) -> None:
+def _accelerate(y: RigState, rate: RigState, rig: Rig) -> None:
     """Group by group; then what the rigid links carry."""
     g, torques = rig.g, rig.torques
     for k in range(at.BODIES):
@@ -100,7 +100,7 @@ def _accelerate(y: State, rate: State, rig: Rig) -> None:
 
 
 @inlined
-def _move_in_backlash(y: State, rate: State, rig: Rig) -> None:
+def _move_in_backlash(y: RigState, rate: RigState, rig: Rig) -> None:
     """Phases of the gears, and where gears and input shaft lie in their meshes."""
     p, torques = rig.p, rig.torques
     for gear in range(at.GEARS):
@@ -116,7 +116,7 @@ def _move_in_backlash(y: State, rate: State, rig: Rig) -> None:
 
 
 @inlined
-def rates(y: State, rate: State, rig: Rig) -> None:
+def rates(y: RigState, rate: RigState, rig: Rig) -> None:
     """dy/dt at state y into `rate`; torques into those of the rig."""
     p, g = rig.p, rig.g
     brake = _load_bodies(y, rate, rig)

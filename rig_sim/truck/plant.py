@@ -14,17 +14,17 @@ import numpy as np
 
 from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.sheet import GearboxSheet
-from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.records import RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import Floats, settled, wrapped
 from meshpoint.rig_sim.shared.angles import Angle, Shafts
 from meshpoint.rig_sim.shared.rotation import Drive
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt
-from meshpoint.rig_sim.truck.chain import UNLIMITED, Chain
+from meshpoint.rig_sim.truck.chain import UNLIMITED, BodyChain
 from meshpoint.rig_sim.truck.constants import load_parameters
 from meshpoint.rig_sim.truck.edges import TruckEdges
 from meshpoint.rig_sim.truck.kernels import advance, sample
-from meshpoint.rig_sim.truck.layout import Contact, Rig, Watch
+from meshpoint.rig_sim.truck.layout import Contact, PhaseWatch, Rig
 
 INDEX: Final = {gear: index for index, gear in enumerate(MAIN_GEARS)}
 
@@ -105,14 +105,14 @@ class TruckPlant:
     ) -> None:
         self._sheet = sheet
         self.time_us = 0.0
-        self._memory = Memory(Rig())
+        self._memory = RecordArray(Rig())
         self.rig = rig = self._memory.record
         self.p, self.y, self.g = rig.p, rig.y, rig.g
         load_parameters(self.p, sheet, built)
         for row in range(at.WATCHES):
             self.unwatch(row)
         self.shafts = TruckShafts(sheet, self, start.split, start.range_)
-        self.chain = Chain(rig)
+        self.chain = BodyChain(rig)
         self.impacts_j = 0.0
         self._cones_nm = (built["synchro.splitter_nm"], built["synchro.range_nm"])
         self.constant_speed = built["vehicle.constant_speed"] >= 0.5
@@ -247,7 +247,7 @@ class TruckPlant:
         middle = (span[0] + span[1]) / 2.0
         offset = wrapped(phase - middle, self._sheet.dog.pitch_rad) + middle - phase
         low, high = min(span[0], phase + offset), max(span[1], phase + offset)
-        self.rig.watches[row] = Watch(index, low, high, offset, with_lash)
+        self.rig.watches[row] = PhaseWatch(index, low, high, offset, with_lash)
 
     def unwatch(self, row: int) -> None:
         """No more events of that row."""

@@ -17,10 +17,10 @@ from meshpoint.gearbox.gears import Sleeve
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.units import MM
 
-TABLE: Final = 4096
-STREAM: Final = 0x905
+NOISE_SAMPLES: Final = 4096
+POSITION_STREAM: Final = 0x905
 SAMPLE_US: Final = 1_000
-SAMPLES: Final = 10
+READ_SAMPLES: Final = 10
 REACH_M: Final = 0.0199  # the signal's range; the sensor saturates
 
 
@@ -28,11 +28,11 @@ class PositionSensors:
     """Four sensors. `lie` and `freeze` are for faults."""
 
     def __init__(self, built: AsBuilt) -> None:
-        rng = np.random.Generator(np.random.PCG64([built.teeth_seed, STREAM]))
-        noise_m = (built["position.noise_mm"] * MM * rng.standard_normal(TABLE)).tolist()
+        rng = np.random.Generator(np.random.PCG64([built.teeth_seed, POSITION_STREAM]))
+        noise_m = (built["position.noise_mm"] * MM * rng.standard_normal(NOISE_SAMPLES)).tolist()
         # backwards and a little beyond its start: a read is then a slice, the newest first. An
         # array, because a copy of the rig copies four thousand numbers of a list one by one
-        self._noise_m = array("d", noise_m[::-1] + noise_m[: -SAMPLES - 1 : -1])
+        self._noise_m = array("d", noise_m[::-1] + noise_m[: -READ_SAMPLES - 1 : -1])
         # one drawn value would be the same for all: spread it over the four with their own signs
         signs = {name: float(rng.uniform(-1.0, 1.0)) for name in Sleeve}
         self._offset_m = {name: built["position.offset_mm"] * MM * signs[name] for name in Sleeve}
@@ -47,9 +47,9 @@ class PositionSensors:
         if held is not None:
             return held
         gain, offset_m = self._gain[name], self._offset_m[name] + self._extra_m[name]
-        newest = TABLE - 1 - (now_us // SAMPLE_US + 1021 * name) % TABLE
-        noise_m = self._noise_m[newest : newest + SAMPLES]
-        if true_m.count(true_m[0]) == SAMPLES:
+        newest = NOISE_SAMPLES - 1 - (now_us // SAMPLE_US + 1021 * name) % NOISE_SAMPLES
+        noise_m = self._noise_m[newest : newest + READ_SAMPLES]
+        if true_m.count(true_m[0]) == READ_SAMPLES:
             level_m = gain * true_m[0] + offset_m
             read = tuple([level_m + noise for noise in noise_m])
         else:
@@ -67,5 +67,5 @@ class PositionSensors:
 
     def freeze(self, name: Sleeve, frozen: bool) -> None:
         """From now on the sensor repeats itself, or no more."""
-        last = self._last.get(name, (0.0,) * SAMPLES)
+        last = self._last.get(name, (0.0,) * READ_SAMPLES)
         self.frozen[name] = (last[0],) * len(last) if frozen else None

@@ -18,10 +18,10 @@ from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox.tables import TableError, load_toml
 from meshpoint.rig_sim.orders import FaultOrder, ScheduledFault
 from meshpoint.rig_sim.truck.faults import KINDS
+from meshpoint.units import MS_US
 
 LONGEST_MS: Final = 1e9
 KEYS: Final = ("kind", "target", "at_ms", "for_ms", "value")
-MS_US: Final = 1000.0
 
 
 class ScenarioError(TableError):

@@ -18,7 +18,7 @@ from typing import NamedTuple
 from meshpoint.gearbox.sheet import SleeveActuator
 from meshpoint.rig_sim.shared.sleeves import (
     NEVER_US,
-    Sleeve,
+    SleeveAxis,
     SleeveEvent,
     SleeveState,
     Stroke,
@@ -56,7 +56,7 @@ def axial(built: AsBuilt, radius_m: float) -> Axial:
     )
 
 
-class TruckSleeve(Sleeve):
+class TruckSleeve(SleeveAxis):
     """One main sleeve."""
 
     def __init__(self, actuator: SleeveActuator, engaged_side: int, axis: Axial) -> None:

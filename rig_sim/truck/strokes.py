@@ -18,7 +18,7 @@ from meshpoint.rig_sim.shared.angle_kernels import Floats
 from meshpoint.units import SECOND_US
 
 SLOWEST_M_S: Final = 1e-3
-ROOT_S: Final = 1e-10
+STROKE_ROOT_S: Final = 1e-10
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Push:
             low, high = high, 2.0 * high
             if high > 10.0:
                 return math.inf
-        while high - low > ROOT_S:
+        while high - low > STROKE_ROOT_S:
             middle = 0.5 * (low + high)
             if self.way_m(middle) < way_m:
                 low = middle

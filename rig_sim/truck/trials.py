@@ -1,7 +1,7 @@
 """Engagements of a truck gearbox one after the other, each with a phase and a slip of its own.
 
-No frames, no controller: the sleeve is put back into neutral, the gear given phase and slip, the
-valve opened. For questions to the dog teeth themselves.
+Without frames and without a controller: for each trial the sleeve is set to neutral, the gear is
+given its phase and slip, and the sleeve's valve is opened. For studies of the dog teeth alone.
 """
 
 from __future__ import annotations
@@ -15,14 +15,12 @@ from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.rig_sim.shared.engagement import VALVE_OF_MAIN, Engaged
 from meshpoint.rig_sim.truck import layout as at
-from meshpoint.rig_sim.truck.engagement import ROWS
 from meshpoint.rig_sim.truck.plant import INDEX
-from meshpoint.rig_sim.truck.sleeves import TruckSleeve
 from meshpoint.rig_sim.truck.world import TruckWorld
 
 
 class Outcome(NamedTuple):
-    """What an engagement came to."""
+    """How one tried engagement ended. Slips in rad/s, gear less sleeve."""
 
     contact: Engaged
     passed: Engaged | None
@@ -32,12 +30,12 @@ class Outcome(NamedTuple):
 
     @property
     def in_gap(self) -> bool:
-        """Whether the tooth got into a gap."""
+        """Whether the tooth entered a gap, at first contact or after rubbing."""
         return self.passed is not None or self.contact.event is EngagementEvent.GAP_CONTACT
 
     @property
     def clean(self) -> bool:
-        """Into a gap at first contact, and no flank before the overlap held."""
+        """Whether it entered a gap at first contact and locked without being thrown back."""
         gap = self.contact.event is EngagementEvent.GAP_CONTACT
         return gap and self.locked is not None and self.locked.tally.ratchets == 0
 
@@ -57,16 +55,17 @@ class Trials:
         self.world = TruckWorld(sheet, settings)
         self.engagement, self.plant = self.world.engagement, self.world.plant
         self.sleeve = SLEEVE_OF_MAIN[gear].sleeve
-        self._axis = self.engagement.sleeves[self.sleeve].axis
-        self._actuator = self.world.sheet.sleeve
-        self.delay_s = self._actuator.delay_s
+        self.delay_s = self.world.sheet.sleeve.delay_s
         self.pitch_rad = self.world.sheet.dog.pitch_rad
         self.backlash_rad = self.world.sheet.dog.backlash_rad
         self.plant.script_layshaft(0.0)
         self.plant.coast()
 
     def engage(self, phase_rad: float, slip_rad_s: float, patience_us: float = 2e7) -> Outcome:
-        """With this phase and slip at contact, if the slip does not change on the way."""
+        """One engagement, ended by LOCKED, BLOCKED or after `patience_us`.
+
+        phase_rad and slip_rad_s are those at contact if the slip stays constant until then.
+        KeyError where the sleeve has not even met its gear by the end."""
         self._reset(phase_rad - slip_rad_s * self.delay_s, slip_rad_s)
         plant, engagement = self.plant, self.engagement
         engagement.records.clear()
@@ -78,7 +77,7 @@ class Trials:
             event = plant.advance(start_us + patience_us, engagement.next_us)
             if event == at.REACHED:
                 break
-            self.world._handle(event)
+            self.world.handle(event)
             for record in engagement.records:
                 found.setdefault(record.event, record)
             if EngagementEvent.LOCKED in found or EngagementEvent.BLOCKED in found:
@@ -93,13 +92,9 @@ class Trials:
         )
 
     def _reset(self, phase_rad: float, slip_rad_s: float) -> None:
-        plant, engagement = self.plant, self.engagement
-        name = self.sleeve
-        engagement._leave_face(name)
-        engagement._energised.clear()
-        plant.unwatch(ROWS[name])
+        plant = self.plant
+        self.engagement.reset_sleeve(self.sleeve)
         plant.coast()
-        engagement.sleeves[name] = TruckSleeve(self._actuator, 0, self._axis)
         omega = (plant.main_rad_s + slip_rad_s) / plant.ratio(self.gear)
         for body, rate in plant.chain.rates(plant.chain.group(at.LAYSHAFT), at.LAYSHAFT).items():
             plant.y.speed_rad_s[body] = omega * rate

@@ -20,26 +20,25 @@ from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
 from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.rig_sim.shared.angles import Shafts
 from meshpoint.rig_sim.shared.edge_ring import EdgeRead
-from meshpoint.rig_sim.shared.engagement import MAIN_VALVES, Engaged
+from meshpoint.rig_sim.shared.engagement import GEAR_OF_VALVE, Engaged
 from meshpoint.rig_sim.shared.node_state import NodeState
 from meshpoint.rig_sim.shared.script import BenchScript
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
 from meshpoint.rig_sim.shared.sleeves import NEVER_US
 from meshpoint.rig_sim.shared.start import draw_start, seeded
 from meshpoint.rig_sim.shared.valve_drivers import Change, Order, Valve, ValveBank
-from meshpoint.rig_sim.shared.world import EncoderRead, PhaseRead, SensorRead, Truth
+from meshpoint.rig_sim.shared.world import READ_US, EncoderRead, PhaseRead, SensorRead, Truth
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt, as_built_sheet, draw_as_built
 from meshpoint.rig_sim.truck.clutch import TruckClutch, TruckEngine
 from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.engagement import TruckEngagement
-from meshpoint.rig_sim.truck.faults import FaultDesk
+from meshpoint.rig_sim.truck.faults import FaultInjector
 from meshpoint.rig_sim.truck.plant import TruckPlant
 from meshpoint.rig_sim.truck.position_sensors import PositionSensors
 from meshpoint.rig_sim.truck.truth import TruckTruth
 from meshpoint.units import RPM, SECOND_US
 
-READ_US: Final = 10_000
 STEP_VALVES: Final[dict[Valve, tuple[Sleeve, int]]] = {
     Valve.SPLIT_LOW: (Sleeve.SPLITTER, -1),
     Valve.SPLIT_HIGH: (Sleeve.SPLITTER, 1),
@@ -81,13 +80,40 @@ class TruckWorld:
         self.clutch = TruckClutch(self.plant, self.sheet.clutch)
         self.engine = TruckEngine(self.plant)
         self.positions = PositionSensors(self.built)
-        self.faults = FaultDesk(self)
+        self.faults = FaultInjector(self)
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._asked = 0
         self._read_us = 0
         self._due_us = self._next_due()
         for scheduled in settings.faults:
             self._at(float(scheduled.at_us), partial(self.faults.begin, scheduled.order))
+
+    def handle(self, event: int) -> None:
+        """Act on what `plant.advance` has returned (`layout`: DUE and those that follow)."""
+        time_us = self.plant.time_us
+        if event == at.DUE:
+            while self._queue and self._queue[0][0] <= time_us:
+                heapq.heappop(self._queue)[2]()
+            self.clutch.due(time_us)
+            self.engine.due(time_us)
+            self.engagement.due(time_us)
+            self.script.due(time_us)
+        elif event >= at.LINK_SLIPS:
+            self._torque_event(event)
+        elif event == at.STOPPED:
+            self.plant.stop()
+        elif event >= at.NO_SLIP:
+            self._no_slip(event - at.NO_SLIP)
+        elif event >= at.LEFT_BOTTOM:
+            self.engagement.left(event - at.LEFT_BOTTOM, -1)
+        else:
+            self.engagement.left(event - at.LEFT_TOP, 1)
+        if self.engagement.scripted:
+            # The bench moves the shafts: there is nothing left for the cones to do.
+            self.script.splitter.go_in(time_us)
+            self.script.range_.go_in(time_us)
+        self.script.watch()
+        self.engine.settle()
 
     def run_to(self, until_us: int) -> bool:
         """Go on to this instant, or to the next 10 ms read if that comes first: then True."""
@@ -102,7 +128,7 @@ class TruckWorld:
             events += 1
             if events > MOST_EVENTS:
                 raise RuntimeError(f"over {MOST_EVENTS} events of the gearbox by {target_us} us")
-            self._handle(event)
+            self.handle(event)
             self._due_us = self._next_due()
         if self._read_us > until_us:
             return False
@@ -218,32 +244,6 @@ class TruckWorld:
             self.engine.next_us,
         )
 
-    def _handle(self, event: int) -> None:
-        time_us = self.plant.time_us
-        if event == at.DUE:
-            while self._queue and self._queue[0][0] <= time_us:
-                heapq.heappop(self._queue)[2]()
-            self.clutch.due(time_us)
-            self.engine.due(time_us)
-            self.engagement.due(time_us)
-            self.script.due(time_us)
-        elif event >= at.LINK_SLIPS:
-            self._torque_event(event)
-        elif event == at.STOPPED:
-            self.plant.stop()
-        elif event >= at.NO_SLIP:
-            self._no_slip(event - at.NO_SLIP)
-        elif event >= at.LEFT_BOTTOM:
-            self.engagement.left(event - at.LEFT_BOTTOM, -1)
-        else:
-            self.engagement.left(event - at.LEFT_TOP, 1)
-        if self.engagement.scripted:
-            # The bench moves the shafts: there is nothing left for the cones to do.
-            self.script.splitter.go_in(time_us)
-            self.script.range_.go_in(time_us)
-        self.script.watch()
-        self.engine.settle()
-
     def _torque_event(self, event: int) -> None:
         if event == at.LET_GO:
             self.plant.let_go()
@@ -303,7 +303,7 @@ class TruckWorld:
             delay_us = self.sheet.brake.valve_delay_s * SECOND_US
             self.later(delay_us, partial(self.plant.set_brake, float(on)))
             self.engagement.switch(valve, on, time_us)
-        elif valve in MAIN_VALVES:
+        elif valve in GEAR_OF_VALVE:
             self.engagement.switch(valve, on, time_us)
         elif on:
             self._change_over(*STEP_VALVES[valve])

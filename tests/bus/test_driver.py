@@ -211,7 +211,7 @@ async def test_a_hub_that_dies_is_reported_and_replaced_and_nothing_stale_is_sen
             raise can.CanInitializationError("not yet")
         return MeshpointBus(channel)
 
-    monkeypatch.setattr("meshpoint.bus.driver.RETRY_S", 0.01)
+    monkeypatch.setattr("meshpoint.bus.driver.RECONNECT_S", 0.01)
     node = Run(Metronome(), open_bus)
     await node.until(lambda: node.statistics.frames_sent > 10)
     away.set()
@@ -240,10 +240,10 @@ async def test_a_node_whose_bus_is_away_ends_at_once(
     channel, process = hub
     node = Run(Metronome(), lambda: MeshpointBus(channel, start_hub=False))
     await node.until(lambda: node.statistics.frames_sent)
-    monkeypatch.setattr("meshpoint.bus.driver.RETRY_S", 0.01)
+    monkeypatch.setattr("meshpoint.bus.driver.RECONNECT_S", 0.01)
     process.kill()
     await node.until(lambda: any("bus still away" in event for event in node.events))
-    monkeypatch.setattr("meshpoint.bus.driver.RETRY_S", 1000.0)
+    monkeypatch.setattr("meshpoint.bus.driver.RECONNECT_S", 1000.0)
     await asyncio.sleep(0.1)
     await node.end()
     assert sum("bus still away" in event for event in node.events) == 1
@@ -254,7 +254,7 @@ async def test_a_node_whose_bus_is_away_ends_at_once(
 async def test_a_reopened_bus_that_carries_nothing_is_not_called_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("meshpoint.bus.driver.RETRY_S", 0.05)
+    monkeypatch.setattr("meshpoint.bus.driver.RECONNECT_S", 0.05)
     down = can.CanOperationError("Failed to transmit: Network is down", errno.ENETDOWN)
     buses = [ScriptedBus(), ScriptedBus(send_error=down), ScriptedBus(send_error=down)]
     opened: list[ScriptedBus] = []

@@ -14,9 +14,9 @@ from patience import HANG_S
 from meshpoint.bus.core import Step
 from meshpoint.bus.driver import run_node
 from meshpoint.bus.pace import (
+    BUS_SILENCE_US,
     HEARTBEAT_US,
     PACED_NODES,
-    SILENCE_US,
     SLACK_US,
     PacedClock,
     PaceError,
@@ -233,7 +233,7 @@ def test_time_waits_for_frames_on_their_way_and_gives_a_silent_bus_up(tmp_path):
     clock.heard()
     run(500)
     waited_us = file.now_us - 50_000
-    assert SILENCE_US <= waited_us <= SILENCE_US + HEARTBEAT_US + 2 * SLACK_US
+    assert BUS_SILENCE_US <= waited_us <= BUS_SILENCE_US + HEARTBEAT_US + 2 * SLACK_US
     clock.heard()
     run(10)
     assert file.now_us - 50_000 >= waited_us + 9_000, "time goes on with the frame"

@@ -10,7 +10,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from meshpoint.controller.calibration.file import MOST_KEPT, SIZE_LIMIT_BYTES, load, read_file, save
+from meshpoint.controller.calibration.file import (
+    CALIBRATION_LIMIT_BYTES,
+    MOST_KEPT,
+    load,
+    read_file,
+    save,
+)
 from meshpoint.controller.calibration.learned import (
     BrakeRecord,
     Calibration,
@@ -190,7 +196,7 @@ def test_a_bad_file_is_refused_by_name_kept_aside_and_the_start_is_cold(
 
 
 @pytest.mark.parametrize(
-    "content", [bytes(range(256)), b"#" * (SIZE_LIMIT_BYTES + 1), TEXT.encode("utf-16")],
+    "content", [bytes(range(256)), b"#" * (CALIBRATION_LIMIT_BYTES + 1), TEXT.encode("utf-16")],
     ids=["binary", "too large", "utf-16"],
 )  # fmt: skip
 def test_a_file_that_is_no_text_is_refused(content: bytes, tmp_path: Path) -> None:

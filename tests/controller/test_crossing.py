@@ -120,7 +120,7 @@ def filtered(bench: Bench) -> dict[str, object]:
                 error, correlation = error_over_claim(bench.runs.state[to_us // 100, run], ahead)
                 ahead_errors[end_us].append(error)
                 ahead_squares[end_us].append(error @ np.linalg.solve(correlation, error))
-        innovations += crossing.agreement
+        innovations += crossing.nis
     # An edge that the gate refuses is not counted.
     assert innovations[1] == edge_count
     return {

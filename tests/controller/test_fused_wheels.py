@@ -1,4 +1,4 @@
-"""A further wheel's edges in the crossing-time filter: when they help, and when backlash makes them
+"""A geared wheel's edges in the crossing-time filter: when they help, and when backlash makes them
 hurt. The shafts are those of `free_layshaft`, written apart from the filter; bands as in
 `test_crossing`."""
 
@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 from wheel import READ_US, Wheel
 
-from meshpoint.controller.estimation.crossing_filter import CrossingFilter, FurtherEdges, Pressures
+from meshpoint.controller.estimation.crossing_filter import CrossingFilter, GearedEdges, Pressures
 from meshpoint.controller.estimation.crossing_tracker import MainTracker
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.motion.models import MotionModel, diagonal, free_motion
@@ -54,7 +54,7 @@ class Bench(NamedTuple):
     runs: Runs
     offset: dict[str, np.ndarray]
     """(n, runs) on the grid of STEP_S, by mesh."""
-    further: dict[str, list]
+    geared: dict[str, list]
 
 
 @pytest.fixture(scope="module")
@@ -81,12 +81,12 @@ def bench(sheet: GearboxSheet) -> Bench:
     offset = {"tight": walk, "lash": walk + lash}
     ratio = sheet.split_mesh(Split.HIGH).ratio
     wheel = replace(world, half_pitch_rad=ratio * math.pi / sheet.wheels.input_.teeth)
-    further = {
+    geared = {
         mesh: [edges_of(wheel, seen_through(runs, angle, i), rng) for i in range(RUNS)]
         for mesh, angle in offset.items()
     }
     model = free_motion(sheet, Split.HIGH, law_array(), TUNING)
-    return Bench(model, x, p, runs, offset, further)
+    return Bench(model, x, p, runs, offset, geared)
 
 
 def seen_through(runs: Runs, offset: np.ndarray, i: int) -> np.ndarray:
@@ -115,11 +115,11 @@ def take(
     run: int,
     span: tuple,
     own: np.ndarray,
-    further: np.ndarray | None,
+    geared: np.ndarray | None,
 ) -> None:
     pressures = Pressures(*within(bench.runs.pressures[run], *span))
     sd_rad = TUNING.tooth_error_rad
-    more = None if further is None else FurtherEdges(further, sd_rad)
+    more = None if geared is None else GearedEdges(geared, sd_rad)
     crossing.take(own, sd_rad, pressures, SWITCHES, bench.model, more)
 
 
@@ -135,14 +135,14 @@ class Followed(NamedTuple):
 
 
 def follow(bench: Bench, through: str | None, mesh: tuple = RIGID_MESH) -> Followed:
-    """All runs in batches; through which mesh the further wheel is seen, None without it."""
+    """All runs in batches; through which mesh the geared wheel is seen, None without it."""
     angle_rad, angle, squares, offset, innovations = [], [], [], [], np.zeros(2)
     for run in range(RUNS):
         crossing = begun(bench, mesh)
         for end_us in range(BATCH_US, END_US + 1, BATCH_US):
             span = end_us - BATCH_US, end_us
-            further = None if through is None else within(bench.further[through][run], *span)
-            take(crossing, bench, run, span, within(bench.runs.edges[run], *span), further)
+            geared = None if through is None else within(bench.geared[through][run], *span)
+            take(crossing, bench, run, span, within(bench.runs.edges[run], *span), geared)
             if end_us < SETTLED_US:
                 continue
             state = crossing.at(end_us, SWITCHES, bench.model)
@@ -156,7 +156,7 @@ def follow(bench: Bench, through: str | None, mesh: tuple = RIGID_MESH) -> Follo
                 value, offset_sd = crossing.offset
                 truth = bench.offset[through][round(crossing.time_us) // 100, run]
                 offset.append((value - truth) / offset_sd)
-        innovations += crossing.agreement
+        innovations += crossing.nis
     shape = RUNS, -1
     return Followed(
         np.reshape(angle_rad, shape), np.reshape(angle, shape), np.reshape(squares, shape),
@@ -182,7 +182,7 @@ def band(freedom: float) -> np.ndarray:
     return chi2.ppf([0.025, 0.975], freedom) / freedom
 
 
-def test_a_further_wheel_helps_where_the_mesh_has_no_backlash(
+def test_a_geared_wheel_helps_where_the_mesh_has_no_backlash(
     alone: Followed, tight: Followed
 ) -> None:
     """0.77 over 1,000 runs of another seed; twice the edges cannot give less than 0.71."""
@@ -221,11 +221,11 @@ def test_an_offset_that_may_move_takes_the_backlash_up(
 
 @settings(deadline=None, max_examples=15, derandomize=True)
 @given(run=st.integers(0, RUNS - 1), delays=st.lists(st.integers(0, 3), min_size=25, max_size=25))
-def test_edges_of_a_further_wheel_that_come_late_end_in_the_same_state(
+def test_edges_of_a_geared_wheel_that_come_late_end_in_the_same_state(
     bench: Bench, run: int, delays: list[int]
 ) -> None:
     in_order, delayed = begun(bench, MESH), begun(bench, MESH)
-    time_us, angle = bench.further["lash"][run][:2]
+    time_us, angle = bench.geared["lash"][run][:2]
     arrives = np.maximum.accumulate([min(i + lag, 24) for i, lag in enumerate(delays)])
     # The first edge sets the offset, so that of both must be the same one.
     arrives[0] = 0
@@ -244,31 +244,31 @@ def test_edges_of_a_further_wheel_that_come_late_end_in_the_same_state(
 
 
 def test_wheels_that_stand_otherwise_to_each_other_are_taken_as_they_stand(bench: Bench) -> None:
-    """A jump of a whole degree: the further wheel is left out until the new offset is found."""
+    """A jump of a whole degree: the geared wheel is left out until the new offset is found."""
     crossing, edge_count = begun(bench, RIGID_MESH), 0
     for end_us in range(BATCH_US, END_US + 1, BATCH_US):
         span = end_us - BATCH_US, end_us
-        own, further = within(bench.runs.edges[0], *span), within(bench.further["tight"][0], *span)
-        further[1] += np.where(further[0] > 150e3, math.radians(1.0), 0.0)
-        edge_count += own.shape[1] + further.shape[1]
-        take(crossing, bench, 0, span, own, further)
+        own, geared = within(bench.runs.edges[0], *span), within(bench.geared["tight"][0], *span)
+        geared[1] += np.where(geared[0] > 150e3, math.radians(1.0), 0.0)
+        edge_count += own.shape[1] + geared.shape[1]
+        take(crossing, bench, 0, span, own, geared)
     offset_rad = bench.offset["tight"][-1, 0] + math.radians(1.0)
     # Neither the eight that were refused are counted, nor the two that gave an offset.
-    assert crossing.agreement[1] == edge_count - 8 - 2
+    assert crossing.nis[1] == edge_count - 8 - 2
     assert crossing.offset[0] == pytest.approx(offset_rad, abs=4.0 * crossing.offset[1])
     state = crossing.at(END_US, SWITCHES, bench.model)
     assert abs(state.theta_rad - bench.runs.state[-1, 0, 0]) < 4.0 * state.theta_sd_rad
 
 
-def test_a_further_wheel_does_not_stand_in_for_a_dead_sensor() -> None:
+def test_a_geared_wheel_does_not_stand_in_for_a_dead_sensor() -> None:
     """The main shaft's own edges end at 0.3 s; the propeller shaft's go on."""
     omega, sheet_wheel, ratio, half_pitch = 100.0, SheetWheel(45, 0.5), 0.25, math.pi / 45
     since_us = np.arange(1, 2000) * half_pitch / omega / ratio / US
     times_us = START_US + np.round(since_us).astype(int)
     wheel = Wheel(1, times_us[0::2].tolist(), times_us[1::2].tolist())
-    further, clock = GearedWheel("propeller shaft", sheet_wheel, TUNING), SensorClockEstimate()
-    main = MainTracker(TUNING, 45, (), further)
-    further.set_ratio(1.0 / ratio, dragged=False)
+    geared, clock = GearedWheel("propeller shaft", sheet_wheel, TUNING), SensorClockEstimate()
+    main = MainTracker(TUNING, 45, (), geared)
+    geared.set_ratio(1.0 / ratio, dragged=False)
     own_us = START_US + np.arange(1.0, 430.0) * half_pitch / omega / US
     number = np.arange(1, 430)
     events: list[str] = []
@@ -277,7 +277,7 @@ def test_a_further_wheel_does_not_stand_in_for_a_dead_sensor() -> None:
         new = (own_us > now_us - READ_US) & (own_us <= now_us)
         batch = EdgeBatch(own_us[new], half_pitch * number[new], number[new] // 2, number[new] % 2)
         main.set_free(True, events)
-        further.read([wheel.rise(now_us)], [wheel.fall(now_us)], clock, now_us)
+        geared.read([wheel.rise(now_us)], [wheel.fall(now_us)], clock, now_us)
         main.edges(batch)
         states[now_us] = main.at(now_us)
     dead_us = int(own_us[-1])

@@ -14,9 +14,9 @@ import pytest
 
 from meshpoint.controller.guard.limits import GuardLimits, guard_limits
 from meshpoint.controller.guard.rules import (
+    GUARD_ROWS,
     NO_SPANS,
     PROOF_STEPS,
-    ROWS,
     Case,
     Guard,
     GuardState,
@@ -132,8 +132,8 @@ def near(valve: ValveName) -> GuardInputs:
 
 
 def test_every_row_of_the_list_is_there_once() -> None:
-    assert sorted(row.number for row in ROWS) == list(range(1, 14))
-    assert {row.number for row in ROWS if row.latches} == {1, 2}
+    assert sorted(row.number for row in GUARD_ROWS) == list(range(1, 14))
+    assert {row.number for row in GUARD_ROWS if row.latches} == {1, 2}
 
 
 @pytest.mark.parametrize("valve", ValveName)

@@ -28,7 +28,7 @@ from meshpoint.controller.motion.linear_kernels import (
     propagate,
     thesis_filter,
 )
-from meshpoint.controller.records import Memory
+from meshpoint.controller.records import RecordMemory
 from meshpoint.units import US
 
 # Pressure in units of the supply (K = 1), so that g is the full braking in rad/s2 and expm, whose
@@ -205,9 +205,9 @@ def braked_edges(model: np.ndarray, on_us: float, off_us: float) -> tuple[np.nda
     return np.interp(angles, path.y[0], path.t) * 1e6, angles
 
 
-def thesis_memory(x: np.ndarray, model: np.ndarray) -> tuple[Memory, np.ndarray, np.ndarray]:
+def thesis_memory(x: np.ndarray, model: np.ndarray) -> tuple[RecordMemory, np.ndarray, np.ndarray]:
     """A filter in this state at time 0; and views of its state and covariance."""
-    memory = Memory(THESIS_FILTER)
+    memory = RecordMemory(THESIS_FILTER)
     memory.part("x")[:], memory.part("p")[:] = x, START_P
     memory.part("model")[:], memory.part("w")[:], memory.part("r_rad2")[0] = model, NOISE, R
     return memory, memory.part("x"), memory.part("p")
@@ -264,7 +264,7 @@ def test_the_cruise_filter_is_a_kalman_filter_with_random_acceleration() -> None
     rng = np.random.default_rng(3)
     times = np.cumsum(rng.uniform(800.0, 1200.0, 60)).round()
     angles = np.arange(1, 61) * np.pi / 45
-    memory = Memory(CRUISE_FILTER)
+    memory = RecordMemory(CRUISE_FILTER)
     memory.part("acceleration_rad_s2")[0], memory.part("edge_time_s")[0] = 30.0, 1e-6
     x, p = memory.part("x"), memory.part("p")
     x[:], p[:] = np.array([0.0, 70.0]), np.diag([1e-4, 9.0])

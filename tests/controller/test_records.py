@@ -14,7 +14,15 @@ from typing import Annotated
 import numpy as np
 import pytest
 
-from meshpoint.controller.records import Integers, Memory, Over, Records, Vector, filled, layout_of
+from meshpoint.controller.records import (
+    Integers,
+    Over,
+    RecordMemory,
+    Records,
+    Vector,
+    filled,
+    layout_of,
+)
 
 ROOT = Path(__file__).parents[2]
 MOST_ARGUMENTS, MOST_LINES = 6, 70
@@ -41,7 +49,7 @@ WHOLE = layout_of(Whole)
 
 
 def test_names_stand_on_flat_memory() -> None:
-    memory = Memory(WHOLE)
+    memory = RecordMemory(WHOLE)
     whole = memory.flat.view(WHOLE)[0]
     whole.time_us, whole.share = (1 << 62) + 1, 0.25
     whole.points[1].y_m = 7.0
@@ -54,7 +62,7 @@ def test_names_stand_on_flat_memory() -> None:
 
 
 def test_a_copy_has_memory_of_its_own() -> None:
-    memory = Memory(WHOLE)
+    memory = RecordMemory(WHOLE)
     memory.part("share")[0] = 1.0
     twice = copy.deepcopy([memory, memory])
     assert twice[0] is twice[1]
@@ -75,12 +83,12 @@ def test_a_record_is_filled_by_every_name_in_order() -> None:
 
 RUN = """
 import json, sys, numpy as np
-from meshpoint.controller.estimation.crossing_filter import CrossingFilter, FurtherEdges, Pressures
+from meshpoint.controller.estimation.crossing_filter import CrossingFilter, GearedEdges, Pressures
 from meshpoint.controller.sensing.gate_kernels import gate_edges
 from meshpoint.controller.sensing.gate_layout import new_gate, teeth_of
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.motion.models import diagonal, first_order_law, following_motion
-from meshpoint.controller.planning.plan_kernels import CONTACTS, MEETING, TERMS
+from meshpoint.controller.planning.plan_kernels import CONTACT_SERIES, MEETING, TERMS
 from meshpoint.controller.planning.plan_kernels import course, expected_least
 from meshpoint.controller.records import filled
 from meshpoint.controller.settings import CrossingFilterTuning
@@ -90,14 +98,14 @@ tuning = CrossingFilterTuning()
 model = following_motion(30.0, 0.05, 50.0).with_law(first_order_law(16.7, 8e5))
 switches = np.array([[20e3, 60e3], [1.0, 0.0]])
 edges = np.array((np.cumsum(rng.uniform(400.0, 600.0, 200)), np.pi / 45 * np.arange(1, 201)))
-further = FurtherEdges(edges[:, ::4] + [[50.0], [0.3]], 1e-3)
+geared = GearedEdges(edges[:, ::4] + [[50.0], [0.3]], 1e-3)
 pressures = Pressures(np.arange(10e3, 100e3, 10e3), rng.uniform(0.0, 2e5, 9))
 shaft = CrossingFilter(tuning)
 x = np.array([0.0, 140.0, 0.0, 0.0, 1.0, 0.0])
 p = diagonal(1e-2, 5.0, 1e4, 30.0, 0.1, 30.0)
 shaft.begin(0.0, x, p)
 shaft.set_mesh(1e-8, 1e-6, 1e4)
-shaft.take(edges, 1e-3, pressures, switches, model, further)
+shaft.take(edges, 1e-3, pressures, switches, model, geared)
 teeth = WheelTeeth(45, tuning)
 teeth.learner.begin(0.0, x, p)
 batch = EdgeBatch(edges[0], edges[1], np.arange(200) // 2, np.arange(200) % 2)
@@ -114,19 +122,19 @@ ahead = np.empty((2, 20))
 meeting = filled(MEETING, layshaft_us=0.0, first_us=1e3, step_us=2e3, i_gear=0.775,
     reference_rad=0.1, main_us=0.0, main_rad=1.0, main_rad_s=100.0, main_rad_s2=-3.0)
 course(x.copy(), switches, model.flat, meeting, ahead)
-contacts = filled(CONTACTS, wait_s=0.02, step_s=2e-3, variance_rad2=1e-6, growth_rad2_s=1e-5)
+contacts = filled(CONTACT_SERIES, wait_s=0.02, step_s=2e-3, variance_rad2=1e-6, growth_rad2_s=1e-5)
 terms = filled(TERMS, pitch_rad=0.13, half_gap_rad=0.013, target_rad=0.0, overlap_s=2e-3,
     delay_sd_s=1e-3, miss_s=0.2, block_s=0.1, block_slip_rad_s=1.0, energy_s3_rad2=1e-3,
     aim_s=1e-3, slip_low_rad_s=-1.0, slip_high_rad_s=50.0)
 least = expected_least(ahead[0], ahead[1], contacts, terms, 0.01)
 print(json.dumps([shaft.x.tolist(), shaft.p.tolist(), list(shaft.offset),
-    shaft.agreement.tolist(), window.normal.tolist(), window.right.tolist(), n,
+    shaft.nis.tolist(), window.normal.tolist(), window.right.tolist(), n,
     found[:, :n].tolist(), numbers[:2, :n].tolist(), ahead.tolist(), least]))
 """
 
 
 def test_compiled_and_plain_python_agree() -> None:
-    """Filter with a further wheel, teeth, gate with missing teeth, and plan."""
+    """Filter with a geared wheel, teeth, gate with missing teeth, and plan."""
 
     def run(disabled: str) -> list[np.ndarray]:
         environment = os.environ | {"NUMBA_DISABLE_JIT": disabled}

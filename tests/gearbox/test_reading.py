@@ -14,7 +14,7 @@ from meshpoint.controller.calibration.file import read_file
 from meshpoint.controller.header import header_name, load_header
 from meshpoint.controller.settings import load_settings
 from meshpoint.gearbox.sheet import load_sheet
-from meshpoint.gearbox.tables import SIZE_LIMIT_BYTES, TableError, load_toml
+from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES, TableError, load_toml
 from meshpoint.rig_sim.truck.as_built import load_as_built
 from meshpoint.rig_sim.truck.scenario import load_scenario
 from meshpoint.testbench.logs.capture_files import read_capture
@@ -115,6 +115,6 @@ def test_a_dotted_key_of_usual_length_and_a_text_with_dots_are_read(tmp_path: Pa
 
 def test_a_file_that_is_too_large_is_told_with_its_size(tmp_path: Path) -> None:
     path = tmp_path / "large.toml"
-    path.write_bytes(b"#" * (SIZE_LIMIT_BYTES + 1))
-    with pytest.raises(TableError, match=f"{SIZE_LIMIT_BYTES + 1} bytes, allowed are"):
+    path.write_bytes(b"#" * (TABLE_LIMIT_BYTES + 1))
+    with pytest.raises(TableError, match=f"{TABLE_LIMIT_BYTES + 1} bytes, allowed are"):
         load_toml(path)

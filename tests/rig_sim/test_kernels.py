@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import brentq
 
-from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.records import RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import geared, settled, wrapped
 from meshpoint.rig_sim.thesis.closed_form import (
     ACCELERATED,
@@ -30,11 +30,11 @@ BOTTOM, TOP = -0.02, 0.03
 
 def braked(omega: float, drag: float, p_end: float, p_now: float) -> Motion:
     motion = Motion(FREE, omega, 0.0, drag, 1.0 / 0.06, 3.5e-4, p_end, p_now - p_end)
-    return Memory(motion).array[0]
+    return RecordArray(motion).array[0]
 
 
 def steady(omega: float, accel: float = 0.0) -> Motion:
-    return Memory(Motion(ACCELERATED, omega, accel)).array[0]
+    return RecordArray(Motion(ACCELERATED, omega, accel)).array[0]
 
 
 layshafts = st.builds(

@@ -26,7 +26,7 @@ from meshpoint.dbc.messages import (
     ValveAction,
     ValveCommand,
 )
-from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.records import RecordArray
 from meshpoint.rig_sim.thesis.closed_form import FREE, Motion, free_motion
 from meshpoint.units import RPM
 
@@ -38,7 +38,7 @@ def moving(
     omega: float, drag: float, valve_rate: float, gain: float, end_pa: float, diff_pa: float
 ) -> Motion:
     motion = Motion(FREE, omega, 0.0, drag, valve_rate, gain, end_pa, diff_pa)
-    return Memory(motion).array[0]
+    return RecordArray(motion).array[0]
 
 
 def reference_motion(

@@ -9,7 +9,7 @@ from typing import Annotated
 import pytest
 
 from meshpoint.rig_sim.jit import part
-from meshpoint.rig_sim.records import Memory, Record, Row, Vector, dtype_of
+from meshpoint.rig_sim.records import Record, RecordArray, Row, Vector, dtype_of
 from meshpoint.rig_sim.truck.layout import Rig
 
 
@@ -48,7 +48,7 @@ def test_a_kernel_and_python_see_the_same_fields() -> None:
     machine = Machine()
     machine.turning.speed_rad_s[:] = [1.0, 2.0]
     machine.wheels[1].teeth = 0x1FFFF
-    assert run_all(Memory(machine).array, 0.5) == 0.5
+    assert run_all(RecordArray(machine).array, 0.5) == 0.5
     assert machine.turning.speed_rad_s[:] == [1.5, 2.5]
     assert machine.turning.vector.tolist() == [1.5, 2.5, 0.5]
     assert [wheel.teeth for wheel in machine.wheels] == [1, 0x20000]
@@ -58,7 +58,7 @@ def test_a_kernel_and_python_see_the_same_fields() -> None:
 
 @pytest.mark.parametrize("times", [1, 2])
 def test_a_copy_is_one_memory_again_and_leaves_the_other_alone(times: int) -> None:
-    memory = Memory(Machine())
+    memory = RecordArray(Machine())
     held = {"turning": memory.record.turning, "memory": memory, "wheel": memory.record.wheels[1]}
     copied = held
     for _ in range(times):

@@ -11,7 +11,7 @@ from truck_bench import SHEET, run, world
 
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.rig_sim.parts.pneumatics import BrakeAir, chamber_pa_s, choked_rate
-from meshpoint.rig_sim.records import Memory
+from meshpoint.rig_sim.records import RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import TAU, Floats
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import linear, nominal
@@ -101,7 +101,7 @@ def test_a_chamber_fills_choked_in_9_5_ms_and_then_55_ms_more() -> None:
     supply, ambient = 9e5, 1.013e5
     fill = choked_rate(2e-8, 0.1e-3, 1.0)
     air = BrakeAir(model=1.0, fill=fill, exhaust=fill, critical=0.3, atmosphere_pa=ambient)
-    seen = Memory(air).array[0]
+    seen = RecordArray(air).array[0]
     pressure, t, choked_s, step = ambient, 0.0, None, 1e-6
     while pressure < 0.99 * supply:
         if choked_s is None and pressure > 0.3 * supply:

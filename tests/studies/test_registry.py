@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.studies.registry import NAMES, chosen, load
+from meshpoint.testbench.studies.registry import STUDY_NAMES, chosen, load
 from meshpoint.testbench.studies.settings import load_study_settings
 
 FIGURES = {f"figure 6.{number}" for number in range(1, 14)}
@@ -15,11 +15,13 @@ TABLES = {"table 6.1", "table 6.2"}
 
 
 def test_every_figure_and_table_of_the_results_has_one_study() -> None:
-    held = [item for name in NAMES for item in load(name).of if item.startswith(("fig", "tab"))]
+    held = [
+        item for name in STUDY_NAMES for item in load(name).of if item.startswith(("fig", "tab"))
+    ]
     assert sorted(held) == sorted(FIGURES | TABLES)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", STUDY_NAMES)
 def test_a_study_bears_the_name_of_its_file_and_every_setting_has_a_shipped_value(
     name: str,
 ) -> None:
@@ -34,7 +36,7 @@ def test_a_study_is_found_by_name_or_by_what_it_reproduces_and_runs_once() -> No
         "valve",
         "speed_estimate",
     ]
-    assert [study.name for study in chosen(["all"])] == list(NAMES)
+    assert [study.name for study in chosen(["all"])] == list(STUDY_NAMES)
 
 
 def test_an_unknown_study_is_named_with_those_that_are_allowed() -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.studies.registry import NAMES, load
+from meshpoint.testbench.studies.registry import STUDY_NAMES, load
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "thesis.md").read_text(encoding="utf-8")
@@ -54,8 +54,8 @@ def test_every_study_is_there_and_those_named_exist() -> None:
     named = set()
     for group in re.findall(r"stud(?:y|ies) ((?:`\w+`(?:, | and )?)+)", TEXT):
         named |= set(re.findall(r"`(\w+)`", group))
-    assert named <= set(NAMES)
-    assert {name for name in NAMES if load(name).of} <= named
+    assert named <= set(STUDY_NAMES)
+    assert {name for name in STUDY_NAMES if load(name).of} <= named
 
 
 LIMITED = {

@@ -12,7 +12,7 @@ from meshpoint.testbench.campaign.figures import frontier
 from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.comparison import (
-    AIMED,
+    AIMED_KIND,
     LEARNING,
     compare,
     comparison_table,
@@ -53,8 +53,8 @@ def test_both_strategies_have_the_same_shifts() -> None:
     assert [(g.kind, g.strategy, g.gap, g.shifts) for g in groups] == [
         (LEARNING, "speed_window", 1, 1),
         (LEARNING, "target_phase", 0, 1),
-        (AIMED, "speed_window", 1, 3),
-        (AIMED, "target_phase", 3, 3),
+        (AIMED_KIND, "speed_window", 1, 3),
+        (AIMED_KIND, "target_phase", 3, 3),
     ]
     assert [g.mean_duration_ms for g in groups] == [900.0, 800.0, 500.0, 400.0]
     assert [g.phase_error_rms_deg for g in groups] == [None, None, None, 0.5]
@@ -64,7 +64,7 @@ def test_a_shift_known_to_one_run_alone_is_not_compared_as_aimed() -> None:
     late = [row("target_phase", (8, 10), "unknown", "tooth", 700.0), *aimed("gap")]
     groups = compare({"speed_window": window("gap", "gap"), "target_phase": late})
     assert [(g.kind, g.shifts) for g in groups] == [
-        (LEARNING, 2), (LEARNING, 2), (AIMED, 1), (AIMED, 1),
+        (LEARNING, 2), (LEARNING, 2), (AIMED_KIND, 1), (AIMED_KIND, 1),
     ]  # fmt: skip
 
 
@@ -98,7 +98,7 @@ def test_the_page_has_the_same_groups_the_luck_and_a_word_on_few_shifts() -> Non
     simulate(setup, lambda _time_us, frame: collector.receive(frame))
     run = ReportRun("target_phase", collector.finish())
     groups = compare({run.name: [shift.row for shift in run.shifts]})
-    assert {group.kind for group in groups} == {LEARNING, AIMED}
+    assert {group.kind for group in groups} == {LEARNING, AIMED_KIND}
     text = page(Report("few", "", SHEET, [run], {}), {}, "")
     for group in groups:
         assert f"{group.gap} of {group.shifts}" in text

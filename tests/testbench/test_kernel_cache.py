@@ -14,7 +14,7 @@ import pytest
 
 from meshpoint import kernel_cache
 from meshpoint.kernel_cache import KernelCache, digest_of
-from meshpoint.kernel_watch import Watch
+from meshpoint.kernel_watch import CacheWatch
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled here")
 KERNELS = {
@@ -54,7 +54,7 @@ def test_a_damaged_cache_is_said_and_made_again(package: str, tmp_path: Path) ->
 @pytest.fixture
 def said(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     lines: list[str] = []
-    watch = Watch()
+    watch = CacheWatch()
     watch.say = lines.append
     monkeypatch.setattr(kernel_cache, "WATCH", watch)
     return lines

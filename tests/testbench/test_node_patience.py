@@ -11,8 +11,8 @@ import pytest
 
 from meshpoint.testbench.loop.compiling import Progress
 from meshpoint.testbench.loop.node_patience import (
-    QUIET_US,
-    SILENCE_US,
+    NODE_QUIET_US,
+    SHIFT_SILENCE_US,
     Heard,
     OwnTime,
     Taken,
@@ -67,17 +67,18 @@ def test_the_side_that_is_silent_is_named() -> None:
     assert heard.missing() == ["rig", "controller"]
     heard.frames["rig"] = 1
     assert heard.missing() == ["controller"]
-    for now_us in range(0, 2 * QUIET_US, 10_000):
+    for now_us in range(0, 2 * NODE_QUIET_US, 10_000):
         heard.frames["rig"] += 1
         heard.frames["controller"] += now_us == 0
         heard.look(now_us)
-    assert heard.silent(2 * QUIET_US) == ["controller"]
+    assert heard.silent(2 * NODE_QUIET_US) == ["controller"]
 
 
 def test_a_limit_that_runs_out_says_which_side_and_what_to_do() -> None:
     assert "controller not heard" in not_started(["controller"])
     assert "meshpoint controller" in not_started(["controller"])
-    assert f"{SILENCE_US // 1_000_000} s of bus time: rig silent" in no_shift(["rig"], paced=True)
+    seconds = SHIFT_SILENCE_US // 1_000_000
+    assert f"{seconds} s of bus time: rig silent" in no_shift(["rig"], paced=True)
     assert "--wall-clock" in no_shift([], paced=False)
     assert "--wall-clock" not in no_shift([], paced=True)
 

@@ -23,7 +23,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.results.faults import LATE, MEANING, explain
+from meshpoint.testbench.results.faults import MEANING, STALE_FAULTS, explain
 
 GEAR = 10
 Answer = Callable[["Bench"], Iterator[Message]]
@@ -103,7 +103,7 @@ def test_a_gear_that_engages_is_told_with_its_time(monkeypatch, capsys) -> None:
     assert printed.startswith("8 -> 10: engaged after 440 ms")
 
 
-@pytest.mark.parametrize("fault", sorted(LATE))
+@pytest.mark.parametrize("fault", sorted(STALE_FAULTS))
 def test_a_refusal_because_a_node_was_late_is_explained_and_asked_again(
     fault: FaultCode, monkeypatch, capsys
 ) -> None:
@@ -140,7 +140,7 @@ def test_a_node_that_stays_late_ends_it_with_all_that_was_tried(monkeypatch, cap
     assert 3 < bench.asked < 30, "not without end"
 
 
-@pytest.mark.parametrize("fault", sorted(set(FaultCode) - LATE - {FaultCode.NONE}))
+@pytest.mark.parametrize("fault", sorted(set(FaultCode) - STALE_FAULTS - {FaultCode.NONE}))
 def test_any_other_fault_is_final_and_says_what_it_means(
     fault: FaultCode, monkeypatch, capsys
 ) -> None:

@@ -37,7 +37,7 @@ from meshpoint.testbench.report.comparison import compare, comparison_table
 from meshpoint.testbench.results.output import rows_table
 from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.testbench.studies.record import Finding, Statement, ThesisVerdict
-from meshpoint.testbench.studies.registry import NAMES, load
+from meshpoint.testbench.studies.registry import STUDY_NAMES, load
 from meshpoint.testbench.studies.runner import StudyRecord
 
 WIDTH = 80
@@ -124,8 +124,12 @@ TABLES: dict[str, Callable[[], Table]] = {
     ),
     "commands.captures.counts_table": lambda: captures_command.counts_table([CAPTURE]),
     "commands.captures.errors_table": lambda: captures_command.errors_table([CAPTURE]),
-    "commands.study.list_table": lambda: study_command.list_table([load(name) for name in NAMES]),
-    "commands.study._table": lambda: study_command._table([study_record(name) for name in NAMES]),
+    "commands.study.list_table": lambda: study_command.list_table(
+        [load(name) for name in STUDY_NAMES]
+    ),
+    "commands.study._table": lambda: study_command._table(
+        [study_record(name) for name in STUDY_NAMES]
+    ),
     "commands.describe.parameters_table": lambda: parameters_table(
         draw_as_built(7, {}), {"brake_gain": 1.0}
     ),

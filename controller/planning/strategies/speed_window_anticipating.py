@@ -16,7 +16,7 @@ from meshpoint.controller.planning.strategies.base import (
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 
-AHEAD_US: Final = 300_000
+SLIP_SEARCH_US: Final = 300_000
 """How far ahead a slip is looked for."""
 
 
@@ -39,4 +39,4 @@ class SpeedWindowAnticipating:
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:  # noqa: ARG002
         """When the slip has fallen to the one wanted, or the earliest time after that."""
         first_us = earliest_us + predictor.delay_us
-        return predictor.slip_falls_to_us(self.fire_slip_rad_s, first_us, first_us + AHEAD_US)
+        return predictor.slip_falls_to_us(self.fire_slip_rad_s, first_us, first_us + SLIP_SEARCH_US)

@@ -10,7 +10,12 @@ import math
 from typing import Final
 
 from meshpoint.controller.planning.gear_predictor import GearPredictor, Trajectory
-from meshpoint.controller.planning.plan_kernels import CONTACTS, TERMS, cheapest, expected_least
+from meshpoint.controller.planning.plan_kernels import (
+    CONTACT_SERIES,
+    TERMS,
+    cheapest,
+    expected_least,
+)
 from meshpoint.controller.planning.strategies.base import (
     ReleasePlan,
     release_for_slip,
@@ -25,7 +30,7 @@ COARSE_US: Final = 2_000.0
 COARSE_STEPS: Final = 150
 """Contacts looked at: 0.3 s, in which the slip falls out of its window; 2 ms are a quarter of a
 degree at 20 rpm."""
-FINE_US: Final = 100.0
+FINE_CONTACT_US: Final = 100.0
 FINE_STEPS: Final = 41
 """Around the best of these."""
 GROWTH_US: Final = 100_000.0
@@ -68,7 +73,7 @@ class TargetPhase:
         first_us = float(earliest_us + predictor.delay_us)
         coarse = predictor.trajectory(first_us, COARSE_US, COARSE_STEPS)
         around_us = max(first_us, self._cheapest(predictor, now_us, coarse) - COARSE_US)
-        fine = predictor.trajectory(around_us, FINE_US, FINE_STEPS)
+        fine = predictor.trajectory(around_us, FINE_CONTACT_US, FINE_STEPS)
         return round(self._cheapest(predictor, now_us, fine))
 
     def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> ReleasePlan:
@@ -146,7 +151,7 @@ def _contacts(
 ) -> Vector:
     """The contacts of a trajectory for `plan_kernels`."""
     return filled(
-        CONTACTS,
+        CONTACT_SERIES,
         wait_s=(trajectory.first_us - now_us) / SECOND_US,
         step_s=trajectory.step_us / SECOND_US,
         variance_rad2=variance_rad2,

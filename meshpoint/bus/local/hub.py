@@ -24,7 +24,7 @@ from meshpoint.bus.local import wire
 from meshpoint.bus.local.channel import SYNTAX, ChannelError, HubChannel, hub_log, parse_channel
 from meshpoint.bus.local.dial import NoHubError, dial
 from meshpoint.bus.local.listening import HubRunningError, clean_up, listen
-from meshpoint.bus.local.throttle import LOOK_S, Allowance, Progress
+from meshpoint.bus.local.throttle import LOOK_S, Allowance, ReaderProgress
 
 DEFAULT_LINGER_S = 3.0
 MAX_BACKLOG_BYTES = 8 * 1024 * 1024
@@ -108,7 +108,7 @@ class _Connection(asyncio.Protocol):
         self._transport.set_write_buffer_limits(high=MAX_BACKLOG_BYTES)
         self._loop = loop = asyncio.get_running_loop()
         self._allowance = Allowance(loop.time())
-        self._progress = Progress(loop.time())
+        self._progress = ReaderProgress(loop.time())
         self._greeting_timer = loop.call_later(
             _GREETING_TIMEOUT_S, self._drop, "it did not say what it is"
         )

@@ -33,7 +33,7 @@ class Allowance:
         return left >= 0.0
 
 
-class Progress:
+class ReaderProgress:
     """Whether a node reads what it is sent."""
 
     def __init__(self, now_s: float) -> None:

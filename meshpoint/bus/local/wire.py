@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 GREETING = b"meshpoint-bus/1\n"
 
-HEADER = Struct("<BBBBIQ")
+RECORD_HEADER = Struct("<BBBBIQ")
 _TIME = Struct("<Q")
 _TIME_OFFSET = 8
 _MARK = 0xCA
@@ -79,7 +79,7 @@ def pack(flags: int, can_id: int, data: bytes | bytearray, length: int) -> bytes
         raise WireError(_complaint(flags, length, can_id))
     if len(data) != (0 if flags & Flag.REMOTE else length):
         raise WireError(f"frame 0x{can_id:X} has length {length} but {len(data)} bytes of data")
-    return HEADER.pack(_MARK, flags, length, 0, can_id, 0) + data
+    return RECORD_HEADER.pack(_MARK, flags, length, 0, can_id, 0) + data
 
 
 def missing_bytes(buffer: bytes | bytearray) -> int:
@@ -87,10 +87,10 @@ def missing_bytes(buffer: bytes | bytearray) -> int:
 
     While the header is incomplete, only the rest of the header counts as missing.
     """
-    if len(buffer) < HEADER.size:
-        return HEADER.size - len(buffer)
-    mark, flags, length, zero, can_id, _ = HEADER.unpack_from(buffer)
-    return HEADER.size + _payload_bytes(mark, flags, length, zero, can_id) - len(buffer)
+    if len(buffer) < RECORD_HEADER.size:
+        return RECORD_HEADER.size - len(buffer)
+    mark, flags, length, zero, can_id, _ = RECORD_HEADER.unpack_from(buffer)
+    return RECORD_HEADER.size + _payload_bytes(mark, flags, length, zero, can_id) - len(buffer)
 
 
 def records(buffer: bytes | bytearray) -> Iterator[tuple[WireRecord, int]]:
@@ -98,7 +98,7 @@ def records(buffer: bytes | bytearray) -> Iterator[tuple[WireRecord, int]]:
 
     Raises WireError at the first record that is none, after the good ones before it.
     """
-    unpack, header_bytes, end = HEADER.unpack_from, HEADER.size, len(buffer)
+    unpack, header_bytes, end = RECORD_HEADER.unpack_from, RECORD_HEADER.size, len(buffer)
     start = 0
     while start + header_bytes <= end:
         mark, flags, length, zero, can_id, time_us = unpack(buffer, start)
@@ -118,7 +118,7 @@ class Stamped(NamedTuple):
 
 def stamp(buffer: bytearray, time_us: int) -> Stamped:
     """Writes `time_us` into every complete record of `buffer`, in place."""
-    unpack, header_bytes, end = HEADER.unpack_from, HEADER.size, len(buffer)
+    unpack, header_bytes, end = RECORD_HEADER.unpack_from, RECORD_HEADER.size, len(buffer)
     start = 0
     while start + header_bytes <= end:
         mark, flags, length, zero, can_id, _ = unpack(buffer, start)

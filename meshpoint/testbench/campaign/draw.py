@@ -14,7 +14,7 @@ from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.loop.bench import PlannedShift, plan_shifts
 from meshpoint.units import RPM
 
-STREAM: Final = 0xCA3
+CAMPAIGN_STREAM: Final = 0xCA3
 """Keeps a run's draws apart from those of the rig of the same seed."""
 LAYSHAFT_RPM: Final = (1100.0, 1500.0)
 """Layshaft speed in the old gear, drawn for each shift."""
@@ -57,7 +57,7 @@ def draw(
     """The run of a seed: one gear change, made `shifts` times at different shaft speeds.
 
     `fixed` as-built values win over drawn ones; everything is drawn whatever is fixed."""
-    rng = np.random.Generator(np.random.PCG64([seed, STREAM]))
+    rng = np.random.Generator(np.random.PCG64([seed, CAMPAIGN_STREAM]))
     pair = pairs[int(rng.integers(len(pairs)))]
     speeds = [float(rpm) * RPM for rpm in rng.uniform(*LAYSHAFT_RPM, shifts)]
     plan = tuple(plan_shifts(sheet, [pair], 1, speed)[0] for speed in speeds)

@@ -13,7 +13,7 @@ from meshpoint.testbench.campaign.summary import by_strategy
 from meshpoint.testbench.report.layout import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, Figure
 from meshpoint.testbench.report.overview import gap_band, plain_layout
 
-COLOURS: Final = (ORANGE, BLUE, PURPLE, GREEN, GREY, INK)
+CAMPAIGN_COLOURS: Final = (ORANGE, BLUE, PURPLE, GREEN, GREY, INK)
 BIN_PERCENT: Final = 2.5
 BINS: Final = 6
 LEAST_IN_A_BIN: Final = 5
@@ -31,7 +31,7 @@ def phase_histogram(
     """Phase at first contact, share of the shifts a bin."""
     edges = np.arange(-50.0, 50.0 + BIN_PERCENT, BIN_PERCENT)
     data = []
-    for colour, name in zip(COLOURS, names, strict=False):
+    for colour, name in zip(CAMPAIGN_COLOURS, names, strict=False):
         found = [
             100.0 * r.phase_error_deg / r.pitch_deg
             for r in records
@@ -56,7 +56,7 @@ def phase_histogram(
 def frontier(points: list[tuple[str, dict[str, Any]]], names: tuple[str, ...]) -> Figure:
     """Mean duration against mean loss in impacts, a line a strategy through the sweep's points."""
     data = []
-    for colour, name in zip(COLOURS, names, strict=False):
+    for colour, name in zip(CAMPAIGN_COLOURS, names, strict=False):
         found = sorted(
             (strategies[name]["duration_ms_mean"], strategies[name]["impact_j_mean"], label)
             for label, strategies in points
@@ -79,7 +79,9 @@ def gap_curve(records: list[JudgedShift], names: tuple[str, ...], title: str, of
     """Share of first contacts in a gap over something drawn, in bins of equally many shifts; where
     it takes few values, as in a sweep, one point a value."""
     data = []
-    for colour, (name, shots) in zip(COLOURS, by_strategy(records, names).items(), strict=False):
+    for colour, (name, shots) in zip(
+        CAMPAIGN_COLOURS, by_strategy(records, names).items(), strict=False
+    ):
         values = [of(r) for r in shots.records]
         has = np.array([v is not None for v in values], dtype=bool)
         known = np.array([v for v in values if v is not None])

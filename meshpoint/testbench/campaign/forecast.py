@@ -20,7 +20,7 @@ from meshpoint.rig_sim.truck.plant import Snapshot, TruckPlant
 Floats = NDArray[np.float64]
 Switches = tuple[tuple[float, float], ...]
 """When the brake's pressure begins to react, in the plant's time, and u from then on."""
-SAMPLE_US: Final = 4_000
+FORECAST_SAMPLE_US: Final = 4_000
 BRANCH_SAMPLES: Final = 100
 """0.4 s: further than a plan looks."""
 SOON_SAMPLES: Final = 25
@@ -30,7 +30,7 @@ FILLING_US: Final = 250_000
 """So long after it was switched on the brake's pressure stands, and a release changes what it
 changes whenever it comes, but for friction."""
 COARSE: Final = 20
-SAMPLE_S: Final = SAMPLE_US * 1e-6
+SAMPLE_S: Final = FORECAST_SAMPLE_US * 1e-6
 SAME_RAD: Final = 2e-4
 """A forecast that the truth follows this closely still holds."""
 
@@ -70,7 +70,7 @@ class Path:
         plant = self._plant
         plant.restore(self._snapshots[-1])
         while self._keeps and len(self.slip) < count:
-            self._run_to(self.start_us + SAMPLE_US * len(self.slip))
+            self._run_to(self.start_us + FORECAST_SAMPLE_US * len(self.slip))
             self._add(plant.slip_rad_s(self._gear), plant.shafts.phase_rad(self._gear))
             self._snapshots.append(plant.snapshot())
         if not self._keeps:
@@ -92,7 +92,7 @@ class Path:
         plant, gear = self._plant, self._gear
         while self._switches:
             plant.set_brake(self._switches.pop(0)[1])
-        samples, rests = plant.sample(gear, SAMPLE_US, self.start_us, numbers)
+        samples, rests = plant.sample(gear, FORECAST_SAMPLE_US, self.start_us, numbers)
         ratio = plant.ratio(gear)
         for layshaft, main, phase in samples.tolist():
             self._is_at_rest = math.isnan(layshaft)
@@ -106,9 +106,9 @@ class Path:
 
     def at(self, time_us: float) -> tuple[float, float]:
         """Phase and slip at a time, slip linear between samples."""
-        index = max(0, int((time_us - self.start_us) // SAMPLE_US))
+        index = max(0, int((time_us - self.start_us) // FORECAST_SAMPLE_US))
         self.extend(index + 2)
-        after_s = (time_us - self.start_us - SAMPLE_US * index) * 1e-6
+        after_s = (time_us - self.start_us - FORECAST_SAMPLE_US * index) * 1e-6
         slip = self.slip[index]
         fall = (self.slip[index + 1] - slip) / SAMPLE_S
         phase = self.phase[index] + (slip + fall * after_s / 2.0) * after_s
@@ -116,7 +116,7 @@ class Path:
 
     def many(self, time_us: Floats) -> tuple[Floats, Floats]:
         """The same at ascending times."""
-        index = np.maximum(0, (time_us - self.start_us) // SAMPLE_US).astype(np.int64)
+        index = np.maximum(0, (time_us - self.start_us) // FORECAST_SAMPLE_US).astype(np.int64)
         self.extend(int(index[-1]) + 2)
         return _between(np.array(self.phase), np.array(self.slip), index, time_us - self.start_us)
 
@@ -135,7 +135,7 @@ def _between(
     phase: Floats, slip: Floats, index: NDArray[np.int64], after_us: Floats
 ) -> tuple[Floats, Floats]:
     """Phase and slip between samples, of which `index` are those before; slip is linear there."""
-    after_s = (after_us - SAMPLE_US * index) * 1e-6
+    after_s = (after_us - FORECAST_SAMPLE_US * index) * 1e-6
     before = slip[index]
     fall = (slip[index + 1] - before) / SAMPLE_S
     return phase[index] + (before + fall * after_s / 2.0) * after_s, before + fall * after_s
@@ -215,7 +215,7 @@ class Forecast:
             return path.at(own_us)
         phase0, slip0 = path.at(release_us)
         after_us = own_us - release_us
-        index = int(min(after_us // SAMPLE_US, BRANCH_SAMPLES - 2))
+        index = int(min(after_us // FORECAST_SAMPLE_US, BRANCH_SAMPLES - 2))
         first, second, share = self._neighbours(switches[:-1], path, release_us, index + 2)
         slip, after = (
             first.slip_list[i] + share * (second.slip_list[i] - first.slip_list[i])
@@ -223,7 +223,7 @@ class Forecast:
         )
         turned = first.phase_list[index]
         turned += share * (second.phase_list[index] - turned)
-        after_s = (after_us - SAMPLE_US * index) * 1e-6
+        after_s = (after_us - FORECAST_SAMPLE_US * index) * 1e-6
         fall = (after - slip) / SAMPLE_S
         turned += (slip + fall * after_s / 2.0) * after_s
         return phase0 + slip0 * after_us * 1e-6 + turned, slip0 + (slip + fall * after_s)
@@ -241,7 +241,7 @@ class Forecast:
         if before.any():
             phase[before], slip[before] = path.many(own_us[before])
         after_us = own_us[~before] - release_us
-        index = np.minimum(after_us // SAMPLE_US, BRANCH_SAMPLES - 2).astype(np.int64)
+        index = np.minimum(after_us // FORECAST_SAMPLE_US, BRANCH_SAMPLES - 2).astype(np.int64)
         count = int(index[-1]) + 2 if index.size else 0
         less_slip, less_phase = self._curve(switches[:-1], path, release_us, count)
         turned, less = _between(less_phase, less_slip, index, after_us)
@@ -262,7 +262,7 @@ class Forecast:
     def _trunk(self, switches: Switches) -> tuple[Path, float]:
         """The path without the release, and when that comes, no later than the trunk is long."""
         path = self._path(switches[:-1])
-        return path, min(switches[-1][0], path.start_us + SAMPLE_US * TRUNK_SAMPLES)
+        return path, min(switches[-1][0], path.start_us + FORECAST_SAMPLE_US * TRUNK_SAMPLES)
 
     def _path(self, switches: Switches) -> Path:
         path = self._paths.get(switches)
@@ -289,7 +289,7 @@ class Forecast:
         count: how many samples of them are asked for."""
         filled_us = (trunk[-1][0] if trunk else path.start_us) + FILLING_US
         apart = COARSE if release_us > filled_us else 1
-        place = (release_us - path.start_us) / (SAMPLE_US * apart)
+        place = (release_us - path.start_us) / (FORECAST_SAMPLE_US * apart)
         node = int(place)
         first = self._branch(trunk, path, apart * node)
         second = self._branch(trunk, path, apart * (node + 1))

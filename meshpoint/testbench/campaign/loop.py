@@ -25,9 +25,9 @@ from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.campaign.draw import Draw
 from meshpoint.testbench.campaign.oracle import Oracle
-from meshpoint.testbench.campaign.scorer import NEVER_US, READ, Scorer
+from meshpoint.testbench.campaign.scorer import NO_STEP_US, SCORED_IDS, Scorer
 from meshpoint.testbench.loop.bench import BenchCore, Pauses
-from meshpoint.testbench.loop.simulate import not_addressed_to, tick_phases
+from meshpoint.testbench.loop.simulate import LIMIT_US_PER_SHIFT, not_addressed_to, tick_phases
 from meshpoint.testbench.loop.virtual_time import VirtualTime
 from meshpoint.testbench.provenance import product_version
 from meshpoint.testbench.results.monitor import identifiers
@@ -39,10 +39,9 @@ PAUSES: Final = Pauses(settle_us=0, locked_us=100_000, learn_us=300_000, learned
 The truck's clutch takes longer than that to close, and once it has nothing is left to wait for. A
 new gear is left when its phase is known, but not before a tenth of a second: its reference gains by
 every look, and the clutch closes meanwhile, which it would else do in the old gear."""
-RETURN_RAMP_S: Final = 0.05
+FAST_RETURN_RAMP_S: Final = 0.05
 """From the new gear's speeds to the old one's. As fast as this the wheels' teeth are still counted
 without a loss; it is the bench's doing and no part of a shift."""
-LIMIT_US_PER_SHIFT: Final = 30_000_000
 ALL_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
 SHARED: Final = tuple(CODECS.values())
 """What a copy shares with its original: it never changes."""
@@ -71,7 +70,7 @@ class ClosedLoop:
                 start_gear=first.from_,
                 main_speed_rpm=first.main_rad_s * 30.0 / math.pi,
                 as_built=drawn.as_built,
-                return_ramp_s=RETURN_RAMP_S,
+                return_ramp_s=FAST_RETURN_RAMP_S,
             ),
         )
         self._settings = settings
@@ -83,13 +82,13 @@ class ClosedLoop:
         cores: list[Core] = [self._controller, self._rig, self._bench, self._scorer]
         self._driver = VirtualTime(
             cores,
-            [*tick_phases(drawn.seed), NEVER_US],
+            [*tick_phases(drawn.seed), NO_STEP_US],
             on_frame=None if log is None else self._write,
             rejected=[
                 frozenset(),
                 not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
                 ALL_IDS - identifiers((ControllerStatus, ShiftOutcome, ReferenceEngagement)),
-                ALL_IDS - READ,
+                ALL_IDS - SCORED_IDS,
             ],
         )
 

@@ -10,9 +10,16 @@ from meshpoint.testbench.campaign.figures import CURVES, frontier, gap_curve, ph
 from meshpoint.testbench.campaign.result import Collected
 from meshpoint.testbench.campaign.spec import CampaignSpec
 from meshpoint.testbench.campaign.summary import curve_point
-from meshpoint.testbench.campaign.sweep import BACKLASH, BASE, DELAY_SD
+from meshpoint.testbench.campaign.sweep import BACKLASH, BASE_POINT, DELAY_SD
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.report.html import NUMBER, Cell, definitions, document, table, table_row
+from meshpoint.testbench.report.html import (
+    NUMBER_CLASS,
+    Cell,
+    definitions,
+    document,
+    table,
+    table_row,
+)
 
 FEW_RUNS = 30
 SWEPT_BY = {"backlash": BACKLASH, "scatter": DELAY_SD}
@@ -55,10 +62,10 @@ def write_report(
 
 def figures(spec: CampaignSpec, collected: Collected) -> dict[str, Any]:
     """All figures by the name of their element."""
-    names, base = spec.names, collected.at(BASE)
+    names, base = spec.names, collected.at(BASE_POINT)
     points = [
-        (str(point) if point != BASE else "as set", curve_point(collected.at(point), names))
-        for point in (BASE, *spec.sweep)
+        (str(point) if point != BASE_POINT else "as set", curve_point(collected.at(point), names))
+        for point in (BASE_POINT, *spec.sweep)
     ]
     found = {
         "phases": phase_histogram(base, names, 100.0 * spec.sheet.dog.backlash_share),
@@ -90,7 +97,7 @@ def _strategies(values: dict[str, Any]) -> str:
         "shifts", "first contact in gap", "95 % interval", "mean ms", "p50", "p99",
         "mean impact, J", "retries", "blocked", "given up", "phase sd, deg", "reference known",
     )  # fmt: skip
-    head: list[Cell] = [("strategy", ""), *((name, NUMBER) for name in columns)]
+    head: list[Cell] = [("strategy", ""), *((name, NUMBER_CLASS) for name in columns)]
     rows = []
     for name, figure in values["strategies"].items():
         gap, duration = figure["first_contact_gap"], figure["duration_ms"]
@@ -109,7 +116,7 @@ def _strategies(values: dict[str, Any]) -> str:
 def _ratios(values: dict[str, Any]) -> str:
     keys = ("first_contact_gap_rate", "duration_ms_mean", "duration_ms_p99", "impact_j_mean")
     columns = ("gap rate", "mean duration", "p99 duration", "mean impact")
-    head: list[Cell] = [("of / to", ""), *((name, NUMBER) for name in columns)]
+    head: list[Cell] = [("of / to", ""), *((name, NUMBER_CLASS) for name in columns)]
     rows = []
     for name, ratios in values["ratios"].items():
         found = [ratios.get(key, {"ratio": None, "ci95": [None, None]}) for key in keys]
@@ -122,7 +129,7 @@ def _ratios(values: dict[str, Any]) -> str:
 
 
 def _line(name: str, cells: list[str]) -> str:
-    return f"<tr>{table_row([(name, ''), *((cell, NUMBER) for cell in cells)])}</tr>\n"
+    return f"<tr>{table_row([(name, ''), *((cell, NUMBER_CLASS) for cell in cells)])}</tr>\n"
 
 
 def _text(value: float | None, digits: int) -> str:

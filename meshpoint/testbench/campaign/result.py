@@ -9,7 +9,7 @@ from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.run import RunResult
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 from meshpoint.testbench.campaign.summary import curve_point, summarise
-from meshpoint.testbench.campaign.sweep import BASE, SweepPoint
+from meshpoint.testbench.campaign.sweep import BASE_POINT, SweepPoint
 
 
 class Collected:
@@ -73,7 +73,7 @@ class Collected:
 
 def to_json(spec: CampaignSpec, collected: Collected) -> dict[str, Any]:
     """As `campaign --json` prints it: a function of the spec and the number of runs alone."""
-    base = collected.at(BASE)
+    base = collected.at(BASE_POINT)
     curves = [
         {
             "name": point.name,

@@ -13,8 +13,8 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.results.monitor import identifiers
 from meshpoint.testbench.results.rows import RowCollector, ShiftRow
 
-READ: Final = identifiers((ReferenceEngagement, ShiftOutcome))
-NEVER_US: Final = 1 << 62
+SCORED_IDS: Final = identifiers((ReferenceEngagement, ShiftOutcome))
+NO_STEP_US: Final = 1 << 62
 
 
 class Scorer:
@@ -32,7 +32,7 @@ class Scorer:
     @property
     def next_step_us(self) -> int:
         """It has nothing to say."""
-        return NEVER_US
+        return NO_STEP_US
 
     def receive(self, frame: Frame) -> None:
         """An outcome or an event between gear and sleeve."""

@@ -14,7 +14,7 @@ from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset
-from meshpoint.testbench.campaign.sweep import BASE, SweepPoint, at_point
+from meshpoint.testbench.campaign.sweep import BASE_POINT, SweepPoint, at_point
 from meshpoint.testbench.provenance import product_version, provenance
 
 ORACLE: Final = "oracle"
@@ -29,7 +29,7 @@ class Job:
     """One run: its seed, and the point of the sweep it is made at."""
 
     seed: int
-    point: SweepPoint = BASE
+    point: SweepPoint = BASE_POINT
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ class CampaignSpec:
     def jobs(self, runs: int) -> list[Job]:
         """The runs: all of the base first, then of each point of the sweep the same seeds."""
         seeds = range(SEEDS_APART * self.seed, SEEDS_APART * self.seed + runs)
-        return [Job(seed, point) for point in (BASE, *self.sweep) for seed in seeds]
+        return [Job(seed, point) for point in (BASE_POINT, *self.sweep) for seed in seeds]
 
     def at(self, point: SweepPoint) -> CampaignSpec:
         """The campaign as it is made at a point of its sweep."""

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, get_args, get_type_hints
 
 from meshpoint.gearbox.reading import read_text
-from meshpoint.gearbox.tables import SIZE_LIMIT_BYTES
+from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
 from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 from meshpoint.testbench.campaign.sweep import SweepPoint
@@ -26,8 +26,8 @@ from meshpoint.testbench.results.output import folder_for
 if TYPE_CHECKING:
     import pyarrow as pa
 
-TABLE: Final = "shifts.parquet"
-HEAD: Final = "campaign.json"
+SHIFTS_FILE: Final = "shifts.parquet"
+CAMPAIGN_FILE: Final = "campaign.json"
 PARTS: Final = "parts"
 FIELDS: Final = tuple(field.name for field in dataclasses.fields(JudgedShift))
 
@@ -46,7 +46,7 @@ class Store:
     @property
     def table(self) -> Path:
         """Where the whole table is in the end."""
-        return self._folder / TABLE
+        return self._folder / SHIFTS_FILE
 
     @property
     def report(self) -> Path:
@@ -69,8 +69,8 @@ class Store:
         shutil.rmtree(self._parts)
 
     def _begin(self, spec: CampaignSpec, resume: bool) -> None:
-        head = self._folder / HEAD
-        files = [*sorted(self._parts.glob("*.parquet")), *self._folder.glob(TABLE)]
+        head = self._folder / CAMPAIGN_FILE
+        files = [*sorted(self._parts.glob("*.parquet")), *self._folder.glob(SHIFTS_FILE)]
         if files and not resume:
             raise CommandError(
                 f"{self._folder}: holds a campaign already; --resume goes on with it, another "
@@ -85,7 +85,7 @@ class Store:
 
     def _check(self, head: Path, spec: CampaignSpec) -> None:
         try:
-            before = json.loads(read_text(head, SIZE_LIMIT_BYTES))
+            before = json.loads(read_text(head, TABLE_LIMIT_BYTES))
         except (ValueError, RecursionError) as error:
             raise CommandError(f"{head}: cannot be read: {error}") from error
         if not isinstance(before, dict):

@@ -33,7 +33,7 @@ class SweepPoint(NamedTuple):
         return f"{self.name}={self.value:g}"
 
 
-BASE: Final = SweepPoint("", 0.0)
+BASE_POINT: Final = SweepPoint("", 0.0)
 """Nothing changed."""
 Changed = tuple[GearboxSheet, ControllerSettings, dict[str, float]]
 
@@ -43,7 +43,7 @@ def at_point(
 ) -> Changed:
     """Data sheet, controller settings and as-built values at a point. CommandError where the name
     is not known or the value is out of its range."""
-    if point == BASE:
+    if point == BASE_POINT:
         return sheet, settings, {}
     try:
         if point.name == BACKLASH:

@@ -30,7 +30,7 @@ from meshpoint.rig_sim.settings import Preset
 from meshpoint.rig_sim.truck.as_built import load_as_built
 from meshpoint.rig_sim.truck.scenario import load_scenario
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.loop.schedules import NAMES, UPSHIFTS, Pairs, check_preset, pairs
+from meshpoint.testbench.loop.schedules import SCHEDULES, UPSHIFTS, Pairs, check_preset, pairs
 from meshpoint.testbench.results.output import folder_for
 
 Arguments = argparse.ArgumentParser | argparse._ArgumentGroup
@@ -258,8 +258,8 @@ def add_shifts(parser: Arguments, default: int, least: int) -> None:
         type=pairs,
         default=UPSHIFTS,
         metavar="LIST",
-        help=f"shifts to cycle through: {', '.join(NAMES)}, or a list (default: 8-10,10-12); all "
-        "but upshifts of the main box need --preset truck",
+        help=f"shifts to cycle through: {', '.join(SCHEDULES)}, or a list (default: 8-10,10-12); "
+        "all but upshifts of the main box need --preset truck",
     )
 
 

@@ -11,7 +11,7 @@ from rich.table import Table
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.logs.captures import AHEAD, CaptureRow, capture_rows
+from meshpoint.testbench.logs.captures import EDGES_AHEAD, CaptureRow, capture_rows
 from meshpoint.testbench.results.output import console, write_json
 
 COUNTS = (
@@ -30,8 +30,8 @@ def add_parser(commands: Any) -> None:
         help="edges captured from real sensors, through the node's edge gate",
         description="Reads each .csv of a folder (time in s and one level a channel after each "
         "change, or time and voltage), finds the wheel, numbers its teeth as the node does and "
-        f"predicts the edge {AHEAD} edges ahead: by constant speed, and by the patterns learned of "
-        "one turn and of two where they have been better. "
+        f"predicts the edge {EDGES_AHEAD} edges ahead: by constant speed, and by the patterns "
+        "learned of one turn and of two where they have been better. "
         "lost: tooth numbers lost after lock; doubts: times edges were withheld until a gap had "
         "shown the count right; marks: gaps or edges of the second channel after lock, wrong: "
         "those that disagree with the count.",
@@ -76,7 +76,7 @@ def counts_table(rows: list[CaptureRow]) -> Table:
 
 def errors_table(rows: list[CaptureRow]) -> Table:
     """How far off the prediction was."""
-    title = f"marks of the wheel, and RMS error of an edge predicted {AHEAD} ahead"
+    title = f"marks of the wheel, and RMS error of an edge predicted {EDGES_AHEAD} ahead"
     table = Table(title=title, **LAYOUT)
     _add_columns(table, ERRORS)
     for row in rows:

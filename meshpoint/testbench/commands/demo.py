@@ -42,8 +42,8 @@ from meshpoint.testbench.results.output import (
 )
 from meshpoint.testbench.results.rows import ShiftRow, summarise
 
-AIMED = "target_phase"
-STRATEGIES = ("speed_window", AIMED)
+AIMING_STRATEGY = "target_phase"
+DEMO_STRATEGIES = ("speed_window", AIMING_STRATEGY)
 SINCE = "MESHPOINT_SINCE"
 """`make demo` says here when its set-up began, in seconds since 1970."""
 BUS_ARGUMENTS = (
@@ -92,11 +92,11 @@ def run(namespace: argparse.Namespace) -> int:
     sessions: dict[str, Session] = {}
     lives: dict[str, LiveRun] = {}
     with tempfile.TemporaryDirectory(prefix="meshpoint-") as private:
-        for strategy in reversed(STRATEGIES):  # the one that has the picture first
+        for strategy in reversed(DEMO_STRATEGIES):  # the one that has the picture first
             live = lives[strategy] = _live_run(namespace, rig, strategy, Path(private))
             result = results[strategy] = _with_progress(namespace, strategy, live)
             out.print(rows_table(strategy, result.monitor.rows.rows))
-            if strategy == AIMED:
+            if strategy == AIMING_STRATEGY:
                 out.print(_picture(namespace.out, result, sheet, begun_s), markup=False)
             out.print()
             sessions[strategy] = _verify(live.log)
@@ -209,7 +209,7 @@ def _bus_arguments(namespace: argparse.Namespace, strategy: str, private: Path) 
         return given
     if os.name == "posix":
         return ["-i", "meshpoint", "-c", f"unix:{private / strategy}.sock"]
-    port = 20_000 + os.getpid() % 20_000 + STRATEGIES.index(strategy)
+    port = 20_000 + os.getpid() % 20_000 + DEMO_STRATEGIES.index(strategy)
     return ["-i", "meshpoint", "-c", f"tcp:127.0.0.1:{port}"]
 
 
@@ -251,7 +251,7 @@ def _verify(log: Path) -> Session:
 
 
 def _ordered(by_strategy: dict[str, Any]) -> dict[str, Any]:
-    return {name: by_strategy[name] for name in STRATEGIES}
+    return {name: by_strategy[name] for name in DEMO_STRATEGIES}
 
 
 def _picture(folder: Path, result: LiveResult, sheet: GearboxSheet, begun_s: float) -> str:

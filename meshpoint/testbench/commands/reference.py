@@ -16,7 +16,7 @@ from typing import Final
 
 from meshpoint.controller.settings import SettingsFile
 from meshpoint.gearbox import GearboxSheet, load_sheet
-from meshpoint.gearbox.keys import Group, groups_of, rounded, to_toml
+from meshpoint.gearbox.keys import KeyGroup, groups_of, rounded, to_toml
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.testbench.exits import Exit
 
@@ -27,7 +27,7 @@ SETTINGS_TITLE: Final = (
 )
 
 
-def settings_toml(groups: list[Group] | None = None) -> str:
+def settings_toml(groups: list[KeyGroup] | None = None) -> str:
     """A settings file with all defaults."""
     return to_toml(groups or groups_of(SettingsFile), SETTINGS_TITLE)
 

@@ -26,11 +26,11 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.results.faults import LATE, explain
+from meshpoint.testbench.results.faults import STALE_FAULTS, explain
 
 AGAIN_S = 0.2
 """The request is repeated until the controller is seen to act on it."""
-LISTEN_S = 0.05
+POLL_S = 0.05
 
 
 def add_parser(commands: Any) -> None:
@@ -75,7 +75,7 @@ def _wait(bus: can.BusABC, request: can.Message, gear: int, timeout_s: float) ->
     while not asking.over(now_s := time.monotonic()):
         if asking.due(now_s):
             bus.send(request)
-        received = bus.recv(LISTEN_S)
+        received = bus.recv(POLL_S)
         if received is None:
             continue
         code = asking.hear(receiver.receive(frame_of(received)).message, time.monotonic())
@@ -144,7 +144,7 @@ class _Asking:
             strategy = outcome.strategy.name.lower()
             print(f"{line} after {took_ms:.0f} ms ({strategy}, {outcome.attempts} fired)")
             return Exit.DONE
-        if outcome.fault not in LATE:
+        if outcome.fault not in STALE_FAULTS:
             _complain(f"{line}, {explain(outcome.fault)}")
             return Exit.FAILED
         self._late[outcome.fault] += 1

@@ -9,7 +9,7 @@ import textwrap
 from typing import Any
 
 from meshpoint.controller.settings import SettingsFile
-from meshpoint.gearbox.keys import Group, groups_of, rounded
+from meshpoint.gearbox.keys import KeyGroup, groups_of, rounded
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.reference import settings_toml
 from meshpoint.testbench.errors import CommandError
@@ -59,7 +59,7 @@ def run(namespace: argparse.Namespace) -> int:
     return Exit.DONE
 
 
-def _chosen(groups: list[Group], name: str | None) -> list[Group]:
+def _chosen(groups: list[KeyGroup], name: str | None) -> list[KeyGroup]:
     if name is None:
         return groups
     found = [group for group in groups if (group.name or TOP) == name]
@@ -69,7 +69,7 @@ def _chosen(groups: list[Group], name: str | None) -> list[Group]:
     return found
 
 
-def key_lines(group: Group, width: int) -> list[str]:
+def key_lines(group: KeyGroup, width: int) -> list[str]:
     """One table of the file: each key with its default, unit and range, and its meaning below."""
     title = f"[{group.name}]  {group.meaning}" if group.name else group.meaning
     lines = textwrap.wrap(title, width, subsequent_indent="  ")

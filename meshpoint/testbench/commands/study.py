@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from meshpoint.gearbox.reading import read_text
-from meshpoint.gearbox.tables import SIZE_LIMIT_BYTES
+from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
@@ -19,14 +19,14 @@ from meshpoint.testbench.loop.compiling import prepare
 from meshpoint.testbench.provenance import provenance
 from meshpoint.testbench.results.output import console, folder_for, write_json
 from meshpoint.testbench.studies.record import Study, ThesisVerdict
-from meshpoint.testbench.studies.registry import NAMES, chosen, load
+from meshpoint.testbench.studies.registry import STUDY_NAMES, chosen, load
 from meshpoint.testbench.studies.runner import StudyRecord, run_studies
 from meshpoint.testbench.studies.settings import StudySettings, load_study_settings, shipped_text
 
 LIST = "list"
 PAGE = "studies.html"
 SETTINGS = "studies.toml"
-WORDS = {
+VERDICT_WORDS = {
     ThesisVerdict.AGREES: "[green]agrees[/]",
     ThesisVerdict.DIFFERS: "[red]differs[/]",
     ThesisVerdict.NOT_COMPARABLE: "not comparable",
@@ -97,7 +97,7 @@ def run(namespace: argparse.Namespace) -> int:
 def _list(namespace: argparse.Namespace) -> int:
     if namespace.names != [LIST]:
         raise CommandError("list stands alone, without names of studies")
-    studies = [load(name) for name in NAMES]
+    studies = [load(name) for name in STUDY_NAMES]
     if namespace.json is not None:
         values = {study.name: {"title": study.title, "of": list(study.of)} for study in studies}
         write_json(namespace.json, values)
@@ -127,7 +127,7 @@ def _write(
     write_page(namespace.out / PAGE, records, {key: str(value) for key, value in source.items()})
     text = shipped_text()
     if namespace.settings is not None:
-        text = read_text(namespace.settings, SIZE_LIMIT_BYTES)
+        text = read_text(namespace.settings, TABLE_LIMIT_BYTES)
     path = namespace.out / SETTINGS
     try:
         path.write_text(text, encoding="utf-8")
@@ -144,5 +144,5 @@ def _table(records: list[StudyRecord]) -> Table:
     for record in records:
         for i, statement in enumerate(record.finding.statements):
             first = (record.study, ", ".join(record.of) or "beyond it") if i == 0 else ("", "")
-            table.add_row(*first, WORDS[statement.verdict], statement.ours)
+            table.add_row(*first, VERDICT_WORDS[statement.verdict], statement.ours)
     return table

@@ -32,7 +32,7 @@ Runs rig and controller as two processes on one bus time that waits for both, so
 busy machine too, and prints what they say. In another terminal `meshpoint request 10` asks for a
 gear. Ctrl-C or SIGTERM ends both with all valves off: exit code 0. A node that ends by itself ends
 all: exit code 1, or 2 where its input was bad; its own message stands above."""
-LISTEN_S: Final = 0.3
+FREE_BUS_LISTEN_S: Final = 0.3
 """So long a bus is listened to before it counts as free."""
 AT_REST: Final = (ControllerState.IN_GEAR, ControllerState.NEUTRAL)
 
@@ -83,7 +83,7 @@ def _check_free(bus: can.BusABC) -> None:
     """CommandError where other nodes are at work on the bus: two rigs would contradict each other.
     Whatever comes first within the time says so."""
     receiver = Receiver(*Node)
-    while (message := bus.recv(LISTEN_S)) is not None:
+    while (message := bus.recv(FREE_BUS_LISTEN_S)) is not None:
         if isinstance(receiver.receive(frame_of(message)).message, (ControllerStatus, ValveStatus)):
             raise CommandError(
                 f"other nodes are at work on {bus.channel_info}; `-c` chooses a bus of its own, as "

@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 HYSTERESIS_SHARE: Final = 0.15
 """Half the hysteresis, as a share of the voltage's usual swing."""
-SIZE_LIMIT_BYTES: Final = 64 << 20
+CAPTURE_LIMIT_BYTES: Final = 64 << 20
 GAP: Final = 1.5
 """An interval this many times the usual one is a gap of missing teeth."""
 LEAST_TEETH, MOST_TEETH = 8, 130
@@ -63,7 +63,7 @@ class FoundWheel:
 def read_capture(path: Path) -> Capture:
     """The edges of a file. CommandError names the file and what is wrong with it."""
     try:
-        lines = read_text(path, SIZE_LIMIT_BYTES).splitlines()
+        lines = read_text(path, CAPTURE_LIMIT_BYTES).splitlines()
     except UnreadableError as error:
         raise CommandError(str(error)) from error
     first = 0 if lines and _numbers(lines[0]) is not None else 1

@@ -31,7 +31,7 @@ from meshpoint.testbench.logs.cycle_pattern import CyclePattern
 
 READ_US: Final = 10_000
 LONG_US: Final = 65_535
-AHEAD: Final = 10
+EDGES_AHEAD: Final = 10
 CYCLES: Final = (1, 2)
 """Turns after which a pattern may come back: of a wheel, of a four-stroke engine's crank."""
 LEARNED_CYCLES: Final = 2
@@ -39,7 +39,7 @@ SCORE_SHARE: Final = 0.05
 """What the newest error counts for where predictors are compared."""
 CRANK_RAD_S2: Final = 150.0
 """What the speed of a cranked or idling engine changes by."""
-DUTY_SHARE: Final = 0.5
+CAPTURE_DUTY_SHARE: Final = 0.5
 
 
 class ReadFrame(NamedTuple):
@@ -150,7 +150,7 @@ def read_frame(edges_us: list[int], read_us: int) -> ReadFrame:
 
 def number_edges(capture: Capture, wheel: FoundWheel) -> NumberedEdges:
     """The capture's edges through the node's own conditioning, read every 10 ms."""
-    edges = WheelEdges(wheel.teeth, DUTY_SHARE, wheel.missing, CRANK_RAD_S2)
+    edges = WheelEdges(wheel.teeth, CAPTURE_DUTY_SHARE, wheel.missing, CRANK_RAD_S2)
     clock = SensorClockEstimate()
     rise, fall = capture.rise_us.tolist(), capture.fall_us.tolist()
     ends = [*rise[:1], *fall[:1], *rise[-1:], *fall[-1:]]
@@ -203,7 +203,7 @@ class Contest:
 
     def said(self, predictions: list[float], time_us: float) -> float:
         """Takes what all say of the edge AHEAD edges ahead, and the edge that has just come."""
-        if len(self._pending) == AHEAD:
+        if len(self._pending) == EDGES_AHEAD:
             square = (np.array(self._pending.popleft()) - time_us) ** 2
             self._square_us2 += SCORE_SHARE * (square - self._square_us2)
         self._pending.append(predictions)
@@ -232,15 +232,21 @@ def predict(wheel: FoundWheel, edges: NumberedEdges) -> tuple[float | None, floa
             if not follows[k]:
                 pattern.restart()
             pattern.edge(int(slot[k]), float(time_us[k]))
-        if k < AHEAD or k + AHEAD >= tooth.size or unbroken[k - AHEAD] != unbroken[k + AHEAD]:
+        if (
+            k < EDGES_AHEAD
+            or k + EDGES_AHEAD >= tooth.size
+            or unbroken[k - EDGES_AHEAD] != unbroken[k + EDGES_AHEAD]
+        ):
             contest.restart()
             continue
-        us_a_pitch = (time_us[k] - time_us[k - AHEAD]) / (tooth[k] - tooth[k - AHEAD])
-        straight = float(time_us[k] + us_a_pitch * (tooth[k + AHEAD] - tooth[k]))
-        best = contest.said([straight, *(p.ahead_us(AHEAD) for p in patterns)], float(time_us[k]))
+        us_a_pitch = (time_us[k] - time_us[k - EDGES_AHEAD]) / (tooth[k] - tooth[k - EDGES_AHEAD])
+        straight = float(time_us[k] + us_a_pitch * (tooth[k + EDGES_AHEAD] - tooth[k]))
+        best = contest.said(
+            [straight, *(p.ahead_us(EDGES_AHEAD) for p in patterns)], float(time_us[k])
+        )
         if patterns[-1].cycles >= LEARNED_CYCLES:
-            constant.append(straight - float(time_us[k + AHEAD]))
-            learned.append(best - float(time_us[k + AHEAD]))
+            constant.append(straight - float(time_us[k + EDGES_AHEAD]))
+            learned.append(best - float(time_us[k + EDGES_AHEAD]))
     return _rms(constant), _rms(learned)
 
 

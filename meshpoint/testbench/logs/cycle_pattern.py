@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-DRIFT: Final = 0.03
+CYCLE_DRIFT_SHARE: Final = 0.03
 """Random walk of the cycle's duration, as a share of it, over a cycle."""
 NEWEST_SHARE: Final = 0.2
 """What a cycle counts for in the pattern once some are known."""
@@ -68,7 +68,7 @@ class CyclePattern:
         x, p = self._x, self._p
         move = np.array([[1.0, share], [0.0, 1.0]])
         x[:] = move @ x
-        walk = (DRIFT * x[1]) ** 2
+        walk = (CYCLE_DRIFT_SHARE * x[1]) ** 2
         shape = np.array([[share**3 / 3.0, share**2 / 2.0], [share**2 / 2.0, share]])
         p[:] = move @ p @ move.T + walk * shape
         innovation = time_us - x[0]

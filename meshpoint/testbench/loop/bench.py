@@ -37,7 +37,7 @@ LEARN_US: Final = 300_000
 """In the new gear before it is left: time to learn its phase."""
 PATIENCE_US: Final = 8_000_000
 """A step of the plan that takes longer has failed; the bench goes on with the next shift."""
-HEARD: Final = frozenset(
+BENCH_IDS: Final = frozenset(
     CODECS[kind.__name__].spec.can_id
     for kind in (ControllerStatus, ShiftOutcome, ReferenceEngagement)
 )
@@ -153,7 +153,7 @@ class BenchCore:
 
     def receive(self, frame: Frame) -> None:
         """Notes what the plan waits for."""
-        if frame.can_id not in HEARD:
+        if frame.can_id not in BENCH_IDS:
             return
         message = self._receiver.receive(frame).message
         if isinstance(message, ControllerStatus):

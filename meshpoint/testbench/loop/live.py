@@ -34,7 +34,7 @@ from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.testbench.errors import RunError
 from meshpoint.testbench.loop.bench import BenchCore, PlannedShift
 from meshpoint.testbench.loop.node_patience import (
-    SILENCE_US,
+    SHIFT_SILENCE_US,
     START_S,
     Heard,
     OwnTime,
@@ -310,7 +310,7 @@ async def _until_done(
         result.heard.look(now_us)
         if rows != seen:
             seen, since_us = rows, now_us
-        if now_us - since_us > SILENCE_US:
+        if now_us - since_us > SHIFT_SILENCE_US:
             raise RunError(no_shift(result.heard.silent(now_us), run.paced))
 
 

@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 
 START_S: Final = 120.0
 """A node's own seconds before it must be heard; it needs two, and sixty where it compiles."""
-SILENCE_US: Final = 20_000_000
+SHIFT_SILENCE_US: Final = 20_000_000
 """Bus time without a shift after which a run is given up: the bench itself is patient for 8 s."""
-QUIET_US: Final = 1_000_000
+NODE_QUIET_US: Final = 1_000_000
 """Bus time after which a node counts as silent; each speaks every 10 ms."""
 RUNNABLE: Final = "R"
 
@@ -81,7 +81,7 @@ class Heard:
 
     def silent(self, now_us: int) -> list[str]:
         """The nodes that have not spoken for a while."""
-        return [name for name, at_us in self._last_us.items() if now_us - at_us > QUIET_US]
+        return [name for name, at_us in self._last_us.items() if now_us - at_us > NODE_QUIET_US]
 
 
 def not_started(missing: list[str]) -> str:
@@ -96,7 +96,7 @@ def not_started(missing: list[str]) -> str:
 
 def no_shift(silent: list[str], paced: bool) -> str:
     """The same for a run in which shifts no longer come."""
-    seconds = SILENCE_US // 1_000_000
+    seconds = SHIFT_SILENCE_US // 1_000_000
     if silent:
         late = " and ".join(silent)
         return f"no shift within {seconds} s of bus time: {late} silent; see what was said above"

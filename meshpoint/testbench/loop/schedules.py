@@ -34,13 +34,13 @@ MIXED: Final[Pairs] = (
     (4, 1),
 )
 """Up and down by main box, splitter and range, as in driving."""
-NAMES: Final[dict[str, Pairs]] = {"upshifts": UPSHIFTS, "main-box": MAIN_BOX, "mixed": MIXED}
+SCHEDULES: Final[dict[str, Pairs]] = {"upshifts": UPSHIFTS, "main-box": MAIN_BOX, "mixed": MIXED}
 
 
 def pairs(text: str) -> Pairs:
     """An argparse type: a name, or a list as `8-10,10-8,7-8`."""
-    if text in NAMES:
-        return NAMES[text]
+    if text in SCHEDULES:
+        return SCHEDULES[text]
     parsed = []
     for item in text.split(","):
         before, _, after = item.partition("-")
@@ -48,7 +48,7 @@ def pairs(text: str) -> Pairs:
             from_, to = int(before), int(after)
         except ValueError:
             raise argparse.ArgumentTypeError(
-                f"{item!r}, allowed is FROM-TO, as 8-10, or one of {', '.join(NAMES)}"
+                f"{item!r}, allowed is FROM-TO, as 8-10, or one of {', '.join(SCHEDULES)}"
             ) from None
         if from_ not in DRIVE_GEARS or to not in DRIVE_GEARS or from_ == to:
             raise argparse.ArgumentTypeError(f"{item!r}, allowed are two different gears of 1..14")

@@ -24,7 +24,7 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import ScheduledFault
 from meshpoint.rig_sim.settings import Preset, RigSettings
-from meshpoint.testbench.loop.bench import BenchCore, plan_shifts
+from meshpoint.testbench.loop.bench import TICK_US, BenchCore, plan_shifts
 from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs
 from meshpoint.testbench.loop.virtual_time import VirtualTime
 from meshpoint.testbench.provenance import product_version, provenance
@@ -34,7 +34,6 @@ from meshpoint.testbench.results.rows import ShiftRow, summarise
 LAYSHAFT_RAD_S: Final = 1400.0 * math.pi / 30.0
 """Layshaft speed in the old gear: shifts from here shed 400 to 600 rpm, as in the thesis."""
 LIMIT_US_PER_SHIFT: Final = 30_000_000
-TICK_US: Final = 10_000
 
 
 @dataclass(frozen=True)

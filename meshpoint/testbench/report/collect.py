@@ -38,13 +38,13 @@ LATE_S: Final = 0.05
 """Frames of a moment may come in this much later than one another."""
 KEEP_S: Final = 30.0
 """How far back a shift may have begun when its outcome comes."""
-HEARD: Final = frozenset(
+COLLECTED_IDS: Final = frozenset(
     CODECS[kind.__name__].spec.can_id
     for kind in (*TRACED, ReferenceEngagement, ShiftOutcome, ShiftPrediction)
 )
 MADE: Final = (ControllerEstimates, ShiftOutcome, ShiftPrediction)
 """What the controller says; a replay takes these from the controller that it runs."""
-AIMED: Final = (ShiftDecision.FIRE, ShiftDecision.COMMITTED)
+AIMED_DECISIONS: Final = (ShiftDecision.FIRE, ShiftDecision.COMMITTED)
 Points = tuple[list[float], list[float]]
 """Times in ms since the request, and values."""
 
@@ -91,7 +91,7 @@ class _ReportTraces(Traces):
             time_us = self._time_us(message.sample_time_us)
             for name in ("split_low", "split_high", "range_low", "range_high"):
                 self._add(f"valve_{name}", time_us, float(getattr(message, f"{name}_energised")))
-        elif isinstance(message, ShiftPrediction) and message.decision in AIMED:
+        elif isinstance(message, ShiftPrediction) and message.decision in AIMED_DECISIONS:
             time_us = self._time_us(message.decision_time_us)
             self._add("predicted_phase_deg", time_us, message.phase_rad / DEG)
             self._add("predicted_phase_sd_deg", time_us, message.phase_sd_rad / DEG)
@@ -142,7 +142,7 @@ class ReportCollector:
 
     def receive(self, frame: Frame) -> None:
         """One frame in bus order."""
-        if frame.can_id not in HEARD:
+        if frame.can_id not in COLLECTED_IDS:
             return
         message = self._receiver.receive(frame).message
         if message is not None:

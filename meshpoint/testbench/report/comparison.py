@@ -20,7 +20,7 @@ from meshpoint.testbench.report.overview import wilson
 from meshpoint.testbench.results.rows import ShiftRow
 
 LEARNING: Final = "learning"
-AIMED: Final = "aimed"
+AIMED_KIND: Final = "aimed"
 AIMS: Final = "target_phase"
 HEADERS: Final = (
     "shifts", "strategy", "into\nthe gap", "95 %\ninterval", "phase error\nRMS, deg", "mean\nms",
@@ -28,11 +28,11 @@ HEADERS: Final = (
 
 
 @dataclass(frozen=True)
-class Group:
+class ShiftGroup:
     """The shifts of one strategy that belong together."""
 
     kind: str
-    """`LEARNING` or `AIMED`."""
+    """`LEARNING` or `AIMED_KIND`."""
     strategy: str
     """As it was asked for."""
     shifts: int
@@ -55,7 +55,7 @@ class Group:
         return vars(self) | {"gap_ci95": list(self.interval)}
 
 
-def compare(runs: Mapping[str, Sequence[ShiftRow]]) -> list[Group]:
+def compare(runs: Mapping[str, Sequence[ShiftRow]]) -> list[ShiftGroup]:
     """Learning shifts, then aimed ones, each strategy beside the other; empty groups left out.
 
     runs: rows by strategy as it was asked for; shifts pair by gears and how often these came."""
@@ -68,7 +68,7 @@ def compare(runs: Mapping[str, Sequence[ShiftRow]]) -> list[Group]:
     unknown = set().union(*(set(rows) for rows in keyed.values())) - aimed
     groups = [
         _group(kind, name, [row for place, row in rows.items() if place in places])
-        for kind, places in ((LEARNING, unknown), (AIMED, aimed))
+        for kind, places in ((LEARNING, unknown), (AIMED_KIND, aimed))
         for name, rows in keyed.items()
     ]
     return [group for group in groups if group.shifts]
@@ -85,13 +85,13 @@ def _by_place(rows: Sequence[ShiftRow]) -> dict[tuple[int, int, int], ShiftRow]:
     return found
 
 
-def _group(kind: str, strategy: str, rows: list[ShiftRow]) -> Group:
+def _group(kind: str, strategy: str, rows: list[ShiftRow]) -> ShiftGroup:
     errors = [row.phase_error_deg for row in rows if row.phase_error_deg is not None]
     durations = [row.duration_ms for row in rows if row.result == "engaged"]
     rms = None
-    if strategy == AIMS and kind == AIMED and errors:
+    if strategy == AIMS and kind == AIMED_KIND and errors:
         rms = math.sqrt(sum(error * error for error in errors) / len(errors))
-    return Group(
+    return ShiftGroup(
         kind=kind,
         strategy=strategy,
         shifts=len(rows),
@@ -103,21 +103,21 @@ def _group(kind: str, strategy: str, rows: list[ShiftRow]) -> Group:
     )
 
 
-def explain(groups: Sequence[Group], sheet: GearboxSheet) -> list[str]:
+def explain(groups: Sequence[ShiftGroup], sheet: GearboxSheet) -> list[str]:
     """What the groups are, and what luck alone would do."""
     lines = []
     if any(group.kind == LEARNING for group in groups):
         lines.append("learning: the gear's phase reference was not known yet, in one run or more.")
     if len({group.strategy for group in groups}) > 1:
         lines.append("aimed: the reference was known to both strategies at this shift of the plan.")
-    elif any(group.kind == AIMED for group in groups):
+    elif any(group.kind == AIMED_KIND for group in groups):
         lines.append("aimed: the gear's phase reference was known.")
     luck = f"{100 * sheet.dog.backlash_share:.0f} %"
     lines.append(f"By luck a tooth meets a gap in {luck} of shifts: gap over pitch.")
     return lines
 
 
-def cells(group: Group) -> list[str]:
+def cells(group: ShiftGroup) -> list[str]:
     """A group in figures, as tables show it, after its kind and strategy."""
     low, high = group.interval
     rms, mean = group.phase_error_rms_deg, group.mean_duration_ms
@@ -129,7 +129,7 @@ def cells(group: Group) -> list[str]:
     ]
 
 
-def comparison_table(groups: Sequence[Group]) -> Table:
+def comparison_table(groups: Sequence[ShiftGroup]) -> Table:
     """Groups under each other, in 80 columns."""
     table = Table(title="summary", title_justify="left", box=None, pad_edge=False)
     for column in HEADERS:

@@ -24,6 +24,7 @@ from meshpoint.testbench.report.layout import (
     PREDICTION,
     PURPLE,
     SLEEVE,
+    SLEEVE_NAME,
     SLIP,
     SPEED,
     VALVE,
@@ -35,11 +36,7 @@ from meshpoint.testbench.report.phase import estimated_phase, true_phase
 
 HOLE_MS: Final = 50.0
 """A line is broken where the bus was silent for longer."""
-SLEEVE_NAME: Final = {
-    Sleeve.FIRST_SECOND: "sleeve_first_second_mm",
-    Sleeve.CRAWL_THIRD: "sleeve_crawl_third_mm",
-}
-VALVES: Final = (
+VALVE_NAMES: Final = (
     "brake", "main_first", "main_second", "main_crawl", "main_third",
     "split_low", "split_high", "range_low", "range_high",
 )  # fmt: skip
@@ -203,7 +200,7 @@ def _slips(shift: ReportShift, ratio: float) -> list[Figure]:
 def _valves(shift: ReportShift) -> list[Figure]:
     """A bar where a valve is driven or the clutch is not closed; lowest first."""
     bars = []
-    for name in reversed(VALVES):
+    for name in reversed(VALVE_NAMES):
         points = shift.points(f"valve_{name}")
         on = [value > 0.5 for value in points[1]]
         if any(on):

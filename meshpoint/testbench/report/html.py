@@ -13,7 +13,7 @@ POLICY: Final = (
 """The browser itself refuses whatever would come from elsewhere."""
 Cell = tuple[str, str]
 """Text and class of a table's cell."""
-NUMBER: Final = "number"
+NUMBER_CLASS: Final = "number"
 
 
 def document(

@@ -9,13 +9,14 @@ from __future__ import annotations
 from typing import Any, Final
 
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.gears import Sleeve
 
 INK, GREY, GRID = "#1a1a1a", "#6b6b6b", "#e4e4e4"
 BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#aa4499"
 BLUE_BAND, GAP_BAND = "rgba(0,114,178,.25)", "#d5efe4"
 FONT: Final = {"family": "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif", "color": INK}
 SLIP_TOP_RPM: Final = 60.0
-HEIGHT: Final = 1240
+REPORT_HEIGHT_PX: Final = 1240
 PITCHES_EACH_WAY: Final = 8
 PANELS: Final = (
     ("speed, rpm", 2.8),
@@ -28,6 +29,11 @@ PANELS: Final = (
 )
 SPEED, SLIP, BRAKE, VALVE, SLEEVE, PHASE, PREDICTION = range(len(PANELS))
 SPACE: Final = 0.018
+SLEEVE_NAME: Final = {
+    Sleeve.FIRST_SECOND: "sleeve_first_second_mm",
+    Sleeve.CRAWL_THIRD: "sleeve_crawl_third_mm",
+}
+"""What a main sleeve's position is called among the traces."""
 Figure = dict[str, Any]
 
 
@@ -44,7 +50,7 @@ def layout_key(panel: int) -> str:
 def common_layout(sheet: GearboxSheet) -> Figure:
     """What the figures of all shifts share: panels, axes, legends and the gap."""
     layout: Figure = {
-        "height": HEIGHT,
+        "height": REPORT_HEIGHT_PX,
         "margin": {"l": 104, "r": 8, "t": 34, "b": 48},
         "font": {**FONT, "size": 12},
         "paper_bgcolor": "white",

@@ -14,7 +14,7 @@ STYLES: Final = {
     "target_phase": {"color": BLUE, "symbol": "circle"},
 }
 OTHER_STYLE: Final = {"color": GREY, "symbol": "square"}
-HEIGHT: Final = 340
+OVERVIEW_HEIGHT_PX: Final = 340
 Z_95: Final = 1.959964
 
 
@@ -131,7 +131,7 @@ def plain_layout(x: str, y: str) -> dict[str, Any]:
     """The layout of a figure of one panel, its axes titled."""
     axis = {**axis_lines(), "zeroline": True, "zerolinecolor": "#b8b8b8"}
     return {
-        "height": HEIGHT,
+        "height": OVERVIEW_HEIGHT_PX,
         "margin": {"l": 64, "r": 10, "t": 30, "b": 76},
         "font": {**FONT, "size": 12},
         "paper_bgcolor": "white",

@@ -6,8 +6,15 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any, Final
 
-from meshpoint.testbench.report.comparison import Group, cells, compare, explain
-from meshpoint.testbench.report.html import NUMBER, Cell, definitions, document, table, table_row
+from meshpoint.testbench.report.comparison import ShiftGroup, cells, compare, explain
+from meshpoint.testbench.report.html import (
+    NUMBER_CLASS,
+    Cell,
+    definitions,
+    document,
+    table,
+    table_row,
+)
 from meshpoint.testbench.report.overview import shift_key
 from meshpoint.testbench.report.run import Report, ReportRun, account, figure, shift_title
 from meshpoint.testbench.results.rows import ShiftRow
@@ -55,14 +62,14 @@ def _notes(runs: list[ReportRun]) -> str:
 
 def _number(value: float | None, digits: int, signed: bool = False) -> Cell:
     if value is None:
-        return "–", NUMBER
-    return figure(value, digits, signed), NUMBER
+        return "–", NUMBER_CLASS
+    return figure(value, digits, signed), NUMBER_CLASS
 
 
 def _summary(report: Report) -> str:
     groups = compare({run.name: [shift.row for shift in run.shifts] for run in report.runs})
     head: list[Cell] = [("shifts", ""), ("strategy", "")] + [
-        (name, NUMBER)
+        (name, NUMBER_CLASS)
         for name in (
             "engaged", "into the gap", "95 % interval", "phase error RMS, deg", "mean duration, ms",
         )
@@ -72,12 +79,12 @@ def _summary(report: Report) -> str:
     return table(head, rows) + f"\n<p>{escape(' '.join(words))}</p>"
 
 
-def _summary_cells(group: Group) -> list[Cell]:
-    figures = [(cell, NUMBER) for cell in cells(group)]
-    return [(group.kind, ""), (group.strategy, ""), (str(group.engaged), NUMBER), *figures]
+def _summary_cells(group: ShiftGroup) -> list[Cell]:
+    figures = [(cell, NUMBER_CLASS) for cell in cells(group)]
+    return [(group.kind, ""), (group.strategy, ""), (str(group.engaged), NUMBER_CLASS), *figures]
 
 
-def _size(groups: Sequence[Group]) -> list[str]:
+def _size(groups: Sequence[ShiftGroup]) -> list[str]:
     """Says so where the shifts are too few for a rate."""
     fewest = min((group.shifts for group in groups), default=0)
     if not groups or fewest >= FEW:
@@ -87,9 +94,10 @@ def _size(groups: Sequence[Group]) -> list[str]:
 
 SHIFT_HEAD: Final = [
     ("shift", ""), ("gears", ""), ("strategy", ""), ("reference", ""),
-    ("contact", ""), ("phase error, % of pitch", NUMBER), ("predicted ± sd, %", NUMBER),
-    ("slip, rpm", NUMBER), ("valve to contact, ms", NUMBER), ("duration, ms", NUMBER),
-    ("speed lost, km/h", NUMBER), ("attempts", NUMBER), ("result", ""),
+    ("contact", ""), ("phase error, % of pitch", NUMBER_CLASS), ("predicted ± sd, %", NUMBER_CLASS),
+    ("slip, rpm", NUMBER_CLASS), ("valve to contact, ms", NUMBER_CLASS),
+    ("duration, ms", NUMBER_CLASS), ("speed lost, km/h", NUMBER_CLASS),
+    ("attempts", NUMBER_CLASS), ("result", ""),
 ]  # fmt: skip
 
 
@@ -119,12 +127,12 @@ def _shift_cells(row: ShiftRow) -> list[Cell]:
         (row.reference, ""),
         (row.contact or "–", row.contact or ""),
         _number(row.phase_error_pct_of_pitch, 1, signed=True),
-        (predicted, NUMBER),
+        (predicted, NUMBER_CLASS),
         _number(row.slip_rpm, 1, signed=True),
         _number(row.delay_ms, 1),
         _number(row.duration_ms, 0),
         _number(row.speed_lost_kmh, 1),
-        (str(row.attempts), NUMBER),
+        (str(row.attempts), NUMBER_CLASS),
         (result, ""),
     ]
 

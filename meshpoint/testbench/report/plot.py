@@ -7,15 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN, Sleeve
+from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN
+from meshpoint.testbench.report.layout import SLEEVE_NAME
 from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.testbench.results.traces import Traces
 
 BEFORE_S, AFTER_S = 0.05, 0.15
-SLEEVE_NAME = {
-    Sleeve.FIRST_SECOND: "sleeve_first_second_mm",
-    Sleeve.CRAWL_THIRD: "sleeve_crawl_third_mm",
-}
 
 
 def plot_shift(path: Path, traces: Traces, row: ShiftRow, sheet: GearboxSheet) -> None:

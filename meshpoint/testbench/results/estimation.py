@@ -29,10 +29,10 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.testbench.results.rows import CONTACTS
+from meshpoint.testbench.results.rows import CONTACT_KINDS
+from meshpoint.testbench.results.traces import ENCODER_STEP_US
 from meshpoint.units import DEG, RPM
 
-ENCODER_STEP_US: Final = 2_000
 SWITCHED_ON: Final = (ValveAction.ON_AT, ValveAction.ON_NOW)
 SCHEDULED: Final = (ValveAction.ON_AT, ValveAction.OFF_AT)
 
@@ -141,7 +141,7 @@ class EstimationScore:
             self._inputs.take(message)
 
     def _engagement(self, message: ReferenceEngagement) -> None:
-        if message.event in CONTACTS:
+        if message.event in CONTACT_KINDS:
             self._contact_us = message.event_time_us
         elif message.event is EngagementEvent.READY:
             self._contact_us = None

@@ -6,7 +6,7 @@ from typing import Final
 
 from meshpoint.dbc.messages import FaultCode
 
-LATE: Final = frozenset(
+STALE_FAULTS: Final = frozenset(
     {FaultCode.SPEED_STALE, FaultCode.POSITION_STALE, FaultCode.VALVE_LINK_LOST}
 )
 """What the controller finds when the other node's frames stay away or come late. A request that
@@ -40,4 +40,4 @@ MEANING: Final[dict[FaultCode, str]] = {
 def explain(fault: FaultCode) -> str:
     """The code's name, what it means and, where a node was late, what to do."""
     line = f"{fault.name.lower()}: {MEANING[fault]}"
-    return f"{line}; {LATE_ADVICE}" if fault in LATE else line
+    return f"{line}; {LATE_ADVICE}" if fault in STALE_FAULTS else line

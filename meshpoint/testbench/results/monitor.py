@@ -36,7 +36,7 @@ READ_AT_REST: Final = (
 )  # fmt: skip
 """What rows and estimation need: less than half of the bus; the rest stays undecoded. Edges are
 needed between shifts too, so that the tooth count goes on."""
-READ: Final = (*READ_AT_REST, ReferenceEncoder)
+MONITORED: Final = (*READ_AT_REST, ReferenceEncoder)
 READ_FUSED: Final = (EdgesInputRise, EdgesInputFall)
 """And where the controller fuses the input shaft."""
 
@@ -63,7 +63,7 @@ class Monitor:
         self.estimation = EstimationScore(sheet, settings, on_sample)
         self.status: ControllerStatus | None = None
         also += READ_FUSED if settings.crossing_filter.fuse_input else ()
-        self._read = identifiers(READ + also)
+        self._read = identifiers(MONITORED + also)
         self._read_at_rest = identifiers(READ_AT_REST + also)
         self._receiver = Receiver(*Node)
 

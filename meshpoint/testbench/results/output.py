@@ -15,7 +15,7 @@ from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.results.rows import ShiftRow
 
 WIDTH_WITHOUT_TERMINAL = 130
-COLUMNS = (
+SHIFT_COLUMNS = (
     "from", "to", "strategy", "reference", "duration\nms", "slip\nrpm", "phase\nerror\ndeg",
     "% of\npitch", "contact", "tries", "result",
 )  # fmt: skip
@@ -121,7 +121,7 @@ def rows_table(title: str, rows: list[ShiftRow]) -> Table:
     table = Table(
         title=title, title_justify="left", box=None, pad_edge=False, collapse_padding=True
     )
-    for column in COLUMNS:
+    for column in SHIFT_COLUMNS:
         right = column not in ("strategy", "reference", "contact", "result")
         table.add_column(
             column,

@@ -8,7 +8,7 @@ from typing import Final
 
 from meshpoint.dbc.messages import ReferencePhase
 
-KEPT: Final = 3000
+SPEEDS_KEPT: Final = 3000
 """Samples, 10 ms apart: a shift is over within this time."""
 HALF_WRAP_US: Final = 1 << 31
 
@@ -22,7 +22,7 @@ class RoadSpeed:
     """Samples of the truth, newest last; times are 32-bit sensor times."""
 
     def __init__(self) -> None:
-        self._samples: deque[tuple[int, float]] = deque(maxlen=KEPT)
+        self._samples: deque[tuple[int, float]] = deque(maxlen=SPEEDS_KEPT)
 
     def take(self, truth: ReferencePhase) -> None:
         """One sample."""

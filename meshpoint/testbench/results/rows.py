@@ -27,7 +27,7 @@ from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.results.road_speed import RoadSpeed, span_us
 from meshpoint.units import DEG, RPM
 
-CONTACTS: Final = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOTH_CONTACT: "tooth"}
+CONTACT_KINDS: Final = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOTH_CONTACT: "tooth"}
 ENDS: Final = (EngagementEvent.LOCKED, EngagementEvent.GIVEN_UP)
 SOURCES: Final = ("measured", "restored", "narrowed")
 OFF_FACE: Final = (EngagementEvent.TOOTH_PASSED, EngagementEvent.GIVEN_UP)
@@ -113,7 +113,7 @@ class RowCollector:
             if message.event is EngagementEvent.READY:
                 self._contacts.clear()
                 self._events.clear()
-            elif message.event in CONTACTS:
+            elif message.event in CONTACT_KINDS:
                 self._contacts.append(message)
         elif isinstance(message, ShiftOutcome) and message.result is not ShiftResult.REFUSED:
             self.rows.append(self._row(message))
@@ -143,7 +143,7 @@ class RowCollector:
             slip_rpm=slip,
             phase_error_deg=phase,
             pitch_deg=self._pitch_deg,
-            contact=CONTACTS[contact.event] if contact else None,
+            contact=CONTACT_KINDS[contact.event] if contact else None,
             attempts=outcome.attempts,
             predicted_phase_deg=outcome.predicted_phase_rad / DEG if known else None,
             predicted_phase_sd_deg=outcome.predicted_phase_sd_rad / DEG if known else None,

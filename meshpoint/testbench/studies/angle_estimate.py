@@ -10,7 +10,7 @@ from meshpoint.testbench.studies.estimate import NO_MATCH, Estimated, conclude
 from meshpoint.testbench.studies.excitation import (
     BASELINE,
     THESIS_ANGLE_DEG,
-    THESIS_FILTER,
+    THESIS_ESTIMATOR,
     Matched,
     Settings,
     label,
@@ -39,7 +39,7 @@ ANGLE = Estimated(
     true=_true_deg,
     error=_error_deg,
     axis="deg since the main box came free",
-    thesis={THESIS_FILTER: THESIS_ANGLE_DEG},
+    thesis={THESIS_ESTIMATOR: THESIS_ANGLE_DEG},
     levels={"thesis, its filter": sum(THESIS_ANGLE_DEG) / 2.0},
 )
 
@@ -56,9 +56,9 @@ def _statements(match: Matched | None) -> tuple[Statement, ...]:
     ours = {name: f.angle_deg for name, f in match.figures.items()}
     first = Statement(
         thesis,
-        f"{ours[THESIS_FILTER]:.3f} deg at the thesis's excitation, "
-        f"{ours[THESIS_FILTER] / size:.2f} times the thesis's",
-        ThesisVerdict.AGREES if ours[THESIS_FILTER] <= size else ThesisVerdict.DIFFERS,
+        f"{ours[THESIS_ESTIMATOR]:.3f} deg at the thesis's excitation, "
+        f"{ours[THESIS_ESTIMATOR] / size:.2f} times the thesis's",
+        ThesisVerdict.AGREES if ours[THESIS_ESTIMATOR] <= size else ThesisVerdict.DIFFERS,
         "closely is taken as no worse than the thesis's own; that ours is smaller says nothing of "
         "a real rig: simulated figures are not rig figures, and our reference encoder has no error "
         "of its own",
@@ -66,7 +66,7 @@ def _statements(match: Matched | None) -> tuple[Statement, ...]:
     rest = tuple(
         Statement(
             f"(not in the thesis) estimator {label(name)}",
-            f"{ours[name]:.3f} deg, {ours[name] / ours[THESIS_FILTER]:.2f} times the thesis's "
+            f"{ours[name]:.3f} deg, {ours[name] / ours[THESIS_ESTIMATOR]:.2f} times the thesis's "
             "filter in the same runs",
             ThesisVerdict.NOT_COMPARABLE,
             "the production controller has no angle; this is the last edge carried on at its speed"
@@ -74,7 +74,7 @@ def _statements(match: Matched | None) -> tuple[Statement, ...]:
             else "the product's own; the thesis has none",
         )
         for name in ours
-        if name != THESIS_FILTER
+        if name != THESIS_ESTIMATOR
     )
     return (first, *rest)
 

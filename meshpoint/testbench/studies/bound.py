@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from meshpoint.controller.settings import ControllerSettings, ThesisFilter
+from meshpoint.controller.settings import ControllerSettings, ThesisFilterTuning
 from meshpoint.gearbox.tables import count, group, quantity
-from meshpoint.testbench.studies.bound_runs import NAMES, ErrorSums, Shifts
+from meshpoint.testbench.studies.bound_runs import COMPARED_NAMES, ErrorSums, Shifts
 from meshpoint.testbench.studies.bound_scene import Scene
 from meshpoint.testbench.studies.record import (
     Chart,
@@ -31,11 +31,11 @@ from meshpoint.units import DEG, RPM
 
 CHUNK: Final = 10
 """Shifts a job."""
-CASES: Final = {"matched": False, "as_built": True}
+MODEL_CASES: Final = {"matched": False, "as_built": True}
 OURS: Final = "crossing_learned"
-SHOWN: Final = (0.5, 200.0)
+SCALE_BOUNDS: Final = (0.5, 200.0)
 """Ends of the picture's scale, in bounds."""
-COLUMNS: Final = (
+FIGURE_COLUMNS: Final = (
     "angle_rms_deg",
     "speed_rms_rpm",
     "angle_over_bound",
@@ -59,11 +59,11 @@ class Settings:
     ahead_at_most: float = quantity("ahead_at_most", 0.1, 100.0)
     ahead_share_of_pitch: float = quantity("ahead_percent_of_pitch", 0.1, 100.0, 0.01)
     scene: Scene = group(Scene)
-    thesis_filter: ThesisFilter = group(ThesisFilter)
+    thesis_filter: ThesisFilterTuning = group(ThesisFilterTuning)
 
 
 def _runs(given: Given[Settings]) -> tuple[Shifts, ...]:
-    return tuple(job for as_built in CASES.values() for job in _of_case(given, as_built))
+    return tuple(job for as_built in MODEL_CASES.values() for job in _of_case(given, as_built))
 
 
 def _of_case(given: Given[Settings], as_built: bool) -> list[Shifts]:
@@ -86,22 +86,25 @@ def _of_case(given: Given[Settings], as_built: bool) -> list[Shifts]:
 
 
 def _conclude(given: Given[Settings]) -> Finding:
-    rows = {case: _rows(given, as_built) for case, as_built in CASES.items()}
+    rows = {case: _rows(given, as_built) for case, as_built in MODEL_CASES.items()}
     pitch_deg = given.sheet.dog.pitch_rad / DEG
     tables = tuple(
         Table(
             case,
             f"{case.replace('_', ' ')}, {given.own.shifts} shifts; pitch {pitch_deg:g} deg",
-            ("estimator", *COLUMNS),
-            tuple((row["estimator"], *(row[column] for column in COLUMNS)) for row in rows[case]),
+            ("estimator", *FIGURE_COLUMNS),
+            tuple(
+                (row["estimator"], *(row[column] for column in FIGURE_COLUMNS))
+                for row in rows[case]
+            ),
         )
-        for case in CASES
+        for case in MODEL_CASES
     )
     return Finding(_statements(given.own, rows), rows, (_chart(rows),), tables)
 
 
 def _rows(given: Given[Settings], as_built: bool) -> list[dict[str, Any]]:
-    total = dict.fromkeys(NAMES, ErrorSums())
+    total = dict.fromkeys(COMPARED_NAMES, ErrorSums())
     for job in _of_case(given, as_built):
         for name, squares in given.results[job].items():
             total[name] = total[name].plus(squares)
@@ -114,7 +117,7 @@ def _rows(given: Given[Settings], as_built: bool) -> list[dict[str, Any]]:
             angle, speed, angle / least[0], speed / least[1], ahead, ahead / least[2],
             100.0 * ahead / pitch_deg,
         )  # fmt: skip
-        rows.append({"estimator": name} | dict(zip(COLUMNS, values, strict=True)))
+        rows.append({"estimator": name} | dict(zip(FIGURE_COLUMNS, values, strict=True)))
     return rows
 
 
@@ -128,7 +131,7 @@ def _figures(squares: ErrorSums) -> tuple[float, float, float]:
 
 
 def _statements(own: Settings, rows: Mapping[str, list[dict[str, Any]]]) -> tuple[Statement, ...]:
-    matched, built = (_row(rows[case], OURS) for case in CASES)
+    matched, built = (_row(rows[case], OURS) for case in MODEL_CASES)
     pitch = 100.0 * own.ahead_share_of_pitch
     wanted = (
         ("angle, parameters known", matched["angle_over_bound"], own.matched_at_most, "x bound"),
@@ -154,16 +157,16 @@ def _row(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
 
 
 def _chart(rows: Mapping[str, list[dict[str, Any]]]) -> Chart:
-    places = list(range(1, len(NAMES) + 1))
+    places = list(range(1, len(COMPARED_NAMES) + 1))
     panels = tuple(
         Panel(
             f"{title}, over the bound",
             tuple(
                 Line(case.replace("_", " "), places, [row[key] for row in rows[case]], Style.BARS)
-                for case in CASES
+                for case in MODEL_CASES
             ),
             {"bound": 1.0},
-            y_range=SHOWN,
+            y_range=SCALE_BOUNDS,
             log_y=True,
         )
         for key, title in (
@@ -172,7 +175,7 @@ def _chart(rows: Mapping[str, list[dict[str, Any]]]) -> Chart:
             ("predict45_over_bound", "angle 45 ms ahead"),
         )
     )
-    names = tuple(name.replace("_", " ") for name in NAMES)
+    names = tuple(name.replace("_", " ") for name in COMPARED_NAMES)
     return Chart("ranking", "Estimators beside the bound", "", panels, x_names=names)
 
 

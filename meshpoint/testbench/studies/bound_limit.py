@@ -17,7 +17,7 @@ from meshpoint.testbench.studies.bound_scene import OMEGA, PRESSURE, THETA, Scen
 
 QUANTUM_VARIANCE_S2 = 1e-12 / 12.0
 """Of rounding to whole microseconds."""
-STATES = 4
+BOUND_STATES = 4
 BITS = 17
 """Times up to 0.13 s."""
 
@@ -65,13 +65,13 @@ class _Flow:
     def __init__(self, scene: Scene, run: SceneRun) -> None:
         a, b, g = run.parameters
         rate = 1.0 / scene.disturbance_s
-        self._flow = np.zeros((STATES, STATES))
+        self._flow = np.zeros((BOUND_STATES, BOUND_STATES))
         self._flow[THETA, OMEGA] = 1.0
         self._flow[OMEGA] = 0.0, -a, -g, 1.0
         self._flow[PRESSURE, PRESSURE] = -b
         self._flow[3, 3] = -rate
         sigma = scene.disturbance_nm / scene.inertia_kgm2
-        self._drive = np.zeros((STATES, STATES))
+        self._drive = np.zeros((BOUND_STATES, BOUND_STATES))
         self._drive[3, 3] = 2.0 * sigma * sigma * rate
         self._over = [self._discrete(2.0**k * 1e-6) for k in range(BITS)]
 
@@ -85,7 +85,7 @@ class _Flow:
 
     def _discrete(self, span_s: float) -> tuple[Vector, Vector]:
         """F and Q over a time, both by Van Loan's matrix exponential."""
-        n = STATES
+        n = BOUND_STATES
         block = np.zeros((2 * n, 2 * n))
         block[:n, :n], block[:n, n:], block[n:, n:] = -self._flow, self._drive, self._flow.T
         whole = expm(block * span_s)

@@ -39,7 +39,7 @@ from meshpoint.gearbox.sheet import Wheel as SheetWheel
 from meshpoint.testbench.studies.bound_limit import limit
 from meshpoint.testbench.studies.bound_scene import (
     OMEGA,
-    STEP_S,
+    SCENE_STEP_S,
     THETA,
     Parameters,
     Scene,
@@ -52,8 +52,8 @@ from meshpoint.testbench.studies.bound_scene import (
 BATCH_US: Final = 10_000.0
 GRID_US: Final = 1_000.0
 AHEAD_US: Final = 45_000.0
-NAMES: Final = ("window", "thesis", "crossing", "crossing_learned", "bound")
-PAUSE_US: Final = 60_000_000
+COMPARED_NAMES: Final = ("window", "thesis", "crossing", "crossing_learned", "bound")
+BETWEEN_SHIFTS_US: Final = 60_000_000
 """Between two shifts of one bench, by its clock."""
 START_SD: Final = (0.1, 10.0, 0.2e5)
 """What is known of angle (rad), speed (rad/s) and pressure (Pa) when a shift begins."""
@@ -105,7 +105,7 @@ class Shifts:
 
     def run(self) -> dict[str, ErrorSums]:
         """Sums of squared errors by estimator, the bound among them."""
-        total = dict.fromkeys(NAMES, ErrorSums())
+        total = dict.fromkeys(COMPARED_NAMES, ErrorSums())
         for number in range(self.first, self.last):
             for name, squares in self._shift(number).items():
                 total[name] = total[name].plus(squares)
@@ -232,7 +232,7 @@ class _Bench:
 
         The layshaft is known to be free from half of the time before the brake on."""
         tracker, brake = self.tracker, self.brake
-        self.offset_us += PAUSE_US
+        self.offset_us += BETWEEN_SHIFTS_US
         if isinstance(tracker, CrossingTracker):
             tracker.lose_speed()
         on_us, off_us = (round(self.offset_us + s * 1e6) for s in (run.on_s, run.off_s))
@@ -328,7 +328,7 @@ def _predicts(run: SceneRun, time_us: float) -> bool:
 
 def _true(run: SceneRun, state: int, time_us: float) -> float:
     """Truth between grid points: angle by the speed's trapezoid, else linear."""
-    at = min(int(time_us * 1e-6 / STEP_S), run.time_s.size - 2)
+    at = min(int(time_us * 1e-6 / SCENE_STEP_S), run.time_s.size - 2)
     left_s = time_us * 1e-6 - run.time_s[at]
-    slope = (run.state[at + 1, state] - run.state[at, state]) / STEP_S
+    slope = (run.state[at + 1, state] - run.state[at, state]) / SCENE_STEP_S
     return float(run.state[at, state] + slope * left_s)

@@ -20,7 +20,7 @@ from meshpoint.controller.records import Integers, Vector
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.units import DEG, RPM
 
-STEP_S: Final = 1e-4
+SCENE_STEP_S: Final = 1e-4
 LONGEST: Final = 70_000
 """Steps of a run, 7 s."""
 THETA, OMEGA, PRESSURE, DISTURBANCE, INPUT = range(5)
@@ -103,16 +103,16 @@ def draw_run(scene: Scene, wheel: SceneWheel, parameters: Parameters, rng: Gener
     """One shift: free, braked until the speed will end near the drawn one, free again."""
     start = rng.uniform(scene.from_low_rad_s, scene.from_high_rad_s)
     end = rng.uniform(scene.to_low_rad_s, scene.to_high_rad_s)
-    free, kick = discrete(scene, parameters, STEP_S)
+    free, kick = discrete(scene, parameters, SCENE_STEP_S)
     sigma = scene.disturbance_nm / scene.inertia_kgm2
     x = np.array([rng.uniform(0.0, 2.0 * np.pi), start, 0.0, sigma * rng.standard_normal(), 0.0])
     state = np.empty((LONGEST, 4))
     noise = rng.standard_normal(LONGEST)
-    tail, after = parameters.g / parameters.b, round(scene.after_s / STEP_S)
-    on, on_s = round(scene.before_s / STEP_S), scene.before_s
+    tail, after = parameters.g / parameters.b, round(scene.after_s / SCENE_STEP_S)
+    on, on_s = round(scene.before_s / SCENE_STEP_S), scene.before_s
     off, count = _step_through(free, kick, noise, x, end, tail, on, after, scene.supply_pa, state)
-    state, off_s = state[:count], off * STEP_S
-    time_s = STEP_S * np.arange(count, dtype=np.float64)
+    state, off_s = state[:count], off * SCENE_STEP_S
+    time_s = SCENE_STEP_S * np.arange(count, dtype=np.float64)
     edge, edge_us = _edges(scene, wheel, time_s, state, rng)
     sample_us = np.arange(10_000.0, time_s[-1] * 1e6, 10_000.0)
     pressure = np.interp(sample_us * 1e-6, time_s, state[:, PRESSURE])
@@ -177,8 +177,8 @@ def _edges(
     share = (angle - theta[at]) / (theta[at + 1] - theta[at])
     for _ in range(4):
         rest = _cubic(share, theta[at], theta[at + 1], omega[at], omega[at + 1]) - angle
-        share -= rest / (STEP_S * (omega[at] + share * (omega[at + 1] - omega[at])))
-    time = time_s[at] + STEP_S * share + scene.jitter_s * rng.standard_normal(share.size)
+        share -= rest / (SCENE_STEP_S * (omega[at] + share * (omega[at + 1] - omega[at])))
+    time = time_s[at] + SCENE_STEP_S * share + scene.jitter_s * rng.standard_normal(share.size)
     edge_us: Vector = np.round(time * 1e6)
     order = np.argsort(edge_us, kind="stable")
     return number[order], edge_us[order]
@@ -186,7 +186,7 @@ def _edges(
 
 def _cubic(share: Vector, y0: Vector, y1: Vector, d0: Vector, d1: Vector) -> Vector:
     """Hermite's cubic over one grid step."""
-    h = STEP_S
+    h = SCENE_STEP_S
     c2 = 3.0 * (y1 - y0) - h * (2.0 * d0 + d1)
     c3 = 2.0 * (y0 - y1) + h * (d0 + d1)
     found: Vector = y0 + share * (h * d0 + share * (c2 + share * c3))

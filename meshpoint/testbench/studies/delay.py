@@ -27,7 +27,7 @@ from meshpoint.testbench.studies.record import (
 )
 
 THESIS_MS, THESIS_SPREAD_MS = 45.0, 5.0
-PAIRS: Final = ((14, 2), (8, 10), (10, 12))
+DELAY_PAIRS: Final = ((14, 2), (8, 10), (10, 12))
 """Into first, second and third."""
 
 
@@ -51,7 +51,7 @@ def _runs(given: Given[Settings]) -> tuple[LoopJob, ...]:
             Preset.TRUCK,
             given.common.seed + truck,
             given.own.shifts,
-            PAIRS,
+            DELAY_PAIRS,
         )
         for truck in range(given.own.trucks)
     )

@@ -14,9 +14,17 @@ import numpy as np
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.report.layout import BLUE, GREEN, GREY, INK, ORANGE, PURPLE
 from meshpoint.testbench.results.output import folder_for
-from meshpoint.testbench.studies.record import DIGITS, Chart, Finding, Line, Panel, Style, Table
+from meshpoint.testbench.studies.record import (
+    RECORD_DIGITS,
+    Chart,
+    Finding,
+    Line,
+    Panel,
+    Style,
+    Table,
+)
 
-COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE, INK, "#e69f00", "#56b4e9", GREY)
+SERIES_COLOURS: Final = (BLUE, ORANGE, GREEN, PURPLE, INK, "#e69f00", "#56b4e9", GREY)
 WIDTH_IN, PANEL_IN, DPI = 9.0, 3.1, 100
 MOST_DECADES, WRAP = 4, 18
 
@@ -51,7 +59,7 @@ def chart_rows(chart: Chart) -> list[list[str]]:
 def colours(chart: Chart) -> dict[str, str]:
     """A colour for each name: a line has the same in all panels."""
     names = dict.fromkeys(line.name for panel in chart.panels for line in panel.lines)
-    return {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(names)}
+    return {name: SERIES_COLOURS[i % len(SERIES_COLOURS)] for i, name in enumerate(names)}
 
 
 def log_ticks(low: float, high: float) -> list[float]:
@@ -92,7 +100,7 @@ def table_rows(table: Table) -> list[list[str]]:
 def _text(value: Any) -> str:
     if value is None:
         return ""
-    return f"{value:.{DIGITS}g}" if isinstance(value, (float, np.floating)) else str(value)
+    return f"{value:.{RECORD_DIGITS}g}" if isinstance(value, (float, np.floating)) else str(value)
 
 
 def _write_csv(path: Path, head: tuple[str, ...], rows: list[list[str]]) -> None:

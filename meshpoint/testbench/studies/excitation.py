@@ -34,12 +34,12 @@ from meshpoint.testbench.studies.record import Given, Table
 from meshpoint.units import DEG, RPM
 
 BASELINE: Final = "window"
-THESIS_FILTER: Final = "thesis"
-LABELS: Final = {BASELINE: "production (window)", THESIS_FILTER: "thesis's filter"}
+THESIS_ESTIMATOR: Final = "thesis"
+LABELS: Final = {BASELINE: "production (window)", THESIS_ESTIMATOR: "thesis's filter"}
 THESIS_BASELINE_RPM: Final = (5.74, 5.95)
 THESIS_SPEED_RPM: Final = (4.34, 4.30)
 THESIS_ANGLE_DEG: Final = (0.5147, 0.5464)
-SHOWN: Final = 2
+SHIFTS_SHOWN: Final = 2
 """Gear shifts in the thesis's tables."""
 PATIENCE_MS: Final = 10_000
 """A weak brake takes longer than the controller's default patience."""
@@ -103,7 +103,7 @@ def _run(given: Given[Settings], brake_nm: float, truck: int) -> LoopJob:
     settings = ControllerSettings()
     patient = replace(settings.limits, synchronise_ms=PATIENCE_MS)
     as_built: AsBuilt = (("drag.constant_nm", own.drag_nm),)
-    keep = own.learning_shifts + SHOWN if truck == 0 else 0
+    keep = own.learning_shifts + SHIFTS_SHOWN if truck == 0 else 0
     return LoopJob(
         replace(
             sheet,
@@ -205,8 +205,8 @@ def shown(given: Given[Settings], found: list[BrakePoint]) -> Shown:
     first = given.own.learning_shifts
     return Shown(
         nearest.brake_nm,
-        result.scores[first : first + SHOWN],
-        result.traces[first : first + SHOWN],
+        result.scores[first : first + SHIFTS_SHOWN],
+        result.traces[first : first + SHIFTS_SHOWN],
     )
 
 

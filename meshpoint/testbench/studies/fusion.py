@@ -10,7 +10,7 @@ from meshpoint.gearbox.tables import count
 from meshpoint.rig_sim.truck.as_built import linear
 from meshpoint.testbench.studies.excitation import Figures, figures
 from meshpoint.testbench.studies.fusion_run import (
-    AHEAD,
+    AHEAD_SUFFIX,
     LAYSHAFT,
     MAIN,
     WITH_INPUT,
@@ -36,14 +36,14 @@ TIGHT: Final[AsBuilt] = tuple(sorted((k, v) for k, v in linear().items() if k.st
 PERFECT: Final[AsBuilt] = tuple(
     sorted((k, v) for k, v in linear().items() if k.startswith("hall."))
 )
-CASES: Final[dict[str, AsBuilt]] = {
+GEARBOX_CASES: Final[dict[str, AsBuilt]] = {
     "backlash, wheels as built": (),
     "no backlash, wheels as built": TIGHT,
     "backlash, perfect wheels": PERFECT,
     "no backlash, perfect wheels": (*TIGHT, *PERFECT),
 }
 VARIANTS: Final = (LAYSHAFT, WITH_INPUT, MAIN, WITH_PROPELLER)
-CLAIM: Final = "the Hall sensor of the {0} could improve the {1}'s angle and speed (8.2)"
+FUSION_CLAIM: Final = "the Hall sensor of the {0} could improve the {1}'s angle and speed (8.2)"
 
 
 @dataclass(frozen=True)
@@ -66,18 +66,18 @@ def _run(given: Given[Settings], as_built: AsBuilt, truck: int) -> FusionRun:
 def _jobs(given: Given[Settings]) -> tuple[FusionRun, ...]:
     return tuple(
         _run(given, as_built, truck)
-        for as_built in CASES.values()
+        for as_built in GEARBOX_CASES.values()
         for truck in range(given.own.trucks)
     )
 
 
 def _conclude(given: Given[Settings]) -> Finding:
     found: dict[str, dict[str, Figures]] = {}
-    for case, as_built in CASES.items():
+    for case, as_built in GEARBOX_CASES.items():
         runs: list[Fused] = [
             given.results[_run(given, as_built, truck)] for truck in range(given.own.trucks)
         ]
-        names = (*VARIANTS, *(name + AHEAD for name in VARIANTS))
+        names = (*VARIANTS, *(name + AHEAD_SUFFIX for name in VARIANTS))
         found[case] = {name: figures([[run] for run in runs], name) for name in names}
     statements = (
         *_statements(found, LAYSHAFT, WITH_INPUT, "input shaft", "layshaft"),
@@ -87,7 +87,7 @@ def _conclude(given: Given[Settings]) -> Finding:
         case: {name: f._asdict() for name, f in by_name.items()} for case, by_name in found.items()
     }
     rows = tuple(
-        (case, name, *by_name[name], by_name[name + AHEAD].angle_deg)
+        (case, name, *by_name[name], by_name[name + AHEAD_SUFFIX].angle_deg)
         for case, by_name in found.items()
         for name in VARIANTS
     )
@@ -106,9 +106,10 @@ def _statements(
         verdict = ThesisVerdict.AGREES if all(better) else ThesisVerdict.DIFFERS
         statements.append(
             Statement(
-                CLAIM.format(further, own),
+                FUSION_CLAIM.format(further, own),
                 f"{case}: angle {without.angle_deg:.3f} to {with_.angle_deg:.3f} deg RMS, "
-                f"{by_name[alone + AHEAD].angle_deg:.3f} to {by_name[fused + AHEAD].angle_deg:.3f} "
+                f"{by_name[alone + AHEAD_SUFFIX].angle_deg:.3f} to "
+                f"{by_name[fused + AHEAD_SUFFIX].angle_deg:.3f} "
                 f"45 ms ahead, speed {without.speed_rpm:.3f} to {with_.speed_rpm:.3f} rpm",
                 verdict,
                 _reason(better, further, first=not statements),
@@ -149,7 +150,7 @@ def _chart(found: dict[str, dict[str, Figures]]) -> Chart:
         "gearbox",
         (
             Panel("angle, deg RMS", lines(0), log_y=True),
-            Panel("angle 45 ms ahead, deg RMS", lines(0, AHEAD), log_y=True),
+            Panel("angle 45 ms ahead, deg RMS", lines(0, AHEAD_SUFFIX), log_y=True),
             Panel("speed, rpm RMS", lines(1), log_y=True),
         ),
         x_names=tuple(cases),

@@ -32,14 +32,15 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.loop.simulate import Setup, simulate
-from meshpoint.testbench.results.estimation import ENCODER_STEP_US, EstimationScore, Sample
+from meshpoint.testbench.results.estimation import EstimationScore, Sample
 from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.results.traces import ENCODER_STEP_US
 from meshpoint.testbench.studies.jobs import AsBuilt, ShiftErrors
 from meshpoint.units import US
 
 LAYSHAFT, WITH_INPUT = "layshaft alone", "layshaft and input"
 MAIN, WITH_PROPELLER = "main alone", "main and propeller"
-AHEAD: Final = ", 45 ms ahead"
+AHEAD_SUFFIX: Final = ", 45 ms ahead"
 """After a variant's name."""
 AHEAD_US: Final = 45_000
 READ_US: Final = 10_000
@@ -104,8 +105,8 @@ class _Listener:
         self.squares = {
             layshaft: self._layshaft,
             main: self._main,
-            layshaft + AHEAD: self._layshaft_ahead,
-            main + AHEAD: self._main_ahead,
+            layshaft + AHEAD_SUFFIX: self._layshaft_ahead,
+            main + AHEAD_SUFFIX: self._main_ahead,
         }
         self._predicted: list[_Predicted] = []
         self.counts = False

@@ -9,7 +9,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.report.html import NUMBER, Cell, definitions, document, table, table_row
+from meshpoint.testbench.report.html import (
+    NUMBER_CLASS,
+    Cell,
+    definitions,
+    document,
+    table,
+    table_row,
+)
 from meshpoint.testbench.report.layout import FONT, GREY, GRID
 from meshpoint.testbench.studies.draw import chart_extent, colours, log_ticks, panel_extent, wrapped
 from meshpoint.testbench.studies.record import (
@@ -109,15 +116,15 @@ def _statements(record: StudyRecord) -> str:
 def _table(each: Table) -> str:
     def cell(value: str | float | int | None) -> Cell:
         if value is None:
-            return "–", NUMBER
+            return "–", NUMBER_CLASS
         if isinstance(value, str):
             return value, ""
-        return f"{value:.4g}" if isinstance(value, float) else str(value), NUMBER
+        return f"{value:.4g}" if isinstance(value, float) else str(value), NUMBER_CLASS
 
     rows = [f"<tr>{table_row([cell(value) for value in row])}</tr>\n" for row in each.rows]
     numbers = [not isinstance(value, str) for value in each.rows[0]] if each.rows else []
     head = [
-        (name.replace("_", " "), NUMBER if is_number else "")
+        (name.replace("_", " "), NUMBER_CLASS if is_number else "")
         for name, is_number in zip(each.columns, numbers, strict=False)
     ]
     return table(head, rows)

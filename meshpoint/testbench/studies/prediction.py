@@ -23,8 +23,8 @@ from meshpoint.controller.motion.models import LayshaftState
 from meshpoint.gearbox import Split
 from meshpoint.gearbox.tables import count, quantity
 from meshpoint.testbench.studies.record import Chart, Given, Line, Panel, Style, rms
-from meshpoint.testbench.studies.simulated import MS_US, SimulatedShift, simulate_shift
-from meshpoint.units import RPM, US
+from meshpoint.testbench.studies.simulated import SimulatedShift, simulate_shift
+from meshpoint.units import MS_US, RPM, US
 
 SAMPLE_US: Final = 1_000
 SPLIT: Final = Split.HIGH

@@ -15,7 +15,7 @@ from meshpoint.gearbox.tables import TableError, count, group, quantity, text
 from meshpoint.testbench.errors import CommandError
 from meshpoint.units import RPM
 
-DIGITS: Final = 9
+RECORD_DIGITS: Final = 9
 """Significant digits of figures: less than the last bits, in which processors may differ."""
 
 
@@ -184,7 +184,7 @@ class Study(Generic[S]):
 
 
 def figures(values: Any) -> Any:
-    """The same values, rounded to `DIGITS`, with numpy's types made Python's."""
+    """The same values, rounded to `RECORD_DIGITS`, with numpy's types made Python's."""
     if isinstance(values, Mapping):
         return {str(key): figures(value) for key, value in values.items()}
     if isinstance(values, (list, tuple, np.ndarray)):
@@ -192,7 +192,7 @@ def figures(values: Any) -> Any:
     if isinstance(values, (bool, np.bool_)):
         return bool(values)
     if isinstance(values, (float, np.floating)):
-        return float(f"{values:.{DIGITS}g}")
+        return float(f"{values:.{RECORD_DIGITS}g}")
     if isinstance(values, np.integer):
         return int(values)
     return values

@@ -2,7 +2,7 @@
 
 How a study is added: a file `meshpoint/testbench/studies/NAME.py` with a frozen dataclass of its
 settings and a constant `STUDY: Study`; a table `[NAME]` in `studies.toml` with a value for every
-setting; its name in `NAMES`, at the place where it should stand on the page; a line in
+setting; its name in `STUDY_NAMES`, at the place where it should stand on the page; a line in
 `docs/thesis.md`. What takes longer than a second goes into jobs (`jobs.py` has the closed loop),
 which run in parallel; `conclude` makes statements, figures, charts and tables of their results.
 Drawing, CSV, JSON and the page are the frame's.
@@ -16,7 +16,7 @@ from typing import Any, Final
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.studies.record import Study
 
-NAMES: Final = (
+STUDY_NAMES: Final = (
     "valve",
     "torque",
     "layshaft",
@@ -43,23 +43,25 @@ ALL: Final = "all"
 
 def load(name: str) -> Study[Any]:
     """The study of this name. KeyError where there is none."""
-    if name not in NAMES:
+    if name not in STUDY_NAMES:
         raise KeyError(name)
     study: Study[Any] = importlib.import_module(f"meshpoint.testbench.studies.{name}").STUDY
     return study
 
 
 def chosen(words: list[str]) -> list[Study[Any]]:
-    """The studies asked for, each once, in the order of `NAMES`.
+    """The studies asked for, each once, in the order of `STUDY_NAMES`.
 
     A word is a study's name, `all`, or what it reproduces (`6.8`, `figure 6.8`, `table 6.1`).
     CommandError on anything else."""
-    studies = [load(name) for name in NAMES]
+    studies = [load(name) for name in STUDY_NAMES]
     wanted: set[str] = set()
     for word in words:
         found = [study.name for study in studies if word == ALL or _answers(study, word)]
         if not found:
-            raise CommandError(f"no study {word!r}; allowed are all, list, {', '.join(NAMES)}")
+            raise CommandError(
+                f"no study {word!r}; allowed are all, list, {', '.join(STUDY_NAMES)}"
+            )
         wanted.update(found)
     return [study for study in studies if study.name in wanted]
 

@@ -11,7 +11,7 @@ from typing import Any, Final
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.tables import TableError, load_toml, read_group
 from meshpoint.testbench.studies.record import Common, Given, Study
-from meshpoint.testbench.studies.registry import NAMES
+from meshpoint.testbench.studies.registry import STUDY_NAMES
 
 SHIPPED: Final = "studies.toml"
 COMMON: Final = "common"
@@ -48,7 +48,7 @@ def load_study_settings(path: Path | None) -> StudySettings:
         source = path.name
         for name, table in load_toml(path).items():
             if name not in tables:
-                allowed = ", ".join((COMMON, *NAMES))
+                allowed = ", ".join((COMMON, *STUDY_NAMES))
                 raise TableError(f"{source}: unknown table [{name}], allowed are {allowed}")
             if not isinstance(table, dict):
                 raise TableError(f"{source}: {name} = {table!r}, allowed is a table")

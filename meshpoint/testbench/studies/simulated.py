@@ -7,9 +7,7 @@ equals itself.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
@@ -20,10 +18,7 @@ from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.rig_sim.shared.angles import Shafts, StartAngles
 from meshpoint.rig_sim.thesis.plant import ThesisPlant
 from meshpoint.testbench.studies.record import Braking
-from meshpoint.units import RPM, US
-
-TURN: Final = 2.0 * math.pi
-MS_US: Final = 1000.0
+from meshpoint.units import MS_US, RPM, TURN, US
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from meshpoint.testbench.studies.estimate import NO_MATCH, Estimated, conclude
 from meshpoint.testbench.studies.excitation import (
     BASELINE,
     THESIS_BASELINE_RPM,
-    THESIS_FILTER,
+    THESIS_ESTIMATOR,
     THESIS_SPEED_RPM,
     Matched,
     Settings,
@@ -36,7 +36,7 @@ SPEED = Estimated(
     true=_true_rpm,
     error=_error_rpm,
     axis="rpm",
-    thesis={BASELINE: THESIS_BASELINE_RPM, THESIS_FILTER: THESIS_SPEED_RPM},
+    thesis={BASELINE: THESIS_BASELINE_RPM, THESIS_ESTIMATOR: THESIS_SPEED_RPM},
     levels={
         "thesis, production": sum(THESIS_BASELINE_RPM) / 2.0,
         "thesis, its filter": sum(THESIS_SPEED_RPM) / 2.0,
@@ -56,19 +56,20 @@ def _statements(match: Matched | None) -> tuple[Statement, ...]:
     if match is None:
         return (Statement(thesis, "-", ThesisVerdict.NOT_COMPARABLE, NO_MATCH),)
     ours = {name: f.speed_rpm for name, f in match.figures.items()}
-    better = ours[THESIS_FILTER] < ours[BASELINE]
+    better = ours[THESIS_ESTIMATOR] < ours[BASELINE]
     size = sum(THESIS_SPEED_RPM) / len(THESIS_SPEED_RPM)
     first = Statement(
         thesis,
         f"with a brake of {match.brake_nm:.0f} Nm the production speed reads "
-        f"{ours[BASELINE]:.2f} rpm (so chosen), the thesis's filter {ours[THESIS_FILTER]:.2f} rpm",
+        f"{ours[BASELINE]:.2f} rpm (so chosen), the thesis's filter "
+        f"{ours[THESIS_ESTIMATOR]:.2f} rpm",
         ThesisVerdict.AGREES if better else ThesisVerdict.DIFFERS,
         "compared at the excitation at which the production speed's error is the thesis's; the "
         "verdict is on the order alone",
     )
     second = Statement(
         f"the filter's error is {size:.2f} rpm",
-        f"{ours[THESIS_FILTER]:.2f} rpm, {ours[THESIS_FILTER] / size:.2f} times the thesis's",
+        f"{ours[THESIS_ESTIMATOR]:.2f} rpm, {ours[THESIS_ESTIMATOR] / size:.2f} times the thesis's",
         ThesisVerdict.NOT_COMPARABLE,
         "simulated figures are not rig figures: our reference encoder has no error of its own, a "
         "real rig has more than the virtual one knows of, and Q and R were tuned anew",
@@ -77,11 +78,11 @@ def _statements(match: Matched | None) -> tuple[Statement, ...]:
 
 
 def _others(ours: dict[str, float]) -> tuple[Statement, ...]:
-    names = [name for name in ours if name not in (BASELINE, THESIS_FILTER)]
+    names = [name for name in ours if name not in (BASELINE, THESIS_ESTIMATOR)]
     return tuple(
         Statement(
             f"(not in the thesis) estimator {name}",
-            f"{ours[name]:.2f} rpm, {ours[name] / ours[THESIS_FILTER]:.2f} times the thesis's "
+            f"{ours[name]:.2f} rpm, {ours[name] / ours[THESIS_ESTIMATOR]:.2f} times the thesis's "
             "filter in the same runs",
             ThesisVerdict.NOT_COMPARABLE,
             "the product's own; the thesis has none",

@@ -8,7 +8,7 @@ from meshpoint.gearbox.tables import count, quantity
 from meshpoint.testbench.studies.start_error import StartError, start_error_study
 from meshpoint.units import DEG
 
-THESIS = (0.53, 1.5, 7.0)
+THESIS_ANGLE = (0.53, 1.5, 7.0)
 """RMS angle error of tables 6.2 (mean of the two shifts), and its cost by section 7.4."""
 
 
@@ -22,5 +22,5 @@ class Settings:
 
 STUDY = start_error_study(
     "start_angle", "Sensitivity: initial angle", "figure 6.9", Settings,
-    StartError("theta_rad", "widest_rad", "deg", DEG, THESIS),
+    StartError("theta_rad", "widest_rad", "deg", DEG, THESIS_ANGLE),
 )  # fmt: skip

@@ -8,7 +8,7 @@ from meshpoint.gearbox.tables import count, quantity
 from meshpoint.testbench.studies.start_error import StartError, start_error_study
 from meshpoint.units import RPM
 
-THESIS = (4.32, 4.0, 18.0)
+THESIS_SPEED = (4.32, 4.0, 18.0)
 """RMS speed error of table 6.1 (mean of the two shifts), and its cost by section 7.4."""
 
 
@@ -22,5 +22,5 @@ class Settings:
 
 STUDY = start_error_study(
     "start_speed", "Sensitivity: initial speed", "figure 6.10", Settings,
-    StartError("omega_rad_s", "widest_rad_s", "rpm", RPM, THESIS),
+    StartError("omega_rad_s", "widest_rad_s", "rpm", RPM, THESIS_SPEED),
 )  # fmt: skip

@@ -32,7 +32,9 @@ from meshpoint.testbench.studies.record import (
 from meshpoint.testbench.studies.teeth import Engagements, Tried
 from meshpoint.units import RPM
 
-CLAIM = "chosen angles could be used to explore the effect on wear (1.3; not a goal of the thesis)"
+TARGET_CLAIM = (
+    "chosen angles could be used to explore the effect on wear (1.3; not a goal of the thesis)"
+)
 
 
 @dataclass(frozen=True)
@@ -169,7 +171,7 @@ def _teeth_statement(teeth: dict[float, list[Tried]], half_gap_deg: float) -> St
             f"{_figure(face, 0)} ms on a tooth, {100 * blocked:.0f} % not engaged"
         )
     return Statement(
-        CLAIM,
+        TARGET_CLAIM,
         f"the teeth alone, phases spread evenly: {'; '.join(words)}",
         ThesisVerdict.NOT_COMPARABLE,
         f"the thesis has no figure. In the gap (+-{half_gap_deg:.2f} deg) the flank takes what the "
@@ -186,7 +188,7 @@ def _figure(value: float | None, digits: int) -> str:
 def _loop_statement(rows: list[_Row]) -> Statement:
     if not rows:
         return Statement(
-            CLAIM,
+            TARGET_CLAIM,
             "no shift could aim",
             ThesisVerdict.NOT_COMPARABLE,
             "the reference stayed unknown",
@@ -199,7 +201,7 @@ def _loop_statement(rows: list[_Row]) -> Statement:
     )
     known = min(row.known for row in rows)
     return Statement(
-        CLAIM,
+        TARGET_CLAIM,
         f"closed loop: {'; '.join(words)}",
         ThesisVerdict.NOT_COMPARABLE,
         f"over the shifts of each target that could aim, {known} at least, so that one shift is "
