@@ -1,7 +1,7 @@
-"""One shift as two controllers decide it on the same frames: what each commands, and where they part.
+"""One shift as two controllers decide it on the same frames, and where they part.
 
-Times are in ms since the request. What came of the recorded commands is no business of this module:
-the other controller's contact is never taken from the log.
+Times are in ms since the request. What came of the recorded commands is not read here: the other
+controller's contact is never taken from the log.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from meshpoint.dbc.messages import (
     ShiftDecision,
     ShiftOutcome,
     ShiftPrediction,
+    ShiftResult,
     ValveAction,
     ValveCommand,
 )
@@ -82,10 +83,12 @@ class Judged:
     fault: str
     last: Decision | None
     """Its last decision before the recorded sleeve met its gear."""
+    recorded: Decision | None
+    """The first firing of the recorded controller; None where it fired no sleeve."""
     parted: Parting | None
     """None: it commands what was recorded."""
     course_parted_ms: float | None
-    """When a valve is first driven differently: from then on the frames answer to other commands."""
+    """When a valve is first driven differently: later frames answer to other commands than its."""
     judged_to_ms: float | None
     """When the recorded sleeve was expected at its gear: decisions after it mean nothing."""
     contact_why: str
@@ -193,8 +196,8 @@ def judge(
     where it refused; known: gears whose phase reference is known, one bit each."""
     request_us = outcome.request_time_us
     theirs = recorded.decisions(step_us, request_us)
-    fired = (d.expected_contact_ms for d in theirs if d.decision == "committed")
-    judged_to_ms = next(fired, None)
+    firing = next((d for d in theirs if d.decision == "committed"), None)
+    judged_to_ms = firing.expected_contact_ms if firing else None
     mine = [
         decision
         for decision in replayed.decisions(step_us, request_us)
@@ -216,10 +219,11 @@ def judge(
         status=status,
         fault=fault,
         last=last,
+        recorded=firing,
         parted=parted,
         course_parted_ms=course_ms,
         judged_to_ms=judged_to_ms,
-        contact_why=_contact_why(status, last, parted, theirs, judged_to_ms),
+        contact_why=_contact_why(status, last, parted, firing),
         strayed_at_step=strayed,
         predictions=[d for d in mine if d.decision in ("fire", "committed")],
         driven=driven,
@@ -270,8 +274,8 @@ def _status(
     replayed: Course,
 ) -> tuple[str, Decision | None, str]:
     """What became of it up to there, by its first firing or else its last decision; its fault."""
-    if record is None:
-        return "refused", None, "none"
+    if record is None or record.result is ShiftResult.REFUSED:
+        return "refused", None, "none" if record is None else record.fault.name.lower()
     fired = next((d for d in mine if d.decision == "committed"), None)
     if fired is not None:
         return "fired", fired, "none"
@@ -326,22 +330,17 @@ def _course_parted_ms(
 
 
 def _contact_why(
-    status: str,
-    last: Decision | None,
-    parted: Parting | None,
-    theirs: list[Decision],
-    judged_to_ms: float | None,
+    status: str, last: Decision | None, parted: Parting | None, firing: Decision | None
 ) -> str:
     """Why the log does not tell where the other controller's tooth would have met."""
     if parted is None:
         return "its commands are the recorded ones: what came of them is the log's"
     if status not in ("fired", "planned") or last is None:
         until = "the recorded shift had ended"
-        if judged_to_ms is not None:
-            until = f"the recorded sleeve met its gear ({judged_to_ms:.0f} ms)"
+        if firing is not None:
+            until = f"the recorded sleeve met its gear ({firing.expected_contact_ms:.0f} ms)"
         return f"no firing was decided before {until}"
-    committed = next((d for d in theirs if d.decision == "committed"), None)
-    was = committed.release_ms if committed else None
+    was = firing.release_ms if firing else None
     if was is not None and last.release_ms is not None and was != last.release_ms:
         apart = last.release_ms - was
         later = "later" if apart > 0 else "earlier"
