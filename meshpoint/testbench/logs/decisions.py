@@ -6,6 +6,7 @@ controller's contact is never taken from the log.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
@@ -39,6 +40,7 @@ class Said(NamedTuple):
     command: ValveCommand | None
     prediction: ShiftPrediction | None
     outcome: ShiftOutcome | None
+    events: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -95,11 +97,12 @@ class Judged:
     """Why it is not told where the tooth would have met."""
     strayed_at_step: int | None = None
     """From this step on the recorded controller is not repeated exactly."""
-    predictions: list[Decision] = field(default_factory=list)
-    """Of every step that had a firing planned, for drawing."""
+    decisions: list[Decision] = field(default_factory=list)
+    """Of every step up to there."""
     driven: dict[str, list[tuple[float, float]]] = field(default_factory=dict)
-    """When each valve is commanded on, for drawing."""
+    """When each valve is commanded on up to there, for drawing."""
     events: list[str] = field(default_factory=list)
+    """What it says of its decisions, up to its firing or up to there."""
 
     @property
     def on_own_course(self) -> bool | None:
@@ -107,6 +110,18 @@ class Judged:
         if self.last is None:
             return None
         return self.course_parted_ms is None or self.last.at_ms < self.course_parted_ms
+
+    @property
+    def last_on_own_course(self) -> Decision | None:
+        """Its last decision on frames that answer to its own commands."""
+        end_ms = self.course_parted_ms
+        own = [d for d in self.decisions if end_ms is None or d.at_ms < end_ms]
+        return own[-1] if own else None
+
+    @property
+    def predictions(self) -> list[Decision]:
+        """Of every step that had a firing planned."""
+        return [d for d in self.decisions if d.decision in ("fire", "committed")]
 
     @property
     def fired_ms(self) -> float | None:
@@ -139,7 +154,12 @@ class Judged:
             "strayed_at_step": self.strayed_at_step,
             "events": self.events,
         }
-        return {**rounded(values), "parted": _parting_json(self.parted)}
+        own = self.last_on_own_course
+        return {
+            **rounded(values),
+            "last_on_own_course": None if own is None else rounded(vars(own)),
+            "parted": _parting_json(self.parted),
+        }
 
 
 class Course:
@@ -190,7 +210,6 @@ def judge(
     *,
     known: int,
     strayed: int | None,
-    events: list[str],
 ) -> Judged:
     """outcome: the log's, for gears and request alone; record: the other controller's shift, None
     where it refused; known: gears whose phase reference is known, one bit each."""
@@ -210,6 +229,13 @@ def judge(
     course_ms = _course_parted_ms(recorded.driven(step_us, request_us), driven)
     if judged_to_ms is not None and course_ms is not None and course_ms >= judged_to_ms:
         course_ms = None
+    end_ms = math.inf if judged_to_ms is None else judged_to_ms
+    if status == "fired" and last is not None:
+        end_ms = last.at_ms
+
+    def at(said: Said) -> float:
+        return (said.time_us - step_us) / 1000
+
     return Judged(
         from_=outcome.from_gear,
         to=outcome.to_gear,
@@ -225,9 +251,9 @@ def judge(
         judged_to_ms=judged_to_ms,
         contact_why=_contact_why(status, last, parted, firing),
         strayed_at_step=strayed,
-        predictions=[d for d in mine if d.decision in ("fire", "committed")],
-        driven=driven,
-        events=events,
+        decisions=mine,
+        driven=_up_to(driven, judged_to_ms),
+        events=[line for said in replayed.steps for line in said.events if at(said) <= end_ms],
     )
 
 
@@ -315,6 +341,18 @@ def _parting(
         ]
         return Parting(at_ms, tuple(differ), *each)
     return None
+
+
+def _up_to(
+    driven: dict[str, list[tuple[float, float]]], end_ms: float | None
+) -> dict[str, list[tuple[float, float]]]:
+    if end_ms is None:
+        return driven
+    cut = {
+        name: [(start, min(end, end_ms)) for start, end in spans if start < end_ms]
+        for name, spans in driven.items()
+    }
+    return {name: spans for name, spans in cut.items() if spans}
 
 
 def _course_parted_ms(

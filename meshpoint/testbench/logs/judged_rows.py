@@ -22,7 +22,7 @@ class JudgedRow:
     judged: Judged | None
 
     def to_json(self, asked: str) -> dict[str, Any]:
-        """By name; all that came of the shift stands under `recorded`. asked: the other strategy."""
+        """By name; what came of the shift stands under `recorded` alone. asked: the strategy."""
         row, judged = self.recorded, self.judged
         firing = judged.recorded if judged else None
         recorded = row.to_json() | rounded(

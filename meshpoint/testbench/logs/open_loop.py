@@ -80,7 +80,6 @@ class _Branch:
     recorded: Course = field(default_factory=Course)
     replayed: Course = field(default_factory=Course)
     record: ShiftRecord | None = None
-    events: list[str] = field(default_factory=list)
 
     def step(self, time_us: int, consumed: list[Frame]) -> None:
         """The same frames at the same step."""
@@ -88,8 +87,7 @@ class _Branch:
             self.core.receive(frame)
         made = self.core.step(time_us)
         self.record = self.core.running_shift or self.record
-        self.events += made.events
-        self.replayed.take(said(time_us, made.frames))
+        self.replayed.take(said(time_us, made.frames)._replace(events=tuple(made.events)))
 
 
 class OpenLoop:
@@ -163,5 +161,4 @@ class OpenLoop:
             self._settings,
             known=branch.known,
             strayed=self._strayed,
-            events=branch.events,
         )
