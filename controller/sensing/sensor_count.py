@@ -1,11 +1,11 @@
 """By how many teeth a wheel was renumbered, as the sensor's own running number tells.
 
-The sensor counts edges on while the gate (`gate_kernels`) is not sure of teeth: while frames are lost,
-and while a wheel stops and starts again. It cannot count backwards, so of E edges each may have
-been a tooth back: the tooth that has number t now had t + k before, k = a - 2 E to a where a would
-be right had all gone forward, and some teeth more either way for what a sensor misses. Where there
-was no time to stop and come up again, none has gone back: k = a. With k modulo the wheel's teeth
-known from its pattern (`tooth_match`), whole turns are known, or are few.
+The sensor counts edges on while the gate (`gate_kernels`) is not sure of teeth: while frames are
+lost, and while a wheel stops and starts again. It cannot count backwards, so of E edges each may
+have been a tooth back: the tooth that has number t now had t + k before, k = a - 2 E to a where a
+would be right had all gone forward, and some teeth more either way for what a sensor misses. Where
+there was no time to stop and come up again, none has gone back: k = a. With k modulo the wheel's
+teeth known from its pattern (`tooth_match`), whole turns are known, or are few.
 
 A loss at speed with all frames there is no such case: a blind sensor has not counted. Then nothing
 is said, and neither of a wheel with missing teeth, whose edges are not its teeth.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import sys
 from collections.abc import Sequence
@@ -32,7 +33,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if unknown:
         parser.prog = f"{parser.prog} {namespace.command}"
         parser.error(f"unknown argument {' '.join(unknown)}")
+    before = WATCH.compiling
     WATCH.compiling = Progress(rewrites=False).count
+    try:
+        return _run(namespace)
+    finally:
+        WATCH.compiling = before
+
+
+def _run(namespace: argparse.Namespace) -> int:
+    """The command, and an exit code for whatever ends it."""
     try:
         for target in ("json", "report"):
             path = getattr(namespace, target, None)

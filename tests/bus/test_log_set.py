@@ -190,7 +190,7 @@ def test_a_log_holds_all_but_its_last_second_at_any_time(
 ) -> None:
     """What a process that is killed leaves. The clock is the test's own."""
     now_s = 1000.0
-    monkeypatch.setattr("bus.recorder.time.monotonic", lambda: now_s)
+    monkeypatch.setattr("meshpoint.bus.logs.recorder.time.monotonic", lambda: now_s)
     path = tmp_path / f"run{ending}"
     log = LogWriter(path) if max_bytes is None else RotatingLog(path, max_bytes, channel="vcan0")
     for number in range(2000):

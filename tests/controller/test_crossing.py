@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from free_layshaft import US, Runs, World, drive, law_array
+from free_layshaft import Runs, World, drive, law_array
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binom, chi2
@@ -22,6 +22,7 @@ from meshpoint.controller.motion.models import LayshaftState, MotionModel, diago
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
+from meshpoint.units import US
 
 RUNS = 200
 BATCH_US = 10_000

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from free_layshaft import STEP_S, US, Runs, World, drive, edges_of, law_array
+from free_layshaft import STEP_S, Runs, World, drive, edges_of, law_array
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
@@ -25,6 +25,7 @@ from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.sheet import Wheel as SheetWheel
+from meshpoint.units import US
 
 RUNS = 100
 BATCH_US = 10_000

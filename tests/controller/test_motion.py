@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-from free_layshaft import US, flow_pa_s, law_array
+from free_layshaft import flow_pa_s, law_array
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
@@ -18,6 +18,7 @@ from meshpoint.controller.motion.models import (
     predict_spread,
     state_of,
 )
+from meshpoint.units import US
 
 RATES = st.tuples(
     st.one_of(st.just(0.0), st.floats(1e-6, 20.0)), st.floats(1e-5, 1e-3), st.floats(1.0, 500.0)

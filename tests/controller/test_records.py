@@ -74,29 +74,44 @@ def test_a_record_is_filled_by_every_name_in_order() -> None:
 
 
 RUN = """
-import json, sys, numpy as np from meshpoint.controller.estimation.crossing_filter import
-CrossingFilter, FurtherEdges, Pressures from meshpoint.controller.sensing.gate_kernels import
-gate_edges from meshpoint.controller.sensing.gate_layout import new_gate, teeth_of from
-meshpoint.controller.sensing.wheel_edges import EdgeBatch from meshpoint.controller.motion.models
-import diagonal, first_order_law, following_motion from meshpoint.controller.planning.plan_kernels
-import CONTACTS, MEETING, TERMS, course, expected_least from meshpoint.controller.records import
-filled from meshpoint.controller.settings import CrossingFilterTuning from
-meshpoint.controller.estimation.teeth import WheelTeeth rng = np.random.default_rng(4) tuning =
-CrossingFilterTuning() model = following_motion(30.0, 0.05, 50.0).with_law(first_order_law(16.7,
-8e5)) switches = np.array([[20e3, 60e3], [1.0, 0.0]]) edges = np.array((np.cumsum(rng.uniform(400.0,
-600.0, 200)), np.pi / 45 * np.arange(1, 201))) further = FurtherEdges(edges[:, ::4] + [[50.0],
-[0.3]], 1e-3) pressures = Pressures(np.arange(10e3, 100e3, 10e3), rng.uniform(0.0, 2e5, 9)) shaft =
-CrossingFilter(tuning) x = np.array([0.0, 140.0, 0.0, 0.0, 1.0, 0.0]) p = diagonal(1e-2, 5.0, 1e4,
-30.0, 0.1, 30.0) shaft.begin(0.0, x, p) shaft.set_mesh(1e-8, 1e-6, 1e4) shaft.take(edges, 1e-3,
-pressures, switches, model, further) teeth = WheelTeeth(45, tuning) teeth.learner.begin(0.0, x, p)
+import json, sys, numpy as np
+from meshpoint.controller.estimation.crossing_filter import CrossingFilter, FurtherEdges, Pressures
+from meshpoint.controller.sensing.gate_kernels import gate_edges
+from meshpoint.controller.sensing.gate_layout import new_gate, teeth_of
+from meshpoint.controller.sensing.wheel_edges import EdgeBatch
+from meshpoint.controller.motion.models import diagonal, first_order_law, following_motion
+from meshpoint.controller.planning.plan_kernels import CONTACTS, MEETING, TERMS
+from meshpoint.controller.planning.plan_kernels import course, expected_least
+from meshpoint.controller.records import filled
+from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.controller.estimation.teeth import WheelTeeth
+rng = np.random.default_rng(4)
+tuning = CrossingFilterTuning()
+model = following_motion(30.0, 0.05, 50.0).with_law(first_order_law(16.7, 8e5))
+switches = np.array([[20e3, 60e3], [1.0, 0.0]])
+edges = np.array((np.cumsum(rng.uniform(400.0, 600.0, 200)), np.pi / 45 * np.arange(1, 201)))
+further = FurtherEdges(edges[:, ::4] + [[50.0], [0.3]], 1e-3)
+pressures = Pressures(np.arange(10e3, 100e3, 10e3), rng.uniform(0.0, 2e5, 9))
+shaft = CrossingFilter(tuning)
+x = np.array([0.0, 140.0, 0.0, 0.0, 1.0, 0.0])
+p = diagonal(1e-2, 5.0, 1e4, 30.0, 0.1, 30.0)
+shaft.begin(0.0, x, p)
+shaft.set_mesh(1e-8, 1e-6, 1e4)
+shaft.take(edges, 1e-3, pressures, switches, model, further)
+teeth = WheelTeeth(45, tuning)
+teeth.learner.begin(0.0, x, p)
 batch = EdgeBatch(edges[0], edges[1], np.arange(200) // 2, np.arange(200) % 2)
-teeth.learner.take(batch, teeth.place(batch), pressures, switches, model) window =
-teeth.learner.so_far() gate, wheel = new_gate(2 * np.pi / 60, 0.5, 300.0, 170.0, 3), teeth_of(60,
-(58, 59)) missing = np.array([k for k in range(400) if k % 60 not in (58, 59)]) rises =
-np.array((np.arange(missing.size), 1000 + 500 * missing)) falls = rises + np.array([[0], [250]])
-gate.given[:] = rises.shape[1] found, numbers = np.zeros((2, 800)), np.zeros((3, 800), np.int64) n =
-gate_edges(gate.flat, wheel, rises, falls, found, numbers) ahead = np.empty((2, 20)) meeting =
-filled(MEETING, layshaft_us=0.0, first_us=1e3, step_us=2e3, i_gear=0.775,
+teeth.learner.take(batch, teeth.place(batch), pressures, switches, model)
+window = teeth.learner.so_far()
+gate, wheel = new_gate(2 * np.pi / 60, 0.5, 300.0, 170.0, 3), teeth_of(60, (58, 59))
+missing = np.array([k for k in range(400) if k % 60 not in (58, 59)])
+rises = np.array((np.arange(missing.size), 1000 + 500 * missing))
+falls = rises + np.array([[0], [250]])
+gate.given[:] = rises.shape[1]
+found, numbers = np.zeros((2, 800)), np.zeros((3, 800), np.int64)
+n = gate_edges(gate.flat, wheel, rises, falls, found, numbers)
+ahead = np.empty((2, 20))
+meeting = filled(MEETING, layshaft_us=0.0, first_us=1e3, step_us=2e3, i_gear=0.775,
     reference_rad=0.1, main_us=0.0, main_rad=1.0, main_rad_s=100.0, main_rad_s2=-3.0)
 course(x.copy(), switches, model.flat, meeting, ahead)
 contacts = filled(CONTACTS, wait_s=0.02, step_s=2e-3, variance_rad2=1e-6, growth_rad2_s=1e-5)

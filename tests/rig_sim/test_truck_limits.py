@@ -6,13 +6,14 @@ import math
 
 import numpy as np
 import pytest
-from truck_bench import DEG, GEAR, RPM, TRIALS, limit_sheet, limit_values, run, share, world
+from truck_bench import GEAR, TRIALS, limit_sheet, limit_values, run, share, world
 
 from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.sheet import load_sheet
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.strokes import Push
 from meshpoint.rig_sim.truck.trials import Trials
+from meshpoint.units import DEG, RPM
 
 PITCH = 15.0 * DEG
 BACKLASH = 3.0 * DEG

@@ -11,13 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from truck_bench import DEG, RPM, SHEET, TRIALS, limit_sheet, limit_values
+from truck_bench import SHEET, TRIALS, limit_sheet, limit_values
 
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.rig_sim.parts.cylinder import Cylinder, travel
 from meshpoint.rig_sim.truck.as_built import as_built_sheet, draw_as_built, linear, nominal
 from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.trials import Trials
+from meshpoint.units import DEG, RPM
 
 BACKLASH = 3.0 * DEG
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rig_bench import CYCLE_US, RigBench, upshift
-from truck_bench import RPM, SHEET, run, world
+from truck_bench import SHEET, run, world
 
 from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement
 from meshpoint.gearbox.gears import MainGear
@@ -29,6 +29,7 @@ from meshpoint.rig_sim.truck.as_built import (
     parameters,
 )
 from meshpoint.rig_sim.truck.world import TruckWorld
+from meshpoint.units import RPM
 
 TRUCK = RigSettings(seed=5, preset=Preset.TRUCK)
 SCRIPT = """

@@ -19,7 +19,7 @@ from meshpoint.testbench.report.comparison import (
     explain,
 )
 from meshpoint.testbench.report.page import page
-from meshpoint.testbench.report.run import Report, Run
+from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.results.rows import ShiftRow
 
 SHEET = load_sheet("truck12")
@@ -96,7 +96,7 @@ def test_the_page_has_the_same_groups_the_luck_and_a_word_on_few_shifts() -> Non
     setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=1, shifts=8)
     collector = ReportCollector(SHEET)
     simulate(setup, lambda _time_us, frame: collector.receive(frame))
-    run = Run("target_phase", collector.finish())
+    run = ReportRun("target_phase", collector.finish())
     groups = compare({run.name: [shift.row for shift in run.shifts]})
     assert {group.kind for group in groups} == {LEARNING, AIMED}
     text = page(Report("few", "", SHEET, [run], {}), {}, "")

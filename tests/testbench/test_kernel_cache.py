@@ -20,7 +20,7 @@ pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is com
 KERNELS = {
     "controller": "from meshpoint.controller.planning.plan_kernels import contact_cost, cheapest\n"
     "import numpy as np\n"
-    "print(cheapest(np.ones(1), np.ones(1), np.ones(4), np.ones(13), 0.1)[0])",
+    "print(cheapest(np.ones(1), np.ones(1), np.ones(4), np.ones(12), 0.1)[0])",
     "rig_sim": "from meshpoint.rig_sim.shared.angle_kernels import wrapped\n"
     "print(wrapped(0.75, 1.0))",
 }

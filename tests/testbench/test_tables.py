@@ -15,7 +15,7 @@ from rich.table import Table
 
 import meshpoint.testbench
 from meshpoint.controller.calibration.file import read_file
-from meshpoint.controller.calibration.records import Calibration
+from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import load_sheet
@@ -23,19 +23,20 @@ from meshpoint.gearbox.derived import sheet_figures
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.truck.as_built import draw_as_built
 from meshpoint.testbench.campaign import table as campaign_table
-from meshpoint.testbench.campaign.record import Record
+from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.commands import calibration as calibration_command
 from meshpoint.testbench.commands import captures as captures_command
 from meshpoint.testbench.commands import dbc as dbc_command
 from meshpoint.testbench.commands import gearbox as gearbox_command
 from meshpoint.testbench.commands import study as study_command
-from meshpoint.testbench.describe import faults_table, parameters_table
+from meshpoint.testbench.commands.describe import faults_table, parameters_table
 from meshpoint.testbench.logs.captures import CaptureRow
-from meshpoint.testbench.logs.counterfactual import Command, Counterfactual, counterfactual_table
-from meshpoint.testbench.results.output import rows_table, summary_table
-from meshpoint.testbench.results.rows import ShiftRow, summarise
-from meshpoint.testbench.studies.record import Finding, Statement, Verdict
+from meshpoint.testbench.logs.counterfactual import Counterfactual, Firing, counterfactual_table
+from meshpoint.testbench.report.comparison import compare, comparison_table
+from meshpoint.testbench.results.output import rows_table
+from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.studies.record import Finding, Statement, ThesisVerdict
 from meshpoint.testbench.studies.registry import NAMES, load
 from meshpoint.testbench.studies.runner import StudyRecord
 
@@ -50,7 +51,7 @@ ROW = ShiftRow(
     contact_us=None, end_us=0, fault="guard_blocked", impact_j=0.0, face_ms=0.0, ratchets=0,
     blocked=0, reference_source="none", speed_lost_kmh=None,
 )  # fmt: skip
-RECORD = Record(
+RECORD = JudgedShift(
     sweep="", sweep_value=0.0, seed=1, shift=0, strategy=LONGEST, from_gear=10, to_gear=12,
     main_gear="third", ratio=1.0, layshaft_rpm=1400.0, reference_known=False,
     reference_source="none", result="ended_between_gears", fault="none", contact="tooth",
@@ -101,19 +102,19 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> Calibration:
 def study_record(name: str) -> StudyRecord:
     study = load(name)
     said = Statement(
-        "so", "ours is 12.3 +- 0.4 deg, where theirs is 12.4", Verdict.NOT_COMPARABLE, ""
+        "so", "ours is 12.3 +- 0.4 deg, where theirs is 12.4", ThesisVerdict.NOT_COMPARABLE, ""
     )
     return StudyRecord(name, study.title, study.of, Finding((said, said), {}), (), {})
 
 
-def firing(strategy: str) -> Command:
-    return Command(strategy, "known", 12_345.6, -12.34)
+def firing(strategy: str) -> Firing:
+    return Firing(strategy, "known", 12_345.6, -12.34)
 
 
 TABLES: dict[str, Callable[[], Table]] = {
     "output.rows_table": lambda: rows_table("title", [ROW]),
-    "output.summary_table": lambda: summary_table(
-        [summarise(name, [ROW] * 1000) for name in STRATEGIES]
+    "comparison.comparison_table": lambda: comparison_table(
+        compare({name: [ROW] * 1000 for name in STRATEGIES})
     ),
     "campaign.table._strategies": lambda: campaign_table._strategies(campaign_values()),
     "campaign.table._ratios": lambda: campaign_table._ratios(campaign_values()["ratios"]),
