@@ -71,16 +71,16 @@ def _cells(row: JudgedRow) -> list[str]:
         told = judged.last if judged.fired_ms is not None else None
         parted = judged.parted.at_ms if judged.parted else None
         fires = judged.status if told is None else _number(told.fired_ms)
-        was = [broken(judged.strategy), fires, phase_text(told), _number(parted)]
+        was = [broken(judged.strategy), fires, _phase_text(told), _number(parted)]
         fired = judged.recorded.fired_ms if judged.recorded else None
     return [*was, broken(recorded.strategy), _number(fired), recorded.contact or "-"]
 
 
-def phase_text(decision: Decision | None) -> str:
+def _phase_text(decision: Decision | None) -> str:
     """The phase it expects at contact, in degrees, with its standard deviation."""
     if decision is None or decision.predicted_phase_deg is None:
         return "-"
-    return f"{decision.predicted_phase_deg:+.2f} ± {decision.predicted_phase_sd_deg or 0.0:.2f}"
+    return f"{decision.predicted_phase_deg:+.1f}±{decision.predicted_phase_sd_deg or 0.0:.1f}"
 
 
 def judged_words(rows: Sequence[JudgedRow], asked: str) -> str:
