@@ -1,8 +1,13 @@
 """The virtual gearbox: shafts, brake, valves, sleeves and sensors, seen only through CAN frames.
 
-It is the second witness: built from the same data sheet as the controller, its physics written
-independently of the controller's model. `core.RigCore` is the node; `settings.RigSettings` says
-which preset and which seed.
+Built from the same data sheet as the controller, but its physics is written independently of the
+controller's model, so that a mistake in one shows. `core.RigCore` is the node;
+`settings.RigSettings` says which preset and which seed. The rooms:
+
+    truck    the preset `truck`, with its faults and sensors
+    thesis   the preset `thesis`
+    parts    one physical law in each file
+    shared   what both presets use: valve drivers, sleeves, sensor clock, the bench's script
 """
 
 from meshpoint.rig_sim.core import RigCore

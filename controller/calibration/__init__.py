@@ -1,1 +1,1 @@
-"""What has been learned, as records and as a file."""
+"""What has been learned, as values (`learned`) and as a file (docs/calibration.md)."""

@@ -1,1 +1,1 @@
-"""Angle and speed of each shaft, tooth errors, brake model."""
+"""Angle and speed of each shaft, tooth errors, brake model (docs/estimation.md)."""

@@ -1,1 +1,1 @@
-"""The guard: forbids dangerous commands, from its own decoding and its own speeds."""
+"""The guard: forbids dangerous commands, by its own decoding and speeds (docs/guard.md)."""

@@ -1,1 +1,1 @@
-"""How shafts move: models, their closed forms and kernels, predictors, the brake input."""
+"""How shafts move: equations of motion, closed forms, the brake's input, signs."""

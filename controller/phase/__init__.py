@@ -1,1 +1,1 @@
-"""The angle between gear teeth and sleeve teeth: learned, kept, lost, found again."""
+"""The angle between gear teeth and sleeve teeth: learned, lost, recovered."""

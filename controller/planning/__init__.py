@@ -1,1 +1,1 @@
-"""When to release the brake and when to fire, by strategy."""
+"""When to release the brake and when to fire: predictions, and the `strategies` that use them."""

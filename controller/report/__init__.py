@@ -1,1 +1,1 @@
-"""What the controller says on the bus and in the log."""
+"""What the controller sends about itself: status, estimates, outcomes, lines of the log."""

@@ -1,1 +1,1 @@
-"""From frames to edges and views: sensor clock, edge gate, speeds, positions."""
+"""From frames to numbered edges (docs/edges.md), speeds, positions and gears in mesh."""

@@ -1,1 +1,1 @@
-"""The shift sequence: phases, their table, and what each does."""
+"""The shift sequence: its states, a file for each phase, the valve commands (docs/shifts.md)."""

@@ -1,1 +1,1 @@
-"""One physical law a file."""
+"""One physical law in each file: drag, brake disc, pneumatics, engine, vehicle and others."""

@@ -1,1 +1,2 @@
-"""What both gearboxes have alike: valves, sleeves, the bench script, edge arrays."""
+"""What both presets use: sleeves, edge arrays, the bench script, and the valve drivers, whose
+contract is docs/wire.md."""

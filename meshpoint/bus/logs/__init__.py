@@ -1,1 +1,1 @@
-"""CAN logs: read with limits, written in parts."""
+"""CAN log files: read with limits, written in parts. Replaying one: `testbench.logs`."""

@@ -1,1 +1,1 @@
-"""The commands of `meshpoint`, a file each: arguments in, exit code out."""
+"""The commands of `meshpoint`, one file for each: arguments in, exit code out."""

@@ -1,1 +1,1 @@
-"""Recorded logs and captures through the controller."""
+"""Recorded logs and captures, run through the controller again: replay, captures."""

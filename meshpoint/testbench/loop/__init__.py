@@ -1,1 +1,1 @@
-"""Controller and rig in one loop: virtual time, live, simulated."""
+"""Controller and rig together on one bus: in virtual time, and live as two processes."""

@@ -1,1 +1,1 @@
-"""The HTML report and pictures of a run."""
+"""The HTML report and the pictures of a run, drawn from its `results`."""

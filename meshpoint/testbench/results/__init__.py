@@ -1,1 +1,1 @@
-"""What a run gives: rows, traces, figures."""
+"""What a run gives: a row for each shift, traces, figures. `report` draws them."""

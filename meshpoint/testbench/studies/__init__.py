@@ -1,1 +1,1 @@
-"""The thesis reproduced: one study a figure or table, ours beside the thesis's statement."""
+"""The thesis reproduced: a study for each figure or table; `registry` says how to add one."""
