@@ -129,7 +129,7 @@ class ReferenceRecovery:
             self._remember(turns_lost=layshaft)
         for wheel in broken:
             if wheel.teeth.learned is (wheel.shift is None):
-                # Either this numbering has no pattern, or its shift to the remembered one is unknown.
+                # This numbering has no pattern, or its shift to the remembered one is unknown.
                 self._remembered = {}
             elif wheel.shift is not None:
                 wheel.base = wheel.shift

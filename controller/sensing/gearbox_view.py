@@ -1,4 +1,4 @@
-"""What the sensors say of sleeves, clutch and gears: positions turned into gears in mesh."""
+"""Sleeves, clutch and gears as measured: which gear is in mesh by the position sensors."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class SleeveTrack(NamedTuple):
 
 
 RESTING_M = 1e-3
-"""A sleeve this near to the middle is taken to rest there."""
+"""A sleeve this close to the middle is taken to be in neutral."""
 REST_SHARE = 0.05
 SHORT_M = 4e-4
 """Contact is looked for this much before it: a sleeve that a tooth stops goes no further."""
@@ -63,7 +63,7 @@ class GearboxView:
         self._contact_m = sheet.sleeve.to_contact_m
         self._speed_m_s = sheet.sleeve.speed_m_s
         self._rest_m = dict.fromkeys(Sleeve, 0.0)
-        """What each sensor reads at rest in neutral: its offset."""
+        """Offset of each sensor: its reading in neutral (m)."""
         self.tracks: dict[Sleeve, SleeveTrack] = {}
         self.clutch_closed: float | None = None
         """0 open .. 1 closed."""
