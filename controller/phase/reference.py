@@ -4,11 +4,11 @@ The sensor wheels count teeth but do not measure absolute angles (thesis 8.2). I
 at one of the two flanks of its gap, so the phase is +b/2 or -b/2 (b: backlash), and the constant
 between counted angles and phase follows once it is known which flank.
 
-- A tooth that has moved through the gap from above lies at the lower flank, and the other way
-round. - A tooth that has not moved lies where the slip at contact carried it, if the sleeve went
-straight in; in a gearbox where teeth have been observed to move, it lies where the layshaft's drag
-pulls it. - With very little torque a tooth floats. Its lowest and highest phase between lock and
-release then bound the gap, which is as wide as that range or slightly wider.
+- A tooth that has moved through the gap from above lies at the lower flank, and vice versa.
+- A tooth that has not moved lies where the slip at contact carried it, if the sleeve went straight
+  in; in a gearbox where teeth have been observed to move, where the layshaft's drag pulls it.
+- With very little torque a tooth floats. Its lowest and highest phase between lock and release then
+  bound the gap, which is as wide as that range or slightly wider.
 
 An observation of the phase of a gear in mesh is called a look. Counting teeth keeps the reference
 exact; it is lost when the count of either wheel is lost.
