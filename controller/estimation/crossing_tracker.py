@@ -83,7 +83,7 @@ class _Shaft:
             self._filter.lose_offset()
 
     def lose_speed(self) -> None:
-        """Starts anew with the edges to come; teeth keep their numbers."""
+        """Starts again with the next edges; teeth keep their numbers."""
         self._running = self._fuses = False
         self._seed.restart()
         self.teeth.learner.running = False
@@ -91,7 +91,7 @@ class _Shaft:
             self._geared.teeth.learner.running = False
 
     def restart(self) -> None:
-        """Tooth numbers were lost: starts anew; which tooth is which is not known any more."""
+        """Tooth numbers were lost: starts again, and which tooth is which is no longer known."""
         self.lose_speed()
         self.teeth.lose_numbers()
 

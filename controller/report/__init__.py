@@ -1,1 +1,1 @@
-"""What the controller says on the bus and in the log."""
+"""The controller's reports: status frames and log lines."""

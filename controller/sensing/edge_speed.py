@@ -30,14 +30,14 @@ _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument h
 
 
 class Speed(NamedTuple):
-    """A mean speed and the middle of the time it is of (sensor clock, us)."""
+    """A mean speed, and the middle of the interval it was measured over (sensor clock, us)."""
 
     time_us: int
     omega_rad_s: float
 
 
 class Turned(NamedTuple):
-    """Teeth passed until the newest edge."""
+    """Number of teeth passed until the newest edge, and the time (us) of that edge."""
 
     time_us: int
     teeth: int
@@ -79,11 +79,11 @@ class EdgeSpeed:
 
     @property
     def turned(self) -> Turned | None:
-        """Running count; None before the first edge."""
+        """Running count of teeth; None before the first edge."""
         return None if self._newest_us is None else Turned(self._newest_us, self._teeth)
 
     def at(self, now_us: int) -> Speed | None:
-        """The newest speed; None without one, or when edges have failed to come."""
+        """The newest speed; None if there is none, or if edges have stopped coming."""
         newest_us = self._newest_us
         if self._speed is None or newest_us is None or self._is_dead:
             return None

@@ -34,7 +34,7 @@ class SleeveTrack(NamedTuple):
 
     @property
     def position_m(self) -> float:
-        """Where the sleeve is."""
+        """The sleeve's newest position (m)."""
         return self.samples_m[0]
 
     def crossing_us(self, level_m: float, direction: int) -> float | None:
@@ -52,7 +52,8 @@ RESTING_M = 1e-3
 """A sleeve this close to the middle is taken to be in neutral."""
 REST_SHARE = 0.05
 SHORT_M = 4e-4
-"""Contact is looked for this much before it: a sleeve that a tooth stops goes no further."""
+"""Contact is detected this far before its nominal position, since a tooth may stop the sleeve
+there."""
 
 
 class GearboxView:
@@ -105,12 +106,12 @@ class GearboxView:
 
     @property
     def complete(self) -> bool:
-        """Whether every position and the clutch have been seen."""
+        """Whether all positions and the clutch have been received at least once."""
         return len(self.tracks) == SLEEVE_COUNT and self.clutch_closed is not None
 
     @property
     def oldest_us(self) -> int:
-        """Time of the newest sample of the sleeve that was seen longest ago; 0 before any."""
+        """The oldest of the sleeves' newest sample times (us); 0 before any."""
         return min([track.newest_us for track in self.tracks.values()], default=0)
 
     def position_m(self, sleeve: Sleeve) -> float:
