@@ -33,6 +33,7 @@ from meshpoint.controller.settings import ControllerSettings, ValveTiming
 from meshpoint.controller.shift.context import PredictorSource
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
+from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
@@ -118,6 +119,11 @@ class ControllerCore:
     def knows(self) -> tuple[int, int]:
         """Changes when there is more to keep: shifts that have ended, references that are known."""
         return self.shifts, self._observer.references.mask
+
+    @property
+    def running_shift(self) -> ShiftRecord | None:
+        """The shift under way, or the one that this step has ended; for those who look on."""
+        return self._sequence.shift or self._sequence.finished
 
     def calibration(self, written: str) -> Calibration:
         """What has been learned, earlier runs included; written: date and time as text for the

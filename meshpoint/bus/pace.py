@@ -17,6 +17,7 @@ import os
 import struct
 import sys
 import threading
+import weakref
 from collections.abc import Iterable
 from pathlib import Path
 from time import perf_counter, sleep
@@ -60,12 +61,10 @@ class PaceFile:
     def __init__(self, path: Path) -> None:
         """Opens an existing file; OSError when there is none, PaceError when it is another."""
         self._path = path
-        self._file = path.open("r+b", buffering=0)
-        try:
-            self._words()
-        except PaceError:
-            self._file.close()
-            raise
+        self._descriptor = os.open(path, os.O_RDWR | getattr(os, "O_BINARY", 0))
+        # Every clock of a node shares this file: it is closed with the last of them.
+        weakref.finalize(self, os.close, self._descriptor)
+        self._words()
 
     @staticmethod
     def create(path: Path) -> PaceFile:
@@ -112,20 +111,20 @@ class PaceFile:
     if hasattr(os, "pread"):
 
         def _read(self) -> bytes:
-            return os.pread(self._file.fileno(), _SIZE + 1, 0)
+            return os.pread(self._descriptor, _SIZE + 1, 0)
 
         def _write(self, word: int, value: int) -> None:
-            os.pwrite(self._file.fileno(), struct.pack("=q", value), 8 * word)
+            os.pwrite(self._descriptor, struct.pack("=q", value), 8 * word)
 
     else:
 
         def _read(self) -> bytes:
-            self._file.seek(0)
-            return self._file.read(_SIZE + 1)
+            os.lseek(self._descriptor, 0, os.SEEK_SET)
+            return os.read(self._descriptor, _SIZE + 1)
 
         def _write(self, word: int, value: int) -> None:
-            self._file.seek(8 * word)
-            self._file.write(struct.pack("=q", value))
+            os.lseek(self._descriptor, 8 * word, os.SEEK_SET)
+            os.write(self._descriptor, struct.pack("=q", value))
 
 
 class PacedClock:

@@ -2,9 +2,11 @@
 
 import asyncio
 import itertools
+import os
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -239,3 +241,15 @@ def test_time_waits_for_frames_on_their_way_and_gives_a_silent_bus_up(tmp_path):
     assert file.now_us - 50_000 >= waited_us + 9_000, "time goes on with the frame"
     run(2_500)
     assert file.now_us > 1_000_000, "nobody speaks any more"
+
+
+def test_a_pace_file_is_closed_with_the_last_that_uses_it(tmp_path: Path) -> None:
+    """Each run of a demo opens one: none may stay open behind it, and none is warned of."""
+    file = PaceFile.create(tmp_path / "pace")
+    descriptor = file._descriptor
+    clock = PacedClock(file, "rig")
+    del file
+    os.fstat(descriptor)
+    del clock
+    with pytest.raises(OSError, match="Bad file descriptor"):
+        os.fstat(descriptor)

@@ -111,9 +111,19 @@ def test_it_is_asked_what_it_would_have_commanded_on_another_log(
     capsys.readouterr()
     assert run("replay", tmp_path / "x.log", "--strategy", name, "--json", "-") == 0
     values = json.loads(capsys.readouterr().out)
-    commanded = [(c["strategy"], c["recorded"]["strategy"]) for c in values["commanded"]]
-    assert commanded[-1] == (name, "target_phase")
+    acted = [(row["strategy"], row["recorded"]["strategy"]) for row in values["shifts"]]
+    assert acted[-1] == (name, "target_phase")
     assert all(session["verdict"] == "identical" for session in values["sessions"])
+
+
+def test_of_its_own_log_another_is_not_asked_without_it(
+    recorded: tuple[Path, str, dict[str, Any]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The state in which each shift was begun is that of the strategy that made the log."""
+    folder, name, _ = recorded
+    code, session = verdicts(capsys, folder / "x.log", "--strategy", "speed_window")
+    assert (code, session["verdict"]) == (3, "not verifiable")
+    assert f"own strategy {name} made this log" in session["reason"]
 
 
 def campaign(tmp_path: Path, *arguments: object) -> tuple[int, dict[str, Any]]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import io
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -32,7 +33,8 @@ from meshpoint.testbench.commands import gearbox as gearbox_command
 from meshpoint.testbench.commands import study as study_command
 from meshpoint.testbench.commands.describe import faults_table, parameters_table
 from meshpoint.testbench.logs.captures import CaptureRow
-from meshpoint.testbench.logs.counterfactual import Counterfactual, Firing, counterfactual_table
+from meshpoint.testbench.logs.decisions import Decision, Judged, Parting
+from meshpoint.testbench.logs.judged_rows import JudgedRow, judged_table
 from meshpoint.testbench.report.comparison import compare, comparison_table
 from meshpoint.testbench.results.output import rows_table
 from meshpoint.testbench.results.rows import ShiftRow
@@ -107,8 +109,13 @@ def study_record(name: str) -> StudyRecord:
     return StudyRecord(name, study.title, study.of, Finding((said, said), {}), (), {})
 
 
-def firing(strategy: str) -> Firing:
-    return Firing(strategy, "known", 12_345.6, -12.34)
+def judged(strategy: str) -> JudgedRow:
+    last = Decision(1_000.0, "committed", 900.0, 12_345.6, 12_390.6, -12.34, 10.23, 34.5)
+    shift = Judged(
+        10, 12, 0, strategy, "known", "fired", "none", last, last,
+        Parting(12_345.6, ("brake",), last, last), 1_000.0, 12_390.6, "",
+    )  # fmt: skip
+    return JudgedRow(replace(ROW, strategy=strategy), shift)
 
 
 TABLES: dict[str, Callable[[], Table]] = {
@@ -119,9 +126,7 @@ TABLES: dict[str, Callable[[], Table]] = {
     "campaign.table._strategies": lambda: campaign_table._strategies(campaign_values()),
     "campaign.table._ratios": lambda: campaign_table._ratios(campaign_values()["ratios"]),
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
-    "logs.counterfactual.counterfactual_table": lambda: counterfactual_table(
-        "title", [Counterfactual(10, 12, firing(LONGEST), firing(LONGEST))]
-    ),
+    "logs.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
     "commands.captures.counts_table": lambda: captures_command.counts_table([CAPTURE]),
     "commands.captures.errors_table": lambda: captures_command.errors_table([CAPTURE]),
     "commands.study.list_table": lambda: study_command.list_table(

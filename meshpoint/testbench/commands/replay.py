@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,16 +14,16 @@ from rich.progress import Progress, SpinnerColumn, TextColumn
 from meshpoint.bus.logs.files import log_files, read_logs
 from meshpoint.bus.logs.limits import LogError
 from meshpoint.controller.header import RunHeader
-from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
-from meshpoint.dbc.messages import ReferenceEngagement, ShiftOutcome
+from meshpoint.dbc.messages import Message, ReferenceEngagement, ShiftOutcome, ShiftResult
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.logs.counterfactual import Counterfactuals, counterfactual_table
+from meshpoint.testbench.logs.judged_rows import JudgedRow, judged_table, judged_words
+from meshpoint.testbench.logs.open_loop import OpenLoop
 from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
-from meshpoint.testbench.logs.replay_strategy import Chosen, header_for
+from meshpoint.testbench.logs.replay_strategy import Chosen, other_settings, recorded_header
 from meshpoint.testbench.report.collect import MADE, ReportCollector
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import aim_rad, check_report, report_provenance, write_report
@@ -62,9 +63,10 @@ def add_parser(commands: Any) -> None:
         "--strategy",
         type=arguments.strategy_name,
         metavar="NAME|FILE.py:CLASS",
-        help="what another strategy would have commanded on the same frames: when it fires, and "
-        "the phase it then expects, beside what was recorded; a log that a strategy of your own "
-        "has made is repeated with that same file",
+        help="what another strategy decides on the same frames, each recorded shift by itself: "
+        "when it fires, the phase it then expects, where it parts from what was recorded "
+        "(docs/replay.md); a log that a strategy of your own has made is repeated with that same "
+        "file",
     )
     parser.add_argument("--header-dir", type=Path, metavar="DIR", help="where the run headers are")
     arguments.add_json(parser)
@@ -97,94 +99,108 @@ class _Log:
 
 
 class _Rows:
-    """Rows from the replayed controller's outcomes beside the logged truth; with another strategy
-    beside the logged commands, since that truth came of those."""
+    """Rows of the shifts: as recorded, from the repeated controller's outcomes and the logged
+    truth; in open loop from the log alone, with the other strategy's decisions beside each."""
 
-    def __init__(self, for_report: bool = False, other: bool = False) -> None:
+    def __init__(self, for_report: bool, open_loop: OpenLoop | None) -> None:
         self._for_report = for_report
-        self.counterfactuals = Counterfactuals() if other else None
+        self.open_loop = open_loop
         self._logged = Receiver(*Node)
         self._made = Receiver(Node.BENCH)
         self._collector: RowCollector | None = None
-        self._settings = self._logged_settings = ControllerSettings()
-        """Of the replayed controller and of the recorded one, which name their strategies."""
         self._truth: list[ReferenceEngagement] = []
+        self._session = -1
+        self._keys: list[tuple[int, int]] = []
+        """Of each row in open loop: session and time of request."""
         self.report: ReportCollector | None = None
         self.header: RunHeader | None = None
         """Of the first session, which rows and report are made with."""
 
     def logged(self, frame: Frame) -> None:
-        """A frame of the log: rows use the truth of it, a report all but the controller's."""
+        """A frame of the log: as recorded, rows use the truth of it and a report all but the
+        controller's; in open loop both use all of it."""
         message = self._logged.receive(frame).message
-        if self.counterfactuals is not None:
-            if isinstance(message, ShiftOutcome):
-                self.counterfactuals.recorded(message, self._logged_settings)
+        if message is None:
+            return
+        if self.open_loop is not None:
+            self._take(message)
         elif isinstance(message, ReferenceEngagement):
             self._truth.append(message)
-        if self.report is not None and message is not None and not isinstance(message, MADE):
+        if self.report is not None and (self.open_loop or not isinstance(message, MADE)):
             self.report.take(message)
 
-    def start(self, header: RunHeader, settings: ControllerSettings) -> None:
-        """A session's data sheet is known, and the settings that it is replayed with."""
-        self._logged_settings, self._settings = header.settings, settings
+    def start(self, header: RunHeader) -> None:
+        """A session's data sheet is known, and the settings that it is repeated with."""
+        self._session += 1
         if self.report is not None:
             self.report.restart()
         if self._collector is None:
             self.header = header
-            self._collector = RowCollector(header.sheet, aim_rad(header), settings)
+            self._collector = RowCollector(header.sheet, aim_rad(header), header.settings)
             if self._for_report:
-                self.report = ReportCollector(header.sheet, aim_rad(header), settings)
+                self.report = ReportCollector(header.sheet, aim_rad(header), header.settings)
 
     def made(self, frame: Frame) -> None:
-        """A frame the replayed controller sent."""
+        """A frame the repeated controller sent."""
+        if self.open_loop is not None:
+            return
         message = self._made.receive(frame).message
-        if isinstance(message, ShiftOutcome) and self._collector is not None:
+        if isinstance(message, ShiftOutcome):
             for truth in self._truth:
-                self._collector.take(truth)
+                self._take(truth)
             self._truth.clear()
-            self._collector.take(message)
-            if self.counterfactuals is not None:
-                self.counterfactuals.made(message, self._settings)
+            self._take(message)
         if self.report is not None and isinstance(message, MADE):
             self.report.take(message)
+
+    def _take(self, message: Message) -> None:
+        if self._collector is None:
+            return
+        self._collector.take(message)
+        if isinstance(message, ShiftOutcome) and message.result is not ShiftResult.REFUSED:
+            self._keys.append((self._session, message.request_time_us))
 
     @property
     def rows(self) -> list[ShiftRow]:
         """The shifts so far."""
         return self._collector.rows if self._collector else []
 
+    @property
+    def judged(self) -> list[JudgedRow]:
+        """The same in open loop."""
+        found = self.open_loop.judged if self.open_loop else {}
+        return [
+            JudgedRow(row, found.get(key)) for key, row in zip(self._keys, self.rows, strict=True)
+        ]
+
 
 def run(namespace: argparse.Namespace) -> int:
     """Replays, and verifies where asked."""
-    other = namespace.strategy
-    chosen = None if other is None else Chosen(other, arguments.strategy_file(other))
+    name, verify = namespace.strategy, namespace.verify
+    chosen = None if name is None else Chosen(name, arguments.strategy_file(name))
     files = log_files(namespace.log)
     check_report(namespace.report)
-    rows = _Rows(namespace.report is not None, other is not None)
+    open_loop = None
+    if chosen is not None and not verify:
+        open_loop = OpenLoop(lambda header: other_settings(header, chosen))
+    rows = _Rows(namespace.report is not None, open_loop)
 
     def change(header: RunHeader) -> RunHeader:
-        changed = header_for(header, chosen, namespace.verify)
-        rows.start(header, changed.settings)
+        changed = recorded_header(header, chosen, verify)
+        rows.start(changed)
         return changed
 
     out = console(namespace.json)
     events: list[tuple[int, str]] = []
     replay = LogReplay(
         namespace.header_dir or files[0].parent,
-        namespace.verify,
+        verify,
         change,
         rows.made,
         lambda time_us, line: events.append((time_us, line)),
+        open_loop,
     )
-    with Progress(
-        SpinnerColumn(),
-        TextColumn("replaying {task.completed} frames"),
-        console=console("-"),
-        transient=True,
-    ) as progress:
-        task = progress.add_task("frames", total=None)
-        log = _Log(files, rows, lambda frames: progress.update(task, completed=frames))
-        sessions = replay.run(log)
+    log, sessions = _replayed(replay, files, rows)
     if log.defect is not None:
         _end_early(sessions[-1], log.defect)
     _show(namespace, out, files, sessions, rows, events)
@@ -194,7 +210,20 @@ def run(namespace: argparse.Namespace) -> int:
     for session in sessions:
         errors += Counter(session.strategy_errors)
     complain_of_strategy(errors)
-    return _exit_code(sessions, namespace.verify) or (Exit.FAILED if errors else Exit.DONE)
+    return _exit_code(sessions, verify) or (Exit.FAILED if errors else Exit.DONE)
+
+
+def _replayed(replay: LogReplay, files: list[Path], rows: _Rows) -> tuple[_Log, list[Session]]:
+    """The whole log through it, with progress told."""
+    with Progress(
+        SpinnerColumn(),
+        TextColumn("replaying {task.completed} frames"),
+        console=console("-"),
+        transient=True,
+    ) as progress:
+        task = progress.add_task("frames", total=None)
+        log = _Log(files, rows, lambda frames: progress.update(task, completed=frames))
+        return log, replay.run(log)
 
 
 def _end_early(session: Session, defect: LogError) -> None:
@@ -221,24 +250,30 @@ def _show(
     rows: _Rows,
     events: list[tuple[int, str]],
 ) -> None:
-    pairs = rows.counterfactuals.pairs() if rows.counterfactuals else None
+    judged = rows.judged if rows.open_loop else None
     if namespace.json is not None:
-        values = {
+        shifts = (
+            [row.to_json() for row in rows.rows]
+            if judged is None
+            else [row.to_json(namespace.strategy) for row in judged]
+        )
+        values: dict[str, Any] = {
             "log": str(namespace.log[0]),
             "logs": [str(path) for path in files],
+            "mode": "as recorded" if judged is None else "open loop",
             "sessions": [_session_json(session) for session in sessions],
-            "shifts": [row.to_json() for row in rows.rows],
+            "shifts": shifts,
             "events": [{"time_us": time_us, "event": line} for time_us, line in events],
         }
-        if pairs is not None:
-            values["commanded"] = [pair.to_json() for pair in pairs]
+        if rows.open_loop is not None:
+            values["unfinished_shifts"] = rows.open_loop.unfinished
         write_json(namespace.json, values)
     if namespace.json != "-" and rows.rows:
-        title = f"{_name(files)} as {namespace.strategy or 'recorded'} commands it"
-        if pairs is None:
-            out.print(rows_table(title, rows.rows))
+        if judged is None:
+            out.print(rows_table(f"{_name(files)} as recorded", rows.rows))
         else:
-            out.print(counterfactual_table(title, pairs))
+            out.print(judged_table(f"{_name(files)} as {namespace.strategy} decides it", judged))
+            out.print(judged_words(judged, namespace.strategy), markup=False)
     for number, session in enumerate(sessions, 1):
         if namespace.verify or session.verdict is not Verification.IDENTICAL:
             out.print(f"run {number} of {len(sessions)}: {session}", markup=False)
@@ -258,15 +293,29 @@ def _report(
     if header is None or rows.report is None:
         out.print("no report: no run of this log could be repeated")
         return
-    name = namespace.strategy or header.settings.strategy_name
+    name, shifts = header.settings.strategy_name, rows.report.finish()
     notes = [f"run {n} of {len(sessions)}: {session}" for n, session in enumerate(sessions, 1)]
-    what = "as recorded" if namespace.strategy is None else f"as {namespace.strategy} commands it"
+    if not namespace.verify:
+        notes = []
+    subtitle = (
+        "A recorded bus through the same controller, as recorded; sensors, valves and truth are "
+        "those of the log."
+    )
+    if rows.open_loop is not None:
+        judged = rows.judged
+        shifts = [replace(s, replayed=j.judged) for s, j in zip(shifts, judged, strict=True)]
+        subtitle = (
+            f"A recorded bus, and what {namespace.strategy} decides on the same frames: each shift "
+            "judged from the state in which it was begun. Outcomes are the log's; the other "
+            "strategy has none."
+        )
+        notes.append(judged_words(judged, namespace.strategy))
     report = Report(
         title=f"meshpoint replay: {_name(files)}",
-        subtitle=f"A recorded bus through the same controller, {what}; sensors, valves and truth "
-        "are those of the log.",
+        subtitle=subtitle,
         sheet=header.sheet,
-        runs=[ReportRun(name, rows.report.finish(), notes if namespace.verify else [])],
+        runs=[ReportRun(name, shifts, notes)],
+        asked=namespace.strategy if rows.open_loop else None,
         provenance=report_provenance(
             header.sheet,
             seed=None,

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import Final
+from typing import Final, Protocol
 
 from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.header import HeaderError, RunHeader, architecture, load_header
@@ -80,6 +80,28 @@ class _Recorded:
     frames: list[Frame] = field(default_factory=list)
 
 
+class Onlooker(Protocol):
+    """Looks on while a log is repeated."""
+
+    def start(self, header: RunHeader, errors: dict[str, int]) -> None:
+        """A session begins; `errors` of its strategies are counted there."""
+
+    def before(
+        self,
+        core: ControllerCore,
+        status: ControllerStatus,
+        sent: list[Frame],
+        consumed: list[Frame],
+    ) -> None:
+        """A step is about to be repeated with the frames that it consumed."""
+
+    def after(self, status: ControllerStatus, sent: list[Frame], made: list[Frame]) -> None:
+        """It has been: `made` instead of `sent`."""
+
+    def end(self) -> None:
+        """The session cannot go on, or the log has ended."""
+
+
 class LogReplay:
     """Feeds a log's frames to controllers, one for each session that the log holds.
 
@@ -94,7 +116,9 @@ class LogReplay:
         change: Callable[[RunHeader], RunHeader] | None = None,
         on_output: Callable[[Frame], None] | None = None,
         on_event: Callable[[int, str], None] | None = None,
+        onlooker: Onlooker | None = None,
     ) -> None:
+        self._onlooker = onlooker
         self._folder = folder
         self._verify = verify
         self._change = change
@@ -111,6 +135,8 @@ class LogReplay:
         """Takes the whole log. A session that cannot go on is skipped to the next one."""
         for frame in frames:
             self.take(frame)
+        if self._onlooker is not None:
+            self._onlooker.end()
         if not self.sessions:
             session = Session(verdict=Verification.NOT_VERIFIABLE)
             session.reason = "the log holds no controller status frame"
@@ -149,6 +175,8 @@ class LogReplay:
         session = self.sessions[-1]
         session.verdict, session.step, session.reason = verdict, number, reason
         self._core = None
+        if self._onlooker is not None:
+            self._onlooker.end()
 
     def _start(self, status: ControllerStatus) -> None:
         session = Session(run_hash=status.run_hash)
@@ -164,6 +192,8 @@ class LogReplay:
             _check_same_product(header)
         self._core = ControllerCore(self._change(header) if self._change else header)
         session.strategy_errors = self._core.strategy_errors
+        if self._onlooker is not None:
+            self._onlooker.start(header, session.strategy_errors)
 
     def _repeat(self, session: Session, step: _Recorded) -> None:
         core, status = self._core, step.status
@@ -173,9 +203,14 @@ class LogReplay:
             raise NotVerifiableError(
                 f"step {session.steps} is missing: frames were lost between bus and log"
             )
-        for frame in self._consumed(status):
+        consumed = self._consumed(status)
+        if self._onlooker is not None:
+            self._onlooker.before(core, status, step.frames, consumed)
+        for frame in consumed:
             core.receive(frame)
         made = core.step(status.step_time_us)
+        if self._onlooker is not None:
+            self._onlooker.after(status, step.frames, made.frames)
         session.steps += 1
         session.frames += len(made.frames)
         for line in made.events:

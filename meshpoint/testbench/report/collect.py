@@ -27,6 +27,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.testbench.logs.decisions import Judged
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.testbench.results.rows import RowCollector, ShiftRow
 from meshpoint.testbench.results.traces import TRACED, Traces
@@ -58,6 +59,8 @@ class ReportShift:
     target_deg: float
     """Where in the gap was aimed at; the row's phase error counts from there."""
     series: dict[str, Points]
+    replayed: Judged | None = None
+    """What another strategy decides on these frames; nothing else here is of its doing."""
 
     def ms(self, stamp_us: int) -> float:
         """A 32-bit sensor time in ms since the request."""

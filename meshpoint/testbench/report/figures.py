@@ -33,6 +33,7 @@ from meshpoint.testbench.report.layout import (
     layout_key,
 )
 from meshpoint.testbench.report.phase import estimated_phase, true_phase
+from meshpoint.testbench.report.replayed import replayed_bars, replayed_events, replayed_predictions
 
 HOLE_MS: Final = 50.0
 """A line is broken where the bus was silent for longer."""
@@ -56,7 +57,9 @@ def shift_figure(shift: ReportShift, sheet: GearboxSheet) -> Figure:
     sleeves = {target.sleeve: "solid"}
     if before is not None:
         sleeves.setdefault(SLEEVE_OF_MAIN[before.main].sleeve, "dot")
-    valves = _valves(shift)
+    valves = [*replayed_bars(shift), *_valves(shift)]
+    more_shapes, more_annotations = replayed_events(shift)
+    shapes, annotations = [*shapes, *more_shapes], [*annotations, *more_annotations]
     data = [
         *_speeds(shift, ratio),
         *_slips(shift, ratio),
@@ -65,6 +68,7 @@ def shift_figure(shift: ReportShift, sheet: GearboxSheet) -> Figure:
         *_sleeves(shift, sleeves),
         *_phases(shift, gear, ratio),
         *_predictions(shift),
+        *replayed_predictions(shift),
     ]
     return {
         "data": [trace for trace in data if trace["x"]],

@@ -16,6 +16,7 @@ from meshpoint.testbench.report.html import (
     table_row,
 )
 from meshpoint.testbench.report.overview import shift_key
+from meshpoint.testbench.report.replayed import decisions_table, replayed_account
 from meshpoint.testbench.report.run import Report, ReportRun, account, figure, shift_title
 from meshpoint.testbench.results.rows import ShiftRow
 
@@ -26,12 +27,13 @@ def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
     body = [
         f"<h1>{escape(report.title)}</h1>",
         f"<p>{escape(report.subtitle)}</p>",
-        "<h2>Summary</h2>",
+        "<h2>Summary</h2>" if report.asked is None else "<h2>Summary of the log</h2>",
         _summary(report),
         _notes(report.runs),
     ]
     if shifts:
-        body += [OVERVIEW, "<h2>Shifts</h2>", _shifts(report.runs), VIEWER]
+        heading = "<h2>Shifts</h2>" if report.asked is None else "<h2>Shifts as recorded</h2>"
+        body += [decisions_table(report), OVERVIEW, heading, _shifts(report.runs), VIEWER]
     else:
         body.append("<p>No shift to draw.</p>")
     body += ["<h2>Provenance</h2>", definitions(report.provenance)]
@@ -142,7 +144,8 @@ def shift_words(report: Report) -> dict[str, dict[str, Any]]:
     return {
         shift_key(r, s): {
             "title": shift_title(run.name, s + 1, shift),
-            "account": account(shift),
+            "account": account(shift)
+            + (replayed_account(shift.replayed, shift.row.pitch_deg) if shift.replayed else []),
         }
         for r, run in enumerate(report.runs)
         for s, shift in enumerate(run.shifts)

@@ -27,6 +27,8 @@ class Report:
     sheet: GearboxSheet
     runs: list[ReportRun]
     provenance: dict[str, str]
+    asked: str | None = None
+    """The strategy that was asked what it decides on these frames; None: as recorded."""
 
 
 def shift_title(run: str, number: int, shift: ReportShift) -> str:

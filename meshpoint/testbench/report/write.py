@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from meshpoint.controller.header import RunHeader
 from meshpoint.dbc import DBC_SHA256
@@ -20,6 +20,9 @@ from meshpoint.testbench.report.page import page, shift_words
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.results.output import check_writable, folder_for
 from meshpoint.testbench.results.rows import is_aimed
+
+REPLAYED_MARGIN: Final = 160
+"""Left of the figures of a replay, px."""
 
 
 def check_report(path: Path | None) -> None:
@@ -99,8 +102,11 @@ def report_data(report: Report) -> dict[str, Any]:
             "contacts": contacts_figure(list(report.runs), report.sheet),
             "predictions": predictions_figure(list(report.runs), report.sheet),
         }
+    common = common_layout(report.sheet)
+    if report.asked is not None:
+        common["margin"]["l"] = REPLAYED_MARGIN  # names of valves are longer
     return {
-        "common": common_layout(report.sheet),
+        "common": common,
         "overview": overview,
         "shifts": {key: figure | words[key] for key, figure in figures.items()},
         "first": next(aimed, next(iter(figures), "")),

@@ -1,0 +1,164 @@
+"""Open loop: what another strategy decides at every recorded request, beside what was sent.
+
+A log's sensors answer to the recorded commands alone. So the recorded controller is repeated as it
+was, and at each step in which it begins a shift a copy of it, with the other settings, is fed the
+same frames until that shift has ended; then the copy is thrown away. Each recorded shift is thus
+judged from the state in which it was begun (gear, valves, brake history, references learned by
+then), whatever was decided in the shifts before it.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.header import RunHeader
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.shift.table import ShiftRecord
+from meshpoint.dbc.e2e import check_crc
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.messages import (
+    ControllerState,
+    ControllerStatus,
+    ShiftOutcome,
+    ShiftPrediction,
+    ShiftResult,
+    ValveCommand,
+)
+from meshpoint.testbench.logs.decisions import Course, Judged, Said, judge
+
+SHIFTING: Final = frozenset(ControllerState) - {
+    ControllerState.STARTING,
+    ControllerState.IN_GEAR,
+    ControllerState.NEUTRAL,
+    ControllerState.CLUTCH_CLOSING,
+    ControllerState.FAULTED,
+}
+"""States in which a shift is under way."""
+SHARED: Final = tuple(CODECS.values())
+"""What a copy shares with its original: it never changes."""
+SAID: Final = {
+    CODECS[kind.__name__].spec.can_id: CODECS[kind.__name__]
+    for kind in (ShiftPrediction, ValveCommand, ShiftOutcome)
+}
+
+
+def said(time_us: int, frames: list[Frame]) -> Said:
+    """What the frames of one step say about valves and shift."""
+    command = prediction = outcome = None
+    for frame in frames:
+        message = _decoded(frame)
+        if isinstance(message, ValveCommand):
+            command = message
+        elif isinstance(message, ShiftPrediction):
+            prediction = message
+        elif isinstance(message, ShiftOutcome) and message.result is not ShiftResult.REFUSED:
+            outcome = message
+    return Said(time_us, command, prediction, outcome)
+
+
+def _decoded(frame: Frame) -> Any:
+    """The message of an undamaged frame, whatever its counter; else None."""
+    codec = SAID.get(frame.can_id)
+    if codec is None or codec.spec.data_id is None or len(frame.data) != codec.spec.length:
+        return None
+    return codec.decode(frame.data) if check_crc(frame.data, codec.spec.data_id) else None
+
+
+@dataclass
+class _Branch:
+    """A copy of the controller with the other settings, in one recorded shift."""
+
+    core: ControllerCore
+    step_us: int
+    known: int
+    """Gears whose phase reference was known at the request, one bit each."""
+    recorded: Course = field(default_factory=Course)
+    replayed: Course = field(default_factory=Course)
+    record: ShiftRecord | None = None
+
+    def step(self, time_us: int, consumed: list[Frame]) -> None:
+        """The same frames at the same step."""
+        for frame in consumed:
+            self.core.receive(frame)
+        made = self.core.step(time_us)
+        self.record = self.core.running_shift or self.record
+        self.replayed.take(said(time_us, made.frames)._replace(events=tuple(made.events)))
+
+
+class OpenLoop:
+    """Looks on while a log is repeated (`meshpoint.testbench.logs.replay.Onlooker`).
+
+    change(header): the other settings. A session in which nothing can be repeated has no shifts.
+    """
+
+    def __init__(self, change: Callable[[RunHeader], ControllerSettings]) -> None:
+        self._change = change
+        self._settings = ControllerSettings()
+        self._branch: _Branch | None = None
+        self._session = -1
+        self._strayed: int | None = None
+        self._errors: dict[str, int] = {}
+        self.judged: dict[tuple[int, int], Judged] = {}
+        """By session, counted from 0, and the request's 32-bit sensor time."""
+        self.unfinished = 0
+        """Shifts under way where a session ended: they have no outcome in the log."""
+
+    def start(self, header: RunHeader, errors: dict[str, int]) -> None:
+        """A session begins; `errors`: what is wrong with a user's own strategy is counted there."""
+        self.end()
+        self._session += 1
+        self._settings, self._errors, self._strayed = self._change(header), errors, None
+
+    def end(self) -> None:
+        """The session, or what can be repeated of it, has ended."""
+        if self._branch is not None:
+            self.unfinished += 1
+        self._branch = None
+
+    def before(
+        self,
+        core: ControllerCore,
+        status: ControllerStatus,
+        sent: list[Frame],
+        consumed: list[Frame],
+    ) -> None:
+        """A step is about to be repeated: `core` as recorded up to here, and what it sent."""
+        was = said(status.step_time_us, sent)
+        if self._branch is None and (status.state in SHIFTING or was.outcome is not None):
+            known = core.knows[1]
+            copied = copy.deepcopy(core, {id(codec): codec for codec in SHARED})
+            copied.change_settings(self._settings)
+            copied.strategy_errors = {}
+            self._branch = _Branch(copied, status.step_time_us, known)
+        if self._branch is not None:
+            self._branch.step(status.step_time_us, consumed)
+            self._branch.recorded.take(was)
+
+    def after(self, status: ControllerStatus, sent: list[Frame], made: list[Frame]) -> None:
+        """The step has been repeated: `made` instead of `sent`."""
+        now = status.step_time_us
+        was, is_now = said(now, sent), said(now, made)
+        if self._strayed is None and was.command != is_now.command:
+            self._strayed = status.step_number
+        branch = self._branch
+        if branch is None or was.outcome is None:
+            return
+        self._branch = None
+        for line, count in branch.core.strategy_errors.items():
+            self._errors[line] = self._errors.get(line, 0) + count
+        key = self._session, was.outcome.request_time_us
+        self.judged[key] = judge(
+            was.outcome,
+            branch.step_us,
+            branch.recorded,
+            branch.replayed,
+            branch.record,
+            self._settings,
+            known=branch.known,
+            strayed=self._strayed,
+        )

@@ -1,0 +1,161 @@
+"""What a replay adds to a report: the other strategy's decisions, beside what was recorded.
+
+Drawn in one colour of their own, and never a contact: the log holds only the recorded one.
+"""
+
+from __future__ import annotations
+
+from html import escape
+from typing import Final
+
+from meshpoint.testbench.logs.decisions import Decision, Judged
+from meshpoint.testbench.report.collect import ReportShift
+from meshpoint.testbench.report.html import NUMBER_CLASS, Cell, table, table_row
+from meshpoint.testbench.report.layout import ORANGE, PREDICTION, VALVE, Figure, axis
+from meshpoint.testbench.report.run import Report, figure
+
+OTHER_BAND: Final = "rgba(213,94,0,.20)"
+HEAD: Final = [
+    ("shift", ""), ("gears", ""), ("recorded: fired, ms", NUMBER_CLASS), ("recorded contact", ""),
+    ("acts", ""), ("decision", ""), ("brake off, ms", NUMBER_CLASS), ("fires, ms", NUMBER_CLASS),
+    ("expects phase, % of pitch", NUMBER_CLASS), ("expects slip, rpm", NUMBER_CLASS),
+    ("parts, ms", NUMBER_CLASS),
+    ("why no contact is told", "text"),
+]  # fmt: skip
+
+
+def replayed_bars(shift: ReportShift) -> list[Figure]:
+    """A bar where the other strategy commands a valve on; lowest first."""
+    if shift.replayed is None:
+        return []
+    bars = []
+    for name, spans in reversed(shift.replayed.driven.items()):
+        label = f"{name.replace('_', ' ')}, replayed"
+        x: list[float | None] = []
+        for start_ms, end_ms in spans:
+            x += [round(start_ms, 2), round(end_ms, 2), None]
+        bars.append({
+            "type": "scatter", "mode": "lines", "name": label, "x": x,
+            "y": [None if at_ms is None else label for at_ms in x], "yaxis": axis(VALVE),
+            "line": {"color": ORANGE, "width": 5}, "showlegend": False, "hoverinfo": "skip",
+        })  # fmt: skip
+    return bars
+
+
+def replayed_predictions(shift: ReportShift) -> list[Figure]:
+    """The phase at contact as the other strategy foresaw it, with its standard deviation."""
+    judged = shift.replayed
+    if judged is None:
+        return []
+    to_pct = 100.0 / shift.row.pitch_deg
+    known = [d for d in judged.predictions if d.predicted_phase_deg is not None]
+    x = [round(d.at_ms, 2) for d in known]
+    middle = [to_pct * (d.predicted_phase_deg or 0.0) for d in known]
+    sd = [to_pct * (d.predicted_phase_sd_deg or 0.0) for d in known]
+    plain: Figure = {"mode": "lines", "line": {"width": 0, "color": OTHER_BAND}}
+    quiet: Figure = {"hoverinfo": "skip", "showlegend": False}
+    fill: Figure = {"fill": "tonexty", "fillcolor": OTHER_BAND}
+    lines: list[tuple[str, list[float], Figure]] = [
+        ("", [m - s for m, s in zip(middle, sd, strict=True)], plain | quiet),
+        ("", [m + s for m, s in zip(middle, sd, strict=True)], plain | quiet | fill),
+        ("replayed", middle, {"mode": "lines+markers", "line": {"color": ORANGE, "width": 2}}),
+    ]
+    return [
+        {"type": "scatter", "name": name, "x": x, "y": [round(v, 2) for v in y],
+         "yaxis": axis(PREDICTION), "legend": f"legend{PREDICTION + 1}", **style}
+        for name, y, style in lines
+    ]  # fmt: skip
+
+
+def replayed_events(shift: ReportShift) -> tuple[list[Figure], list[Figure]]:
+    """Vertical lines at its firing, its release, and where the decisions part; named below."""
+    judged = shift.replayed
+    if judged is None:
+        return [], []
+    last, parted = judged.last, judged.parted
+    events = [
+        ("decisions part", parted.at_ms if parted else None),
+        ("would release", last.release_ms if last and parted else None),
+        ("would fire", judged.fired_ms if parted else None),
+    ]
+    told = [(name, at_ms) for name, at_ms in events if at_ms is not None]
+    line = {"color": ORANGE, "width": 1.5, "dash": "dash"}
+    shapes = [
+        {"type": "line", "x0": round(at_ms, 2), "x1": round(at_ms, 2), "yref": "paper",
+         "y0": 0, "y1": 1, "line": line}
+        for _, at_ms in told
+    ]  # fmt: skip
+    annotations = [
+        {"x": round(at_ms, 2), "y": 0, "yref": "paper", "yanchor": "bottom", "text": name,
+         "showarrow": False, "font": {"size": 11, "color": ORANGE}, "yshift": 14 * i,
+         "xanchor": "left", "bgcolor": "rgba(255,255,255,.8)"}
+        for i, (name, at_ms) in enumerate(told)
+    ]  # fmt: skip
+    return shapes, annotations
+
+
+def decisions_table(report: Report) -> str:
+    """What the other strategy decides, shift by shift; nothing for a replay as recorded."""
+    if report.asked is None:
+        return ""
+    rows = []
+    for r, run in enumerate(report.runs):
+        for s, shift in enumerate(run.shifts):
+            link = f'<td><a href="#shift-{r + 1}-{s + 1}">{s + 1}</a></td>'
+            rows.append(f"<tr>{link}{table_row(_cells(shift))}</tr>\n")
+    return (
+        f"<h2>What {escape(report.asked)} decides on the same frames</h2>"
+        f'<div class="scroll">{table(HEAD, rows)}</div>'
+        "<p>Each shift is judged from the state in which it was begun. The frames answer to the "
+        "recorded commands: decisions made after a valve would have been driven otherwise are "
+        "those of a controller that sees another course than its own.</p>"
+    )
+
+
+def _cells(shift: ReportShift) -> list[Cell]:
+    row, judged = shift.row, shift.replayed
+    gears: Cell = (f"{row.from_} → {row.to}", "")
+    contact: Cell = (row.contact or "–", row.contact or "")
+    if judged is None:
+        none: list[Cell] = [("–", NUMBER_CLASS)] * 5
+        why: Cell = ("the recorded controller could not be repeated up to here", "text")
+        return [gears, ("–", NUMBER_CLASS), contact, ("–", ""), ("not judged", ""), *none, why]
+    told = judged.last if judged.fired_ms is not None else None
+    return [
+        gears,
+        _number(judged.recorded.fired_ms if judged.recorded else None),
+        contact,
+        (judged.strategy, ""),
+        (judged.status if judged.fault == "none" else f"{judged.status}: {judged.fault}", ""),
+        _number(judged.last.release_ms if judged.last else None),
+        _number(told.fired_ms if told else None),
+        (_phase(told, row.pitch_deg), NUMBER_CLASS),
+        _number(told.predicted_slip_rpm if told else None, signed=True),
+        _number(judged.parted.at_ms if judged.parted else None),
+        (judged.contact_why, "text"),
+    ]
+
+
+def replayed_account(judged: Judged, pitch_deg: float) -> list[list[str]]:
+    """Rows for the table over a figure: what the other strategy expects; no truth beside it."""
+    told = judged.last if judged.fired_ms is not None else None
+    contact = "–" if told is None or told.expected_contact_ms is None else (
+        figure(told.expected_contact_ms, 1)
+    )  # fmt: skip
+    name = f"{judged.strategy} would have"
+    return [
+        [f"{name}: contact, ms after the request", contact, "–", "not in the log"],
+        [f"{name}: phase, % of pitch", _phase(told, pitch_deg), "–", "not in the log"],
+    ]
+
+
+def _phase(told: Decision | None, pitch_deg: float) -> str:
+    if told is None or told.predicted_phase_deg is None:
+        return "–"
+    to_pct = 100.0 / pitch_deg
+    sd = to_pct * (told.predicted_phase_sd_deg or 0.0)
+    return f"{figure(to_pct * told.predicted_phase_deg, 1, True)} ± {sd:.1f}"
+
+
+def _number(value: float | None, signed: bool = False) -> Cell:
+    return ("–" if value is None else figure(value, 1, signed)), NUMBER_CLASS
