@@ -1,4 +1,4 @@
-"""The controller: frames in, frames out, one visible function between (sans-I/O).
+"""The controller without I/O: frames in, frames out, with the whole decision in one function.
 
     receive(frame)      keeps the frame for the next step; never raises
     step(now_us)        the whole decision: edges -> observer -> predictor -> sequence -> valves
@@ -55,18 +55,18 @@ from meshpoint.dbc.node import Node
 
 OWN_ADDRESS: Final = 0x03
 INBOX_LIMIT: Final = 20_000
-"""A babbling bus cannot eat the memory: this is two seconds of a full bus."""
+"""Frames kept between two steps, at most: two seconds of a full bus. It bounds the memory."""
 FOREIGN: Final = FrameVerdict.FOREIGN
 _identifier = itemgetter(0)
 FRESH_US: Final = 45_000
-"""A sample older than this is lost, even where frames with live counters go on repeating it."""
+"""A sample older than this counts as lost, even if frames with valid counters repeat it."""
 FRAME_WAIT_US: Final = 8_000
-"""A step's last frames may wait for so long behind the sensors' before they are on the bus."""
+"""A step's last frames may wait for this long behind the sensors' frames for the bus."""
 UNARMED: Final = (
     "outputs not armed: all valves stay off, clutch and engine are not commanded, requests are "
     "refused (--arm)"
 )
-"""Said once, at the first step."""
+"""Logged once, at the first step."""
 SPEEDS: Final = (EdgesLayshaftRise, EdgesMainRise)
 POSITIONS: Final = (SleevesMain, SleevesAux, GearboxSensors)
 """Channels without which nothing may be shifted; and the valve side's own status."""
@@ -126,7 +126,8 @@ class ControllerCore:
         return self._sequence.shift or self._sequence.finished
 
     def calibration(self, written: str) -> Calibration:
-        """What has been learned, earlier runs included; `written` says when, for people."""
+        """What has been learned, earlier runs included; written: date and time as text for the
+        file."""
         return collect(self.header, self._observer, self._sequence, self.shifts, written)
 
     def change_settings(self, settings: ControllerSettings) -> None:
@@ -138,8 +139,8 @@ class ControllerCore:
         self._reporter.change_header(self.header)
 
     def take_predictor_from(self, source: PredictorSource) -> None:
-        """Decisions are made on this source's predictions from now on, not on the estimates: how a
-        study sees what a strategy would do that knew everything."""
+        """From now on decisions use this source's predictions instead of the estimates. For studies
+        of what a strategy could do with perfect knowledge."""
         self._sequence.predictor_source = source
 
     def receive(self, frame: Frame) -> None:
@@ -177,13 +178,13 @@ class ControllerCore:
             now_us, lateness_us, consumed.frames, consumed.crc, self._receiver, self._guard.blocks
         )
         frames.append(self._transmitter.encode(status))
-        # In the order in which they will win the bus; the status frame closes the step.
+        # In order of bus priority; the status frame comes last and completes the step.
         frames.sort(key=_identifier)
         self._plan_next_step(now_us, snapshot.now_us)
         return Step(frames, events)
 
     def shutdown(self, now_us: int) -> Step:
-        """Everything off, said once more."""
+        """The last frames: all valves off."""
         self._board.all_off()
         frames = [self._transmitter.encode(ValveCommand())]
         if self._guard.is_armed:
@@ -191,7 +192,7 @@ class ControllerCore:
         return Step(frames, [f"valves off at {now_us} us"])
 
     def _lateness_us(self, now_us: int) -> int:
-        """How long after its tick or its moment the step comes; a probe has none."""
+        """Delay of this step after the time it was due (us); 0 for a probe of the clock."""
         if self._due_us is None or self._probe.is_due:
             return 0
         return max(0, now_us - self.next_step_us)
@@ -235,7 +236,7 @@ class ControllerCore:
         )
 
     def _lost(self, sensor_us: int) -> FaultCode:
-        """What a shift needs and has not got; the worst of it."""
+        """The most serious fault among missing inputs that a shift needs; NONE if all are there."""
         receiver, view = self._receiver, self._observer.view
         if (
             not (view.complete and receiver.all_valid(POSITIONS))
@@ -274,7 +275,7 @@ class ControllerCore:
             )
 
     def _log_decision(self, snapshot: StepSnapshot, events: list[str]) -> None:
-        """A line where the decision is another one than before."""
+        """A log line if the decision differs from the one before."""
         plan = self._sequence.decision
         decided = ShiftDecision.NONE if plan is None else plan.decision
         if plan is not None and decided is not self._decided:

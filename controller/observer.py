@@ -42,16 +42,17 @@ from meshpoint.gearbox import GearboxSheet, MainGear, Split
 
 OBSERVER_CLUTCH_OPEN_SHARE = 0.05
 DRAGGED_US = 30_000
-"""So long after splitter or range has its step there are edges to come of how it got there."""
+"""For this long after a change of splitter or range, edges from during the change still arrive."""
 CLUTCH_BITES_SHARE = 0.2
 PULL_RAD_S2 = 5.0
-"""A tooth that falls so fast crosses a gap of 1.5 deg in 0.1 s."""
+"""Deceleration by drag above which it pulls a tooth across a gap of 1.5 deg within 0.1 s."""
 LOOK_SHARE = 0.15
-"""Standard deviation of a look at a gear in mesh, in backlashes: more tells no flank."""
+"""Largest standard deviation of a look at a gear in mesh, in backlashes, for which the two flanks
+can be told apart."""
 
 
 class Observer:
-    """Everything the controller knows of the gearbox."""
+    """Estimates and measurements of the gearbox, updated at each step."""
 
     def __init__(
         self,
@@ -108,7 +109,7 @@ class Observer:
         """The newest edge when a gear in mesh was last looked at."""
 
     def take_brake(self, record: BrakeRecord) -> None:
-        """The brake as earlier runs have learned it."""
+        """Sets the brake's model as learned in earlier runs."""
         self.brake.restore(record)
         self._model_layshaft()
 
@@ -141,7 +142,7 @@ class Observer:
         self._read_geared(inputs, now_us)
         self._main.edges(main)
         if self._main_dragged:
-            # No filter for a vehicle's motion follows cones that take 400 rpm in 20 ms.
+            # The filter cannot follow a synchroniser, which changes the speed by 400 rpm in 20 ms.
             self._main.lose_speed()
         self.layshaft.edges(layshaft, pressures)
         if self.recovery is not None:
@@ -164,7 +165,8 @@ class Observer:
             wheel.read(edges[EdgesPropellerRise], edges[EdgesPropellerFall], self.clock, now_us)
 
     def _see_synchronisers(self, now_us: int) -> None:
-        """Splitter and range change by cones, which drag layshaft and main shaft hard."""
+        """Notes changes of splitter and range: their synchronisers accelerate the shafts
+        strongly."""
         if self.view.split is None:
             self._split_us = now_us
         if self.view.range_ is None:
@@ -269,7 +271,7 @@ class Observer:
             return
         if not self.references.watches(gear):
             return
-        # At the newest edge there is nothing to extrapolate, and an impact does least harm.
+        # At the newest edge nothing is extrapolated, so an impact causes the least error.
         newest = [w.newest.time_us for w in (self._layshaft_wheel, self._main_wheel) if w.newest]
         if len(newest) < 2 or max(newest) == self._looked_us:
             return  # a step between two reads has nothing new to look at

@@ -25,7 +25,7 @@ from meshpoint.units import DEG, RPM
 MS_IN_US: Final = 1000
 
 STRATEGY_NAMES: Final = {value.name.lower(): value for value in Strategy}
-"""What the bus can name; each has its class in `strategies.table`."""
+"""The strategies of the DBC's value table; `strategies.table` has the class of each."""
 ESTIMATOR_NAMES: Final = {
     "window": Estimator.WINDOW,
     "thesis": Estimator.THESIS,
@@ -34,7 +34,7 @@ ESTIMATOR_NAMES: Final = {
 
 
 class ValveTiming(StrEnum):
-    """How a valve is switched at a moment between two ticks."""
+    """How a valve is switched at a time between two ticks."""
 
     SCHEDULED = "scheduled"
     IMMEDIATE = "immediate"
@@ -94,10 +94,10 @@ class Window:
     aim_slip_rad_s: float = quantity("aim_slip_rpm", 1.0, 200.0, RPM, default=18.0 * RPM)
     """`target_phase` releases the brake so that at this slip the phase is the target."""
     aim_time_constants: float = quantity("aim_time_constants", 0.0, 10.0, default=0.9)
-    """How long after the brake's release the moment of `aim_slip_rpm` lies about, in time
-    constants of its pressure."""
+    """Time from the brake's release to about where the slip is `aim_slip_rpm`, in time constants of
+    the brake's pressure."""
     least_rad_s: float = quantity("least_rpm", -200.0, 50.0, RPM, default=-25.0 * RPM)
-    """Below this slip waiting has no end: the layshaft only gets slower."""
+    """Below this slip the engine has to help: waiting is no use, the layshaft only gets slower."""
     raised_rad_s: float = quantity("raised_rpm", 5.0, 150.0, RPM, default=45.0 * RPM)
     """The slip the engine leaves when the clutch has opened again: from there the gear falls."""
 
@@ -111,26 +111,26 @@ class Aim:
     """Where in the gap a tooth should meet the sleeve."""
 
     target_rad_share: float = quantity("target_percent_of_gap", -90.0, 90.0, 0.01, default=0.0)
-    """Signed share of half a gap, 0 its middle."""
+    """Target angle as a signed share of half a gap; 0: its middle."""
 
 
 @dataclass(frozen=True)
 class Prices:
-    """What a contact may cost beside the time until it, in milliseconds (docs/strategy.md)."""
+    """The cost of a contact besides the time until it, in milliseconds (docs/strategy.md)."""
 
     miss_s: float = quantity("miss_ms", 0.0, 10_000.0, 1e-3, default=0.3)
-    """Tooth on tooth: the way to the next gap, or back and once more."""
+    """Tooth on tooth: waiting for the next gap, or going back for another attempt."""
     block_s: float = quantity("block_ms", 0.0, 10_000.0, 1e-3, default=0.2)
-    """More than a miss where the slip is too small to carry the tooth off: the sleeve stands on
-    it."""
+    """Added to a miss if the slip is too small to carry the tooth to a gap, so that the sleeve is
+    blocked."""
     block_slip_rad_s: float = quantity("block_slip_rpm", 0.1, 100.0, RPM, default=6.0 * RPM)
-    """The slip below which a tooth is not carried off."""
+    """The slip below which a tooth may block the sleeve."""
     energy_s_per_j: float = quantity("energy_ms_per_j", 0.0, 10_000.0, 1e-3, default=0.005)
-    """A joule that a tooth's flank takes."""
+    """Cost of a joule of impact energy at a tooth's flank."""
     aim_s: float = quantity("aim_ms", 0.0, 10_000.0, 1e-3, default=0.01)
     """A contact half a backlash away from the target angle."""
     overlap_m: float = quantity("overlap_mm", 0.0, 10.0, 1e-3, default=1e-3)
-    """A sleeve that has gone so far past the teeth's faces is in."""
+    """How far a sleeve must go past the teeth's faces to be in mesh."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class ShiftLimits:
     supply_low_pa: float = quantity("supply_low_bar", 0.0, 12.0, 1e5, default=5.5e5)
     """Below this supply pressure (absolute) no shift is begun."""
     valve_on_ms: int = count("valve_on_ms", 100, 10000, default=3000)
-    """The guard lets no valve be on for longer."""
+    """The longest time for which the guard lets a valve be on."""
 
 
 @dataclass(frozen=True)
@@ -177,12 +177,12 @@ class EngineRequests:
 
 @dataclass(frozen=True)
 class GuardSettings:
-    """What the guard forbids; wider than what any strategy plans, narrower than what breaks."""
+    """Limits of the guard: wider than any strategy plans, narrower than what does damage."""
 
     slip_low_rad_s: float = quantity("slip_low_rpm", -300.0, 0.0, RPM, default=-60.0 * RPM)
-    """Slip at contact below which no sleeve is let go."""
+    """No sleeve is driven to a contact below this slip."""
     slip_high_rad_s: float = quantity("slip_high_rpm", 10.0, 300.0, RPM, default=120.0 * RPM)
-    """Slip at contact above which no sleeve is let go."""
+    """No sleeve is driven to a contact above this slip."""
     brake_on_ms: int = count("brake_on_ms", 100, 20000, default=2500)
     """The longest use of the brake."""
     brake_energy_j: float = quantity("brake_energy_kj", 0.1, 1000.0, 1e3, default=15e3)
@@ -192,7 +192,7 @@ class GuardSettings:
     supply_low_pa: float = quantity("supply_low_bar", 0.0, 12.0, 1e5, default=5.0e5)
     """Absolute pressure below which nothing new is actuated."""
     torque_factor: float = quantity("torque_factor", 1.0, 3.0, default=1.4)
-    """How much stronger than its sheet the brake may be."""
+    """The brake's torque over that of its data sheet, at most."""
     drag_torque_nm: float = quantity("drag_torque_nm", 0.0, 200.0, default=15.0)
     """Drag at the layshaft beyond the sheet's friction, at most."""
 
@@ -223,16 +223,16 @@ class CruiseFilterTuning:
 
 @dataclass(frozen=True)
 class CrossingFilterTuning:
-    """What the crossing-time filter takes its noises to be (facts in docs/estimation.md)."""
+    """Noises that the crossing-time filter assumes; where they come from: docs/estimation.md."""
 
     edge_time_s: float = quantity("edge_time_us", 0.1, 200.0, 1e-6, default=10e-6)
     """Standard deviation of an edge's time."""
     tooth_error_rad: float = quantity("tooth_error_deg", 1e-4, 5.0, DEG, default=0.2 * DEG)
     """Standard deviation of an edge's place on a wheel whose teeth have not been learned."""
     gate_sd: float = quantity("gate_sd", 2.0, 100.0, default=5.0)
-    """An edge further off than this many standard deviations is not believed."""
+    """An edge further off than this many standard deviations is refused."""
     torque_disturbance_nm: float = quantity("torque_disturbance_nm", 0.0, 200.0, default=1.0)
-    """Standard deviation of the torques at the layshaft that nobody models."""
+    """Standard deviation of torques at the layshaft that the model leaves out."""
     disturbance_s: float = quantity("disturbance_ms", 0.5, 5000.0, 1e-3, default=0.02)
     """How long such a torque lasts."""
     gain_sd: float = quantity("gain_sd_percent", 0.0, 50.0, 0.01, default=0.1)
@@ -242,13 +242,13 @@ class CrossingFilterTuning:
     """By how much the brake's gain wanders in a second: friction changes with speed and
     temperature."""
     gain_pause: float = quantity("gain_pause_percent", 0.0, 50.0, 0.01, default=0.01)
-    """What the pause between two shifts adds to the doubt about the brake's gain."""
+    """Standard deviation that the pause between two shifts adds to the brake's gain."""
     drag_sd_nm: float = quantity("drag_sd_nm", 0.0, 100.0, default=5.0)
     """Standard deviation of the steady drag, before it has been learned."""
     drag_walk_nm: float = quantity("drag_walk_nm", 0.0, 100.0, default=1.0)
     """By how much the drag wanders in a second."""
     drag_pause_nm: float = quantity("drag_pause_nm", 0.0, 100.0, default=0.5)
-    """What the pause between two shifts adds to the doubt about the drag."""
+    """Standard deviation that the pause between two shifts adds to the drag."""
     pressure_sd_pa: float = quantity("pressure_sd_bar", 1e-4, 5.0, 1e5, default=0.01e5)
     """Standard deviation of the measured brake pressure."""
     pressure_start_sd_pa: float = quantity("pressure_start_sd_bar", 0.0, 5.0, 1e5, default=0.2e5)
@@ -314,7 +314,7 @@ class ControllerSettings:
 
     @property
     def strategy(self) -> Strategy:
-        """The engagement strategy asked for, as the bus says it."""
+        """The engagement strategy asked for, as its DBC value."""
         if self.strategy_file is not None:
             return self.strategy_file.wire
         return STRATEGY_NAMES[self.strategy_name]

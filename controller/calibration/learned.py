@@ -1,4 +1,4 @@
-"""What a controller has learned of one gearbox, as a value: of what a calibration file consists.
+"""The content of a calibration file: what a controller has learned of one gearbox.
 
 Every figure has its range; together they must suit the data sheet (`check`). Quantities are in SI
 here and in the units of their keys in the file (docs/calibration.md).
@@ -30,7 +30,7 @@ Record = TypeVar("Record")
 CALIBRATION_FORMAT: Final = 1
 MOST_SHIFTS: Final = 1_000_000_000
 PITCH_SHARE: Final = 0.25
-"""A tooth's place is wrong by less than this share of a pitch, or it is another wheel's."""
+"""Largest tooth error in pitches; a larger one belongs to another wheel."""
 COMMENT: Final = """\
 meshpoint: what a controller has learned of one gearbox. Written by the controller;
 a file that does not hold together is refused as a whole (docs/calibration.md)."""
@@ -50,7 +50,7 @@ class Provenance:
     sheet_sha256: str = text("sheet_sha256")
     """Of the data sheet it was learned with."""
     written: str = text("written")
-    """When; the driver says it, in its own words."""
+    """Date and time as text, from the driver."""
     shifts: int = count("shifts", 0, MOST_SHIFTS)
     """Shifts that ended since learning began, over all runs."""
 
@@ -62,7 +62,7 @@ class WheelRecord:
     teeth: int = count("teeth", 2, 1000)
     edges: int = count("learned_from_edges", 0, 1 << 62)
     sd_rad: float = quantity("sd_deg", 1e-4, 5.0, DEG)
-    """What is not known of an edge's place."""
+    """Standard deviation of an edge's place."""
     error_rad: tuple[float, ...] = quantities("error_deg", -5.0, 5.0, DEG)
     """Edge 2 k is the rising one of tooth k, 2 k + 1 its falling one; tooth 0 is any one."""
 
@@ -166,7 +166,7 @@ class DriftRecord:
     slip_rad_s: float = quantity("slip_rpm", -10.0, 10.0, RPM)
     slip_sd_rad_s: float = quantity("slip_sd_rpm", 0.0, 10.0, RPM)
     spread_share: float = quantity("spread_share", 0.01, 100.0)
-    """What phases scatter by over what the filters claim."""
+    """Ratio of the phases' real scatter to the filters' standard deviation."""
     samples: float = quantity("samples", 0.01, 1e4)
 
 
@@ -193,7 +193,7 @@ class End:
 
 @dataclass(frozen=True, kw_only=True)
 class Calibration:
-    """All of it."""
+    """A whole calibration."""
 
     format_: int = count("format", CALIBRATION_FORMAT, CALIBRATION_FORMAT)
     provenance: Provenance = group(Provenance)

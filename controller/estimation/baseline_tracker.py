@@ -24,7 +24,8 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
 
 START_SD_PRESSURE_PA = 2e4
-"""How far the filter trusts the pressure when it starts: the valve has been off, not for ever."""
+"""Standard deviation of the pressure when the filter starts: the valve has been off for a while,
+but not long enough for the pressure to be exactly zero."""
 
 
 class _ThesisMemory(RecordMemory):
@@ -82,13 +83,13 @@ class BaselineTracker:
             self._cruise.restart()
 
     def restart(self) -> None:
-        """Tooth numbers were lost: starts anew."""
+        """Tooth numbers were lost: starts again."""
         self._free = False
         self._cruise.restart()
         self._window.restart()
 
     def lose_speed(self) -> None:
-        """A baseline keeps nothing over a hole in the edges: starts anew."""
+        """Edges are missing: a baseline then starts again."""
         self.restart()
 
     def edges(self, batch: EdgeBatch, pressures: Pressures) -> None:  # noqa: ARG002

@@ -1,13 +1,13 @@
 """Brake and drag as learned from shift to shift: gain, drag, touch, pressure law, delays.
 
-The brake's torque is gain x C_db x (p - p_touch) once its pads touch, so the filter's pressure is
-the one above the touch: never negative, and the law holds it at zero there.
+The brake's torque is gain x C_db x (p - p_touch) once its pads touch. The filter therefore uses the
+pressure above p_touch, which is never negative.
 
 The pressure law is p' = f_u(p), piecewise linear between knots at shares of the supply pressure, so
-that a first-order valve (thesis 4.1) and one that chokes (ISO 6358) are both met. Each knot's rate
-is that of the data sheet times e^s; the s and both valve delays are fitted to the pressure measured
-over a shift, by Gauss-Newton with what is known already as the prior: an extended Kalman filter
-whose steps are shifts.
+that it can describe a first-order valve (thesis 4.1) as well as one with choked flow (ISO 6358).
+Each knot's rate is that of the data sheet times e^s; the s and both valve delays are fitted to the
+pressure measured over a shift, by Gauss-Newton with what is known already as the prior: an extended
+Kalman filter whose steps are shifts.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ OWN_SD: Final = 0.15
 DELAY_SD_SHARE: Final = 0.15
 LEAST_DELAY_SD_S: Final = 5e-4
 FIT_PA: Final = 0.03e5
-"""How well the law is expected to follow the measured pressure."""
+"""Standard deviation of the measured pressure from the fitted law."""
 VARIANCE_GROWTH: Final = 1.1
 """Variances grow by this from shift to shift: temperatures change."""
 ITERATIONS: Final = 3
@@ -48,10 +48,10 @@ PROBE: Final = 1e-3
 LEAST_B: Final = 1e-3
 LEAST_SD: Final = 1e-4
 LEAST_SD_S: Final = 1e-6
-"""What comes from a file is never certain: a covariance has an inverse."""
+"""Least standard deviations taken from a file, so that the covariance has an inverse."""
 STILL: Final = np.array([0.0, 0.0, 1.0])
 QUIET: Final = np.zeros(4)
-"""Rates and noise of a shaft that nothing moves."""
+"""Rates and noise densities of a shaft at rest: only the pressure is of interest."""
 
 TOUCH_SD_PA: Final = 0.15e5
 MOST_TOUCH_PA: Final = 1.0e5
@@ -66,7 +66,7 @@ class Carried:
 
 
 class BrakeModel:
-    """Everything between a brake command and the layshaft's deceleration that shifts teach."""
+    """What is learned of the path from a brake command to the layshaft's deceleration."""
 
     def __init__(self, sheet: GearboxSheet, gain_sd: float, drag_sd_nm: float) -> None:
         self._rate = 1.0 / sheet.brake.time_constant_s
@@ -84,10 +84,10 @@ class BrakeModel:
         for half in (slice(0, RATES), slice(RATES, 2 * RATES)):
             self._covariance[half, half] += COMMON_SD**2
         self.shifts = 0
-        """How many shifts have taught it the law."""
+        """From how many shifts the law was learned."""
 
     def record(self) -> BrakeRecord | None:
-        """What a calibration file keeps; None before any shift taught it."""
+        """What a calibration file keeps; None before the first shift it was learned from."""
         if self.shifts == 0:
             return None
         mean, sd = self._mean, np.sqrt(np.diag(self._covariance))
@@ -111,7 +111,7 @@ class BrakeModel:
         )
 
     def restore(self, record: BrakeRecord) -> None:
-        """Goes on from a record; how its errors hang together is not kept."""
+        """Starts from a record; correlations between its errors are not stored."""
         self.shifts = record.shifts
         self.gain = Carried(record.gain, record.gain_sd)
         self.drag_nm = Carried(record.drag_nm, record.drag_sd_nm)
@@ -142,7 +142,8 @@ class BrakeModel:
         law[:, 1 : RATES + 1] = whole[:, :RATES]
         law[:, 1 : RATES + 1, 2] -= law[:, 1 : RATES + 1, 1] * touch
         law[:, 1:, 0] -= touch
-        # Below the touch nothing acts: held at zero emptying, passed at once filling.
+        # Below the touch no torque acts: the pressure stays 0 when emptying, and the segment is
+        # passed at once when filling.
         law[0, 0] = -np.inf, LEAST_B, 0.0
         law[0, 1, 0] = 0.0
         law[1, 0], law[1, 1, 0] = law[1, 1], 0.0
@@ -170,9 +171,9 @@ class BrakeModel:
     def learn(
         self, sample_us: Vector, pressure_pa: Vector, command_us: Vector, command_u: Vector
     ) -> bool:
-        """Fits law and delays to a shift's samples (gauge) and the brake's commands.
+        """Fits law and delays to a shift's pressure samples (Pa, gauge) and the brake's commands.
 
-        False, and nothing learned, where there is too little or the fit does not hold."""
+        Returns False, and learns nothing, with too few samples or if the fit fails."""
         if sample_us.size < LEAST_SAMPLES or command_u.size == 0 or command_u.max() < 1.0:
             return False
         prior_mean, prior = self._mean, self._covariance * VARIANCE_GROWTH

@@ -1,8 +1,8 @@
 """A crossing-time filter over one wheel's edges: `crossing_kernels` with its memory.
 
-Edges that come late (their frame was lost, the next one brought them) are older than the state
-by then. The filter keeps its last few states; it goes back before the late edge and takes what
-came since once more, in order of time.
+Edges that come late (their frame was lost, and the next one brought them) are older than the state.
+The filter keeps its last few states: it goes back to one before the late edge and processes
+everything since then again, in order of time.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class GearedEdges(NamedTuple):
     """(2, n): times (us), and angles of the filter's shaft (rad), the offset between the wheels not
     taken out."""
     sd_rad: float
-    """What is unknown of these."""
+    """Standard deviation of these angles."""
 
 
 _Batch = tuple[Vector, int, Pressures]
@@ -64,10 +64,10 @@ class CrossingFilter:
         self._sd_rad = tuning.tooth_error_rad
         self._model: MotionModel | None = None
         self._taken: deque[_Batch] = deque(maxlen=BATCHES_KEPT)
-        """The batches behind the moments that the memory holds."""
+        """The batches that belong to the snapshots in the memory."""
 
     def begin(self, time_us: float, x: Vector, p: Vector) -> None:
-        """A new state; nothing before it counts any more."""
+        """Starts from a new state (6,) and covariance (6, 6) at a sensor time (us)."""
         memory = self._memory
         memory.time_us[0] = time_us
         memory.x[:], memory.p[:] = x, p
@@ -78,7 +78,8 @@ class CrossingFilter:
         self._memory.part("mesh")[:] = at_flank_rad2_s, loose_rad2_s, loose_us
 
     def lose_offset(self) -> None:
-        """How a geared wheel stands to this one is not known any more; nor what came before."""
+        """The offset between this wheel and the geared one is unknown from now on; also forgets the
+        snapshots."""
         self._memory.offset_rad2[0] = 0.0
         self.forget_past()
 
@@ -89,7 +90,7 @@ class CrossingFilter:
         return (self._memory.offset_rad.item(), math.sqrt(variance)) if variance > 0.0 else None
 
     def forget_past(self) -> None:
-        """The model changes here: what came before cannot be taken once more."""
+        """Call it when the model changes: batches before that cannot be processed again."""
         self._taken.clear()
         self._memory.forget_past()
 
@@ -122,8 +123,8 @@ class CrossingFilter:
         model: MotionModel,
         geared: GearedEdges | None = None,
     ) -> None:
-        """New edges (2, n), times and the angles they stand for, and what is unknown of these (sd);
-        and those of a geared wheel."""
+        """New edges (2, n): times (us) and the angles they stand for (rad), with standard deviation
+        `sd_rad`; pressures between them; and the edges of a geared wheel."""
         memory = self._memory
         if model is not self._model:
             self._model = model

@@ -56,11 +56,12 @@ from meshpoint.units import US
 
 LEAST_GAIN: Final = 0.2
 SHORT_S: Final = 2e-3
-"""In a step this short the pressure law's change of segment matters less than its fit."""
+"""In a shorter step a change of the pressure law's segment is ignored: its fit has larger
+errors."""
 LED_SHARE: Final = 0.2
 LED_RAD_S2: Final = 100.0
-"""By this share the speed is doubted when the filter was wrong, and by so much its steady change.
-"""
+"""Standard deviations added when the filter was wrong: to the speed, as a share of it, and to the
+steady acceleration."""
 
 
 @bare
@@ -73,9 +74,11 @@ def crossing_filter(
     memory: a `Filter`; edges (2, n): times and the angles they stand for, the last `geared` of
     them those of a geared wheel (`fusion_kernels`), rising by themselves; switches as in `travel`.
     To learn teeth: teeth as `TeethArrays` has it, and edges with a third row, which of the wheel's
-    N edges each is; N = 0 otherwise. Says LATE and takes nothing where the batch begins before the
-    state and a moment is held; what is not later than the state is skipped where none is. Else
-    keeps the moment before the batch."""
+    N edges each is; N = 0 otherwise.
+
+    Returns LATE and takes nothing if the batch begins before the state's time and a snapshot is
+    held to go back to; if none is held, edges not later than the state are skipped. Otherwise
+    keeps a snapshot of the state before the batch and returns DONE."""
     f = memory.view(FILTER)[0]
     edge_us, edge_rad = edges[0], edges[1]
     count, n, m = edge_us.shape[0], edge_us.shape[0] - f.geared, pressure_us.shape[0]
@@ -122,7 +125,7 @@ def begins_before(t_us: float, edge_us: Vector, n: int) -> bool:
 
 @inlined
 def keep(f: Filter) -> None:
-    """The present moment into the ring."""
+    """Copies the present state into the ring of snapshots."""
     for k in range(SNAPSHOT_WORDS):
         f.snapshots[f.next, k] = f.snapshot[k]
     f.next = (f.next + 1) % BATCHES_KEPT
@@ -183,7 +186,7 @@ def take_edge(f: Filter, innovation: float) -> float:
         f.gated_in_a_row += 1
         if f.gated_in_a_row < MOST_IN_A_ROW:
             return 0.0
-        # Eight in a row: what the filter believes is wrong; let it be led.
+        # Eight refused in a row: the state is wrong, so its covariance is widened.
         p[THETA, THETA] += innovation * innovation
         p[OMEGA, OMEGA] += (LED_SHARE * omega) ** 2
         p[DRAG, DRAG] += LED_RAD_S2 * LED_RAD_S2

@@ -10,11 +10,11 @@ from meshpoint.controller.motion.kernels import STATES, Model, MotionState, Moti
 from meshpoint.controller.records import WORD_BYTES, Over, RecordMemory, Records, Vector, layout_of
 
 BATCHES_KEPT: Final = 4
-"""Batches that can be taken back: 40 ms, more than two lost frames."""
+"""Number of batches that can be undone: 40 ms, more than two lost frames."""
 
 
 class FilterSnapshot:
-    """What is kept of a moment to go back to."""
+    """A copy of the filter's state, to go back to when late edges arrive."""
 
     time_us: float
     """Of the state."""
@@ -42,27 +42,27 @@ class Filter:
     offset_rad2: float
     offset_by: Annotated[Vector, STATES]
 
-    # What it is told.
+    # Parameters.
     edge_time_s: float
     tooth_rad: float
     pressure_sd_pa: float
     """sd of an edge's time, of its angle, of the measured pressure."""
     gate_sd: float
-    """How many sd an innovation may have."""
+    """An edge is refused if its innovation exceeds this many standard deviations."""
     geared_tooth_rad: float
     """sd of a geared wheel's edge, as an angle of the shaft."""
     model: Model
     at_flank_rad2_s: float
     loose_rad2_s: float
     loose_us: float
-    """How the offset moves: its density while the mesh lies at one flank and while it may change to
-    the other, and how long after a switch of the brake it may."""
+    """Random walk of the offset: its density while the mesh stays at one flank, its density while
+    the mesh may change to the other, and for how long after a switch of the brake it may (us)."""
     scale: float
     """Angle of the shaft over that of the wheel whose teeth are learned."""
     geared: int
     """How many of a batch's edges, at their end, are those of a geared wheel."""
 
-    # What it says and works with.
+    # Results and working memory.
     squares: float
     """Sum of normalised squared innovations (NIS)."""
     count: float
@@ -70,16 +70,16 @@ class Filter:
     gated_in_a_row: int
     """Edges refused in a row."""
     astray_in_a_row: int
-    """The same of the geared wheel."""
+    """Refused edges of the geared wheel in a row."""
     held: int
-    """How many moments of the ring may be gone back to."""
+    """How many snapshots of the ring are valid."""
     next: int
-    """Where in the ring the next one goes."""
+    """Index in the ring for the next snapshot."""
     step: MotionStep
     gain: Annotated[Vector, STATES]
     """The last Kalman gain."""
     ring: Annotated[Records[FilterSnapshot], BATCHES_KEPT]
-    """Moments before each of the last batches."""
+    """Snapshots taken before each of the last batches."""
 
     x: Annotated[Vector, Over("state"), STATES]
     motion: Annotated[Vector, Over("model"), layout_of(Model).itemsize // WORD_BYTES]
@@ -103,11 +103,11 @@ NORMAL: Final = ROW + 1
 # --- what the kernel answers ---------------------------------------------------------------------
 DONE: Final = 0
 LATE: Final = 1
-"""Nothing was taken: the batch begins before the state, and there is a moment to go back to."""
+"""Nothing was taken: the batch begins before the state, and there is a snapshot to go back to."""
 
 
 class FilterMemory(RecordMemory):
-    """A filter's record, and those of its parts that are asked for often; all are views."""
+    """A filter's record, with views of the fields that are used often."""
 
     def __init__(self) -> None:
         super().__init__(FILTER)
@@ -123,7 +123,7 @@ class FilterMemory(RecordMemory):
     def set_sensor(
         self, edge_time_s: float, tooth_rad: float, pressure_sd_pa: float, gate_sd: float
     ) -> None:
-        """What is unknown of edges and pressures, and how far off they may be (`Filter`)."""
+        """Sets the standard deviations of edges and pressures, and the gate (`Filter`)."""
         values = {
             "edge_time_s": edge_time_s,
             "tooth_rad": tooth_rad,
@@ -134,11 +134,11 @@ class FilterMemory(RecordMemory):
             self.part(name)[0] = value
 
     def forget_past(self) -> None:
-        """No moment can be gone back to."""
+        """Makes all snapshots invalid."""
         self.held[0] = 0
 
     def go_back(self) -> None:
-        """To the moment before the newest batch that is still held. There must be one."""
+        """Restores the newest valid snapshot. There must be one (`held`)."""
         following = self.part("next")
         following[0] = (following[0] - 1) % BATCHES_KEPT
         self.held[0] -= 1
@@ -146,7 +146,7 @@ class FilterMemory(RecordMemory):
 
 
 class TeethArrays:
-    """What the teeth of a wheel with N edges are learned by, rows of one array."""
+    """The normal equations for the tooth errors of a wheel with N edges, rows of one array."""
 
     def __init__(self, edges: int) -> None:
         self.flat: Vector = np.zeros((NORMAL + edges, edges))

@@ -1,7 +1,8 @@
 """Layshaft and main shaft by the crossing-time filter, with teeth learned while they move freely.
 
-The layshaft has two models: its own with clutch open and main box in neutral (thesis 4.13), and one
-that knows nothing of what drives it while a gear is in mesh. State and teeth go on through both.
+The layshaft has two models: its own while clutch and main box leave it free (thesis 4.13), and one
+with an unknown acceleration while a gear is in mesh. The filter's state and the learned teeth are
+kept when the model changes.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from meshpoint.controller.settings import CrossingFilterTuning
 
 NO_SWITCHES: Final = np.empty((2, 0))
 LEAST_FREE_EDGES: Final = 100
-"""With fewer edges of free motion brake and drag were not really seen."""
+"""With fewer edges of free motion, gain and drag are not taken over from the filter."""
 
 STRUCK_RAD_S: Final = 5.0
 """Standard deviation of the step that a flank's impact makes in the layshaft's speed (48 rpm)."""
@@ -67,22 +68,22 @@ class _Shaft:
         self._geared = geared
         self._own_us = 0.0
         self._start_p = np.zeros((STATES, STATES))
-        """What is not known of the shaft where a window of its teeth begins."""
+        """Covariance of the shaft's state at the start of a window in which teeth are learned."""
         side = tuning.mesh_side_rad**2 / tuning.mesh_side_s
         at_flank = tuning.mesh_walk_rad**2
         self._filter.set_mesh(at_flank, max(at_flank, side), tuning.mesh_side_s * 1e6)
         self._fuses = False
 
     def _fuse(self, free: bool) -> None:
-        """The shaft becomes free, or ceases to be: a geared wheel's mesh lies at another flank
-        than before. With a gear in mesh it turns over at any time, and what it would tell is worse
-        than nothing (docs/estimation.md)."""
+        """The shaft becomes free, or ceases to be: the mesh of a geared wheel then lies at another
+        flank. While a gear is in mesh it may change flanks at any time, and its edges would make
+        the estimate worse (docs/estimation.md), so it is fused only while the shaft is free."""
         self._fuses = free and self._geared is not None
         if self._geared is not None:
             self._filter.lose_offset()
 
     def lose_speed(self) -> None:
-        """Starts anew with the edges to come; teeth keep their numbers."""
+        """Starts again with the next edges; teeth keep their numbers."""
         self._running = self._fuses = False
         self._seed.restart()
         self.teeth.learner.running = False
@@ -90,7 +91,7 @@ class _Shaft:
             self._geared.teeth.learner.running = False
 
     def restart(self) -> None:
-        """Tooth numbers were lost: starts anew; which tooth is which is not known any more."""
+        """Tooth numbers were lost: starts again, and which tooth is which is no longer known."""
         self.lose_speed()
         self.teeth.lose_numbers()
 
@@ -126,7 +127,8 @@ class _Shaft:
                 self._teeth_found()
 
     def _teeth_found(self) -> None:
-        """From here on edges stand for other angles, by as much as an unlearned tooth was wrong."""
+        """The tooth errors have just become known, so the angles of edges change by up to the error
+        of an unlearned tooth: the covariance is widened by it."""
         self._filter.forget_past()
         self._filter.p[THETA, THETA] += self._tuning.tooth_error_rad**2
 
@@ -146,7 +148,7 @@ class _Shaft:
         return diagonal(theta_sd, omega_sd_rad_s, 1.0, rad_s2, 1e-9, rad_s2)
 
     def _fresh(self, time_us: float) -> bool:
-        # A geared wheel's edges do not stand for a sensor that has died.
+        # Edges of a geared wheel must not hide that the shaft's own sensor has failed.
         newest_us = self._filter.time_us if self._geared is None else self._own_us
         return self._running and time_us - newest_us <= ESTIMATE_STALE_US
 
@@ -173,7 +175,7 @@ class CrossingTracker(_Shaft):
         self._free_edges = 0
         self._run = FreeRun(tuning)
         self._one_pattern = True
-        """The window's angles all stand on the same knowledge of the teeth."""
+        """Whether the tooth errors in use have stayed the same since the layshaft became free."""
 
     @property
     def free(self) -> bool:
@@ -243,7 +245,7 @@ class CrossingTracker(_Shaft):
         state.p[:] = diagonal(0.0, 0.0, pressure_sd, torque_sd, gain_sd, drag_sd)
         state.p[:2, :2] = both
         if not self.teeth.learned:
-            # The angle so far stands on teeth that are not known; the learner begins from there.
+            # The angle so far was estimated with unknown tooth errors.
             state.p[THETA, THETA] += tuning.tooth_error_rad**2
         p = diagonal(2.0 * tuning.tooth_error_rad, 1.0, pressure_sd, torque_sd, gain_sd, drag_sd)
         self.teeth.learner.begin(state.time_us, x, p)
@@ -270,13 +272,13 @@ class CrossingTracker(_Shaft):
             if learned and self.teeth.learned and self._one_pattern:
                 sd_rad = self.teeth.sd_rad
                 self._run.learn_touch(known, sd_rad, self._brake.arrays(), self.model)
-        # What drives it now is unknown.
+        # From here on the torque on the layshaft is unknown.
         follow = self._tuning.follow_rad_s2
         x[DISTURBANCE], x[DRAG] = 0.0, 0.0
         both = state.p[:2, :2].copy()
         state.p[:] = diagonal(0.0, 0.0, 1.0, follow, 1e-9, follow)
         state.p[:2, :2] = both
-        # The flank has struck since: the speed took a step, and the angle went on with the old one.
+        # The flank's impact has changed the speed in a step, which the estimate did not follow.
         state.p[THETA, THETA] += self._half_pitch_rad**2
         state.p[OMEGA, OMEGA] += STRUCK_RAD_S**2
 

@@ -1,4 +1,5 @@
-"""Constant-speed estimation: the main shaft (4.16), and any shaft whose model does not hold."""
+"""Constant-speed estimation: for the main shaft (thesis 4.16), and for any shaft to which the
+layshaft's model does not apply at the time."""
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ from meshpoint.units import US
 SPEED_WINDOW_US = 10_000
 """The production speed's window: one read of the arrays (thesis 2.5)."""
 ESTIMATE_STALE_US = 60_000
-"""Dead reckoning past this loses the tooth (facts: 2 deg at 100 ms)."""
+"""An angle extrapolated for longer than this may be off by more than a tooth gap allows."""
 
 
 class ShaftState(NamedTuple):
@@ -51,7 +52,7 @@ class WindowSpeed:
         self.omega_rad_s: float | None = None
 
     def edges(self, batch: EdgeBatch) -> None:
-        """Takes new edges; the speed is renewed where there are any."""
+        """Takes new edges, in order of time, and computes the speed again if there are any."""
         if not batch.time_us.size:
             return
         self._times += batch.time_us.tolist()

@@ -1,7 +1,7 @@
-"""One stretch of free layshaft, kept to be run through the filter again with another parameter.
+"""The data of one interval of free layshaft, to run the filter again with another touch pressure.
 
-How well a parameter fits shows in the filter's innovations: the sum of their squares over their
-variances is least where it fits best. Three runs give a parabola, its least point and its width.
+The sum of normalised innovation squares (NIS) is least for the parameter that fits best. Three runs
+give a parabola, whose minimum is the estimate and whose curvature gives its variance.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from meshpoint.controller.settings import CrossingFilterTuning
 
 PROBE_PA = 0.1e5
 MOST_PA = 0.25e5
-"""A parabola is not followed further than this."""
+"""Largest change of the touch pressure by one run."""
 CAUTION = 2.0
-"""The parabola's width is taken this much wider: the model has other errors than this one."""
+"""Factor on the estimate's standard deviation, for other errors of the model."""
 DRIFT_PA = 0.01e5
-"""From shift to shift."""
+"""Standard deviation of the touch pressure's change from shift to shift."""
 
 
 class FreeRun:
@@ -54,7 +54,7 @@ class FreeRun:
     def learn_touch(
         self, brake: BrakeModel, sd_rad: float, switches: Vector, model: MotionModel
     ) -> None:
-        """Moves what is known of the brake's touch pressure toward what fits this run best."""
+        """Updates the brake's touch pressure with the value that fits this run best."""
         known = brake.touch_pa
         centre = max(known.value, PROBE_PA)
         low, middle, high = (

@@ -24,7 +24,7 @@ from meshpoint.controller.jit import inlined
 from meshpoint.controller.motion.kernels import DISTURBANCE, OMEGA, PRESSURE, STATES, THETA
 
 MOST_IN_A_ROW: Final = 8
-"""So many refused edges in a row mean that the filter is wrong, not the edges."""
+"""After this many refused edges in a row the filter's state is taken to be wrong, not the edges."""
 
 
 @inlined
@@ -71,7 +71,7 @@ def take_geared(f: Filter, angle_rad: float) -> None:
     if square > f.gate_sd * f.gate_sd:
         f.astray_in_a_row += 1
         if f.astray_in_a_row >= MOST_IN_A_ROW:
-            # The wheels stand otherwise to each other than before.
+            # The offset between the wheels has changed.
             f.offset_rad2, f.astray_in_a_row = 0.0, 0
         return
     f.astray_in_a_row = 0

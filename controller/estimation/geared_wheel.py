@@ -1,8 +1,9 @@
 """A sensor wheel on a shaft that turns with an estimated one by an exact ratio.
 
-Input shaft with layshaft through the splitter's gear, propeller shaft with main shaft through the
-range's. Its edges are edges of the shaft, but for the offset between the wheels
-(`fusion_kernels`), which the filter estimates; its own teeth are learned as those of any wheel.
+The input shaft is geared to the layshaft through the splitter, the propeller shaft to the main
+shaft through the range. The wheel's edges count as edges of the estimated shaft, but for the offset
+between the wheels (`fusion_kernels`), which the filter estimates; its own teeth are learned as
+those of any wheel.
 """
 
 from __future__ import annotations
@@ -63,8 +64,8 @@ class GearedWheel:
             self._scale, self._moved = scale, True
 
     def edges_for(self, shaft: CrossingFilter) -> GearedEdges | None:
-        """New edges as those of the shaft. Makes the filter forget the offset where it is a new
-        one."""
+        """New edges as angles of the estimated shaft; None without any. Makes the filter forget the
+        offset if it has changed."""
         if self._moved:
             shaft.lose_offset()
             self._moved = False
@@ -83,8 +84,8 @@ class GearedWheel:
         switches: Vector,
         model: MotionModel,
     ) -> None:
-        """New edges to the teeth's window; one begins when it is known how the wheels stand, with
-        `start_p` as what is not known of the shaft then."""
+        """Adds new edges to the window in which the wheel's teeth are learned. A window begins once
+        the offset is known; start_p: covariance of the shaft's state (6, 6) at its beginning."""
         batch, scale, learner, offset = self._batch, self._scale, self.teeth.learner, shaft.offset
         if scale is None:
             return

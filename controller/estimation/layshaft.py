@@ -1,4 +1,4 @@
-"""What an estimator of the layshaft can be asked, whichever it is."""
+"""The interface of the layshaft's estimators."""
 
 from __future__ import annotations
 
@@ -31,16 +31,17 @@ class LayshaftTracker(Protocol):
         """The model that holds while free. RuntimeError before it was set."""
 
     def set_models(self, models: LayshaftModels) -> None:
-        """The splitter's step or the brake's law is new."""
+        """Takes new models, after a change of the splitter or of the brake's law."""
 
     def set_free(self, free: bool, time_us: float, events: list[str]) -> None:
-        """The model begins or ceases to hold; what was learned meanwhile is told in `events`."""
+        """The free model begins or ceases to apply; lines on what was learned are added to
+        `events`."""
 
     def restart(self) -> None:
         """Tooth numbers were lost: starts anew."""
 
     def lose_speed(self) -> None:
-        """A hole in the edges, or cones that dragged: teeth keep their numbers, the speed not."""
+        """The speed is lost, by missing edges or by a synchroniser; teeth keep their numbers."""
 
     def edges(self, batch: EdgeBatch, pressures: Pressures) -> None:
         """Takes new edges and measured pressures."""

@@ -1,4 +1,4 @@
-"""What is known of a sensor wheel's teeth: pitch errors, eccentricity and duty bias, edge by edge.
+"""The learned errors of a sensor wheel's edges: pitch errors, eccentricity and duty bias.
 
 A wheel of z teeth has 2 z edges; edge 2 k is the rising one of tooth k, 2 k + 1 its falling one.
 Their mean error cannot be seen from the wheel itself and is taken as zero: it is part of the phase
@@ -29,17 +29,19 @@ from meshpoint.controller.settings import CrossingFilterTuning
 
 NEVER_GATED: Final = 1e9
 FORGET: Final = 0.99
-"""What was learned before counts this much less after each window: a sensor warms up."""
+"""Weight of older windows relative to each newer one: the errors change as a sensor warms up."""
 LEAST_SD_RAD: Final = math.radians(0.003)
 USABLE_SD: Final = 0.5
-"""Teeth are used when the worst is known to this share of what is expected of an unlearned one."""
+"""The errors are used once the least certain one has at most this share of an unlearned edge's
+sd."""
 DISAGREES: Final = 3.0
 """Squared residuals over their expectation at which a window does not fit the teeth."""
 WINDOWS_TO_FORGET: Final = 2
 WINDOWS_TO_TELL: Final = 3
-"""After so many windows with teeth of its own a wheel whose turn is not certain never shows it."""
+"""A remembered pattern that is not recognised after this many windows with learned teeth is
+dropped: more windows would not help."""
 LEAST_EDGES: Final = 40
-"""A window with fewer edges says too little to be judged."""
+"""A window with fewer edges is ignored."""
 
 
 class TeethLearner:
@@ -68,8 +70,8 @@ class TeethLearner:
         model: MotionModel,
         scale: float = 1.0,
     ) -> None:
-        """New edges of the window, nominal angles; scale: angle of the model's shaft over that of
-        the wheel."""
+        """Adds new edges to the window, with their nominal angles. place: which of the wheel's
+        edges each is; scale: angle of the model's shaft over angle of the wheel."""
         memory = self._memory
         memory.part("scale")[0] = scale
         if model is not self._model:
@@ -112,8 +114,8 @@ class Found(NamedTuple):
 class WheelTeeth:
     """The learned errors of a wheel's edges, and whether they may be used.
 
-    A pattern whose numbering was lost, or that comes from a calibration file, is a memory: it is
-    compared with what the wheel shows, and used from where its turn is certain."""
+    A pattern whose tooth numbers were lost, or that comes from a calibration file, is the `memory`:
+    it is compared with the errors seen now, and used once it is certain which tooth is which."""
 
     def __init__(
         self, teeth: int, tuning: CrossingFilterTuning, missing: tuple[int, ...] = ()
@@ -130,13 +132,13 @@ class WheelTeeth:
         self._strangers = self._unlike = self._untold = 0
         self.memory: ToothPattern | None = None
         self.found: Found | None = None
-        """Set where a memory was found again, until someone has taken it."""
+        """Set when the memory has been recognised; the reader resets it to None."""
         self.edges_seen = 0
         """How many edges the present errors were learned from."""
         self.error_rad: Vector = np.zeros(edges)
         """To be added to an edge's nominal angle."""
         self.sd_rad = tuning.tooth_error_rad
-        """What is not known of an edge's angle."""
+        """Standard deviation of an edge's angle (rad), tooth errors taken out as far as known."""
         self.learned = False
         self.learner = TeethLearner(tuning, edges)
 
@@ -151,8 +153,8 @@ class WheelTeeth:
         return places
 
     def edges(self, batch: EdgeBatch, place: Integers) -> Vector:
-        """Times (us) and the angles (rad) that edges stand for as far as their teeth are known, the
-        two rows of a `crossing_filter`'s edges."""
+        """Times (us) and angles (rad) of edges, learned errors added: the (2, n) array that
+        `CrossingFilter.take` wants."""
         edges = np.empty((2, batch.time_us.size))
         edges[0] = batch.time_us
         if self.learned:
@@ -196,7 +198,7 @@ class WheelTeeth:
         return True
 
     def lose_numbers(self) -> None:
-        """Any tooth may be number 0 from here on; what was learned is a memory."""
+        """The tooth numbers are lost; the learned pattern becomes the memory."""
         if self.learned:
             self.memory = ToothPattern(self.error_rad, self.sd_rad, self.edges_seen)
         self._clear()
@@ -216,7 +218,8 @@ class WheelTeeth:
         self.learner.running = False
 
     def _compare(self, memory: ToothPattern) -> str | None:
-        """At the end of a window: finds the memory, or gives it up where that is certain."""
+        """At the end of a window: recognises the memory, or drops it. Returns a line for the
+        log."""
         verdict = self._verdict(memory, None)
         if verdict is None:
             return None
@@ -228,7 +231,7 @@ class WheelTeeth:
     def _verdict(
         self, memory: ToothPattern, running: PatternEquations | None
     ) -> PatternMatch | None:
-        """The memory against all that was seen, a window that still runs included."""
+        """Compares the memory with everything seen, a running window included."""
         normal, right, (squares, edges) = self._normal, self._right, self._seen
         if running is not None:
             normal, right = normal + running.normal, right + running.right
@@ -237,7 +240,7 @@ class WheelTeeth:
         return compare(memory, seen, 10.0 * self._unlearned_sd_rad, self._missing.size > 0)
 
     def _take_over(self, memory: ToothPattern, verdict: PatternMatch) -> None:
-        """The memory counts like edges that were seen."""
+        """Adds the recognised memory to the equations, as if its edges had been seen now."""
         self._normal += memory.weight * np.eye(self._edges)
         self._right += memory.weight * turned(memory.error_rad, verdict.teeth)
         self.edges_seen += memory.edges
@@ -246,8 +249,8 @@ class WheelTeeth:
         self._solve()
 
     def _not_found(self, verdict: PatternMatch) -> str | None:
-        """After a whole window: gives the memory up where it is another wheel's, or where the
-        wheel's own teeth are known and still do not tell."""
+        """After a whole window: drops the memory if it belongs to another wheel, or if the wheel's
+        own errors are known and the turn is still not certain. Returns a line for the log."""
         if verdict.stranger:
             self._unlike += 1
             if self._unlike >= WINDOWS_TO_FORGET:

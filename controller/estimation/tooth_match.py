@@ -23,15 +23,15 @@ from meshpoint.controller.records import Vector
 MARGIN: Final = 30.0
 """By how much J of the best turn must lead: a likelihood ratio of e^15, some 3 million to 1."""
 FITS: Final = 1.8
-"""J over that of the best free pattern, an edge: 1 +- 0.15 where it is the same wheel of 45 teeth,
-measured 0.96 to 1.27; with few looks the best turn of another wheel comes down to 2."""
+"""Largest misfit (J less that of the best free pattern, for each edge) of the same wheel: expected
+1 +- 0.15 for 45 teeth, measured 0.96 to 1.27. With few edges another wheel can come down to 2."""
 STRANGER: Final = 4.0
-"""Above this it is another wheel; in between more has to be seen."""
+"""Above this misfit it is another wheel; in between, more edges are needed."""
 AGED_RAD: Final = math.radians(0.01)
-"""What a pattern may have changed by while nobody looked: another temperature, another day."""
+"""How much an edge's error may have changed since it was learned, for instance with temperature."""
 LEAST_TURNS: Final = 2.0
-"""Before so many turns nothing is said: of 700 other wheels two passed after one turn, none after
-two (simulated)."""
+"""Turns to be seen before patterns are compared: of 700 simulated other wheels two were accepted
+after one turn, none after two."""
 
 
 class ToothPattern(NamedTuple):
@@ -59,7 +59,7 @@ class PatternEquations(NamedTuple):
 
 
 class PatternMatch(NamedTuple):
-    """What a comparison came to."""
+    """Result of a comparison."""
 
     teeth: int
     """Remembered tooth number less present one, of the likeliest turn."""
@@ -104,7 +104,8 @@ def compare(
     least_free = -float(seen.right @ free @ seen.right)
     if not (np.isfinite(j).all() and np.isfinite(least_free)):
         return None
-    # The model's own errors widen every difference alike; they show in what no pattern explains.
+    # Errors of the motion model enlarge all differences of J equally; the residual of the best free
+    # pattern shows by how much.
     scale = max(1.0, (seen.squares + least_free) / seen.edges)
     order = np.argsort(j, kind="stable")
     best = int(order[0])

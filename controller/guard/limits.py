@@ -14,15 +14,16 @@ GUARD_NEUTRAL_M: Final = 1.5e-3
 """A main sleeve within this of the middle is proven neutral."""
 GUARD_CLUTCH_OPEN_SHARE: Final = 0.05
 SLIP_MARGIN_RAD_S: Final = 1.0
-"""What the speeds may be wrong by, and the vehicle may gain or lose until contact: 10 rpm."""
+"""Error of the measured speeds plus what the vehicle may gain or lose until contact: 10 rpm."""
 BRAKE_PRESSED_PA: Final = 1.0e5
-"""Gauge pressure above which the brake loads whatever is in mesh."""
+"""Above this gauge pressure the brake is taken to put torque on the gear in mesh."""
 SPEED_TOLERANCE: Final = 1.01
-"""Overspeed is more than a per cent over the sheet's limit."""
+"""A speed counts as too high when it is more than 1 % above the data sheet's limit."""
 
 
 class MainValve(NamedTuple):
-    """A valve of the main box: its sleeve, the way it pushes, and the gear's ratio there."""
+    """A valve of the main box: the sleeve it moves (0 first/second, 1 crawl/third), the direction
+    in which it pushes (-1 or +1), and i_gear of the gear on that side."""
 
     sleeve: int
     direction: int
@@ -35,15 +36,15 @@ MAIN_VALVE_OF_GEAR: Final = {
     MainGear.CRAWL: 5,
     MainGear.THIRD: 6,
 }
-"""Written down a second time on purpose: the guard shares no table with the sequence."""
+"""Repeats the sequence's table on purpose: an error in one table must not disable the guard."""
 
 
 @dataclass(frozen=True)
 class GuardLimits:
-    """All of it; times in us."""
+    """The limits and the properties of the gearbox that the rules use. SI, but times in us."""
 
     main: dict[int, MainValve]
-    """By valve number in the frame."""
+    """Main-box valves by their number in the valve frame."""
     split_ratio: dict[int, float]
     """omega_layshaft / omega_input by the splitter sleeve's side, -1 low, +1 high."""
     range_ratio: dict[int, float]
@@ -58,9 +59,9 @@ class GuardLimits:
     brake_rad_s2: tuple[float, float]
     """Deceleration of the layshaft by the full brake, least and most."""
     drag_rad_s2: float
-    """By drag alone, at most, beyond what grows with speed."""
+    """Upper bound of the layshaft's deceleration by the drag that does not grow with speed."""
     drag_rate: float
-    """By drag that grows with speed, at most: rad/s2 a rad/s."""
+    """Upper bound of the deceleration by viscous drag, divided by the speed, 1/s."""
     slip_rad_s: tuple[float, float]
     input_max_rad_s: float
     main_max_rad_s: float
@@ -72,7 +73,7 @@ class GuardLimits:
 
     @property
     def are_sane(self) -> bool:
-        """Whether every number is finite and every limit is one."""
+        """Whether all numbers are finite and positive, and the slip window is not empty."""
         numbers = [
             *(valve.ratio for valve in self.main.values()),
             *self.split_ratio.values(),
@@ -91,7 +92,7 @@ class GuardLimits:
 
 
 def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimits:
-    """From the data sheet and the settings."""
+    """The limits for a gearbox, from its data sheet and the guard's settings."""
     guard, brake, sleeve = settings.guard, sheet.brake, sheet.sleeve
     inertia = [sheet.inertia_kgm2(split) for split in Split]
     weakest = brake.max_torque_nm / guard.torque_factor / max(inertia)

@@ -1,12 +1,12 @@
-"""The guard: reads the finished valve frame with its own decode and passes it or blocks it.
+"""The guard: decodes the finished valve frame itself and passes it or blocks it.
 
-Separate on purpose from everything that decides: it shares no state with the sequence, no estimate
-with the observer and no code with the codec, so a mistake there does not reach a valve. Each rule
-is a row of the table at the end; the numbers are those of docs/guard.md.
+The guard is independent of the code that decides: it uses no state of the sequence, no estimate of
+the observer and no code of the codec, so that an error there cannot reach a valve. Each rule is a
+row of the table at the end of this file, under its number in docs/guard.md.
 
-What is driven is a span of time: from its activation, or from now, to its release still to come.
-The rows about slip and brake are judged at the moment at which the command takes effect, by the
-guard's own speeds and by bounds on what brake and drag can do until then.
+A driven valve is described by a span of time, from its activation (or now) to its release (which
+may still lie ahead). Rules about slip and brake are judged for the time at which the command takes
+effect, with the guard's own speeds and with bounds on what brake and drag can do until then.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ MAIN_VALVES: Final = (3, 4, 5, 6)
 OFF_NOW, ON_NOW, OFF_AT, ON_AT = range(4)
 FOREVER_US: Final = 1 << 62
 PROOF_STEPS: Final = 3
-"""So many steps in a row everything must be valid before anything may be driven."""
+"""All inputs must have been valid in this many consecutive steps before a valve may be driven."""
 REACT_US: Final = 15_000
-"""From one judgement to the effect of the next: a tick and the bus."""
+"""Time from this judgement until a command of the next step can take effect: a tick and the bus."""
 SPLITTER: Final = 2
 RANGE: Final = 3
 INPUT, LAYSHAFT, MAIN, PROPELLER = range(4)
@@ -61,7 +61,7 @@ class Wish(NamedTuple):
 
 
 def decode(payload: bytes) -> Wish:
-    """The guard's own reading of the frame. ValueError where it is not a valve command's length."""
+    """Decodes a valve command frame. ValueError if it does not have the length of one."""
     if len(payload) != FRAME_LENGTH:
         raise ValueError(f"valve command of {len(payload)} bytes, allowed is {FRAME_LENGTH}")
     actions = int.from_bytes(payload[ACTION_BYTES], "little")
@@ -81,7 +81,9 @@ NO_PULLS: Final[frozenset[int]] = frozenset()
 
 
 def spans(wish: Wish, before: Spans, now_us: int) -> Spans:
-    """When each valve is driven, by this command and what was passed before it."""
+    """When each valve would be driven if this command passed.
+
+    before: the spans of the command passed last; now_us: sensor time."""
     if not any(wish.actions):
         return NO_SPANS
     return tuple(
@@ -105,12 +107,12 @@ def _span(action: int, time_32: int, was: Span | None, now_us: int) -> Span | No
 
 @dataclass
 class GuardState:
-    """The guard's own memory."""
+    """What the guard keeps from step to step."""
 
     armed: bool = True
     """Whether anything may be driven at all in this run."""
     spans: Spans = NO_SPANS
-    """What was passed last."""
+    """Spans of the command that was passed last."""
     latched_by: int = 0
     pulls: frozenset[int] = NO_PULLS
     """Main valves driven to pull a gear out, until they are off."""
@@ -119,12 +121,13 @@ class GuardState:
     brake_off_us: int = -FOREVER_US
     """When the brake was last driven."""
     brake_j: float = 0.0
-    """Spent in this use of the brake."""
+    """Energy (J) that the brake has taken in its present use."""
     judged_us: int | None = None
 
 
 class Case(NamedTuple):
-    """What a row is asked about."""
+    """What a rule judges: the spans asked for, what the sensors show, the guard's state, the
+    limits."""
 
     spans: Spans
     seen: GuardInputs
@@ -132,8 +135,9 @@ class Case(NamedTuple):
     limits: GuardLimits
 
     def engaging(self) -> list[tuple[int, Span]]:
-        """Main valves that push toward their gear and have not entered it. One that has pulled the
-        other gear out pushes no further than neutral."""
+        """Main valves whose sleeve is driven toward a gear that it has not entered yet.
+
+        A valve that is pulling the other gear out counts only once its sleeve is past neutral."""
         found = []
         for valve in MAIN_VALVES:
             span = self.spans[valve]
@@ -143,7 +147,7 @@ class Case(NamedTuple):
         return found
 
     def pulling(self) -> frozenset[int]:
-        """Main valves that are driven to pull a gear out, and have been since it was in mesh."""
+        """Main valves that pull a gear out: driven without a break since that gear was in mesh."""
         if self.spans is NO_SPANS:
             return NO_PULLS
         return frozenset(
@@ -154,12 +158,13 @@ class Case(NamedTuple):
         )
 
     def way_m(self, valve: int) -> float:
-        """How far a main sleeve is toward the gear of this valve."""
+        """Position of the valve's sleeve (m); positive toward the gear of this valve."""
         gear = self.limits.main[valve]
         return self.seen.positions_m[gear.sleeve] * gear.direction
 
     def contact_us(self, span: Span) -> tuple[float, float]:
-        """The earliest and the latest contact of a sleeve driven so."""
+        """Earliest and latest sensor time (us) at which a sleeve driven in this span meets its
+        gear."""
         middle = span.start_us + self.limits.sleeve_delay_us
         return middle - self.limits.sleeve_scatter_us, middle + self.limits.sleeve_scatter_us
 
@@ -168,12 +173,12 @@ class Case(NamedTuple):
         return max(abs(self.seen.positions_m[0]), abs(self.seen.positions_m[1])) <= GUARD_NEUTRAL_M
 
     def speed(self, shaft: int) -> float | None:
-        """A shaft's speed, or None."""
+        """A shaft's speed (rad/s); None if it is stale or invalid."""
         speed = self.seen.speeds[shaft]
         return None if speed is None else speed.omega_rad_s
 
     def clutch_is_open(self) -> bool:
-        """Whether the engine is off the input shaft."""
+        """Whether the clutch separates the engine from the input shaft."""
         return self.seen.clutch_closed <= GUARD_CLUTCH_OPEN_SHARE
 
 
@@ -181,7 +186,7 @@ Rule = Callable[[Case], bool]
 
 
 def both_valves_of_a_sleeve(case: Case) -> bool:
-    """Row 1."""
+    """Row 1: both valves of a sleeve are driven."""
     return any(
         case.spans[a] is not None and case.spans[b] is not None for a, b in SLEEVE_VALVE_PAIRS
     )
@@ -197,8 +202,8 @@ def two_sleeves_of_the_main_box(case: Case) -> bool:
 
 
 def slip_out_of_its_window(case: Case) -> bool:
-    """Row 3: at no possible contact is the slip one that the sleeve may meet. With the clutch
-    closed the engine may bring any."""
+    """Row 3: the slip cannot lie in the allowed window at any possible time of contact. With the
+    clutch closed the engine can cause any slip, so the rule forbids engaging then."""
     return any(
         not case.clutch_is_open() or not _slip_can_fit(case, valve, span)
         for valve, span in case.engaging()
@@ -208,7 +213,7 @@ def slip_out_of_its_window(case: Case) -> bool:
 def _slip_can_fit(case: Case, valve: int, span: Span) -> bool:
     layshaft, main = case.seen.speeds[LAYSHAFT], case.seen.speeds[MAIN]
     if layshaft is None or main is None:
-        return True  # row 4's affair
+        return True  # row 4 forbids engaging at an unknown speed
     limits, ratio = case.limits, case.limits.main[valve].ratio
     early_us, late_us = case.contact_us(span)
     slip = ratio * layshaft.omega_rad_s - main.omega_rad_s
@@ -225,7 +230,8 @@ def _slip_can_fit(case: Case, valve: int, span: Span) -> bool:
 
 
 def _braking_s(case: Case, from_us: float, early_us: float, late_us: float) -> tuple[float, float]:
-    """How long the brake acts between the speed's time and contact, at least and at most."""
+    """Least and greatest time (s) for which the brake acts between `from_us`, at which the speed
+    was measured, and a contact between `early_us` and `late_us`."""
     limits, brake = case.limits, case.spans[BRAKE]
     tail_us = limits.brake_delay_us + 3.0 * limits.brake_lag_us
     if brake is None:
@@ -243,8 +249,8 @@ def engage_on_unknown_speed(case: Case) -> bool:
 
 
 def brake_against_the_driveline(case: Case) -> bool:
-    """Row 5: the brake with a gear in mesh, with the clutch closed, or until after a sleeve may
-    have met its gear. A release still to come counts as driven until then."""
+    """Row 5: the brake is driven while a gear is in mesh, while the clutch is closed, or beyond the
+    earliest contact of a sleeve that is driven. A release that is still to come counts."""
     brake = case.spans[BRAKE]
     if brake is None:
         return False
@@ -258,7 +264,8 @@ def brake_against_the_driveline(case: Case) -> bool:
 
 
 def brake_beyond_its_limits(case: Case) -> bool:
-    """Row 6: too long, too much energy, or down to the floor before it can be off again."""
+    """Row 6: the brake has been on for too long, has taken too much energy, or would slow the
+    layshaft below its lowest allowed speed before it can be released."""
     brake, limits, now_us = case.spans[BRAKE], case.limits, case.seen.now_us
     if brake is None:
         return False
@@ -274,7 +281,7 @@ def brake_beyond_its_limits(case: Case) -> bool:
 
 
 def driven_too_long_or_blind(case: Case) -> bool:
-    """Row 7: a valve beyond its longest time on, or held after the inputs were lost."""
+    """Row 7: a valve has been on for longer than allowed, or is driven without valid inputs."""
     now_us = case.seen.now_us
     driven = [span for span in case.spans if span is not None]
     too_long = any(now_us - span.start_us > case.limits.valve_on_us for span in driven)
@@ -282,8 +289,8 @@ def driven_too_long_or_blind(case: Case) -> bool:
 
 
 def range_change_out_of_neutral(case: Case) -> bool:
-    """Row 8: the range moves only with the main box in neutral, and never down to where the main
-    shaft would turn too fast."""
+    """Row 8: the range is changed with the main box not in neutral, or to low range at a speed at
+    which the main shaft would turn too fast."""
     if case.spans[RANGE_LOW] is None and case.spans[RANGE_HIGH] is None:
         return False
     main_driven = any(case.spans[valve] is not None for valve in MAIN_VALVES)
@@ -298,7 +305,7 @@ def range_change_out_of_neutral(case: Case) -> bool:
 
 
 def input_overspeed(case: Case) -> bool:
-    """Row 9: the gear or the splitter step would turn the input shaft too fast."""
+    """Row 9: the gear, or low split, would turn the input shaft too fast."""
     limits, main, layshaft = case.limits, case.speed(MAIN), case.speed(LAYSHAFT)
     side = _side(case.seen.positions_m[SPLITTER])
     for valve, _ in case.engaging():
@@ -311,12 +318,12 @@ def input_overspeed(case: Case) -> bool:
 
 
 def _side(position_m: float) -> int:
-    """The step a splitter sleeve is in; the faster input shaft where it is in none."""
+    """Side of the splitter, -1 low or +1 high; between the two, low: the faster input shaft."""
     return 1 if position_m > GUARD_NEUTRAL_M else -1
 
 
 def disengage_under_torque(case: Case) -> bool:
-    """Row 10: a sleeve pulled out of mesh, main or splitter, with clutch or brake on it."""
+    """Row 10: a main or splitter sleeve is pulled out of mesh while clutch or brake load it."""
     pulls = any(
         case.spans[valve] is not None and case.way_m(valve) < -GUARD_NEUTRAL_M
         for valve in MAIN_VALVES
@@ -329,7 +336,7 @@ def disengage_under_torque(case: Case) -> bool:
 
 
 def actuation_at_low_supply(case: Case) -> bool:
-    """Row 11: nothing new is driven without air; what is on its way goes on."""
+    """Row 11: a valve is newly driven at low supply pressure; one already driven may stay on."""
     new = any(
         now is not None and before is None
         for now, before in zip(case.spans, case.state.spans, strict=True)
@@ -338,15 +345,16 @@ def actuation_at_low_supply(case: Case) -> bool:
 
 
 def output_before_the_self_test(case: Case) -> bool:
-    """Row 12: any output of a controller that is not armed, before every input was valid, several
-    steps in a row, or before the guard's own numbers were found in order."""
+    """Row 12: a valve is driven by a controller that is not armed, or before the self-test: all
+    inputs valid in PROOF_STEPS consecutive steps, and the guard's own limits sane."""
     ready = case.state.armed and case.state.proofs >= PROOF_STEPS
     return any(case.spans) and not ready
 
 
 def sensor_denies_a_gear(case: Case) -> bool:
-    """Row 13: the sleeves say neutral, but a gear turns with its sleeve: believe that it is in.
-    Then the brake, the range and the other sleeve stay off; the gear itself may be moved."""
+    """Row 13: both sleeves are measured in neutral, but a gear turns exactly with its sleeve, so it
+    is taken to be in mesh. Brake, range and the other sleeve may not be driven then; the sleeve of
+    that gear may."""
     if case.seen.agreeing == 0:
         return False
     sleeve = case.limits.main[case.seen.agreeing].sleeve
@@ -377,14 +385,14 @@ GUARD_ROWS: Final = (
     GuardRow(3, False, slip_out_of_its_window),
     GuardRow(11, False, actuation_at_low_supply),
 )
-"""In the order in which they are asked: the first that forbids is the one reported."""
+"""In the order in which they are applied: the first rule that forbids is the one reported."""
 
 
 class Guard:
     """Judges finished frames."""
 
     def __init__(self, limits: GuardLimits, armed: bool) -> None:
-        """armed: whether valves may be driven at all; it stays as it is for the guard's life."""
+        """armed: whether valves may be driven at all; it cannot be changed later."""
         self._limits = limits
         self._state = GuardState(armed=armed)
         self._is_sound = limits.are_sane and _decodes_as_it_should()
@@ -393,12 +401,12 @@ class Guard:
 
     @property
     def is_armed(self) -> bool:
-        """Whether anything may be commanded: where not, clutch and engine are left alone too."""
+        """Whether anything may be commanded, clutch and engine included."""
         return self._state.armed
 
     def passes(self, payload: bytes, seen: GuardInputs) -> bool:
-        """Whether the frame may go out. A latched guard passes only frames that drive nothing, and
-        one such frame clears the latch: the sequence has taken its command back."""
+        """Whether the frame may be sent. A latched guard passes only frames that drive no valve;
+        such a frame clears the latch, since the sequence has then withdrawn its command."""
         state = self._state
         self._note(seen)
         wished = spans(decode(payload), state.spans, seen.now_us)
@@ -423,7 +431,7 @@ class Guard:
         return None
 
     def _note(self, seen: GuardInputs) -> None:
-        """Self-test and the brake's energy, from what is seen."""
+        """Counts the steps of the self-test and integrates the brake's energy."""
         state = self._state
         if state.proofs < PROOF_STEPS:
             proven = seen.valid and self._is_sound

@@ -1,8 +1,8 @@
-"""What the guard knows of the gearbox: straight from the sensor frames of each step.
+"""The guard's inputs, taken directly from the sensor frames of each step.
 
-Nothing here comes from the observer: speeds are teeth over time of the newest frames, positions and
-pressures the newest samples, and a gear that the sleeves deny is looked for in the turns of the
-shafts (row 13).
+Nothing here comes from the observer. Speeds are teeth over time in the newest frames; positions and
+pressures are the newest samples. A gear that is in mesh although the position sensors show neutral
+is recognised by the shafts' turns (row 13).
 """
 
 from __future__ import annotations
@@ -27,19 +27,20 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import TURN
 
 GUARD_FRESH_US: Final = 45_000
-"""Samples older than this are lost, whatever their counters say."""
+"""Samples older than this count as lost, even if the counters of their frames are valid."""
 AGREE_US: Final = 100_000
-"""Twice this long a gear's turns are compared with its sleeve's before they are believed."""
+"""Turns of gear and sleeve are compared over two consecutive intervals of this length."""
 AGREE_RAD_S: Final = 0.15
-"""A mean slip below this (1.4 rpm) in both halves: they turn as one."""
+"""If the mean slip is below this (1.4 rpm) in both intervals, gear and sleeve turn as one."""
 TURNING_RAD_S: Final = 10.0
-"""Below this speed every ratio agrees with every other."""
+"""Below this layshaft speed the ratios of the gears cannot be told apart."""
 HALF_WRAP: Final = 1 << 31
 SLOW: Final = (SleevesMain, SleevesAux, GearboxSensors)
 
 
 class GuardInputs(NamedTuple):
-    """One step's view. Speeds are those of input shaft, layshaft, main and propeller shaft."""
+    """The inputs of one step, SI. Speeds: input shaft, layshaft, main shaft, propeller shaft; None
+    if stale or invalid."""
 
     now_us: int
     positions_m: tuple[float, float, float, float]
@@ -49,13 +50,15 @@ class GuardInputs(NamedTuple):
     brake_pa: float
     speeds: tuple[Speed | None, Speed | None, Speed | None, Speed | None]
     agreeing: int
-    """The main valve whose gear turns with its sleeve though no sleeve is in mesh; 0 none."""
+    """Number of the main valve whose gear turns with its sleeve although both sleeves are measured
+    in neutral; 0 if there is none."""
     valid: bool
-    """Positions, clutch and pressures come from channels that are VALID, and are fresh."""
+    """Positions, clutch and pressures come from channels whose E2E state is VALID, and are
+    recent."""
 
 
 class GuardView:
-    """Collects what `GuardInputs` says."""
+    """Makes `GuardInputs` from the frames of each step."""
 
     def __init__(self, sheet: GearboxSheet, limits: GuardLimits) -> None:
         wheels = sheet.wheels
@@ -71,7 +74,7 @@ class GuardView:
         self._turns: deque[tuple[Turned, Turned]] = deque()
 
     def take(self, inputs: StepInputs, receiver: Receiver, now_us: int) -> GuardInputs:
-        """One step's frames at a sensor time."""
+        """Takes one step's frames; now_us: sensor time of the step."""
         for kind, shaft in self._shafts.items():
             for frame in inputs.edges[kind]:
                 shaft.take(frame, now_us)
@@ -111,7 +114,8 @@ class GuardView:
         main: Speed | None,
         now_us: int,
     ) -> int:
-        """Row 13's evidence, gathered since both sleeves said neutral."""
+        """The valve of `GuardInputs.agreeing`, from the turns since both sleeves were in
+        neutral."""
         turns = self._turns
         out = max(abs(positions[0]), abs(positions[1])) > GUARD_NEUTRAL_M
         slow = layshaft is None or main is None or layshaft.omega_rad_s < TURNING_RAD_S
@@ -137,7 +141,7 @@ class GuardView:
     def _slip(
         self, ratio: float, before: tuple[Turned, Turned], after: tuple[Turned, Turned]
     ) -> float:
-        """Mean slip between two looks, from whole teeth and the times of their edges."""
+        """Mean slip (rad/s) between two readings, from whole teeth and the times of their edges."""
         layshaft, main = (
             TURN / teeth * (late.teeth - early.teeth) * 1e6 / max(1, late.time_us - early.time_us)
             for teeth, early, late in zip(self._teeth, before, after, strict=True)

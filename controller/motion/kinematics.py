@@ -1,4 +1,4 @@
-"""Angles and speeds between shafts, gears and sleeves: one sign convention (design, signs).
+"""Angles and speeds between shafts, gears and sleeves, all in one sign convention.
 
 i_split = omega_LS / omega_IS      (thesis 3.1 writes it the other way round)
 i_gear  = omega_gear / omega_LS    (thesis 2.1)
@@ -13,8 +13,8 @@ from collections.abc import Sequence
 
 
 def are_finite(numbers: Sequence[float]) -> bool:
-    """Whether every number is one: an estimate that has run away is none. NaN and infinity, and
-    what comes near to it, show in the sum."""
+    """Whether no number is NaN or infinite. Numbers so large that their sum overflows count as not
+    finite, too: they come from an estimate that has diverged."""
     return math.isfinite(sum(numbers))
 
 
@@ -29,5 +29,6 @@ def slip_rad_s(i_gear: float, omega_layshaft_rad_s: float, omega_main_rad_s: flo
 
 
 def raw_phase_rad(i_gear: float, theta_layshaft_rad: float, theta_main_rad: float) -> float:
-    """Gear angle less sleeve angle as the wheels count them; the phase up to a constant."""
+    """Gear angle less sleeve angle (rad) from the counted teeth; differs from the phase by a
+    constant, the phase reference of the gear."""
     return i_gear * theta_layshaft_rad - theta_main_rad

@@ -1,13 +1,17 @@
 """Phase references: the angle between gear teeth and sleeve teeth, learned when a gear locks.
 
-The sensor wheels count teeth but know no angle (thesis 8.2). In mesh a tooth lies on one flank of
-its gap or the other, so the phase is + or - b/2 and the constant between counted angles and phase
-is known once the flank is. Which one: impact and torque carry the tooth through the gap, and one
-that has come from above, within the gap's width, lies on the lower flank. A tooth that has not
-moved lies where the slip at contact carried it, if the sleeve went straight in; or, in a gearbox
-where teeth have been seen to move, where the layshaft's drag pulls it. Where next to no torque lets
-the tooth float, its looks from lock to release bound the gap: it is as wide as they are apart, or
-a little wider. Tooth counts keep the reference exact; it is lost when either count is lost.
+The sensor wheels count teeth but do not measure absolute angles (thesis 8.2). In mesh a tooth lies
+at one of the two flanks of its gap, so the phase is +b/2 or -b/2 (b: backlash), and the constant
+between counted angles and phase follows once it is known which flank.
+
+- A tooth that has moved through the gap from above lies at the lower flank, and vice versa.
+- A tooth that has not moved lies where the slip at contact carried it, if the sleeve went straight
+  in; in a gearbox where teeth have been observed to move, where the layshaft's drag pulls it.
+- With very little torque a tooth floats. Its lowest and highest phase between lock and release then
+  bound the gap, which is as wide as that range or slightly wider.
+
+An observation of the phase of a gear in mesh is called a look. Counting teeth keeps the reference
+exact; it is lost when the count of either wheel is lost.
 """
 
 from __future__ import annotations
@@ -21,36 +25,38 @@ from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear
 
 STILL_LOOKS = 5
-"""Looks over which a tooth must lie still, one every 10 ms, if it has come from the other flank."""
+"""Looks, one every 10 ms, during which a tooth that has crossed its gap must then lie still."""
 STILL_SHARE = 0.05
-"""Standard deviation of a still tooth's looks, in backlashes."""
+"""A tooth lies still if the standard deviation of its looks is below this, in backlashes."""
 CROSSED_SHARE = 0.85
 MOVED_SHARE = 0.3
 STAYED_SHARE = 0.2
-"""A tooth that was this share of the backlash away has crossed, has moved; less, it has not."""
+"""Distances moved, in backlashes: above the first a tooth has crossed its gap, above the second it
+has moved, below the third it has not moved."""
 NEAR_SHARE = 0.1
-"""Looks so near to a still tooth, in backlashes, are of it lying there."""
+"""Earlier looks this close to where the tooth lies, in backlashes, enter its mean phase."""
 GAP_SHARE = 1.25
-"""No tooth in its gap can have been farther away: the look was a wrong one."""
+"""A look farther away than this, in backlashes, is wrong: the gap is not that wide."""
 MOVED_LOOKS = 16
-"""Still looks of a tooth that has come from within the gap: it may turn round there, too."""
+"""Still looks required of a tooth that started inside the gap: it may also stop there and
+reverse."""
 UNMOVED_LOOKS = 20
-"""After so many looks without a move the tooth lies where the slip at contact carried it."""
+"""After this many looks without a move the tooth lies where the slip at contact carried it."""
 PULLED_LOOKS = 6
-"""So many still looks under drag alone are longer than a tooth needs to turn round in its gap."""
+"""Still looks under drag alone: longer than a tooth needs to reverse inside its gap."""
 FLOATED_LOOKS = 3
-"""Looks in a row that make one of a floating tooth,"""
+"""Consecutive looks that together give one position of a floating tooth,"""
 FLOATED_SHARE = 0.2
-"""no further apart than this, in backlashes: an impact leads single ones astray."""
+"""if they are within this distance, in backlashes: an impact disturbs single looks."""
 LEAST_SPAN, MOST_SPAN = 0.8, 1.1
-"""How far apart, in backlashes, a floating tooth has been seen for its gap to be told from it: the
-middle is then off by a tenth at most."""
+"""Range of a floating tooth's positions, in backlashes, from which the gap is determined: its
+middle is then wrong by a tenth of the backlash at most."""
 FLANK_SLIP_RAD_S = 0.2
-"""Below this slip (2 rpm) at contact the flank cannot be told from it."""
+"""Below this slip (2 rpm) at contact it is not certain which flank the tooth was carried to."""
 
 
 class Floated(NamedTuple):
-    """Lowest and highest raw phase at which the tooth of a gear has been in its gap."""
+    """Lowest and highest raw phase (rad) at which a floating tooth of a gear has been seen."""
 
     gear: MainGear
     low_rad: float
@@ -59,26 +65,30 @@ class Floated(NamedTuple):
 
 @dataclass
 class _Learning:
-    """A gear being watched: the flank its slip carried it to, 0 if not certain, and the looks."""
+    """A gear in mesh whose reference is being learned. flank: +1 or -1, the flank to which the slip
+    at contact carried the tooth; 0 if that is not certain."""
 
     gear: MainGear
     flank: int
     straight: bool
-    """The sleeve went straight in, so that the tooth has had no time to leave its flank."""
+    """Whether the sleeve went straight in, so that the tooth cannot have left its flank before."""
     seen: list[float] = field(default_factory=list)
     pulled: int = 0
-    """How many of the newest looks drag alone has pulled the tooth down."""
+    """Number of newest consecutive looks during which drag alone pulled the tooth to the lower
+    flank."""
 
     def add(self, raw_rad: float, pitch_rad: float, pulled: bool) -> None:
-        """One look, unwrapped beside the first."""
+        """Adds a look: raw phase (rad), unwrapped to lie within half a pitch of the first."""
         first = self.seen[0] if self.seen else raw_rad
         self.pulled = self.pulled + 1 if pulled else 0
         self.seen.append(first + wrap_to_pitch(raw_rad - first, pitch_rad))
 
     def lies(self, backlash_rad: float, moves: bool, stays: bool) -> tuple[int, float] | None:
-        """Flank and raw phase of a tooth that lies still; None while that cannot be told.
+        """Flank (+1, -1) and mean raw phase (rad) of a tooth that lies still; None while not
+        certain.
 
-        moves, stays: whether teeth have been seen to move in their gaps, or one not to, before."""
+        moves, stays: whether in this gearbox a tooth was seen to cross its gap before, and whether
+        one was seen not to move."""
         if moves and self.pulled >= PULLED_LOOKS and self._still(PULLED_LOOKS, backlash_rad):
             return -1, _mean(self.seen[-PULLED_LOOKS:])
         if not self._still(STILL_LOOKS, backlash_rad):
@@ -95,14 +105,14 @@ class _Learning:
         return self.flank, mean
 
     def stayed(self, backlash_rad: float) -> bool:
-        """Whether the tooth has not moved for long, not even in a single look."""
+        """Whether no look of a long series differs: the tooth has not moved."""
         near = STAYED_SHARE * backlash_rad
         return len(self.seen) >= UNMOVED_LOOKS and max(self.seen) - min(self.seen) < 2.0 * near
 
     def moved_share(self, mean: float, backlash_rad: float) -> float | None:
-        """How far the tooth has come to where it lies, in backlashes, up or down; 0 where it has
-        not moved, None where it has been on both sides. Single looks do not count: an impact leads
-        the estimate astray for one."""
+        """Signed distance that the tooth has moved to where it lies, in backlashes; 0 if it has not
+        moved, None if it has been on both sides. Median filtered: an impact disturbs single
+        looks."""
         away = [(look - mean) / backlash_rad for look in self.seen]
         smooth = [sorted(away[k - 1 : k + 2])[1] for k in range(1, len(away) - 1)]
         possible = [share for share in smooth if abs(share) < GAP_SHARE]
@@ -116,7 +126,7 @@ class _Learning:
         return None
 
     def floated(self, backlash_rad: float) -> tuple[float, float] | None:
-        """The lowest and the highest place at which the tooth has been; None without a look."""
+        """Lowest and highest raw phase (rad) of the tooth; None without enough quiet looks."""
         runs = [self.seen[k : k + FLOATED_LOOKS] for k in range(len(self.seen) - FLOATED_LOOKS + 1)]
         quiet = [sorted(run) for run in runs if max(run) - min(run) < FLOATED_SHARE * backlash_rad]
         if not quiet:
@@ -138,25 +148,25 @@ def _mean(looks: list[float]) -> float:
 
 
 class PhaseReferences:
-    """One learned constant a gear, or none."""
+    """The learned phase reference of each main gear: a constant in rad, or none."""
 
     def __init__(self, sheet: GearboxSheet) -> None:
         self._sheet = sheet
         self._offset_rad: dict[MainGear, float] = {}
         self._adopted: dict[MainGear, ReferenceSource] = {}
-        """Where constants came from that were not seen in mesh."""
+        """Source of each constant that was not measured with the gear in mesh."""
         self._learning: _Learning | None = None
         self._moves = False
-        """Whether teeth have been seen to move in their gaps."""
+        """Whether a tooth of this gearbox has been seen to cross its gap."""
         self._stays = False
-        """Whether one has been seen that did not."""
+        """Whether a tooth of this gearbox has been seen not to move."""
         self._floated_rad: dict[MainGear, tuple[float, float]] = {}
-        """Between where teeth have been seen that came to lie nowhere, by gear."""
+        """Lowest and highest raw phase (rad) of floating teeth, by gear."""
         self._likely_rad: dict[MainGear, float] = {}
-        """Constants that hold if teeth lie where the slip carried them in this gearbox."""
+        """Constants that are valid if teeth of this gearbox stay where the slip carried them."""
 
     def known(self, gear: MainGear) -> bool:
-        """Whether this gear's phase can be told."""
+        """Whether this gear's reference is known, and so its phase."""
         return gear in self._offset_rad
 
     def phase_rad(self, gear: MainGear, theta_layshaft: float, theta_main: float) -> float:
@@ -175,7 +185,7 @@ class PhaseReferences:
         self._learning = _Learning(gear, flank, straight)
 
     def watches(self, gear: MainGear) -> bool:
-        """Whether a look at this gear in mesh is wanted."""
+        """Whether this gear's reference is being learned, so that looks are wanted."""
         return self._learning is not None and self._learning.gear is gear
 
     def watch(
@@ -193,7 +203,7 @@ class PhaseReferences:
         if lies is None:
             return False
         flank, mean = lies
-        # earlier looks that lie there too take out noise
+        # earlier looks at the same place reduce the noise
         mean = _mean(
             [look for look in learning.seen if abs(look - mean) < NEAR_SHARE * dog.backlash_rad]
         )
@@ -209,7 +219,8 @@ class PhaseReferences:
         return True
 
     def released(self) -> Floated | None:
-        """The gear left the mesh; where its tooth has been, if that was before it was learned."""
+        """The gear leaves the mesh. Returns where its tooth floated if its reference was still
+        being learned."""
         learning, backlash_rad = self._learning, self._sheet.dog.backlash_rad
         self._learning = None
         if learning is None:
@@ -225,8 +236,8 @@ class PhaseReferences:
         return None if floated is None else Floated(learning.gear, *floated)
 
     def _bound(self, gear: MainGear, low: float, high: float) -> None:
-        """A gear that has left the mesh with its flank untold: what its looks say of the gap, with
-        those of earlier times."""
+        """Determines the reference of a gear that left the mesh before its flank was known, from
+        the range of phases of this and earlier times, if that range is about a backlash."""
         dog = self._sheet.dog
         if gear in self._floated_rad:
             before_low, before_high = self._floated_rad[gear]
@@ -245,7 +256,7 @@ class PhaseReferences:
         return dict(self._offset_rad)
 
     def adopt(self, gear: MainGear, offset_rad: float, source: ReferenceSource) -> None:
-        """A constant that is known without a look at the gear in mesh."""
+        """Takes a constant (rad) that was derived without the gear in mesh."""
         self._offset_rad[gear] = offset_rad
         self._adopted[gear] = source
 
@@ -255,12 +266,12 @@ class PhaseReferences:
         return self._adopted.get(gear, known)
 
     def lose(self, gear: MainGear) -> None:
-        """One gear's constant was wrong."""
+        """Drops one gear's constant, because it was wrong."""
         self._offset_rad.pop(gear, None)
         self._adopted.pop(gear, None)
 
     def lose_all(self) -> None:
-        """A wheel's count was lost: nothing is known any more."""
+        """Drops all constants, because a wheel's count was lost."""
         self._offset_rad.clear()
         self._adopted.clear()
         self._likely_rad.clear()

@@ -1,15 +1,16 @@
 """Phase references that were lost with the tooth numbers, and how they come back.
 
-A reference is a constant between counted angles, so it is worth nothing once a wheel is numbered
-anew, until the wheel's tooth pattern is found again (`tooth_match`). Remembered tooth t + k being
-present tooth t on both wheels, the reference of a gear with mesh ratio i = z1/z2 is
+A reference is a constant between counted angles, so it is unusable once a wheel's teeth are
+numbered anew, until the wheel's tooth pattern is recognised (`tooth_match`). Remembered tooth t + k
+being present tooth t on both wheels, the reference of a gear with mesh ratio i = z1/z2 is
 
     offset = remembered - i (k_L pitch_L + 2 pi N) + k_M pitch_M    (modulo the dog teeth's pitch)
 
-with N the layshaft's whole turns since, one number for all gears. Which N are possible is kept for
-all of them together (`turn_candidates`); each gear that is learned excludes those whose phase
-it contradicts. A gear whose phase is the same for all N that are left is known without having been
-in mesh. If none is left, what was remembered is wrong: it is dropped, and that is said.
+with N the layshaft's whole turns since, one number for all gears. The set of possible N is kept for
+all gears together (`turn_candidates`); each gear whose reference is measured excludes the N that
+contradict it. A gear whose phase is the same for all remaining N is known without having been in
+mesh. If no N remains, the remembered references are wrong: they are dropped, with a line in the
+log.
 """
 
 from __future__ import annotations
@@ -38,16 +39,18 @@ from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.units import TURN
 
 LEARNED_SD_RAD: Final = math.radians(0.1)
-"""Of the difference of two references of one gear learned apart (docs/calibration.md)."""
+"""Standard deviation of the difference of two references learned of one gear at different times
+(docs/calibration.md)."""
 AGREES_SDS: Final = 4.0
 LEAST_FREE_SHARE: Final = -0.1
-"""A tooth has not moved by more than the backlash; where it seems to, looks were wrong."""
+"""Least free play, in backlashes, of a floating tooth: below it the looks were wrong, since a tooth
+cannot move by more than the backlash."""
 MOST_COUNTED: Final = 1000
-"""Turns, of a layshaft that a sensor has counted."""
+"""Largest number of candidate turns of the layshaft that a sensor's count may leave."""
 
 
 class SavedReferences(NamedTuple):
-    """Tooth patterns and the references in their numbering: what outlives a restart."""
+    """What is kept over a restart: tooth patterns, and the references (rad) in their numbering."""
 
     layshaft: ToothPattern | None
     main: ToothPattern | None
@@ -63,11 +66,11 @@ class _Wheel:
     pitch_rad: float
     shift: int | None = 0
     base: int = 0
-    """The shift of the numbering that the wheel's own memory is in."""
+    """The shift that belongs to the numbering of the wheel's remembered pattern."""
 
     @property
     def unrecoverable(self) -> bool:
-        """Nothing is left by which its old numbers could be found."""
+        """Whether its old numbering can no longer be found."""
         return self.shift is None and self.teeth.memory is None and self.teeth.found is None
 
     def saved(self) -> ToothPattern | None:
@@ -84,7 +87,7 @@ class _Wheel:
 
 
 class ReferenceRecovery:
-    """The references of a numbering that was lost, and what is known of it by now."""
+    """Finds the references of a lost numbering again."""
 
     def __init__(
         self,
@@ -100,14 +103,14 @@ class ReferenceRecovery:
         self._wheels = (self._layshaft, self._main)
         self._remembered: dict[MainGear, float] = {}
         self._same_turn = True
-        """No turn of the layshaft has gone uncounted since the references were remembered."""
+        """Whether every turn of the layshaft since the references were remembered was counted."""
         self._turns: TurnSet = all_turns({})
-        """Uncounted turns, for the gears that they matter to."""
+        """Possible numbers of uncounted turns, for the gears whose phase depends on them."""
         self._renumbered = Renumbered()
         self._counted_from: Renumbered | None = None
-        """What the sensor had counted when the references were remembered, where it tells."""
+        """The sensor's count when the references were remembered; None if it gives no bound."""
         self._found = False
-        """Both wheels are numbered as remembered, so that candidates can be told apart."""
+        """Whether both wheels' numbering is known again, so that candidates can be excluded."""
 
     def restore(self, saved: SavedReferences) -> None:
         """Patterns and references of an earlier run."""
@@ -119,13 +122,14 @@ class ReferenceRecovery:
             wheel.shift, wheel.base = None, 0
 
     def lost(self, layshaft: bool, main: bool) -> None:
-        """A wheel's numbers are lost; its teeth have not been told yet."""
+        """The tooth numbers of the layshaft's or the main shaft's wheel are lost. Call it before
+        the teeth are numbered again."""
         broken = [wheel for wheel, lost in zip(self._wheels, (layshaft, main), strict=True) if lost]
         if not self._pending:
             self._remember(turns_lost=layshaft)
         for wheel in broken:
             if wheel.teeth.learned is (wheel.shift is None):
-                # No pattern of this numbering, or of its relation to the remembered one.
+                # This numbering has no pattern, or its shift to the remembered one is unknown.
                 self._remembered = {}
             elif wheel.shift is not None:
                 wheel.base = wheel.shift
@@ -137,7 +141,7 @@ class ReferenceRecovery:
         self._references.lose_all()
 
     def _without_waiting(self) -> dict[MainGear, float]:
-        """What is remembered, but for gears that wait for other turns than are lost now."""
+        """The remembered references without those of gears that depend on uncounted turns."""
         waiting = self._turns.moduli
         return {gear: at for gear, at in self._remembered.items() if gear not in waiting}
 
@@ -146,14 +150,15 @@ class ReferenceRecovery:
         return any(wheel.shift is None for wheel in self._wheels)
 
     def _remember(self, turns_lost: bool) -> None:
-        """Before numbers are lost: the present numbering is the one to remember, with gears that
-        still wait for the layshaft's turns, where they can wait on."""
+        """Before numbers are lost: remembers the references in the present numbering, those of
+        gears included that still depend on uncounted turns, as far as these can still be
+        resolved."""
         known, open_ = self._references.offsets_rad, self._open()
         if turns_lost:
             remembered = self._in_present_numbering()
             self._start(remembered)
             if remembered.keys() != known.keys():
-                # Gears that waited for earlier turns are not told by those counted from here on.
+                # Turns counted from here on do not resolve gears that depend on earlier ones.
                 self._counted_from = None
             return
         at_zero = {gear: self._predicted(gear, 0) for gear in open_.moduli}
@@ -161,13 +166,13 @@ class ReferenceRecovery:
         self._turns = open_
 
     def _open(self) -> TurnSet:
-        """What the known gears leave to the others."""
+        """The turns that remain possible for gears whose reference is not known."""
         return without(self._turns if self._found else all_turns({}), self._references.offsets_rad)
 
     def _in_present_numbering(self) -> dict[MainGear, float]:
-        """What outlives the loss of the layshaft's turns: known references, and the others at any
-        turn that is possible. That is as good as the right one only where each known gear tells a
-        single one, else the others would contradict it."""
+        """The references that stay usable when the layshaft's turns are lost: the known ones, and
+        the others for one arbitrary possible turn. The latter are consistent with the known ones
+        only if each known gear allows a single residue; otherwise they are left out."""
         known, turns = self._references.offsets_rad, self._turns
         if not self._found or not all(len(turns.candidates(gear)) == 1 for gear in known):
             return known
@@ -175,7 +180,7 @@ class ReferenceRecovery:
         return {gear: self._predicted(gear, turn) for gear, turn in one.items()} | known
 
     def _start(self, remembered: dict[MainGear, float]) -> None:
-        """The present numbering is the one to remember."""
+        """Remembers these references in the present numbering."""
         self._counted_from = self._renumbered
         self._remembered, self._same_turn, self._found = remembered, True, False
         self._turns = all_turns({})
@@ -183,8 +188,8 @@ class ReferenceRecovery:
             wheel.shift, wheel.base = 0, 0
 
     def look(self, events: list[str], renumbered: Renumbered) -> None:
-        """Takes what the wheels have found since the last step, and what the sensor has counted of
-        the layshaft."""
+        """Takes the patterns recognised since the last step, and the sensor's count of the
+        layshaft's teeth. Adds lines for the log to `events`."""
         self._renumbered = renumbered
         waiting = self._pending
         for wheel in self._wheels:
@@ -200,7 +205,7 @@ class ReferenceRecovery:
             self._begin(events)
 
     def _begin(self, events: list[str]) -> None:
-        """Both wheels are numbered as before, up to turns of the layshaft."""
+        """Both wheels' numbering is known again, except for whole turns of the layshaft."""
         if not self._same_turn:
             moduli = {gear: turn_candidates(self._sheet, gear) for gear in self._remembered}
             self._turns = all_turns(moduli, self._counted_turns())
@@ -210,8 +215,8 @@ class ReferenceRecovery:
         self._use(ReferenceSource.RESTORED, events)
 
     def _counted_turns(self) -> range | None:
-        """Turns of the layshaft that agree with what the sensor has counted; None where it does not
-        tell, or where that does not agree with the teeth."""
+        """Turns of the layshaft that agree with the sensor's count; None if it gives no bound, or
+        none that agrees with the teeth."""
         start, now = self._counted_from, self._renumbered
         if start is None or start.uncounted != now.uncounted:
             return None
@@ -221,16 +226,17 @@ class ReferenceRecovery:
         return range(least, most + 1) if 0 <= most - least < MOST_COUNTED else None
 
     def learned(self, gear: MainGear, sd_rad: float, events: list[str]) -> None:
-        """A gear's reference has just been learned: how many turns agree with it?
+        """A gear's reference has just been measured: excludes the turns that contradict it.
 
-        sd_rad: of the phase as it was seen then."""
+        sd_rad: standard deviation of the measured phase. Log lines are added to `events`."""
         if not self._found or gear not in self._remembered:
             return
         offset = self._references.offsets_rad[gear]
         self._exclude(gear, offset, AGREES_SDS * math.hypot(LEARNED_SD_RAD, sd_rad), events)
 
     def floated(self, floated: Floated, events: list[str]) -> None:
-        """A gear has been in mesh and was not learned: its tooth was in its gap all the same."""
+        """A gear was in mesh and its reference was not learned; that its tooth was inside the gap
+        still excludes turns."""
         if not self._found or floated.gear not in self._remembered:
             return
         low, high = floated.low_rad, floated.high_rad
@@ -240,7 +246,8 @@ class ReferenceRecovery:
             self._exclude(floated.gear, 0.5 * (low + high), tolerance, events)
 
     def _exclude(self, gear: MainGear, offset: float, tolerance: float, events: list[str]) -> None:
-        """The turns by which a gear's reference would be farther from `offset`."""
+        """Excludes turns for which a gear's reference is farther from `offset` than `tolerance`,
+        rad."""
         pitch_rad = self._sheet.dog.pitch_rad
 
         def agrees(turn: int) -> bool:
@@ -254,7 +261,8 @@ class ReferenceRecovery:
             self._use(ReferenceSource.NARROWED, events)
 
     def _drop(self, gear: MainGear, events: list[str]) -> None:
-        """A gear in mesh contradicts all that was possible: what was seen counts."""
+        """A gear in mesh contradicts all candidates: the measurement is kept, the memory
+        dropped."""
         forgotten = [other.name.lower() for other in self._remembered if other is not gear]
         for other in self._references.offsets_rad:
             if self._references.source(other) is not ReferenceSource.MEASURED:
@@ -266,7 +274,7 @@ class ReferenceRecovery:
         )
 
     def _use(self, source: ReferenceSource, events: list[str]) -> None:
-        """Gears whose phase all turns agree on are known."""
+        """Adopts the references of gears whose phase is the same for all remaining turns."""
         for gear in self._remembered:
             if self._references.known(gear):
                 continue
@@ -278,7 +286,7 @@ class ReferenceRecovery:
                 )
 
     def _agreed(self, gear: MainGear) -> float | None:
-        """A gear's reference where all its candidates are alike; the middle of them."""
+        """The middle of a gear's candidate references if these are equal within LEARNED_SD_RAD."""
         first, *others = (self._predicted(gear, turn) for turn in self._turns_of(gear))
         pitch_rad = self._sheet.dog.pitch_rad
         away = [0.0, *(wrap_to_pitch(other - first, pitch_rad) for other in others)]
@@ -287,7 +295,7 @@ class ReferenceRecovery:
         return first + (max(away) + min(away)) / 2.0
 
     def _turns_of(self, gear: MainGear) -> frozenset[int]:
-        """Possible N of a gear, modulo its n; 0 alone where turns were counted."""
+        """Possible N of a gear, modulo its n; only 0 if all turns were counted."""
         if not self._found or gear not in self._remembered:
             return frozenset()
         return self._turns.candidates(gear) or frozenset({0})
@@ -299,12 +307,12 @@ class ReferenceRecovery:
         return self._remembered[gear] - ratio * moved + (main.shift or 0) * main.pitch_rad
 
     def candidates(self, gear: MainGear) -> int:
-        """How many phases of this gear are possible; 0 where nothing is remembered of it."""
+        """Number of possible phases of this gear; 0 if no reference of it is remembered."""
         return 1 if self._references.known(gear) else len(self._turns_of(gear))
 
     def saved(self) -> SavedReferences:
-        """What is worth keeping: the remembered numbering while it may still be found again, else
-        the present one."""
+        """What to keep for the next run: the remembered numbering while it may still be found
+        again, else the present one."""
         if not self._pending:
             both = all(wheel.teeth.learned for wheel in self._wheels)
             layshaft, main = (_now(wheel.teeth) for wheel in self._wheels)
@@ -321,7 +329,7 @@ _WHY: Final = {
 
 
 def _now(teeth: WheelTeeth) -> ToothPattern | None:
-    """A wheel's pattern in the present numbering; that of its memory where it has no other."""
+    """A wheel's pattern in the present numbering; its remembered one if none has been learned."""
     if teeth.learned:
         return ToothPattern(teeth.error_rad, teeth.sd_rad, teeth.edges_seen)
     return teeth.memory

@@ -1,7 +1,8 @@
-"""Whole turns that nobody counted: one joint set of hypotheses for all gears.
+"""Whole turns of the layshaft that were not counted: one set of hypotheses for all gears.
 
-After a restart the teeth of both sensor wheels are found again, whole turns are not. A gear's phase
-is i theta_layshaft - theta_main less its reference, i = z1 / z2, modulo the pitch of d dog teeth:
+After a restart the tooth numbers of both sensor wheels can be recovered, whole turns cannot. A
+gear's phase is i theta_layshaft - theta_main less its reference, i = z1 / z2, modulo the pitch of d
+dog teeth:
 
 - Turns of the main shaft do not enter: 2 pi is d pitches.
 - N turns of the layshaft move the phase by N d z1 / z2 pitches, which is whole again after
@@ -33,11 +34,11 @@ class TurnSet(NamedTuple):
     moduli: Mapping[MainGear, int]
     """n of each gear."""
     shared: Mapping[MainGear, int]
-    """c of each gear: what of its residue is told by `turns`."""
+    """c of each gear: `turns` determines its residue modulo c."""
     turns: frozenset[int]
     """N modulo the lcm of `shared`, or N itself where it is bounded."""
     residues: Mapping[MainGear, frozenset[int]]
-    """N modulo n of each gear, as the gear itself has allowed it."""
+    """N modulo n of each gear: the residues that the gear's own measurements allow."""
 
     def candidates(self, gear: MainGear) -> frozenset[int]:
         """N modulo n of a gear that are still possible, one phase each; empty for a gear to which
@@ -55,13 +56,13 @@ class TurnSet(NamedTuple):
 
 
 def turn_candidates(sheet: GearboxSheet, gear: MainGear) -> int:
-    """After how many turns of the layshaft a gear's dog teeth stand as before."""
+    """After how many turns of the layshaft a gear's phase is the same again (n above)."""
     mesh = sheet.main_mesh(gear)
     return mesh.driven // math.gcd(mesh.driven, mesh.driving * sheet.dog.teeth)
 
 
 def all_turns(moduli: Mapping[MainGear, int], bounded: Iterable[int] | None = None) -> TurnSet:
-    """Nothing is excluded yet; `bounded`: the only N there can be."""
+    """The set with nothing excluded; `bounded`: the only possible N, where these are known."""
     residues = {gear: frozenset(range(n)) for gear, n in moduli.items()}
     if bounded is not None:
         return TurnSet(moduli, moduli, frozenset(bounded), residues)
@@ -73,9 +74,9 @@ def all_turns(moduli: Mapping[MainGear, int], bounded: Iterable[int] | None = No
 
 
 def narrowed(turns: TurnSet, gear: MainGear, agrees: Callable[[int], bool]) -> TurnSet:
-    """Leaves the hypotheses whose phase of `gear` agrees with what was measured of it.
+    """The hypotheses that agree with a measurement of `gear`.
 
-    agrees: whether N modulo n of the gear does."""
+    agrees: whether a residue N modulo n of the gear agrees with it."""
     left = frozenset(r for r in turns.candidates(gear) if agrees(r))
     told = {r % turns.shared[gear] for r in left}
     kept = frozenset(turn for turn in turns.turns if turn % turns.shared[gear] in told)
@@ -83,7 +84,7 @@ def narrowed(turns: TurnSet, gear: MainGear, agrees: Callable[[int], bool]) -> T
 
 
 def without(turns: TurnSet, gears: Collection[MainGear]) -> TurnSet:
-    """These gears need N no more; what they have told of it stays."""
+    """The set without these gears; what they have excluded stays excluded."""
     return TurnSet(
         {gear: n for gear, n in turns.moduli.items() if gear not in gears},
         {gear: c for gear, c in turns.shared.items() if gear not in gears},
@@ -93,7 +94,7 @@ def without(turns: TurnSet, gears: Collection[MainGear]) -> TurnSet:
 
 
 def any_one(turns: TurnSet) -> dict[MainGear, int]:
-    """N modulo n of each gear for one N that is possible."""
+    """N modulo n of each gear, for one possible N."""
     turn = min(turns.turns)
     return {
         gear: min(r for r in residues if (r - turn) % turns.shared[gear] == 0)

@@ -1,6 +1,7 @@
 """Slip and phase of the target gear at times to come, predicted from the estimates of one step.
 
-Layshaft by zero-order hold over the brake commands, main shaft with the acceleration it has.
+The layshaft is predicted by zero-order hold over the brake commands, the main shaft with constant
+acceleration.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from meshpoint.units import US
 MOST_STEPS = 40
 LEAST_ROOT_SHARE = 1e-3
 CLOSE_RAD_S = 1e-4
-"""A root this near is found: some microseconds at the brake's full torque."""
+"""Tolerance of the root search: some microseconds at the brake's full torque."""
 
 
 class Trajectory(NamedTuple):
@@ -53,9 +54,9 @@ class GearPredictor:
     """From a sleeve valve's activation to contact, expected."""
     delay_sd_s: float
     drift_rad_s: float
-    """Learned: what the slip is above what the model says (`phase_drift`)."""
+    """Learned: by how much the slip exceeds the model's prediction (`phase_drift`)."""
     spread_share: float
-    """Learned: what phases scatter by over the filter's standard deviation."""
+    """Learned: ratio of the phases' real scatter to the filters' standard deviation."""
 
     def slip_rad_s(self, time_us: float, release_us: int | None = None) -> float:
         """Slip at a time with the brake as commanded, or released at `release_us`."""
@@ -80,7 +81,8 @@ class GearPredictor:
         return predict(self.layshaft, time_us, switches, self.model)
 
     def phase_sd_rad(self, time_us: float) -> float:
-        """Standard deviation of the phase at contact: angles, speeds to then, and delay."""
+        """Standard deviation (rad) of the phase at a contact at that time: from the estimates of
+        angle and speed, and from the scatter of the sleeve's delay."""
         layshaft_sd = self._layshaft_sd_rad(time_us)
         slip = self.slip_rad_s(time_us)
         angles = math.hypot(self.i_gear * layshaft_sd, self._main_sd_rad(time_us))
@@ -94,7 +96,7 @@ class GearPredictor:
         return math.hypot(state.theta_sd_rad, state.omega_sd_rad_s * horizon_s)
 
     def estimate_variance(self, time_us: float) -> float:
-        """Variance of the phase at a time without what the delay adds, rad2."""
+        """Variance (rad2) of the phase at a time, without the part from the sleeve's delay."""
         sd = math.hypot(self.i_gear * self._layshaft_sd_rad(time_us), self._main_sd_rad(time_us))
         return (self.spread_share * sd) ** 2
 
@@ -110,7 +112,7 @@ class GearPredictor:
         main, state, brake = self.main, self.layshaft, self.brake
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
         offset = -self.references.phase_rad(self.gear, 0.0, 0.0)
-        # Against a main shaft slower by the drift, phase and slip drift as they were seen to.
+        # The learned drift of the slip is applied as a slower main shaft.
         omega = main.omega_rad_s - self.drift_rad_s
         meeting = filled(
             MEETING,
@@ -131,10 +133,10 @@ class GearPredictor:
     def release_time_us(
         self, earliest_us: int, latest_us: int, slip_left_rad_s: float, settle_us: float
     ) -> int:
-        """When to release the brake so that `slip_left` remains `settle_us` later.
+        """When to release the brake so that `slip_left_rad_s` remains `settle_us` later.
 
-        Slip after release falls the later the release comes; `earliest` where it is late already,
-        `latest` where it is far off."""
+        The later the release, the lower the slip. Returns `earliest_us` if even that leaves less,
+        `latest_us` if even that leaves more."""
 
         def over(release_us: int) -> float:
             return self.slip_rad_s(release_us + settle_us, release_us) - slip_left_rad_s
@@ -142,16 +144,16 @@ class GearPredictor:
         return _falling_root(over, earliest_us, latest_us)
 
     def slip_falls_to_us(self, slip_rad_s: float, earliest_us: int, latest_us: int) -> int:
-        """When the slip, brake as commanded, has fallen to a value; `earliest` where it has
-        already, `latest` where it has not by then."""
+        """When the slip has fallen to a value with the brake as commanded; `earliest_us` if it is
+        lower already, `latest_us` if it is still higher then."""
         return _falling_root(
             lambda time_us: self.slip_rad_s(time_us) - slip_rad_s, earliest_us, latest_us
         )
 
 
 def _falling_root(over: Callable[[int], float], first: int, last: int) -> int:
-    """Where a falling function is zero, by false position that halves the weight of an end kept
-    twice (Illinois; Dowell and Jarratt 1971); an end where it is not between them."""
+    """The root of a falling function by the Illinois variant of false position, which halves the
+    weight of an end kept twice (Dowell and Jarratt 1971); an end if the root is outside."""
     above, below = over(first), over(last)
     if above <= 0.0:
         return first

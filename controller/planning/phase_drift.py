@@ -1,12 +1,14 @@
-"""How the phase runs away from its prediction, learned for each gear from shift to shift.
+"""The drift of the phase from its prediction, learned for each gear from shift to shift.
 
-Between the firing and the contact nothing can be corrected any more: what the model of drag and
-brake leaves out moves the gear meanwhile. Most of that is steady in one gearbox (oil, loose gears,
-a brake whose torque fades), and it grows about linearly with the time predicted over, so one figure
-a gear stands for it: a drift of the slip. Each aimed contact shows it, as the phase estimated then
-less the one that was predicted when the sleeve was fired: a scalar Kalman filter whose steps are
-shifts. Its noise is what the layshaft's and main shaft's filters claim for that prediction, times
-the share of it that has been seen so far; with that share the next shift's spread is foretold.
+After the firing nothing can be corrected, and effects that the model of drag and brake leaves out
+move the gear until contact. Most of these are steady in one gearbox (oil, loose gears, a brake
+whose torque fades) and grow about linearly with the predicted time, so they are described by one
+figure for each gear: a drift of the slip, rad/s. Each aimed contact measures it, as the phase
+estimated at contact less the one predicted at firing, over the time between. The drift is estimated
+by a scalar Kalman filter with one step a shift. Its measurement noise is the standard deviation
+that the filters of layshaft and main shaft claim for that prediction, times the ratio of real to
+claimed scatter seen so far (the spread share). The same ratio scales the predicted spread of the
+next shift.
 """
 
 from __future__ import annotations
@@ -22,18 +24,18 @@ from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
 
 PRIOR_SD_RAD_S: Final = 0.07
-"""How much gearboxes differ: 4 deg/s (simulated, 30 gearboxes)."""
+"""Standard deviation of the drift between gearboxes: 4 deg/s (30 simulated gearboxes)."""
 WALK_SD_RAD_S: Final = 0.01
-"""How much a drift changes from shift to shift: oil warms up."""
+"""Standard deviation of the change of a drift from shift to shift: oil warms up."""
 PRIOR_SHARE_SAMPLES: Final = 4.0
-"""How many contacts the filters' own spread is worth."""
+"""Weight of the filters' own standard deviation, in contacts."""
 MOST_SHARE_SAMPLES: Final = 30.0
-"""Older contacts fade."""
+"""Largest weight of past contacts: older ones are forgotten."""
 LEAST_SPREAD_SHARE: Final = 0.3
 FAR_RAD_S: Final = 0.6
-"""6 rpm: no drift is so large, the sleeve or a sensor was wrong."""
+"""A drift above this (6 rpm) is an error of sleeve or sensor and is not learned."""
 LEAST_S: Final = 0.02
-"""Over less, a drift cannot be told from the error of an angle."""
+"""Over a shorter time a drift cannot be distinguished from an error of the angles."""
 
 
 @dataclass
@@ -55,11 +57,11 @@ class PhaseDrifts:
         self._learned = {gear: _GearDrift() for gear in MAIN_GEARS}
 
     def rad_s(self, gear: MainGear) -> float:
-        """What the slip is expected to be above its prediction, on average until contact."""
+        """Expected slip less the model's prediction (rad/s), mean until contact."""
         return self._learned[gear].mean_rad_s
 
     def spread_share(self, gear: MainGear) -> float:
-        """What phases scatter by, drift left out, over the filters' standard deviation."""
+        """Ratio of the phases' scatter without drift to the filters' standard deviation."""
         return self._learned[gear].share
 
     def learn(self, fired: GearPredictor, seen: GearPredictor, contact_us: float) -> None:
@@ -81,7 +83,7 @@ class PhaseDrifts:
         off = drift_rad_s - learned.mean_rad_s
         noise = learned.share**2 * variance
         gain = prior / (prior + noise)
-        # One where the share is right, whatever part of the innovation the drift's own doubt has.
+        # Its expectation is 1 if the share is right, however uncertain the drift itself is.
         surprise = off * off / (prior + noise)
         learned.mean_rad_s += gain * off
         learned.variance = (1.0 - gain) * prior
@@ -118,6 +120,6 @@ class PhaseDrifts:
 
 
 def _undrifted_rad(predictor: GearPredictor, time_us: float) -> float:
-    """Phase by the model alone, but for the gear's constant."""
+    """Phase (rad) by the model alone, without the gear's reference."""
     layshaft = predictor.layshaft_at(time_us, None)
     return raw_phase_rad(predictor.i_gear, layshaft.theta_rad, predictor.main.theta_at(time_us))

@@ -1,9 +1,9 @@
-"""The course of phase and slip to come, and what meeting the gear at each of its moments would cost.
+"""Phase and slip at times to come, and the expected cost of a contact at each of them.
 
 At a contact at time t the phase is spread about its prediction phi with variance v(t) + (slip
-sigma_delay)^2. The tooth goes through the overlap without meeting a flank where it starts within
-[-b/2, b/2 - slip t_overlap] (slip > 0; mirrored below zero), so with probability P of the normal
-law over that interval. The cost, in seconds:
+sigma_delay)^2. The tooth passes the overlap without meeting a flank if its phase at contact lies in
+[-b/2, b/2 - slip t_overlap] (slip > 0; mirrored for slip < 0): P is the probability of that interval
+under the normal law. The cost, in seconds:
 
     (t - now) + (1 - P) (miss + block min(1, s_block / |slip|)) + energy slip^2 + aim ((phi - phi*) / (b/2))^2
 
@@ -42,7 +42,7 @@ class Meeting:
 
 
 class ContactSeries:
-    """The contacts of a course: one every step, and what is not known of their phase."""
+    """Contacts at equal steps of time, and the variance of their phase."""
 
     wait_s: float
     """From now to the first."""
@@ -50,11 +50,11 @@ class ContactSeries:
     variance_rad2: float
     """Of the first one's phase, without what the delay adds."""
     growth_rad2_s: float
-    """By so much it grows a second."""
+    """Growth of that variance a second."""
 
 
 class Terms:
-    """What a contact is judged by."""
+    """The parameters of the cost (docs/strategy.md)."""
 
     pitch_rad: float
     half_gap_rad: float
@@ -66,7 +66,7 @@ class Terms:
     block_s: float
     """Price of a miss, and what may be added to it where the tooth may block."""
     block_slip_rad_s: float
-    """Below this slip it does."""
+    """Below this slip the tooth may block."""
     energy_s3_rad2: float
     """Price of (rad/s)^2 of slip, in seconds."""
     aim_s: float
@@ -82,8 +82,8 @@ TERMS: Final = layout_of(Terms)
 
 LEAST_VARIANCE: Final = 1e-10
 OUTSIDE: Final = 10.0
-"""Cost of a contact outside the allowed slips, s a rad/s and more: chosen only where there is no
-other."""
+"""Added cost, in s for each rad/s outside the allowed slips: such a contact is chosen only if there
+is no other."""
 NODE: Final = 1.7320508075688772
 """Three-point Gauss-Hermite: nodes 0 and +-sqrt(3), weights 2/3 and 1/6."""
 
@@ -160,8 +160,8 @@ def cheapest(
 def expected_least(
     phase: Vector, slip: Vector, contacts: Vector, terms: Vector, spread_rad: float
 ) -> tuple[int, float]:
-    """Expected cost of a course whose contact is chosen later, when a part of today's doubt
-    (`spread_rad`) will be gone; and the index that would be chosen today."""
+    """Index of the contact that would be chosen now, and the expected cost if it is chosen later,
+    when part of the phase's present uncertainty (`spread_rad`, standard deviation) is resolved."""
     best, least = cheapest(phase, slip, contacts, terms, 0.0)
     total = least * 2.0 / 3.0
     for sign in (-1.0, 1.0):

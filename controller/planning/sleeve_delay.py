@@ -2,8 +2,8 @@
 
 The data sheet's mean and scatter are the prior of a normal law with unknown mean and variance
 (normal-inverse-gamma); each contact seen by the position sensor is one sample. The part of the
-delay in which the piston travels goes with supply pressure to the power of -1/2: more pressure,
-more force, less time; samples are taken at, and predictions made for, the pressure of the moment.
+delay in which the piston travels is proportional to the supply pressure to the power of -1/2.
+Samples are converted to the data sheet's pressure, predictions to the present one.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
 
 PRIOR_SAMPLES: Final = 0.5
-"""How many samples the data sheet's mean is worth."""
+"""Weight of the data sheet's mean, in samples."""
 PRIOR_SCATTER_SAMPLES: Final = 4.0
-"""The same for its scatter."""
+"""Weight of the data sheet's scatter, in samples."""
 SHARE_OF_SCATTER: Final = 0.6
-"""Of the data sheet's scatter, what is left within one gear of one gearbox."""
+"""Scatter within one gear of one gearbox, as a share of the data sheet's scatter."""
 MOST_SAMPLES: Final = 60.0
-"""Older samples fade, so that a delay that drifts is followed."""
+"""Largest weight of past samples: older ones are forgotten, so that a slow drift is followed."""
 PRESSURE_EXPONENT: Final = 0.5
 FAR_S: Final = 0.02
-"""A sample this far off is no delay: the sleeve met something else."""
+"""A sample this far from the mean is not learned: the sleeve was held up by something else."""
 
 
 @dataclass
@@ -45,7 +45,7 @@ class SleeveDelays:
         self._valve_s = sleeve.valve_delay_s
         self._sheet_pa = sheet.air.supply_gauge_pa
         self.supply_pa = self._sheet_pa
-        """Gauge supply pressure of the moment."""
+        """Present supply pressure, gauge."""
         scatter_s = SHARE_OF_SCATTER * sleeve.delay_sd_s
         self._learned = {
             gear: _GearDelay(
@@ -58,12 +58,12 @@ class SleeveDelays:
         }
 
     def delay_us(self, gear: MainGear) -> int:
-        """Expected from activation to contact, at the supply pressure of the moment."""
+        """Expected time (us) from activation to contact at the present supply pressure."""
         travel_s = self._learned[gear].mean_s - self._valve_s
         return round(1e6 * (self._valve_s + travel_s / self._faster()))
 
     def delay_sd_s(self, gear: MainGear) -> float:
-        """Scatter of one delay, doubt about its mean included."""
+        """Standard deviation (s) of the next delay, the uncertainty of the mean included."""
         learned = self._learned[gear]
         variance = learned.squares_s2 / learned.scatter_samples
         return math.sqrt(variance * (1.0 + 1.0 / learned.samples))

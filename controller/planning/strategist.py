@@ -1,4 +1,4 @@
-"""Which strategy acts, and what is expected of a contact that it has chosen."""
+"""Selects the strategy that acts, and predicts phase and slip of the contact it chooses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,8 @@ from meshpoint.gearbox import GearboxSheet
 
 
 class Plan(NamedTuple):
-    """A decision about firing: at which activation time, and what is expected at contact."""
+    """A decision about firing: activation time, contact time (us), and what is predicted for
+    contact."""
 
     decision: ShiftDecision
     fire_us: int
@@ -26,7 +27,7 @@ class Plan(NamedTuple):
 
 
 class Strategist:
-    """The strategy asked for, and the one that stands in while no phase is known."""
+    """The strategy asked for, and the one that acts while the phase is unknown."""
 
     def __init__(self, sheet: GearboxSheet, settings: ControllerSettings) -> None:
         self._pitch_rad = sheet.dog.pitch_rad
@@ -35,15 +36,16 @@ class Strategist:
         self._unaimed = SpeedWindow(sheet, settings)
 
     def acting(self, reference_known: bool) -> EngagementStrategy:
-        """The one asked for; without a phase reference there is nothing to aim at."""
+        """The strategy asked for; `speed_window` if that one aims and the phase is unknown."""
         return self._unaimed if self._asked.aims and not reference_known else self._asked
 
     def wire(self, acting: EngagementStrategy) -> Strategy:
-        """The value on the bus of the strategy that acts."""
+        """The DBC value of the strategy that acts."""
         return self._asked_wire if acting is self._asked else Strategy.SPEED_WINDOW
 
     def plan_at(self, predictor: GearPredictor, contact_us: int, decision: ShiftDecision) -> Plan:
-        """What is expected of a contact at that time; phase 0 while the reference is unknown."""
+        """The plan for a contact at that time; phase and its sd are 0 while the reference is
+        unknown."""
         if predictor.references.known(predictor.gear):
             raw, slip = predictor.phase_and_slip(contact_us)
             phase = wrap_to_pitch(raw, self._pitch_rad)

@@ -1,4 +1,4 @@
-"""Lines of the log that say what was decided and why: brake, release, wait, fire."""
+"""Log lines of the decisions and their reasons: brake, release, wait, fire."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ LINES: Final = {
 
 
 def decision_line(plan: Plan, now_us: int) -> str | None:
-    """What a plan decides and what it expects; None where there is nothing to say.
+    """The log line of a plan: its decision and its prediction; None for a plan without a decision.
 
     `where`: phase beside the gap's middle with its standard deviation, and slip."""
     line = LINES.get(plan.decision)

@@ -36,12 +36,12 @@ PRESSURE_TOP: Final = 13.0e5
 
 
 def angle(theta_rad: float) -> float:
-    """An angle as the wire wants it."""
+    """An angle modulo 256 turns, as the signal has it."""
     return min(theta_rad % TURNS, ANGLE_TOP)
 
 
 def clip(value: float, top: float, bottom: float = 0.0) -> float:
-    """The value within what its signal can hold; NaN becomes the top, the worst."""
+    """The value limited to its signal's range; NaN becomes the maximum, the least favourable."""
     if bottom <= value <= top:
         return value
     return bottom if value < bottom else top
@@ -57,7 +57,7 @@ def estimates(
     phase_rad: float | None,
     phase_sd_rad: float,
 ) -> ControllerEstimates:
-    """What is believed now; flags say what of it may be used."""
+    """The present estimates, with flags for those that are valid."""
     ls = layshaft or LayshaftState(0.0, 0.0, 0.0, 0.0, ANGLE_SD_TOP, SPEED_SD_TOP, PRESSURE_TOP)
     ms = main or ShaftState(0.0, 0.0, 0.0, ANGLE_SD_TOP, SPEED_SD_TOP)
     return ControllerEstimates(
@@ -83,7 +83,7 @@ def estimates(
 
 
 def prediction(now_us: int, plan: Plan, shift: ShiftRecord) -> ShiftPrediction:
-    """This step's decision."""
+    """The prediction frame's content for this step's decision."""
     return ShiftPrediction(
         decision_time_us=wrap(now_us),
         decision=plan.decision,

@@ -1,4 +1,4 @@
-"""What a step says of itself: the frames that make every step visible on the bus."""
+"""The status and report frames, which make every step visible on the bus."""
 
 from __future__ import annotations
 
@@ -50,7 +50,8 @@ class Reporter:
     def frames(self, transmitter: Transmitter, snapshot: StepSnapshot) -> list[Frame]:
         """Estimates, J1939 messages, and this step's prediction and outcome where there are any."""
         sequence, sheet = self._sequence, self._header.sheet
-        # As of the newest read: later, in gear, two estimates carried forward would drift apart.
+        # At the time of the newest read: extrapolated further, the estimates of two shafts in mesh
+        # would drift apart.
         seen_us = self._observer.clock.latest_us
         layshaft, main = self._observer.layshaft_at(seen_us), self._observer.main_at(seen_us)
         self._gear = current = self._gear_number()

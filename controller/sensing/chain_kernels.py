@@ -18,7 +18,8 @@ BROKEN: Final = -1
 
 
 class EdgeChain:
-    """One polarity's edges over all frames: the newest frame, then what is known before it."""
+    """The edges of one polarity over all frames: fields of the newest frame, then those kept from
+    the frames before."""
 
     newest_index: int
     """Running number of the frame's newest edge, 16 bits."""
@@ -46,11 +47,11 @@ CHAIN_WORDS: Final = CHAIN.itemsize // WORD_BYTES
 pack_frame: Final = struct.Struct(f"={5 + STAMPS}q").pack_into
 """The fields of a frame into an `EdgeChain`, from its first byte on."""
 pack_stamps: Final = struct.Struct(f"={STAMPS}q").pack_into
-"""A tuple of them gets into an array fastest through the bytes that the array stands on."""
+"""Writes a tuple of stamps into an array's memory, which is faster than element by element."""
 FIRST_WRONG: Final = 9
 """Edges after power-up that a Hall sensor may misplace while it finds its thresholds (ATS645)."""
 SPAN_US: Final = 15_000
-"""At least so long are the teeth of one speed, where the frame holds them."""
+"""A speed is taken over at least this time, as far as the frame holds enough teeth."""
 UNEVEN: Final = 1.7
 """Neighbouring intervals that differ by more than this factor hold a tooth too many or too few."""
 
@@ -59,8 +60,8 @@ UNEVEN: Final = 1.7
 def newest_teeth(low: Integers, valid: int) -> tuple[int, int]:
     """How long the newest teeth of one frame took, us, and how many they are.
 
-    low: low 16 bits of the newest `valid` edge times, newest first. No teeth where fewer than two
-    edges tell, or where neighbours are uneven."""
+    low: low 16 bits of the newest `valid` edge times, newest first. Returns no teeth with fewer
+    than two edges, or if neighbouring intervals are uneven."""
     span_us = teeth = last_us = 0
     for k in range(1, valid):
         interval_us = (low[k - 1] - low[k]) & 0xFFFF
@@ -116,7 +117,7 @@ def chain_edges(memory: Vector, edges: Integers, count: int) -> int:
     if not tied:
         had_begun = chain.started == 1
         chain.index, chain.time_us, chain.started = 0, read_us, 0
-        # A wheel that has not begun to count has nothing to lose.
+        # Before the chain has started there are no tooth numbers to lose.
         return BROKEN if had_begun else count
     chain.index, chain.time_us, chain.started = number, newest_us, 1
     return int(count + kept)

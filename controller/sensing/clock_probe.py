@@ -1,9 +1,10 @@
-"""A step at the very arrival of a frame, now and then: how late does the bus bring a read?
+"""An extra step at the arrival of a frame, once a second, to measure the delay of the bus.
 
-A frame carries no arrival time; it counts from the step that consumes it, perhaps a tick later. So
-the controller steps once a second as soon as the first edge frame of a read is there, and
-the least `now - stamp` is the bus's share alone. Where it switches valves itself it must be on
-time; where activations are scheduled, a tick less of lead is a tick less to predict over.
+A frame has no arrival time of its own: it counts from the step that consumes it, which may be a
+tick later. Once a second the controller therefore steps as soon as the first edge frame of a read
+is there, so that the least `now - stamp` contains the bus's delay alone. A controller that switches
+valves itself needs that to be on time; with scheduled activations it saves a tick of lead, and so a
+tick of prediction.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ EVERY_US: Final = 1_000_000
 """In this time 200 ppm of drift are 0.2 ms, and one step more in a hundred leaves cyclic frames
 their cycle; the clock looks back over some."""
 FIRST_OF_A_READ: Final = CODECS[EdgesInputRise.__name__].spec.can_id
-"""The edge frame that wins the bus against all others of its read."""
+"""The edge frame with the highest bus priority of a read: it arrives first."""
 
 
 class ClockProbe:
@@ -27,10 +28,10 @@ class ClockProbe:
 
     def __init__(self) -> None:
         self.is_armed = True
-        """A frame that arrives may be the awaited one."""
+        """Whether an arriving frame may be the awaited one."""
         self._probed_us = 0
         self.is_due = False
-        """The awaited frame has come: step now."""
+        """Whether the awaited frame has come, so that the controller should step now."""
 
     def receive(self, frame: Frame) -> None:
         """A frame as it arrives."""

@@ -1,7 +1,7 @@
 """The speed of a shaft straight from one edge frame: teeth over the time they took.
 
-No filter, no model and no memory of tooth numbers, so it shares no mistake with the estimators. The
-guard judges by it, and the sequence sees by it whether two shafts turn together.
+It uses no filter, no model and no tooth numbers, so errors of the estimators do not affect it. The
+guard uses it, and the sequence checks with it whether two shafts turn together.
 """
 
 from __future__ import annotations
@@ -17,26 +17,27 @@ from meshpoint.controller.sensing.sensor_clock import HALF, WRAP
 from meshpoint.controller.sensing.wheel_edges import EdgeFrame
 
 DEAD_US: Final = 20_000
-"""A frame whose newest edge is older than this, and than three teeth took before, comes from a
-sensor that gives none: with its read, the bus and the tick that is known within 50 ms."""
+"""If the newest edge of a frame is older than this, and older than three teeth took before, the
+sensor has failed. Read, bus and tick included, this is detected within 50 ms."""
 SPEED_STALE_US: Final = 25_000
-"""The same where no frame tells: the newest edge of the last one. Two lost frames lose nothing."""
+"""The same limit when no frame arrives, for the newest edge of the last frame: two frames may be
+lost without losing the speed."""
 TEETH_LATE: Final = 3
 SPEED_HELD_US: Final = 45_000
-"""While a frame holds a tooth too many or too few, the speed before it stands for so long."""
+"""While frames hold a tooth too many or too few, the last speed stays valid for this long."""
 LOW: Final = 0xFFFF
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 
 
 class Speed(NamedTuple):
-    """A mean speed and the middle of the time it is of (sensor clock, us)."""
+    """A mean speed, and the middle of the interval it was measured over (sensor clock, us)."""
 
     time_us: int
     omega_rad_s: float
 
 
 class Turned(NamedTuple):
-    """Teeth passed until the newest edge."""
+    """Number of teeth passed until the newest edge, and the time (us) of that edge."""
 
     time_us: int
     teeth: int
@@ -78,11 +79,11 @@ class EdgeSpeed:
 
     @property
     def turned(self) -> Turned | None:
-        """Running count; None before the first edge."""
+        """Running count of teeth; None before the first edge."""
         return None if self._newest_us is None else Turned(self._newest_us, self._teeth)
 
     def at(self, now_us: int) -> Speed | None:
-        """The newest speed; None without one, or when edges have failed to come."""
+        """The newest speed; None if there is none, or if edges have stopped coming."""
         newest_us = self._newest_us
         if self._speed is None or newest_us is None or self._is_dead:
             return None

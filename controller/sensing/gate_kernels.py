@@ -1,4 +1,4 @@
-"""Which tooth an edge is of: extra edges left out, missing ones stepped over, doubt declared.
+"""Assigns a tooth to each edge: leaves out extra edges, skips missing ones, reports doubt.
 
 The running number of an edge frame counts what the sensor saw, so one edge too many or too few
 shifts it against the wheel. The gate keeps a tooth number of its own. It follows the wheel with an
@@ -9,10 +9,10 @@ the tooth whose predicted place it is nearest to:
 
 An edge much before its slot is extra; of two for one slot the nearer counts. An edge far behind it
 means that others are missing: the tooth number moves on by as many, if the motion since the last
-good edge leaves no doubt, half the largest acceleration times its square included. What leaves a
-doubt ends the count: on a whole wheel the tooth number is lost; on a wheel with missing teeth edges
-are withheld until its gap has shown whether the count was right. A wheel so slow that it may have
-turned back between two edges has lost its tooth number too.
+good edge leaves no doubt even under the largest acceleration. A doubt ends the count: on a whole
+wheel the tooth number is lost; on a wheel with missing teeth, edges are withheld until its gap has
+shown whether the count was right. The tooth number is also lost when a wheel is so slow that it may
+have reversed between two edges.
 
 Compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
 """
@@ -72,7 +72,7 @@ from meshpoint.controller.sensing.gate_search import begin_search, judge_gap, se
 
 @inlined
 def error_at(gate: Gate, time_us: int, slot: int, share: float) -> float:
-    """How far past a slot the wheel is at a time, pitches."""
+    """Predicted distance of the wheel past a slot at a time, pitches."""
     turned = gate.lag + (time_us - gate.time_us) * gate.rate_per_us
     return float(turned + (gate.tooth - slot) + (gate.at - share))
 
@@ -92,7 +92,7 @@ def judge(gate: Gate, advance: Integers, time_us: int, falling: int) -> int:
         return RIGHT
     reach = IN_TURN if gate.rejected == 0 else AFTER_REJECTED
     if advance.size > 1 and gate.scatter > CLEAN:
-        # Missing teeth show every turn whether an erratic count was right.
+        # Missing teeth show once a turn whether the count was right.
         reach += WIDER * (gate.scatter - CLEAN) * expected
     if error < -reach:
         return WRONG
@@ -137,7 +137,7 @@ def judge_late(gate: Gate, advance: Integers, time_us: int, falling: int) -> int
 
 @inlined
 def accept(gate: Gate, time_us: int, falling: int) -> None:
-    """The edge has the tooth in `slot`: moves the filter on."""
+    """Accepts the edge as that of the tooth in `slot`, and updates the filter."""
     error, share = gate.error, gate.duty if falling == 1 else 0.0
     turned = max((gate.slot - gate.tooth) + (share - gate.at), 0.5)
     if gate.dragged == 1:
@@ -169,8 +169,7 @@ def is_nearer(gate: Gate, next_us: int, falling: int) -> bool:
 
 @inlined
 def lose(gate: Gate) -> bool:
-    """Teeth cannot be numbered on: the next edges are those of a wheel not known yet. Whether there
-    was a number to lose."""
+    """Gives the tooth number up: the wheel has to be found again. Returns whether there was one."""
     known = bool(gate.mode == COUNTING or gate.guess != UNKNOWN)
     gate.lost += int(known)
     gate.mode, gate.guess, gate.rejected = SEEKING, UNKNOWN, 0
@@ -179,7 +178,8 @@ def lose(gate: Gate) -> bool:
 
 @inlined
 def seek(gate: Gate, rises: Integers, falls: Integers) -> bool:
-    """Looks for intervals of about one length; they give speed and duty. Drops what precedes."""
+    """Looks for intervals of about equal length, which give speed and duty; drops edges before
+    them."""
     rise_number, rise_us, fall_us = rises[0], rises[1], falls[1]
     r, f = gate.used[0], gate.used[1]
     factor = LONGER if gate.widest == 1 else LONGER_ERRATIC
@@ -261,7 +261,8 @@ def settle(gate: Gate, teeth: Integers, time_us: int, falling: int, verdict: int
 
 @inlined
 def weigh(gate: Gate, advance: Integers, own_us: Integers, other_us: Integers, falling: int) -> int:
-    """What the next edge of a polarity is, the one after it considered; NONE: wait for that one."""
+    """The verdict on a polarity's next edge, in view of the one after it; NONE: wait for that
+    one."""
     at, others = gate.used[falling], gate.given[1 - falling]
     time_us = own_us[at]
     verdict = judge(gate, advance, time_us, falling)
@@ -344,7 +345,7 @@ def gate_edges(
 
 @bare
 def stand(memory: Vector) -> None:
-    """The wheel of a `Gate` stands: teeth cannot be numbered on."""
+    """The wheel of a `Gate` stands still: gives its tooth number up."""
     gate = memory.view(GATE)[0]
     gate.stops += int(lose(gate))
 

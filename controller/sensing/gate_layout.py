@@ -1,4 +1,4 @@
-"""The record of the edge gate (`gate_kernels`), and what tunes it."""
+"""The record of the edge gate (`gate_kernels`), and its tuning constants."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Gate:
     rejected: int
     """Edges without a tooth since the last one with."""
     slot: int
-    """The tooth that `judge` sees in an edge."""
+    """The tooth that `judge` assigns to an edge."""
     guess: int
     """In doubt: the tooth that the newest rising edge has if the count is right."""
     gaps: int
@@ -55,8 +55,8 @@ class Gate:
     found_us: int
     """When teeth were first numbered; 0 before."""
     dragged: int
-    """1 while a synchroniser drags the shaft to another speed: none tells where an edge is due
-    then, so each edge is taken for the next one."""
+    """1 while a synchroniser changes the shaft's speed: edges cannot be predicted then, so each one
+    is taken for the next."""
     widest: int
     """The widest gap of the wheel."""
     rate_per_us: float
@@ -98,9 +98,9 @@ HOLE: Final = 0.75
 """Without an edge of either polarity for this much longer than expected, teeth are missing."""
 MOST_MISSING: Final = 2
 RATE_ERROR: Final = 0.03
-"""What the filtered speed may be wrong by, as a share."""
+"""Largest error of the filtered speed, as a share."""
 GAP_RATIO: Final = 1.45
-"""A gap looks longer or shorter than it is by less than this factor."""
+"""A gap may appear longer or shorter by up to this factor."""
 MOST_REJECTED: Final = 60
 LONG: Final = 2.0
 """At the least speed, a wheel may stop within so many pitches."""
@@ -135,7 +135,7 @@ class GateMemory(RecordMemory):
         self.rate_per_us = self.part("rate_per_us")
 
     def forget(self) -> None:
-        """Teeth are not numbered any more, and that is known already."""
+        """Tooth numbers are lost, and the loss has been counted already."""
         self.mode[0], self.part("guess")[0], self.part("rejected")[0] = SEEKING, UNKNOWN, 0
 
 

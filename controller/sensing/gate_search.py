@@ -1,6 +1,6 @@
 """Which tooth is which on a wheel with missing teeth: pieces of the edge gate (`gate_kernels`).
 
-Every tooth may be the first until the steps seen since, gaps among them, fit one alone.
+Every tooth is a candidate for the first edge until the steps seen since fit only one.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def search(gate: Gate, teeth: Integers, step: int, gap: bool) -> None:
 
 @inlined
 def begin_search(gate: Gate, teeth: Integers) -> None:
-    """Every tooth is possible."""
+    """Starts the search: every tooth is possible."""
     for k in range(teeth.shape[1]):
         teeth[1, k] = int(teeth[0, k] > 0)
     gate.gaps, gate.searched, gate.mode = 0, 0, SEARCHING

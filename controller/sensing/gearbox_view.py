@@ -1,4 +1,4 @@
-"""What the sensors say of sleeves, clutch and gears: positions turned into gears in mesh."""
+"""Sleeves, clutch and gears as measured: which gear is in mesh by the position sensors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SleeveTrack(NamedTuple):
 
     @property
     def position_m(self) -> float:
-        """Where the sleeve is."""
+        """The sleeve's newest position (m)."""
         return self.samples_m[0]
 
     def crossing_us(self, level_m: float, direction: int) -> float | None:
@@ -49,10 +49,11 @@ class SleeveTrack(NamedTuple):
 
 
 RESTING_M = 1e-3
-"""A sleeve this near to the middle is taken to rest there."""
+"""A sleeve this close to the middle is taken to be in neutral."""
 REST_SHARE = 0.05
 SHORT_M = 4e-4
-"""Contact is looked for this much before it: a sleeve that a tooth stops goes no further."""
+"""Contact is detected this far before its nominal position, since a tooth may stop the sleeve
+there."""
 
 
 class GearboxView:
@@ -63,7 +64,7 @@ class GearboxView:
         self._contact_m = sheet.sleeve.to_contact_m
         self._speed_m_s = sheet.sleeve.speed_m_s
         self._rest_m = dict.fromkeys(Sleeve, 0.0)
-        """What each sensor reads at rest in neutral: its offset."""
+        """Offset of each sensor: its reading in neutral (m)."""
         self.tracks: dict[Sleeve, SleeveTrack] = {}
         self.clutch_closed: float | None = None
         """0 open .. 1 closed."""
@@ -105,12 +106,12 @@ class GearboxView:
 
     @property
     def complete(self) -> bool:
-        """Whether every position and the clutch have been seen."""
+        """Whether all positions and the clutch have been received at least once."""
         return len(self.tracks) == SLEEVE_COUNT and self.clutch_closed is not None
 
     @property
     def oldest_us(self) -> int:
-        """Time of the newest sample of the sleeve that was seen longest ago; 0 before any."""
+        """The oldest of the sleeves' newest sample times (us); 0 before any."""
         return min([track.newest_us for track in self.tracks.values()], default=0)
 
     def position_m(self, sleeve: Sleeve) -> float:

@@ -31,12 +31,12 @@ def unwrap(stamp: int, near: int) -> int:
 
 
 def wrap(time_us: int) -> int:
-    """What goes on the wire."""
+    """The low 32 bits of a time, as in frames."""
     return time_us & (WRAP - 1)
 
 
 class SensorClockEstimate:
-    """Unwraps stamps and knows what the sensor clock reads now, within the bus's delay."""
+    """Unwraps stamps, and estimates the present time of the sensor clock."""
 
     def __init__(self) -> None:
         self._offsets: deque[int] = deque(maxlen=WINDOW)
@@ -44,7 +44,7 @@ class SensorClockEstimate:
         self.latest_us = 0
         """The newest stamp seen, unwrapped."""
         self.jumps = 0
-        """How often the sensor clock was found elsewhere than it should be."""
+        """Number of jumps of the sensor clock."""
         self.late = 0
         """How often stamps have begun to come late: the bus or the machine is overloaded."""
         self._is_late = False

@@ -31,12 +31,12 @@ class Renumbered(NamedTuple):
     least: int = 0
     most: int = 0
     uncounted: int = 0
-    """How often it could not be said: two values compare only where this is the same."""
+    """Number of losses without a bound: two values are comparable only if this is equal."""
 
 
 class _Count(NamedTuple):
     ahead: int
-    """Tooth number less the sensor's."""
+    """Tooth number less the sensor's running number."""
     rises: int
     falls: int
     time_us: int
@@ -60,7 +60,7 @@ class SensorCount:
         self._gap_us = 0
         self._dragged = False
         self.anew = False
-        """The sensor has begun to count anew: it was without power. `restart` is due."""
+        """Whether the sensor has restarted its count after a loss of power; then call `restart`."""
         self.renumbered = Renumbered()
 
     def dragged(self) -> None:
@@ -99,7 +99,7 @@ class SensorCount:
         self._gap_us, self._dragged = 0, False
 
     def restart(self) -> None:
-        """The sensor counts anew."""
+        """Takes the sensor's restarted count."""
         self._indices, self._last, self._before = [None, None], None, None
         self.anew = False
         self._doubt()

@@ -1,7 +1,7 @@
 """Which shafts turn together: what splitter and range changes wait for.
 
-A sleeve's position says that a step is in; its synchroniser may still be rubbing. The speeds say
-when it has done.
+A sleeve's position shows that a step is in mesh, but its synchroniser may still be slipping; the
+speeds show when it has finished.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class ShaftSpeeds:
 
     @property
     def layshaft(self) -> float | None:
-        """Layshaft speed; None where it is lost. So for the others."""
+        """Layshaft speed (rad/s); None if it is stale or invalid, as for the other shafts."""
         return self._of(EdgesLayshaftRise)
 
     @property

@@ -1,4 +1,4 @@
-"""One step's decoded messages, sorted by what they are for."""
+"""The decoded messages of one step, sorted by use."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ EDGE_INPUTS: Final = (
 
 
 class StepInputs:
-    """What the frames of one step said."""
+    """The decoded messages of one step."""
 
     def __init__(self) -> None:
         self.edges: dict[type, list[EdgeFrame]] = {kind: [] for kind in EDGE_INPUTS}
@@ -54,7 +54,7 @@ class StepInputs:
         }
 
     def take(self, message: Message) -> None:
-        """Files one message."""
+        """Adds one message."""
         kept = self._lists.get(type(message))
         if kept is not None:
             kept.append(message)

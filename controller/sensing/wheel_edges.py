@@ -28,12 +28,13 @@ from meshpoint.gearbox.sheet import Wheel
 
 LONG_AGO_US: Final = -(1 << 62)
 LONGEST_US: Final = 65_535
-"""Without an edge for longer than a stamp can say, a wheel stands."""
+"""Without an edge for longer than a 16-bit stamp covers, the wheel counts as standing still."""
 MOST_RAD_S2: Final = 300.0
-"""What a shaft's speed may change by: a layshaft of 0.33 kg m2 braked with 100 Nm."""
+"""Largest acceleration of a shaft: a layshaft of 0.33 kg m2 braked with 100 Nm."""
 
 BRAKED_RAD_S2: Final = 170.0
-"""What a shaft that drives the wheels stops by: 8 m/s2, tyre 0.5 m, axle 2.85, range 3.75."""
+"""Largest deceleration to standstill of a shaft that drives the wheels: 8 m/s2, tyre 0.5 m, axle
+ratio 2.85, range ratio 3.75."""
 
 
 class EdgeFrame(Protocol):
@@ -109,10 +110,10 @@ class Polarity:
         self.rows: Integers = np.empty((2, _ROOM), np.int64)
         """Running numbers and times (us) of edges."""
         self.count = 0
-        """How many of them are not used yet, oldest first."""
+        """Number of edges not used yet; these come first, oldest first."""
 
     def use(self, used: int) -> None:
-        """The first `used` edges are done with; the others stay for the next step."""
+        """Drops the first `used` edges; the others are kept for the next step."""
         left = self.count - used
         if left and used:
             self.rows[:, :left] = self.rows[:, used : self.count].copy()
@@ -186,7 +187,7 @@ class WheelEdges:
 
     @property
     def health(self) -> EdgeHealth:
-        """What was wrong with this wheel's edges since power-up."""
+        """Counts of defects of this wheel's edges since power-up."""
         gate = self._gate
         return EdgeHealth(
             gate.extra.item(),

@@ -1,4 +1,4 @@
-"""Before and after a shift: find the gear, stay in it, close the clutch, or stand faulted."""
+"""The states between shifts: starting, in gear, in neutral, clutch closing, faulted."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from meshpoint.gearbox.gears import DRIVE_GEARS
 
 
 def find_gear(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """Power-up: wait for all that a shift needs, then see what is in."""
+    """After power-up: waits until everything a shift needs is there, then finds the gear."""
     return None if snapshot.lost is not FaultCode.NONE else watch_gear(context, snapshot)
 
 
 def watch_gear(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """In a gear or in neutral, clutch closed, watching which."""
+    """In gear or in neutral with the clutch closed; follows the gear that the positions show."""
     context.clutch = ClutchAction.CLOSE
     gear = snapshot.view.main_gear if snapshot.view.complete else None
     if gear is None:
@@ -28,8 +28,9 @@ def watch_gear(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
 
 
 def close_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """After a shift: the engine meets the gear's speed and the clutch closes. A sleeve between
-    neutral and a gear keeps it open."""
+    """After a shift: the engine is asked for the gear's speed and the clutch closes.
+
+    The clutch stays open while a sleeve is between neutral and a gear."""
     limit_ms = context.settings.limits.clutch_ms
     if snapshot.view.main_gear is None:
         context.clutch = ClutchAction.OPEN
@@ -48,8 +49,8 @@ def close_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | Non
 
 
 def wait_for_position(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """Nobody knows what is in mesh: all valves off hold the sleeves, the clutch stays open. Ends
-    when the positions tell a gear or neutral again."""
+    """Faulted: it is unknown which gear is in mesh. All valves are off, the clutch stays open,
+    until the position sensors show a gear or neutral again."""
     context.clutch = ClutchAction.OPEN
     if snapshot.lost is FaultCode.POSITION_STALE or snapshot.view.main_gear is None:
         return None

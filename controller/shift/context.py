@@ -1,4 +1,4 @@
-"""What the phases of a shift share: what they command, the record they fill, how a shift ends."""
+"""What the states of the sequence share: commands, the record of the shift, how a shift ends."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear
 SEQUENCE_CLUTCH_OPEN_SHARE: Final = 0.02
 SEQUENCE_CLUTCH_CLOSED_SHARE: Final = 0.98
 FALL_US: Final = 20 * MS_IN_US
-"""Over this the fall of the slip is measured."""
+"""The rate at which the slip falls is taken from two predictions this far apart."""
 SLEEVE_VALVE: Final = {
     MainGear.FIRST: ValveName.MAIN_FIRST,
     MainGear.SECOND: ValveName.MAIN_SECOND,
@@ -40,11 +40,13 @@ OPPOSITE: Final = {
 
 
 PredictorSource = Callable[[GearPredictor], GearPredictor]
-"""Makes another predictor of the one from the estimates; every reference then counts as known."""
+"""Replaces the predictor made from the estimates by another one; every phase reference then counts
+as known."""
 
 
 class ShiftContext:
-    """What the sequence commands and remembers; each phase is a function of it and the snapshot."""
+    """What the sequence commands and remembers. Each state has a handler, a function of this
+    context and the step's snapshot."""
 
     def __init__(
         self,
@@ -56,7 +58,8 @@ class ShiftContext:
         armed: bool = True,
     ) -> None:
         self.armed = armed
-        """Whether a shift may be begun: the guard would let nothing of it pass."""
+        """Whether the outputs are armed. If not, no shift is begun: the guard would block all of
+        it."""
         self.sheet = sheet
         self.settings = settings
         self.board = board
@@ -80,10 +83,10 @@ class ShiftContext:
         """What was wrong with a user's strategy in this step."""
         self.predictor_source: PredictorSource | None = None
         self.free_predictor: GearPredictor | None = None
-        """The last one before the sleeve entered its gear."""
+        """The last predictor before the sleeve entered its gear."""
         self.free_us = 0
         self.firing_predictor: GearPredictor | None = None
-        """The one that the firing was decided by."""
+        """The predictor by which the firing was decided."""
 
     @property
     def running(self) -> ShiftRecord:
@@ -103,21 +106,22 @@ class ShiftContext:
         self.since_us = snapshot.now_us
 
     def late(self, snapshot: StepSnapshot, limit_ms: int) -> bool:
-        """Whether the state has lasted longer."""
+        """Whether the present state has lasted longer than this limit."""
         return snapshot.now_us - self.since_us > limit_ms * MS_IN_US
 
     def switch_brake(self, on: bool, time_us: int, snapshot: StepSnapshot) -> None:
-        """The brake valve at a time, and what the filter is told of it."""
+        """Commands the brake valve at a sensor time (us), and enters the switch in the filter's
+        input."""
         self.board.schedule(ValveName.BRAKE, on, time_us, snapshot.now_us)
         self.brake.schedule(time_us, on, snapshot.now_us)
 
     def all_off(self, now_us: int) -> None:
-        """No valve is driven any more, and the filter is told."""
+        """Switches all valves off now, and enters the brake's release in the filter's input."""
         self.board.all_off()
         self.brake.schedule(now_us, False, now_us)
 
     def end(self, snapshot: StepSnapshot, result: ShiftResult, fault: FaultCode) -> None:
-        """The shift is over."""
+        """Ends the running shift with this result; all valves go off."""
         shift = self.running
         shift.result, shift.fault, shift.end_us = result, fault, snapshot.now_us
         self.fault = fault
@@ -126,7 +130,8 @@ class ShiftContext:
         self.all_off(snapshot.now_us)
 
     def give_up(self, snapshot: StepSnapshot, fault: FaultCode) -> Trigger:
-        """The shift ends where the box stands, with the fault declared."""
+        """Ends the shift with a fault, in whatever gear or neutral the gearbox is; returns the
+        trigger."""
         gear = snapshot.view.main_gear
         if fault is FaultCode.POSITION_STALE or gear is None:
             self.end(snapshot, ShiftResult.ENDED_BETWEEN_GEARS, fault)
@@ -137,7 +142,7 @@ class ShiftContext:
         return Trigger.GAVE_UP
 
     def predictor(self, gear: MainGear, snapshot: StepSnapshot) -> GearPredictor | None:
-        """Predictions for a gear; None while a speed is missing or the model does not hold."""
+        """A predictor for a gear; None while a speed is missing or the layshaft is not free."""
         if snapshot.main is None or not snapshot.layshaft.free:
             return None
         if math.isfinite(snapshot.supply_pa):
@@ -161,7 +166,7 @@ class ShiftContext:
         return predictor if self.predictor_source is None else self.predictor_source(predictor)
 
     def reference_known(self, gear: MainGear) -> bool:
-        """Whether a gear's phase can be told."""
+        """Whether the phase of a gear is known."""
         return self.predictor_source is not None or self.references.known(gear)
 
     def change_settings(self, settings: ControllerSettings) -> None:
@@ -170,7 +175,8 @@ class ShiftContext:
         self.strategist = Strategist(self.sheet, settings)
 
     def ask_engine(self, gear: DriveGear, slip_rad_s: float, snapshot: StepSnapshot) -> None:
-        """Asks for the speed at which the gear has this slip; for none that an engine cannot do."""
+        """Asks the engine for the speed at which the gear has this slip (rad/s); asks for nothing
+        if that speed is outside the engine's range, or the main shaft's speed is unknown."""
         main = snapshot.speeds.main
         if main is None:
             self.engine_rad_s = None

@@ -12,11 +12,12 @@ from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.gearbox import MainGear
 
 PULL_PAUSE_US: Final = 60 * MS_IN_US
-"""Between two tries to pull a gear out the valve is off: torque may turn meanwhile."""
+"""The valve is off for this long between two attempts: torque on the teeth may reverse
+meanwhile."""
 
 
 def open_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """Until the sensor says that it is open."""
+    """Waits until the sensor shows the clutch open."""
     context.clutch = ClutchAction.OPEN
     if (snapshot.view.clutch_closed or 0.0) <= SEQUENCE_CLUTCH_OPEN_SHARE:
         return Trigger.CLUTCH_OPEN
@@ -26,7 +27,7 @@ def open_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
 
 
 def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """Pulls the gear out, a bounded number of times. A change of the splitter alone needs none."""
+    """Pulls the old gear out, in a limited number of attempts; not if only the splitter changes."""
     shift, gear = context.running, snapshot.view.main_gear
     if gear is shift.target.main and snapshot.view.range_ is shift.target.range_:
         return Trigger.MAIN_BOX_STAYS
@@ -35,7 +36,7 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
             context.board.off(valve)
         return Trigger.MAIN_BOX_NEUTRAL
     limits = context.settings.limits
-    # Each try has its share of the time; in the last PAUSE_US of it the valve is off.
+    # An attempt is disengage_ms with the valve on, then PULL_PAUSE_US with the valve off.
     share_us = limits.disengage_ms * MS_IN_US + PULL_PAUSE_US
     tried, within_us = divmod(snapshot.now_us - context.since_us, share_us)
     if tried >= limits.attempts:
@@ -47,9 +48,9 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
 def pull_out(
     context: ShiftContext, snapshot: StepSnapshot, gear: MainGear | None, drive: bool
 ) -> None:
-    """The valve opposite the gear on, or off."""
+    """Switches the valve that pulls this gear out on, or off; nothing if no gear is in mesh."""
     if gear is None or gear is MainGear.NEUTRAL:
-        return  # on its way
+        return  # the sleeve has left its gear already
     valve = OPPOSITE[gear]
     if not drive:
         context.board.off(valve)

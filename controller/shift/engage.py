@@ -1,4 +1,4 @@
-"""The sleeve on its way: contact, in mesh, or back and once more."""
+"""From the firing on: contact, in mesh, or back to neutral and another attempt."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 
 LET_GO_US: Final = 120 * MS_IN_US
-"""A sleeve that has not come back by itself so long after its valve went off is pulled."""
+"""If the sleeve is not back in neutral this long after its valve went off, it is pulled back."""
 
 STRAIGHT_US: Final = 32 * MS_IN_US
-"""A sleeve that goes straight into a gap is seen in mesh so long after contact."""
+"""A sleeve that enters a gap at first contact is measured in mesh within this time."""
 
 SEEN_US: Final = 28 * MS_IN_US
-"""A gear is in so long before it is seen to be, at most."""
+"""Longest delay from a gear being in mesh to the measured position showing it."""
 
 
 def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """Until the gear is in, or rests on a tooth for too long."""
+    """Waits until the gear is in mesh, or the sleeve has rested on a tooth for too long."""
     shift = context.running
     gear = shift.target.main
     predictor = context.predictor(gear, snapshot)
@@ -67,7 +67,7 @@ def _look_for_contact(context: ShiftContext, snapshot: StepSnapshot) -> None:
 
 
 def _is_tooth_on_tooth(context: ShiftContext, snapshot: StepSnapshot) -> bool:
-    """Contact was long ago, and the sleeve has not entered."""
+    """Whether the sleeve has not entered its gear within `limits.face_ms` after contact."""
     shift = context.running
     if shift.measured_contact_us is None:
         return False
@@ -79,10 +79,10 @@ def _is_tooth_on_tooth(context: ShiftContext, snapshot: StepSnapshot) -> bool:
 
 
 def _flank_slip_rad_s(context: ShiftContext, struck_us: int) -> float:
-    """The slip that carried the tooth to its flank; 0 where its sign cannot be told.
+    """The slip (rad/s) that carried the tooth to its flank; 0 if its sign is not certain.
 
-    Slip falls while the layshaft is free. A positive one that is too small to cross the whole
-    gap before it reverses may have left the tooth on either flank."""
+    Slip falls while the layshaft is free. A positive slip too small to cross the whole gap before
+    it reverses may have left the tooth on either flank."""
     predictor = context.free_predictor
     if predictor is None:
         return 0.0
@@ -96,7 +96,8 @@ def _flank_slip_rad_s(context: ShiftContext, struck_us: int) -> float:
 
 
 def retract(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """Back to neutral: by itself, or pulled; then once more, a bounded number of times."""
+    """Brings the sleeve back to neutral, pulling if needed; then the next attempt, if one is
+    left."""
     shift, gear = context.running, snapshot.view.main_gear
     context.board.off(SLEEVE_VALVE[shift.target.main])
     shift.plan = None

@@ -1,10 +1,10 @@
-"""Splitter and range: their sleeves change over through synchronisers, the main box in neutral for
-the range, the clutch open for both.
+"""Splitter and range: changed through synchronisers with the clutch open; the range with the main
+box in neutral.
 
-While a step is on its way neither the layshaft's model (4.13) nor the main shaft's constant speed
-(4.16) holds, so nothing is predicted until the shafts turn together again. Tooth counts go on, and
-with them every phase reference: layshaft and main gears are in constant mesh, and both wheels keep
-counting.
+During a change neither the layshaft's model (thesis 4.13) nor constant speed of the main shaft
+(4.16) holds, so nothing is predicted until the shafts turn together again. The phase references
+stay valid: the layshaft is in constant mesh with the main gears, and both wheels' teeth are counted
+throughout.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from meshpoint.dbc.messages import FaultCode, ShiftResult
 from meshpoint.gearbox import MainGear, Range, Split
 
 PUSH_US: Final = 400 * MS_IN_US
-"""A valve on for so long that has not moved its sleeve is switched off and on again."""
+"""If a valve has been on for this long without moving its sleeve, it is switched off and on
+again."""
 SPLIT_VALVE: Final = {Split.LOW: ValveName.SPLIT_LOW, Split.HIGH: ValveName.SPLIT_HIGH}
 RANGE_VALVE: Final = {Range.LOW: ValveName.RANGE_LOW, Range.HIGH: ValveName.RANGE_HIGH}
 
 
 class GroupChange(NamedTuple):
-    """One of the two: the valve that brings it in, and how far it is."""
+    """A change of splitter or range: the valve for it, how far it is, and the fault if it fails."""
 
     valve: ValveName
     in_mesh: bool
@@ -41,7 +42,7 @@ class GroupChange(NamedTuple):
 
 
 def change_splitter(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """The splitter alone, the main box staying in its gear: that is the whole shift."""
+    """A shift by the splitter alone; the main box stays in its gear."""
     missing = _push_steps(context, snapshot)
     if missing is None:
         context.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE)
@@ -52,7 +53,7 @@ def change_splitter(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | 
 
 
 def change_steps(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """Brings splitter and range to where the new gear wants them, the main box in neutral."""
+    """Changes splitter and range to those of the new gear while the main box is in neutral."""
     missing = _push_steps(context, snapshot)
     if missing is None and _tracked(snapshot):
         return Trigger.STEPS_IN
@@ -62,7 +63,9 @@ def change_steps(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | Non
 
 
 def _push_steps(context: ShiftContext, snapshot: StepSnapshot) -> FaultCode | None:
-    """Drives what is not in yet. The fault that it would be, of the first that is not done."""
+    """Drives the valves of changes that are not in mesh yet.
+
+    Returns the fault to declare for the first change that is not finished; None if all are."""
     steps = _steps(context, snapshot)
     for step in steps:
         if step.in_mesh:
@@ -73,7 +76,8 @@ def _push_steps(context: ShiftContext, snapshot: StepSnapshot) -> FaultCode | No
 
 
 def _tracked(snapshot: StepSnapshot) -> bool:
-    """Whether the estimators have followed what the synchronisers did."""
+    """Whether the estimated speeds agree with the measured ones after the synchronisers have
+    acted."""
     layshaft, main = snapshot.layshaft.at(snapshot.now_us), snapshot.main
     if layshaft is None or main is None:
         return False
@@ -87,8 +91,8 @@ def _tracked(snapshot: StepSnapshot) -> bool:
 
 
 def _steps(context: ShiftContext, snapshot: StepSnapshot) -> list[GroupChange]:
-    """The steps that stand elsewhere than the new gear wants, or did when this began. In neutral
-    a step that stood right is not looked at: there is nothing to wait for."""
+    """The changes that this shift needs: splitter and range where they differed from the new gear
+    when the shift began. The range is left out unless the main box is in neutral."""
     target, view, speeds = context.running.target, snapshot.view, snapshot.speeds
     from_ = _stood(view, context)
     steps = []

@@ -56,14 +56,15 @@ FAULT_OF_ROW: Final = {
     10: FaultCode.DISENGAGE_REFUSED,
     11: FaultCode.LOW_SUPPLY,
 }
-"""What a row of the guard's table means for a shift; every other is GUARD_BLOCKED."""
+"""The fault for a shift that a row of the guard's table has ended; GUARD_BLOCKED for other rows."""
 
 
 class ShiftSequence(ShiftContext):
-    """Decides; the valve board, clutch and engine requests and the record are what it decides."""
+    """The state machine of a shift. Its decisions are the valve board's commands, the clutch and
+    engine requests, and the record of the shift."""
 
     def step(self, snapshot: StepSnapshot) -> None:
-        """One decision. Goes on through states that have nothing to wait for."""
+        """One decision. Passes through several states if these need not wait for anything."""
         self.finished = self.decision = self.strategy_error = None
         if self.shift is not None and snapshot.lost is not FaultCode.NONE:
             self._go(self.give_up(snapshot, snapshot.lost), snapshot)
@@ -84,8 +85,8 @@ class ShiftSequence(ShiftContext):
         self.enter(TRANSITIONS[self.state, trigger], snapshot)
 
     def blocked(self, row: int, snapshot: StepSnapshot) -> None:
-        """The guard has blocked this step's valve command, and nothing is driven any more. The
-        phase tries again from where it stands, until it has been told so too often."""
+        """The guard has blocked this step's valve command, so all valves are off. The state tries
+        again until `limits.blocks` commands of the shift have been blocked; then the shift ends."""
         self.all_off(snapshot.now_us)
         if self.shift is None:
             return
@@ -100,7 +101,7 @@ class ShiftSequence(ShiftContext):
             self._go(Trigger.BLOCKED, snapshot)
 
     def request(self, number: int, snapshot: StepSnapshot) -> str | None:
-        """A gear is asked for. Returns a line for the log where it is refused."""
+        """A drive gear is requested. Returns a line for the log if the request is refused."""
         if self.state not in (State.IN_GEAR, State.NEUTRAL):
             return None
         current = snapshot.view.gear_number
@@ -124,7 +125,7 @@ class ShiftSequence(ShiftContext):
         return None
 
     def _impossible(self, snapshot: StepSnapshot, number: int) -> tuple[FaultCode, str] | None:
-        """Why a shift is not begun; None where it is."""
+        """Fault and reason if a shift to this gear cannot begin; else None."""
         if number not in DRIVE_GEARS:
             return FaultCode.REQUEST_IMPOSSIBLE, "gears are 1 to 14"
         if not self.armed:

@@ -1,7 +1,7 @@
-"""The way down: the engine brings the layshaft above the new gear's speed (thesis 2.2).
+"""Downshifts: the engine brings the layshaft above the new gear's speed (thesis 2.2).
 
-Clutch closed, a TSC1 speed request, clutch open again; then the gear falls past its sleeve as on an
-upshift. The same way brings back a gear that became too slow while it waited.
+The clutch closes, the engine gets a TSC1 speed request, the clutch opens again; from there the slip
+falls as in an upshift. The same is done when a gear has become too slow before it was engaged.
 """
 
 from __future__ import annotations
@@ -21,13 +21,14 @@ from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 
 SHORT_RAD_S: Final = 1.0
-"""So much less slip than asked for is enough (10 rpm), and"""
+"""The slip may be this much less than asked for (10 rpm),"""
 OVER_RAD_S: Final = 3.0
-"""so much more: the brake takes it off again."""
+"""or this much more: the brake removes the surplus."""
 
 
 def too_slow(context: ShiftContext, snapshot: StepSnapshot) -> Trigger:
-    """The gear is slower than its sleeve: up with the engine, a bounded number of times."""
+    """The gear is slower than its sleeve: asks for the engine, a limited number of times a
+    shift."""
     shift = context.running
     if shift.raises >= context.settings.limits.raises:
         return context.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
@@ -38,7 +39,7 @@ def too_slow(context: ShiftContext, snapshot: StepSnapshot) -> Trigger:
 
 
 def raise_speed(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """Clutch closing and engine asked, until the gear has the slip wanted."""
+    """Closes the clutch and asks the engine for speed, until the gear has the slip wanted."""
     shift = context.running
     context.clutch = ClutchAction.CLOSE
     wanted = _raised_slip(context, snapshot)
@@ -55,7 +56,7 @@ def raise_speed(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
 
 
 def part_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """The engine holds the speed until the plates are apart."""
+    """Opens the clutch; the engine holds its speed until the plates are apart."""
     context.clutch = ClutchAction.OPEN
     context.ask_engine(context.running.target, _raised_slip(context, snapshot), snapshot)
     if (snapshot.view.clutch_closed or 0.0) <= SEQUENCE_CLUTCH_OPEN_SHARE:
@@ -68,8 +69,9 @@ def part_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
 
 
 def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
-    """What is wanted when the clutch is seen open, and what drag takes until then: the plates part
-    on half of the clutch's way, and it is seen open a read and a tick later."""
+    """The slip (rad/s) to ask for: the slip wanted once the clutch is measured open, plus what drag
+    takes until then. The plates separate at half of the clutch's travel, and the measurement comes
+    up to a sensor read and a tick later."""
     sheet, target = context.sheet, context.running.target
     ratio = sheet.main_mesh(target.main).ratio
     layshaft = snapshot.speeds.layshaft or 0.0

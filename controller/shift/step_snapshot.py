@@ -1,4 +1,4 @@
-"""What the shift sequence sees at one step."""
+"""The inputs of the shift sequence at one step."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from meshpoint.dbc.messages import FaultCode
 
 @dataclass(frozen=True)
 class StepSnapshot:
-    """What the sequence sees at one step, all in the sensor clock."""
+    """The inputs of the shift sequence at one step. Times are in us of the sensor clock."""
 
     now_us: int
     earliest_us: int
-    """The earliest activation that can still arrive in time."""
+    """The earliest activation time that a command sent now can still meet."""
     view: GearboxView
     layshaft: LayshaftTracker
     main: ShaftState | None
     speeds: ShaftSpeeds
     lost: FaultCode
-    """What a shift cannot go on without and has been lost: SPEED_STALE, POSITION_STALE or
-    VALVE_LINK_LOST; else NONE."""
+    """The input that a shift needs and that is missing: SPEED_STALE, POSITION_STALE or
+    VALVE_LINK_LOST; NONE if nothing is missing."""
     brake_driven: bool
-    """The valve side reports the brake valve driven or about to be."""
+    """Whether the valve side reports the brake valve driven, or its activation pending."""
     supply_pa: float
     """Absolute supply pressure; infinite before the first frame."""

@@ -17,16 +17,20 @@ from meshpoint.dbc.messages import FaultCode, ShiftDecision
 from meshpoint.gearbox import MainGear
 
 DRIVEN_LATE_US: Final = 40 * MS_IN_US
-"""A valve not reported driven this long after its activation was refused: try again."""
+"""A brake valve not reported driven this long after its activation time has been refused by the
+valve side: the activation is sent again."""
 KEEP_US: Final = 3 * MS_IN_US
-"""A firing this near to the earliest possible one stands: planned anew, it could by a hair come out
-too early to be sent, and the gap would be lost for one that comes a pitch later."""
+"""A firing this close to the earliest possible activation is not planned again: the new time could
+come out slightly too early to be sent, and the sleeve would have to wait for the next gap."""
 RELEASE_HORIZON_US: Final = 90 * MS_IN_US
-"""A release further ahead is not sent yet: the valve side takes at most 100 ms."""
+"""A release further ahead than this is not sent yet: the valve side accepts at most 100 ms."""
 
 
 def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """Brakes a gear that is fast; one that is slow goes to the engine, one near needs neither."""
+    """Brakes the layshaft for a gear that is too fast, and plans the brake's release and the
+    firing.
+
+    A gear that is too slow needs the engine (TOO_SLOW); one that is close enough needs no brake."""
     shift, now = context.running, snapshot.now_us
     gear = shift.target.main
     if context.late(snapshot, context.settings.limits.synchronise_ms):
@@ -38,7 +42,8 @@ def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     if fired is not None:
         return fired
     if shift.release_us is not None and snapshot.earliest_us >= shift.release_us:
-        # It can no longer be moved: from here on the firing is chosen, the brake still dying away.
+        # The release can no longer be changed. From here on only the firing is planned, while the
+        # brake's pressure falls.
         return Trigger.BRAKE_RELEASED
     command = context.board.command(ValveName.BRAKE)
     if not command.on and not command.before:
@@ -51,13 +56,13 @@ def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     _keep_braking(context, snapshot)
     _plan_release(context, predictor, snapshot)
     if shift.release_us is not None and _acting(context, gear).aims:
-        # Planned with the release, a firing may come before it: the sleeve is on its way longer.
+        # The firing may come before the release: the sleeve takes longer than the brake to fade.
         _plan_firing(context, predictor, snapshot)
     return None
 
 
 def coast(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """The gear falls by drag; fires when the strategy says so."""
+    """The layshaft slows by drag alone; the sleeve is fired at the time the strategy has chosen."""
     shift = context.running
     if context.late(snapshot, context.settings.limits.synchronise_ms):
         return context.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
@@ -80,7 +85,7 @@ def coast(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
 def _fire_if_due(
     context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot
 ) -> Trigger | None:
-    """The sleeve goes, where the firing that was sent can no longer be moved."""
+    """Enters the firing as done once the activation that was sent can no longer be changed."""
     shift, plan = context.running, context.running.plan
     if plan is None or plan.fire_us >= snapshot.earliest_us + KEEP_US:
         return None
@@ -92,7 +97,8 @@ def _fire_if_due(
 
 
 def _brake_helps(context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot) -> bool:
-    """Whether drag alone would take too long to bring the slip to where it is fired."""
+    """Whether drag alone would take longer than `limits.coast_ms` to bring the slip down to the
+    strategy's `fire_slip_rad_s`, and the brake may still be used in this shift."""
     limits = context.settings.limits
     if context.running.pulses >= limits.pulses:
         return False
@@ -103,7 +109,7 @@ def _brake_helps(context: ShiftContext, predictor: GearPredictor, snapshot: Step
 
 
 def _braked_lately(context: ShiftContext, snapshot: StepSnapshot) -> bool:
-    """Whether the brake's pressure may still act."""
+    """Whether the brake was released so recently that its pressure may still act."""
     release_us, brake = context.running.release_us, context.sheet.brake
     settle_s = brake.valve_delay_s + 4.0 * brake.time_constant_s
     return release_us is not None and snapshot.now_us < release_us + settle_s * 1e6
@@ -128,7 +134,7 @@ def _plan_release(context: ShiftContext, predictor: GearPredictor, snapshot: Ste
     release_us, contact_us = acting.release(predictor, snapshot.now_us, earliest_us)
     horizon_us = snapshot.now_us + RELEASE_HORIZON_US
     if shift.release_us is not None:
-        # A release once sent is moved, never taken back: its slot holds the newest time.
+        # A release that was sent may be moved but not withdrawn: its slot holds the newest time.
         release_us = min(release_us, horizon_us)
     decision = ShiftDecision.BRAKE
     if release_us <= horizon_us and snapshot.now_us >= on_us:
@@ -155,7 +161,7 @@ def _plan_firing(context: ShiftContext, predictor: GearPredictor, snapshot: Step
     if contact_us is not None:
         plan = strategist.plan_at(predictor, contact_us, ShiftDecision.FIRE)
     if plan is not None and plan.fire_us > snapshot.now_us + RELEASE_HORIZON_US:
-        plan = None  # not sent yet, like a release: the valve side would refuse it
+        plan = None  # too far ahead: the valve side would refuse it
     if plan is None:
         context.board.off(valve)
         waiting = ShiftDecision.WAIT_FOR_GAP if acting.aims else ShiftDecision.WAIT_FOR_SLIP

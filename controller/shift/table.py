@@ -13,7 +13,7 @@ from meshpoint.gearbox import DriveGear, Range, Split
 
 
 class Trigger(IntEnum):
-    """What makes the sequence go on."""
+    """Why the sequence changes its state."""
 
     FOUND_IN_GEAR = auto()
     FOUND_IN_NEUTRAL = auto()
@@ -23,7 +23,7 @@ class Trigger(IntEnum):
     """Only the splitter moves: the main box stays in its gear."""
     MAIN_BOX_NEUTRAL = auto()
     STEPS_IN = auto()
-    """Splitter and range stand as the new gear wants them, and turn together."""
+    """Splitter and range are in the steps of the new gear and synchronised."""
     TOO_SLOW = auto()
     """The gear turns slower than its sleeve: only the engine can bring it up."""
     TOO_FAST = auto()
@@ -69,7 +69,7 @@ TRANSITIONS: Final[dict[tuple[State, Trigger], State]] = {
     (_S.FAULTED, _T.FOUND_IN_GEAR): _S.CLUTCH_CLOSING,
     (_S.FAULTED, _T.FOUND_IN_NEUTRAL): _S.CLUTCH_CLOSING,
 }
-"""A missing entry is an error: a trigger that a state does not expect."""
+"""A pair that is missing here is a programming error: KeyError."""
 
 IN_SHIFT: Final = (
     _S.CLUTCH_OPENING,
@@ -95,13 +95,14 @@ class ShiftRecord:
 
     from_number: int
     to_number: int
-    """The gear asked for; -1 where there is no such gear, and `target` then means nothing."""
+    """The drive gear asked for; -1 if there is no such gear, and `target` is then meaningless."""
     target: DriveGear
     request_us: int
     strategy: Strategy
     """The strategy that acts: the fallback while the reference is unknown."""
     aimed: bool = False
-    """It aims at a phase, and so shows by how far the gear ran away from its prediction."""
+    """Whether the acting strategy aims at a phase; then the contact shows the error of its
+    prediction."""
     reference_known: bool = False
     reference_source: ReferenceSource = ReferenceSource.NONE
     attempts: int = 0

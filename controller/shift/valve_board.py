@@ -1,7 +1,7 @@
-"""What the controller wants of its valves: one command a valve, resent every step.
+"""The valve commands: one for each valve, sent again at every step.
 
-Scheduled hardware gets the activation time with the command. Hardware that cannot schedule gets
-plain on and off, and the controller wakes at the moment (`valve_timing = "immediate"`).
+Hardware that can schedule gets the activation time with the command. Hardware that cannot
+(`valve_timing = "immediate"`) gets plain on and off; the controller then steps at that time.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class ValveName(IntEnum):
 _ACTION: Final = itemgetter(0)
 _TIME_US: Final = itemgetter(1)
 OFF_HELD_US: Final = 1_000_000
-"""An `off` this long past needs no time any more; far from where 32-bit times turn ambiguous."""
+"""An `off` older than this is sent as OFF_NOW, long before its 32-bit time becomes ambiguous."""
 
 
 class SwitchCommand(NamedTuple):
@@ -48,7 +48,7 @@ OFF: Final = SwitchCommand(-(1 << 62), False, False)
 
 
 class ValveBoard:
-    """The commands as they stand."""
+    """The present command of each valve."""
 
     def __init__(self, timing: ValveTiming) -> None:
         self._timing = timing
@@ -82,14 +82,14 @@ class ValveBoard:
         return self._commands[valve]
 
     def next_switch_us(self, now_us: int) -> int | None:
-        """The next moment at which something must be sent for hardware that cannot schedule."""
+        """The next sensor time at which hardware that cannot schedule needs a frame; else None."""
         if self._timing is ValveTiming.SCHEDULED:
             return None
         times = [c.time_us for c in self._commands.values() if c.time_us > now_us]
         return min(times, default=None)
 
     def message(self, now_us: int) -> ValveCommand:
-        """The command frame's content at a sensor time; made anew when something changes."""
+        """The command frame's content at a sensor time; kept until something changes."""
         if self._message is None or now_us >= self._message_until_us:
             self._message = self._make_message(now_us)
             self._message_until_us = self._unchanged_until_us(now_us)
@@ -101,7 +101,7 @@ class ValveBoard:
         return ValveCommand._make([*map(_ACTION, said), *map(_TIME_US, said)])
 
     def _unchanged_until_us(self, now_us: int) -> int:
-        """When the message says something else although nothing is commanded anew."""
+        """When the message's content changes although no new command is given."""
         held_us = 0 if self._timing is ValveTiming.IMMEDIATE else OFF_HELD_US + 1
         times = [c.time_us + held_us for c in self._commands.values()]
         return min([time_us for time_us in times if time_us > now_us], default=FOREVER_US)

@@ -34,7 +34,7 @@ GEAR_AT: Final = {(where.sleeve, where.direction): gear for gear, where in SLEEV
 
 
 class Violation(IntEnum):
-    """What a controller must never bring about."""
+    """States that a controller must never cause."""
 
     TWO_GEARS = 0  # a second gear at its sleeve while one is in mesh
     BRAKE_IN_GEAR = 1  # brake valve on while a gear is locked
@@ -42,7 +42,8 @@ class Violation(IntEnum):
 
 
 class Tally(NamedTuple):
-    """What an engagement has cost so far, since its sleeve was fired."""
+    """Impact energy (J), time on a tooth face (us) and ratchets of an engagement since its
+    firing."""
 
     impact_j: float = 0.0
     face_us: int = 0

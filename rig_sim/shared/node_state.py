@@ -1,4 +1,4 @@
-"""The rig's own node as a fault may have it: hanging, or away while it starts anew."""
+"""The state of the rig's own node under a fault: hanging, or off the bus while it restarts."""
 
 from __future__ import annotations
 

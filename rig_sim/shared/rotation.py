@@ -1,4 +1,4 @@
-"""What sleeves, bench script and truth ask of the turning parts, whatever physics they have."""
+"""The interface of the rotating parts for sleeves, bench script and truth, in both presets."""
 
 from __future__ import annotations
 

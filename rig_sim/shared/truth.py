@@ -1,4 +1,4 @@
-"""What both presets know of themselves in the same way. Plain reads, no side effects."""
+"""The part of the true state that both presets give in the same way. No side effects."""
 
 from __future__ import annotations
 

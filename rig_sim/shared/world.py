@@ -1,4 +1,4 @@
-"""What the node asks of a gearbox, whatever physics it has. `build_world` picks the preset's."""
+"""The interface between the rig's node and the gearbox of a preset (`presets.build_world`)."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class PhaseRead(NamedTuple):
 
 
 class Truth(Protocol):
-    """What the rig knows of itself, for tests in the same process. Plain reads."""
+    """The true state of the rig, for tests in the same process. Reading it has no side effects."""
 
     @property
     def time_us(self) -> float:

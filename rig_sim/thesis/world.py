@@ -117,7 +117,7 @@ class World:
         """The thesis has no engine: nothing follows."""
 
     def inject(self, order: FaultOrder, now_us: int) -> None:
-        """The thesis's gearbox has no faults: said in the log, once each."""
+        """The thesis's gearbox has no faults: each one asked for is reported once in the log."""
         text = f"fault {order.kind} ignored: preset thesis has none, preset truck has"
         self.engagement.lines.append((float(now_us), text))
 

@@ -27,7 +27,8 @@ AS_BUILT_STREAM: Final = 0xA5B
 
 
 LATER: Final = ("driveline.",)
-"""Groups added since: drawn last, so that a seed's gearbox stays what it was."""
+"""Groups added later. They are drawn last, so that a seed still gives the same gearbox as
+before."""
 
 RUN_LIMIT_BYTES: Final = 64 * 1024 * 1024
 """Of a run's JSON, all its shifts included."""
@@ -50,7 +51,7 @@ class Parameter(NamedTuple):
 
 @cache
 def parameters() -> dict[str, Parameter]:
-    """All of them by name, `group.key`, in the order of the file."""
+    """All parameters by name, `group.key`, in the order of `truck.toml`."""
     source = resources.files("meshpoint.rig_sim.truck") / "truck.toml"
     with resources.as_file(source) as path:
         tables = load_toml(path)
@@ -74,7 +75,7 @@ class AsBuilt:
         return self.values[name]
 
     def to_json(self) -> dict[str, Any]:
-        """As a run puts it out, and as `--as-built` reads it: groups of numbers."""
+        """Groups of numbers, as in a run's JSON and as `--as-built` reads them."""
         tables: dict[str, Any] = {"teeth": {"seed": self.teeth_seed}}
         for name, value in self.values.items():
             group, _, key = name.partition(".")
@@ -121,7 +122,7 @@ def load_as_built(path: Path) -> dict[str, float]:
 
 
 def linear() -> dict[str, float]:
-    """What switches every non-linearity off (`linear.toml`)."""
+    """The as-built values that switch every non-linearity off (`linear.toml`)."""
     with resources.as_file(resources.files("meshpoint.rig_sim.truck") / "linear.toml") as path:
         return load_as_built(path)
 
@@ -167,7 +168,7 @@ def _checked(path: Path, name: str, value: Any) -> float:
 
 
 def as_built_sheet(sheet: GearboxSheet, built: AsBuilt) -> GearboxSheet:
-    """The data sheet with the factors of group `sheet`: what this gearbox really is."""
+    """The data sheet with the factors of group `sheet` applied: the real values of this gearbox."""
     factor = {key.partition(".")[2]: v for key, v in built.values.items() if "sheet." in key}
     shafts, brake, clutch, dog = sheet.shafts, sheet.brake, sheet.clutch, sheet.dog
     return replace(

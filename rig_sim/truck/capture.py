@@ -1,9 +1,10 @@
 """The edges of the truck's sensor wheels in one step, into the capture rings.
 
 Within a step an angle is the cubic through its end angles and speeds; an edge lies where the cubic
-meets it. A Hall sensor knows no direction: a wheel that turns backwards gives edges as well, and
-they count up. The magnet then meets each tooth from its other side, so where the signal falls on
-the way forward it rises on the way back: an edge of the one channel comes on the other.
+meets it. A Hall sensor does not sense direction: a wheel that turns backwards gives edges as well,
+and they are counted upwards. Each tooth is then passed from its other side, so the signal rises
+where it falls in forward rotation: edges of the falling channel come on the rising one, and vice
+versa.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ SETTLED: Final = 1e-9
 
 
 class Way(NamedTuple):
-    """A wheel's angle over a time: the cubic through both ends with the speeds there."""
+    """A wheel's angle over a step: the cubic given by angle and speed at both ends."""
 
     start_rad: float
     end_rad: float
@@ -34,7 +35,7 @@ class Way(NamedTuple):
 
 @inlined
 def _share_at(way: Way, angle_rad: float) -> float:
-    """When the wheel reaches an angle: 0..1 of the time.
+    """When the wheel reaches an angle, as a share 0..1 of the step.
 
     Newton's method, kept inside a shrinking bracket."""
     start, end, v0, v1, h = way
@@ -62,7 +63,7 @@ def _share_at(way: Way, angle_rad: float) -> float:
 
 @inlined
 def _turning_share(way: Way) -> float:
-    """Where the wheel turns back, if its end speeds have opposite signs: 0..1 of the time."""
+    """When the wheel reverses, as a share 0..1 of the step; its end speeds have opposite signs."""
     start, end, v0, v1, h = way
     length = end - start
     a = 3.0 * ((v0 + v1) * h - 2.0 * length)
@@ -77,7 +78,8 @@ def _turning_share(way: Way) -> float:
 
 @inlined
 def _write(edge: int, tooth: int, time_us: float, rig: Rig) -> None:
-    """An edge, unless the channel is silent there; and what a fault adds to it."""
+    """Records an edge, unless a fault silences the channel, and any extra edge that a fault
+    adds."""
     hall, channel = rig.hall[edge], rig.captured.channels[edge]
     if hall.silent != 0 or hall.missing == tooth + 1:
         return
@@ -88,7 +90,7 @@ def _write(edge: int, tooth: int, time_us: float, rig: Rig) -> None:
 
 @inlined
 def _error_rad(edge: int, speed_rad_s: float, rig: Rig) -> float:
-    """How far off the wheel's own edge the next edge of a channel is."""
+    """Angle (rad) of a channel's next edge less that of the wheel's own edge."""
     count = rig.captured.channels[edge].count
     error = speed_rad_s * rig.jitter_s[(count * 733 + edge * 509) % at.JITTERS]
     if count < at.FIRST_EDGES:
@@ -98,7 +100,7 @@ def _error_rad(edge: int, speed_rad_s: float, rig: Rig) -> float:
 
 @part
 def _sweep(way: Way, wheel: int, t_us: float, lap: int, rig: Rig) -> None:
-    """The edges of a wheel that turns one way, from t_us on, in the lap `lap`."""
+    """Records the edges of a wheel that does not reverse, from t_us on; lap: its whole turns."""
     start, end = way.start_rad, way.end_rad
     if end == start:
         return

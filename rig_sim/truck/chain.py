@@ -19,7 +19,7 @@ UNLIMITED: Final = float("inf")
 
 
 class BodyChain:
-    """What is linked to what. Works in place on the rig's state and connections."""
+    """Which of the five bodies are linked. Works in place on the rig's state and connections."""
 
     def __init__(self, rig: Rig) -> None:
         self._p, self._y, self._g = rig.p, rig.y, rig.g
@@ -30,11 +30,11 @@ class BodyChain:
         self.rebuild()
 
     def is_rigid(self, link: int) -> bool:
-        """Whether the bodies at both sides of a link move as one."""
+        """Whether a link is rigid, so that the bodies at its sides move as one."""
         return self._ratios[link] is not None
 
     def is_forced(self, body: int) -> bool:
-        """Whether something gives this body's acceleration."""
+        """Whether this body's acceleration is prescribed (`force`)."""
         return body in self._forced
 
     def slip_rad_s(self, link: int, ratio: float) -> float:
@@ -43,21 +43,21 @@ class BodyChain:
         return ratio * speed[link] - speed[link + 1]
 
     def is_driven(self, body: int) -> bool:
-        """Whether something gives the acceleration of the body's group."""
+        """Whether the acceleration of the body's group is prescribed."""
         return any(k in self._forced for k in self.group(body))
 
     def force(self, body: int, accel_rad_s2: float) -> None:
-        """From now on the body has this acceleration."""
+        """Prescribes the body's acceleration from now on."""
         self._forced[body] = accel_rad_s2
         self.rebuild()
 
     def free(self, body: int) -> None:
-        """Torques move the body again."""
+        """Ends a prescribed acceleration: torques move the body again."""
         self._forced.pop(body, None)
         self.rebuild()
 
     def open(self, link: int) -> None:
-        """The link carries nothing any more."""
+        """Opens a link: it carries no torque."""
         self._ratios[link] = None
         self._limit(link, -UNLIMITED, UNLIMITED)
         self.rebuild()
@@ -72,13 +72,13 @@ class BodyChain:
         self.rebuild()
 
     def place(self, link: int, ratio: float) -> None:
-        """Link rigidly as a bench does: the smaller side takes the other's speed, nothing is lost
-        to an impact."""
+        """Links rigidly without an impact, as the bench does: the side of smaller inertia takes the
+        other side's speed."""
         self._ratios[link] = ratio
         self.rebuild()
 
     def impact(self, link: int, ratio: float, restitution: float) -> float:
-        """Bodies meet at a link that is not rigid and leave each other again; the loss, J."""
+        """An impact at a link that is not rigid. Returns the energy lost, J."""
         slip = self.slip_rad_s(link, ratio)
         before, behind = self._inverse_inertia(link), self._inverse_inertia(link + 1)
         compliance = ratio**2 * before + behind
@@ -90,7 +90,7 @@ class BodyChain:
         return 0.5 * slip * slip * (1.0 - restitution**2) / compliance
 
     def group(self, body: int) -> range:
-        """The bodies that move with this one."""
+        """The bodies rigidly linked to this one, itself included."""
         first = last = body
         while first > 0 and self._ratios[first - 1] is not None:
             first -= 1
@@ -99,7 +99,7 @@ class BodyChain:
         return range(first, last + 1)
 
     def kinetic_j(self) -> float:
-        """Energy of everything that turns, vehicle included."""
+        """Kinetic energy (J) of all bodies, vehicle included."""
         twice_j = 0.0
         for inertia, speed in zip(self._p.inertia_kgm2, self._y.speed_rad_s, strict=True):
             twice_j += inertia * (speed * speed)
@@ -116,7 +116,7 @@ class BodyChain:
             self._g.links[link].carried = ratio or 0.0
 
     def rates(self, members: range, lead: int) -> dict[int, float]:
-        """Speed of each member over that of the leader."""
+        """Speed of each body of a group over that of its leader."""
         found = {lead: 1.0}
         for k in range(lead, members.stop - 1):
             found[k + 1] = found[k] * (self._ratios[k] or 0.0)

@@ -25,7 +25,7 @@ NO_REQUEST: Final = EngineRequest(None, None)
 
 
 class TruckClutch:
-    """Position 0 (open) to 1 (closed), and what the plates do."""
+    """The actuator, with position 0 (open) to 1 (closed), and the state of the plates."""
 
     def __init__(self, plant: TruckPlant, clutch: Clutch) -> None:
         self._plant = plant
@@ -47,8 +47,8 @@ class TruckClutch:
         self._expiry_us = time_us + EXPIRY_US
 
     def renew(self, close: bool, time_us: float) -> bool:
-        """The same command again, in time: it holds for longer, which needs no event of the plant.
-        False where it has to be taken in full."""
+        """Extends the present command if this one is the same and in time. False if it must go
+        through `command`."""
         if close is not self._closing or self._expiry_us <= time_us:
             return False
         self._expiry_us = time_us + EXPIRY_US
@@ -101,7 +101,7 @@ class TruckClutch:
 
 
 class TruckEngine:
-    """Who asks the engine for what."""
+    """The engine's mode: a TSC1 request, the driver, or the idle governor."""
 
     def __init__(self, plant: TruckPlant) -> None:
         self._plant = plant
@@ -131,7 +131,7 @@ class TruckEngine:
             self.settle()
 
     def settle(self) -> None:
-        """Give the engine its mode, after any change of what is connected."""
+        """Selects the engine's mode. Call it after any change of clutch or gear."""
         plant, request = self._plant, self._request
         through = all(map(plant.chain.is_rigid, (at.CLUTCH, at.SPLITTER, at.RANGE)))
         driving = through and plant.shafts.lock is not None

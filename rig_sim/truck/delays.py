@@ -1,10 +1,9 @@
-"""When a sleeve gets where it is sent: the delay law with pressure, temperature and chance, or the
-cylinder.
+"""Delays of the sleeves: by a law with pressure, temperature and noise, or by the cylinder model.
 
     t = t_v + (t_mean - t_v) (p_nom / p_supply)^n k_T + noise
 
-t_v the valve's delay, t_mean the sheet's delay plus what this gear has of its own, k_T = 1 + k (80
-degC - T). The noise is normal, cut by drawing again, as in preset `thesis` (6.2: 45 ms +- 5 ms).
+t_v: the valve's delay; t_mean: the sheet's delay plus this gear's own deviation; k_T = 1 + k (80
+degC - T). The noise is normal, truncated by drawing again, as in preset `thesis` (6.2: 45 +- 5 ms).
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ class TruckDelays:
         self._limit_s = built["sleeve.noise_limit_ms"] * MS
         self.has_cylinder = built["sleeve.model"] >= 0.5
         self.extra_s = 0.0
-        """Set by the fault `valve_slow`: sleeves get there later by this."""
+        """Added to every delay; set by the fault `valve_slow`."""
 
     def draw_s(self) -> float:
         """A delay at nominal pressure, for the splitter and range sleeves."""
@@ -58,7 +57,7 @@ class TruckDelays:
         return max(drawn_s, actuator.valve_delay_s + LEAST_DELAY_SHARE * actuator.delay_s)
 
     def mean_gear_s(self, gear: MainGear, supply_gauge_pa: float) -> float:
-        """The same without chance."""
+        """The same without noise, s."""
         actuator, built = self._sheet.sleeve, self._built
         mean_s = actuator.delay_s + built[f"sleeve.{gear.name.lower()}_delay_ms"] * MS
         colder_k = WARM_C - built["oil.temperature_c"]
@@ -69,7 +68,7 @@ class TruckDelays:
         return float(actuator.valve_delay_s + travel_s)
 
     def force_n(self, supply_gauge_pa: float) -> float:
-        """What pushes a sleeve at this supply pressure."""
+        """Force (N) on a sleeve at this supply pressure (Pa, gauge)."""
         share = max(supply_gauge_pa, 0.0) / self._sheet.air.supply_gauge_pa
         force_n: float = self._built["sleeve.force_n"] * share
         return force_n
@@ -79,7 +78,7 @@ class TruckDelays:
         return self._built["air.sleeve_cylinder_l"] / self._built["air.tank_l"]
 
     def cylinder(self, time_us: float, supply_gauge_pa: float) -> CylinderTravel:
-        """A stroke by the cylinder's equations, begun by a valve activated now; chance is in the
+        """A stroke by the cylinder's equations, for a valve activated now; the noise is in the
         valve's delay."""
         actuator, built = self._sheet.sleeve, self._built
         colder_k = WARM_C - built["oil.temperature_c"]

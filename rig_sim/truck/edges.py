@@ -1,4 +1,4 @@
-"""The Hall sensors of the truck: wheels as they were made, and what a 10 ms read of them holds.
+"""The Hall sensors of the truck: as-built wheels, and the content of a 10 ms read.
 
 The sensor's voltage is u = A sin(n theta') + 0, an edge where it passes the threshold u_0 (thesis
 4.5, 3.3): theta' = asin(u_0 / A) / n on the way up and (pi - asin(u_0 / A)) / n on the way down,
@@ -36,11 +36,12 @@ from meshpoint.rig_sim.truck.layout import Rig
 
 WEAKEST: Final = 0.05
 CROSSING_LIMIT: Final = 0.98
-"""A threshold nearer to the peak than this would lose the edge; the sensor's own control holds."""
+"""Largest threshold over amplitude: above it the edge would be lost, which the sensor's own
+threshold control prevents."""
 
 
 class WheelAsMade:
-    """One sensor wheel: where its teeth are, and how strong each one's signal is."""
+    """One sensor wheel: the angles of its teeth, and the signal's amplitude at each."""
 
     def __init__(self, rng: np.random.Generator, wheel: Wheel, built: AsBuilt) -> None:
         n = wheel.teeth
@@ -61,7 +62,8 @@ class WheelAsMade:
         self.threshold = built["hall.threshold_share"]
 
     def edges_rad(self) -> tuple[Floats, Floats]:
-        """Wheel angles of the rising and the falling edge of each tooth that is there."""
+        """Wheel angles (rad) of the rising and the falling edge of each tooth that is not
+        missing."""
         n = self.pitches
         share = np.clip(self.threshold / self.amplitude, -CROSSING_LIMIT, CROSSING_LIMIT)
         later = np.arcsin(share) / n
@@ -101,7 +103,7 @@ class TruckEdges:
             self._point(edge)
 
     def _point(self, edge: int) -> None:
-        """A channel at its next edge on the way forward."""
+        """Sets a channel's pointer to its next edge in forward rotation."""
         rig, hall, channel = self._rig, self._rig.hall[edge], self._rig.captured.channels[edge]
         body = at.INPUT + edge // 2
         rest = rig.y.angle_rad[body]
@@ -123,7 +125,7 @@ class TruckEdges:
         return self._reader.read(now_us, self._on_us, clock, self._captured)
 
     def power_up(self, time_us: float) -> None:
-        """The sensors start anew: counts from zero, the first edges wrong again."""
+        """Restarts the sensors: counts begin at zero, and the first edges are misplaced again."""
         self._on_us = time_us
         for channel in self._rig.captured.channels:
             channel.count = 0

@@ -27,7 +27,7 @@ from meshpoint.rig_sim.truck.sleeves import TruckSleeve, axial
 from meshpoint.units import MM
 
 SETTLED_RAD_S: Final = 0.02
-"""A flank that would leave slower than this stays."""
+"""A flank that would rebound more slowly than this stays in contact."""
 MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
 ROW_OF_SLEEVE: Final = {name: row for row, name in enumerate(MAIN_SLEEVES)}
 
@@ -64,7 +64,8 @@ class TruckEngagement(Engagement[TruckSleeve]):
         self._stuck: Sleeve | None = None
 
     def tally(self, name: Sleeve) -> Tally:
-        """What this sleeve's engagement has cost so far."""
+        """Impact energy, time on the tooth face, and ratchets of this sleeve's engagement so
+        far."""
         tally = self._tallies[name]
         since_us = self._face_since_us.get(name)
         if since_us is None:
@@ -79,7 +80,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
         self.sleeves[name] = TruckSleeve(self._sheet.sleeve, 0, self.sleeves[name].axis)
 
     def due(self, time_us: float) -> None:
-        """Do what is due now; the plant stands at this instant."""
+        """Does what is due now; the plant has been advanced to this time."""
         for name, sleeve in self.sleeves.items():
             if sleeve.overlap_us <= time_us:
                 sleeve.overlapped()
@@ -89,7 +90,8 @@ class TruckEngagement(Engagement[TruckSleeve]):
         super().due(time_us)
 
     def left(self, row: int, side: int) -> None:
-        """The plant stands where the tooth leaves the face (to a gap) or the gap (to a flank)."""
+        """The watched phase has left its span: the tooth reaches a gap from the face, or a flank
+        from the gap. side: +1 at the upper end of the span, -1 at the lower."""
         name = MAIN_SLEEVES[row]
         sleeve, time_us = self.sleeves[name], self._plant.time_us
         if sleeve.state is SleeveState.FACE:
@@ -104,7 +106,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
             self._strike(name, side)
 
     def no_slip(self, slot: int) -> None:
-        """Face and tooth have the same speed: they stick if friction can hold them."""
+        """Sleeve face and tooth have the same speed: they stick if static friction holds them."""
         name = MAIN_SLEEVES[slot]
         gear, truck = self.gear_at(name), self._truck
         truck.smooth(slot)
@@ -120,7 +122,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
             self._record_now(EngagementEvent.BLOCKED, name)
 
     def slips(self) -> None:
-        """The main box's rigid link carries more than it can, or pulls off its flank."""
+        """The torque at the main box exceeds static friction, or pulls the tooth off its flank."""
         truck = self._truck
         torque = truck.link_nm(at.MAIN_BOX)
         if self._stuck is not None:
@@ -134,7 +136,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
             self._watch_gap(SLEEVE_OF_MAIN[lock.gear].sleeve)
 
     def can_release(self) -> None:
-        """The torque no longer holds a sleeve that waits to get out."""
+        """The torque on the teeth no longer holds a sleeve that is to be pulled out."""
         self._truck.g.release_nm = -1.0
         for sleeve in self.sleeves.values():
             if sleeve.waits:
@@ -149,7 +151,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
                 self._give_up(name, was)
 
     def ready(self, gear: MainGear, drive_gear: int) -> None:
-        """The bench's return to a gear has ended here."""
+        """The bench's scripted return to a gear ends now."""
         super().ready(gear, drive_gear)
         self._truck.end_script()
 
@@ -210,16 +212,17 @@ class TruckEngagement(Engagement[TruckSleeve]):
             self._block(name, time_us)
 
     def _face(self, name: Sleeve, thrown_back: bool = False) -> None:
-        """Resting on a tooth: rub, and watch for the gap."""
+        """The sleeve rests on a tooth: it rubs, and the phase is watched for the next gap."""
         self._face_since_us[name] = self._plant.time_us
         gear = self.gear_at(name)
-        # A chamfer lets an approaching tooth in; one that has left the gap over it stays out.
+        # The chamfer admits a tooth that approaches the gap, not one that is leaving it.
         ahead = 0.0 if self._plant.slip_rad_s(gear) < 0.0 else self._chamfer_rad
         low = self._half_rad + self._chamfer_rad - ahead
         high = self._pitch_rad - self._half_rad - ahead
         if thrown_back:
-            # By either edge it has a chamfer's width to go in first. Friction on the face turns the
-            # backlash of its mesh over, and a tooth that hardly slips would go in and out for ever.
+            # At either edge it must first move by the chamfer's width. Without that, a tooth with
+            # almost no slip would enter and leave the gap endlessly, because friction on the face
+            # moves it through the backlash of its mesh.
             low, high = self._half_rad - self._chamfer_rad, high + ahead + self._chamfer_rad
         self._truck.watch(ROW_OF_SLEEVE[name], gear, (low, high), with_lash=True)
         self._rub(name)
@@ -313,7 +316,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
         self._truck.coast()
 
     def _give_up(self, name: Sleeve, was: SleeveState) -> None:
-        """A sleeve goes back without having locked."""
+        """A sleeve returns to neutral without having locked."""
         self._leave_face(name)
         self._truck.unwatch(ROW_OF_SLEEVE[name])
         if was is not SleeveState.APPROACH:

@@ -1,4 +1,4 @@
-"""The truck plant's events: what is watched for, whether a step meets it, and when.
+"""The truck plant's events: which are watched, whether one happens within a step, and when.
 
 An event's instant is found with steps of the method itself, so the state there is as exact as at a
 grid point. Kinematic events are a function of the state that turns positive; torque events are a
@@ -52,7 +52,8 @@ def _beyond(y: RigState, event: int, rig: Rig) -> float:
 
 @inlined
 def _happened(event: int, rig: Rig) -> bool:
-    """Whether the event lies within the step: what stands a hair outside must move on outwards."""
+    """Whether the event lies within the step. A state slightly beyond the limit counts only if it
+    moves further out."""
     end = _beyond(rig.after, event, rig)
     return end > 0.0 and end > _beyond(rig.y, event, rig)
 
@@ -92,7 +93,7 @@ def _root(event: int, h: float, rig: Rig) -> float:
 
 @inlined
 def first_event(h: float, rig: Rig) -> tuple[int, float]:
-    """The first event of a step, and when; `after` becomes the state there."""
+    """The first event of a step and its time; `after` becomes the state then."""
     found = at.REACHED
     layshaft = rig.g.bodies[at.LAYSHAFT]
     stoppable = rig.g.brake_sign != 0.0 and rig.g.bodies[layshaft.lead].forced == 0
@@ -115,7 +116,7 @@ def first_event(h: float, rig: Rig) -> tuple[int, float]:
 
 @inlined
 def _torque_event(rig: Rig) -> int:
-    """What the torques at the end of a step bring about."""
+    """The torque event that the torques at the end of a step cause, if any."""
     g, torques = rig.g, rig.torques
     for i in range(at.LINKS):
         link = g.links[i]

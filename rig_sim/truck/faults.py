@@ -1,7 +1,7 @@
 """Faults that can be injected into the truck: by a scenario file, for a time, or by a bench frame.
 
-`KINDS` says of each what its target and value mean. A fault begins at an instant and ends after its
-duration, if it has one; NO_FAULT ends all.
+`KINDS` describes the target and the value of each. A fault ends after its duration if it has one;
+NO_FAULT ends all.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ FAULT_FOREVER_US: Final = 1 << 53
 
 
 class Kind(NamedTuple):
-    """A fault as people are told of it. targets: how many there are, 0 none."""
+    """The description of a fault for users. targets: number of possible targets, 0 if it has
+    none."""
 
     text: str
     target: str
@@ -72,7 +73,7 @@ KINDS: Final[dict[RigFault, Kind]] = {
 
 
 class Freezer(Generic[T]):
-    """Passes on what it is given, or the last before it froze."""
+    """Passes readings on; while frozen, repeats the last one before."""
 
     def __init__(self) -> None:
         self.frozen = False
@@ -87,7 +88,7 @@ class Freezer(Generic[T]):
 
 
 class Faultable(Protocol):
-    """What faults may touch of a truck; `world.TruckWorld` has it."""
+    """The parts of a truck that faults may change; `world.TruckWorld` implements it."""
 
     plant: TruckPlant
     engagement: TruckEngagement
@@ -106,7 +107,7 @@ class Faultable(Protocol):
 
 
 class FaultInjector:
-    """Switches faults of one world on and off, at the plant's present instant."""
+    """Starts and ends the faults of one world, at the plant's present time."""
 
     def __init__(self, world: Faultable) -> None:
         self._world = world
@@ -120,15 +121,15 @@ class FaultInjector:
 
     @property
     def active(self) -> list[tuple[RigFault, int]]:
-        """Kind and target of everything that is wrong now."""
+        """Kind and target of each active fault."""
         return list(self._ends)
 
     def valve_delay_us(self, valve: Valve) -> float | None:
-        """How much later than its coil a valve switches; None: not at all."""
+        """Delay (us) between a valve's coil and the valve; None if it is stuck."""
         return None if valve in self._stuck else self._slow_us.get(valve, 0.0)
 
     def begin(self, order: FaultOrder) -> None:
-        """A fault begins now. One that does not exist is said in the log and changes nothing."""
+        """Starts a fault now. An unknown one is reported in the log and changes nothing."""
         kinds = {int(kind): kind for kind in RigFault}
         kind = kinds.get(order.kind)
         lines, time_us = self._world.engagement.lines, self._world.plant.time_us
@@ -149,7 +150,7 @@ class FaultInjector:
             self._world.later(order.duration_us, partial(self._expire, key, number))
 
     def end(self, kind: RigFault, target: int) -> None:
-        """A fault ends now, if it is on."""
+        """Ends a fault now, if it is active."""
         undo = self._ends.pop((kind, target), None)
         if undo is not None:
             undo()
@@ -161,7 +162,8 @@ class FaultInjector:
             self.end(*key)
 
     def stick(self, valve: Valve) -> Callable[[], None]:
-        """The valve no longer follows its coil; then it follows again from the next change."""
+        """The valve stops following its coil. When the fault ends it follows from the next change
+        on."""
         self._stuck.add(valve)
         return partial(self._loosen, valve)
 
@@ -178,7 +180,8 @@ class FaultInjector:
 
 
 Starter = Callable[[Faultable, FaultInjector, FaultOrder], Callable[[], None]]
-"""Begins a fault and returns what ends it: a partial, so that a copy of the world ends its own."""
+"""Starts a fault and returns the function that ends it: a `partial`, so that in a copy of the world
+it acts on the copy."""
 
 
 def _channel(field: str, value: Callable[[FaultOrder], int]) -> Starter:

@@ -1,8 +1,8 @@
 """The truck plant's inner loop: fixed steps cut at events, and the edges found in each step.
 
-Steps go from fixed instant to fixed instant. A step is cut only at scheduled instants and at events
-found in it, never by how far the caller wants to go: so what happens does not depend on how often
-anybody asks.
+Steps go from one grid point to the next. A step is cut only at scheduled times and at events found
+in it, never at the time up to which the caller wants to go: so the result does not depend on how
+often the rig is stepped.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ QUIET_PA_S: Final = 1e4
 
 @inlined
 def _settle(rig: Rig) -> None:
-    """Angles back into a turn and free phases into a pitch; a watched phase keeps its branch."""
+    """Wraps angles into one turn and phases into one pitch; watched phases are left unwrapped."""
     y, pitch = rig.y, rig.p.pitch_rad
     for k in range(at.BODIES):
         if y.angle_rad[k] >= TAU:
@@ -47,8 +47,8 @@ def _settle(rig: Rig) -> None:
 
 @inlined
 def _next_grid_us(t_us: float, rig: Rig) -> float:
-    """The next grid point; a finer grid while air moves, as filling and exhausting have kinks, and
-    for shafts that twist, which swing fast."""
+    """The next grid point (us). The grid is finer while air moves, because the pressure's rate has
+    kinks, and for shafts that twist, because they oscillate fast."""
     grid_us = rig.p.step_us
     if abs(rig.stages[0].brake_pa) > QUIET_PA_S or rig.p.twisting.stiff_nm_rad > 0.0:
         grid_us = min(grid_us, FINE_GRID_US)
@@ -63,7 +63,7 @@ def _copy(source: Floats, target: Floats) -> None:
 
 @inlined
 def _remember(t_us: float, rig: Rig) -> None:
-    """The layshaft's angle and speed, every 2 ms, for the reference encoder."""
+    """Stores the layshaft's angle and speed every 2 ms for the reference encoder."""
     count = math.floor(t_us / at.HISTORY_STEP_US)
     if count * at.HISTORY_STEP_US == t_us:
         past = rig.history[int(count) % at.HISTORY]
@@ -119,8 +119,8 @@ def sample(
     """Goes on alone through these instants. `found` (n, 3) gets layshaft speed, main shaft
     speed, and phase of the gear of this index, within half a pitch.
 
-    As `advance`, again and again, where nothing is done at events. Returns the time reached and
-    whether the shafts have come to rest; the rows from there on stay as they were."""
+    Like repeated calls of `advance`, with no action at events. Returns the time reached (us) and
+    whether the layshaft has come to rest; the rows from there on are not written."""
     rig = rigs[0]
     y = rig.y
     for row in range(stops_us.shape[0]):

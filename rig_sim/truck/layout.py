@@ -51,7 +51,8 @@ HISTORY_STEP_US: Final = 2000
 
 
 class RigState(Vector):
-    """What is integrated; and, with the same names, its rates of change, each per second."""
+    """The integrated state; a second record of the same fields holds its rates of change, per
+    second."""
 
     speed_rad_s: Annotated[Row[float], BODIES]
     angle_rad: Annotated[Row[float], BODIES]  # rest angle of each body, in [0, 2 pi)
@@ -83,7 +84,7 @@ class TwistingShafts(Record):
 
 
 class PlantParameters(Record):
-    """What stays as built."""
+    """Parameters that are constant during a run."""
 
     step_us: float
     pitch_rad: float  # of the dog teeth
@@ -151,7 +152,7 @@ class Contact(Record):
 
 
 class PhaseWatch(Record):
-    """A phase whose leaving a span is an event; one for each main sleeve."""
+    """A span of a gear's phase, the leaving of which is an event; one for each main sleeve."""
 
     gear: int  # index; -1: not watched
     bottom_rad: float
@@ -161,7 +162,7 @@ class PhaseWatch(Record):
 
 
 class Torques(Record):
-    """Found on the way to the rates."""
+    """Torques computed together with the rates."""
 
     body_nm: Annotated[Row[float], BODIES]  # on each body, from outside and from friction
     link_nm: Annotated[Row[float], LINKS]  # what a rigid link puts on the body behind it

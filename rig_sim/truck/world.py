@@ -49,7 +49,8 @@ LINK_OF: Final = {Sleeve.SPLITTER: at.SPLITTER, Sleeve.RANGE: at.RANGE}
 
 
 MOST_EVENTS: Final = 100_000
-"""In 10 ms: a gearbox that has more stands still in time, and says so rather than hang."""
+"""Largest number of events in 10 ms: with more the simulation would not advance, so it is stopped
+with an error."""
 
 
 class TruckWorld:

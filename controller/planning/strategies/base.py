@@ -1,4 +1,4 @@
-"""What a strategy must have. Nothing here decides."""
+"""The interface of a strategy, and helpers that several strategies use."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LATEST_RELEASE_US: Final = 1_000_000
 
 
 class ReleasePlan(NamedTuple):
-    """When to let the brake go, and when contact is expected with that, in sensor time."""
+    """When to release the brake, and when contact is then expected; sensor time, us."""
 
     release_us: int
     contact_us: int
@@ -28,7 +28,8 @@ class EngagementStrategy(Protocol):
 
     @property
     def aims(self) -> bool:
-        """Whether it needs the phase of the teeth. While that is unknown `speed_window` acts."""
+        """Whether it needs the phase of the teeth. While that is unknown, `speed_window` acts for
+        it."""
 
     @property
     def fire_slip_rad_s(self) -> float:
@@ -36,21 +37,21 @@ class EngagementStrategy(Protocol):
         the slip down to it, the brake helps."""
 
     def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> ReleasePlan:
-        """When to let the brake go; asked at every step while it is on.
+        """When to release the brake (us); called at every step while the brake is on.
 
         Not before `earliest_us`, nor more than `LATEST_RELEASE_US` after it."""
 
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
-        """When the sleeve should meet its gear; None: wait, and be asked again at the next step.
+        """When the sleeve should meet its gear (us); None to wait and be called at the next step.
 
-        Not before `earliest_us + predictor.delay_us`: the sleeve is on its way for that long. The
-        phase may be asked of the predictor only by a strategy that aims (else KeyError)."""
+        Not before `earliest_us + predictor.delay_us`, the time that the sleeve needs. Only a
+        strategy that aims may use the predictor's phase (else KeyError)."""
 
 
 def release_for_slip(
     predictor: GearPredictor, earliest_us: int, slip_left_rad_s: float, settle_us: float
 ) -> int:
-    """The release after which a slip is left when the brake has had `settle_us` to die away."""
+    """The release time (us) after which `slip_left_rad_s` remains once `settle_us` have passed."""
     latest_us = earliest_us + LATEST_RELEASE_US
     return predictor.release_time_us(earliest_us, latest_us, slip_left_rad_s, settle_us)
 

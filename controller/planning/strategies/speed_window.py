@@ -1,4 +1,4 @@
-"""What is done today: fire as soon as the slip is inside a window. Tooth meets gap by luck."""
+"""The production strategy: fire as soon as the slip is inside a window, whatever the phase."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class SpeedWindow:
         self._settle_us = settle_time_us(sheet, window.settle_time_constants)
 
     def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> ReleasePlan:  # noqa: ARG002
-        """The set slip is left when the brake has died away."""
+        """Releases so that the set slip remains when the brake's pressure has faded."""
         at_us = release_for_slip(predictor, earliest_us, self._left_rad_s, self._settle_us)
         return ReleasePlan(at_us, at_us + round(self._settle_us))
 

@@ -1,6 +1,6 @@
 """Fire ahead, by the time that the sleeve takes, so that the slip is small at contact.
 
-The phase of the teeth is luck, as with `speed_window`.
+The phase of the teeth is not considered, as in `speed_window`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 
 SLIP_SEARCH_US: Final = 300_000
-"""How far ahead a slip is looked for."""
+"""The slip is searched for up to this far ahead."""
 
 
 class SpeedWindowAnticipating:
@@ -32,7 +32,7 @@ class SpeedWindowAnticipating:
         self._settle_us = settle_time_us(sheet, window.settle_time_constants)
 
     def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> ReleasePlan:  # noqa: ARG002
-        """The set slip would be left when the brake has died away."""
+        """Releases so that the set slip would remain when the brake's pressure has faded."""
         at_us = release_for_slip(predictor, earliest_us, self._left_rad_s, self._settle_us)
         return ReleasePlan(at_us, at_us + round(self._settle_us))
 

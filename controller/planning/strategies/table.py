@@ -1,7 +1,7 @@
 """The strategies by name. A new one: a file in this folder, and a line here.
 
-Its name is that of a value of the DBC's value table `Strategy`, in lower case, so that the bus can
-say which strategy acted.
+Its name is a value of the DBC's value table `Strategy`, in lower case, so that the frames can tell
+which strategy acted.
 """
 
 from __future__ import annotations

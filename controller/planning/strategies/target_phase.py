@@ -1,7 +1,7 @@
-"""Aim: ask where the teeth will be when the sleeve arrives (thesis 6.2).
+"""Aiming: fire so that the teeth have the wanted phase when the sleeve arrives (thesis 6.2).
 
-Release and contact are those of least expected cost: time, the price of a miss, the energy of the
-flanks, over the spread of the predicted phase (docs/strategy.md).
+Release and contact are those of least expected cost under the uncertainty of the predicted phase:
+time, the price of a miss, and the energy that the flanks take (docs/strategy.md).
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ COARSE_STEPS: Final = 150
 degree at 20 rpm."""
 FINE_CONTACT_US: Final = 100.0
 FINE_STEPS: Final = 41
-"""Around the best of these."""
+"""Contacts looked at around the best of the coarse ones."""
 GROWTH_US: Final = 100_000.0
-"""Over this the growth of the phase's variance is taken."""
+"""The growth of the phase's variance is computed over this time."""
 NEAR_US: Final = 50_000
-"""A release further ahead is not aimed yet: the plan is made anew at every tick."""
+"""A release further ahead is not aimed yet, since it is planned again at every tick."""
 EARLIER_US: Final = 6_000
 LATER_US: Final = 8_000
 RELEASE_STEP_US: Final = 1_000
@@ -47,9 +47,9 @@ EARLIEST_US: Final = -35_000
 """The earliest firing, after the release: the sleeve is on its way for longer than that, and meets
 the gear when the brake has been let go."""
 SETTLED_SHARE: Final = 0.1
-"""What is left at firing of the variance that the phase has at the release."""
+"""Share of the phase's variance at the release that is left at firing."""
 REFERENCE_SD_RAD: Final = math.radians(0.1)
-"""Of a learned phase reference."""
+"""Standard deviation of a learned phase reference."""
 
 
 class TargetPhase:
