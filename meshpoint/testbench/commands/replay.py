@@ -257,7 +257,7 @@ def _show(
             if judged is None
             else [row.to_json(namespace.strategy) for row in judged]
         )
-        values = {
+        values: dict[str, Any] = {
             "log": str(namespace.log[0]),
             "logs": [str(path) for path in files],
             "mode": "as recorded" if judged is None else "open loop",
@@ -278,7 +278,10 @@ def _show(
         if namespace.verify or session.verdict is not Verification.IDENTICAL:
             out.print(f"run {number} of {len(sessions)}: {session}", markup=False)
         else:
-            out.print(f"run {number} of {len(sessions)}: {session.steps} steps replayed")
+            out.print(
+                f"run {number} of {len(sessions)}: {session.steps} steps replayed"
+                f"{session.intruders_text}"
+            )
 
 
 def _report(
@@ -343,4 +346,5 @@ def _session_json(session: Session) -> dict[str, Any]:
         "steps": session.steps,
         "frames": session.frames,
         "run_hash": f"{session.run_hash:016x}",
+        "intruders": {f"{can_id:08X}": n for can_id, n in sorted(session.intruders.items())},
     }
