@@ -64,7 +64,7 @@ class Session:
     strategy_errors: dict[str, int] = field(default_factory=dict)
     """What was wrong with a user's own strategy, and how many shifts ended of it."""
     intruders: Counter[int] = field(default_factory=Counter)
-    """Frames under the controller's address that it did not send, by identifier."""
+    """Frames under the controller's address that are damaged or not its own, by identifier."""
 
     def __str__(self) -> str:
         return self._verdict_text() + self.intruders_text
@@ -81,7 +81,7 @@ class Session:
         if not self.intruders:
             return ""
         each = ", ".join(f"{can_id:08X} ({n})" for can_id, n in sorted(self.intruders.items()))
-        return f"; frames under its address from another sender: {each}"
+        return f"; under its address, damaged or not its own: {each}"
 
 
 class NotVerifiableError(Exception):
