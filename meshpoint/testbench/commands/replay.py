@@ -20,7 +20,7 @@ from meshpoint.dbc.messages import Message, ReferenceEngagement, ShiftOutcome, S
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.logs.judged_rows import JudgedRow, judged_table, judged_words
+from meshpoint.testbench.logs.judged_rows import JudgedRow, commanded, judged_table, judged_words
 from meshpoint.testbench.logs.open_loop import OpenLoop
 from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
 from meshpoint.testbench.logs.replay_strategy import Chosen, other_settings, recorded_header
@@ -266,6 +266,7 @@ def _show(
             "events": [{"time_us": time_us, "event": line} for time_us, line in events],
         }
         if rows.open_loop is not None:
+            values["commanded"] = [commanded(row) for row in shifts]
             values["unfinished_shifts"] = rows.open_loop.unfinished
         write_json(namespace.json, values)
     if namespace.json != "-" and rows.rows:
