@@ -95,6 +95,38 @@ def test_a_log_with_one_bit_changed_is_never_called_identical(
     assert session.reason
 
 
+@pytest.mark.parametrize("can_id", [0x0CFF4003, 0x08B6BB03, 0x18FF5F03, 0x0CF00203])
+def test_frames_under_its_address_that_it_did_not_send_are_named_as_intruders(
+    can_id: int, log: list[Frame], one_shift: Loop, tmp_path: Path
+) -> None:
+    """A babbling valve command without its protection, a message that nobody knows, a status frame,
+    and one of J1939, which has no protection: the controller did nothing wrong."""
+    length = next((c.spec.length for c in CODECS.values() if c.spec.can_id == can_id), 8)
+    babble = Frame(can_id, bytes(range(length)), is_fd=length > 8)
+    babbled = []
+    for i, frame in enumerate(log):
+        babbled += [frame, babble] if i % 50 == 7 else [frame]
+    session = verify(one_shift, babbled, tmp_path)
+    assert session.verdict is Verification.IDENTICAL, str(session)
+    assert session.intruders == {can_id: len(babbled) - len(log)}
+    assert f"{can_id:08X}" in str(session)
+    clean = verify(one_shift, log, tmp_path)
+    assert clean.intruders == {}
+    assert (session.steps, session.frames) == (clean.steps, clean.frames)
+
+
+@pytest.mark.parametrize("name", ["ETC1", "ValveCommand"])
+def test_an_intruder_in_place_of_its_own_frame_is_a_difference(
+    name: str, log: list[Frame], one_shift: Loop, tmp_path: Path
+) -> None:
+    can_id = CODECS[name].spec.can_id
+    at = [i for i, frame in enumerate(log) if frame.can_id == can_id][40]
+    other = log[at]._replace(data=bytes(len(log[at].data)))
+    session = verify(one_shift, [*log[:at], other, *log[at + 1 :]], tmp_path)
+    assert session.verdict is Verification.DIFFERS
+    assert f"{can_id:08X}" in session.reason
+
+
 @pytest.mark.parametrize("name", ["EdgesMainFall", "ValveCommand", "ControllerStatus"])
 def test_a_log_with_a_frame_missing_is_never_called_identical(
     name: str, log: list[Frame], one_shift: Loop, tmp_path: Path

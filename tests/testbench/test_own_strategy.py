@@ -265,6 +265,23 @@ def test_after_a_mistake_all_valves_are_off_and_the_node_goes_on(
     assert "mine.py:11: ZeroDivisionError: division by zero (2 shifts ended of it)" in err
 
 
+def test_a_mistake_asked_about_a_log_ends_each_shift_by_itself(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The recorded controller goes on, so every shift is judged and the mistake counted."""
+    simulated(tmp_path, "speed_window", "--log", tmp_path / "x.log")
+    name = written(tmp_path, "return None", "return 1 / 0")
+    capsys.readouterr()
+    assert run("replay", tmp_path / "x.log", "--strategy", name, "--json", "-") == 1
+    out, err = capsys.readouterr()
+    rows = json.loads(out)["shifts"]
+    assert {(row["status"], row["fault"]) for row in rows} == {("ended", "synchronise_failed")}
+    assert {row["recorded"]["result"] for row in rows} == {"engaged"}
+    assert {(row["fired_ms"], row["contact"]) for row in rows} == {(None, None)}
+    assert "no firing was decided" in rows[0]["contact_why"]
+    assert f"division by zero ({len(rows)} shifts ended of it)" in err
+
+
 def test_a_mistake_in_a_campaign_is_named_too(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -70,7 +70,7 @@ def test_the_aimed_shifts_part_and_say_what_they_expect(
     assert len(aimed) == SHIFTS - 2
     for row in aimed:
         assert row["strategy"] == OTHER
-        assert row["parted"]["valves"]
+        assert row["parted"]["commands"]
         assert 0.0 < row["parted"]["at_ms"] < row["judged_to_ms"]
         assert row["fired_ms"] != row["recorded"]["fired_ms"]
         assert abs(row["predicted_phase_deg"]) < 3.75

@@ -20,7 +20,7 @@ from meshpoint.dbc.messages import Message, ReferenceEngagement, ShiftOutcome, S
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.logs.judged_rows import JudgedRow, judged_table, judged_words
+from meshpoint.testbench.logs.judged_rows import JudgedRow, commanded, judged_table, judged_words
 from meshpoint.testbench.logs.open_loop import OpenLoop
 from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
 from meshpoint.testbench.logs.replay_strategy import Chosen, other_settings, recorded_header
@@ -266,6 +266,7 @@ def _show(
             "events": [{"time_us": time_us, "event": line} for time_us, line in events],
         }
         if rows.open_loop is not None:
+            values["commanded"] = [commanded(row) for row in shifts]
             values["unfinished_shifts"] = rows.open_loop.unfinished
         write_json(namespace.json, values)
     if namespace.json != "-" and rows.rows:
@@ -278,7 +279,10 @@ def _show(
         if namespace.verify or session.verdict is not Verification.IDENTICAL:
             out.print(f"run {number} of {len(sessions)}: {session}", markup=False)
         else:
-            out.print(f"run {number} of {len(sessions)}: {session.steps} steps replayed")
+            out.print(
+                f"run {number} of {len(sessions)}: {session.steps} steps replayed"
+                f"{session.intruders_text}"
+            )
 
 
 def _report(
@@ -343,4 +347,5 @@ def _session_json(session: Session) -> dict[str, Any]:
         "steps": session.steps,
         "frames": session.frames,
         "run_hash": f"{session.run_hash:016x}",
+        "intruders": {f"{can_id:08X}": n for can_id, n in sorted(session.intruders.items())},
     }

@@ -15,6 +15,8 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import (
+    TSC1,
+    ClutchCommand,
     ShiftDecision,
     ShiftOutcome,
     ShiftPrediction,
@@ -33,11 +35,13 @@ LAST_STEP_MS: Final = 10.0
 
 
 class Said(NamedTuple):
-    """What one step said about valves and shift."""
+    """What one step commanded, and said of the shift."""
 
     time_us: int
     """The controller's clock."""
     command: ValveCommand | None
+    clutch: ClutchCommand | None
+    engine: TSC1 | None
     prediction: ShiftPrediction | None
     outcome: ShiftOutcome | None
     events: tuple[str, ...] = ()
@@ -61,10 +65,11 @@ class Decision:
 
 @dataclass(frozen=True)
 class Parting:
-    """The first step whose valve commands differ, and what each had decided in it."""
+    """The first step whose commands differ, and what each had decided in it."""
 
     at_ms: float
-    valves: tuple[str, ...]
+    commands: tuple[str, ...]
+    """Which differ: valves by name, `clutch`, `engine`."""
     recorded: Decision | None
     replayed: Decision | None
 
@@ -90,7 +95,8 @@ class Judged:
     parted: Parting | None
     """None: it commands what was recorded."""
     course_parted_ms: float | None
-    """When a valve is first driven differently: later frames answer to other commands than its."""
+    """When a valve is first driven, or clutch or engine commanded, differently: later frames answer
+    to other commands than its own."""
     judged_to_ms: float | None
     """When the recorded sleeve was expected at its gear: decisions after it mean nothing."""
     contact_why: str
@@ -226,7 +232,7 @@ def judge(
     status, last, fault = _status(mine, record, judged_to_ms, step_us, replayed)
     driven = replayed.driven(step_us, request_us)
     parted = _parting(recorded, replayed, step_us, request_us, judged_to_ms)
-    course_ms = _course_parted_ms(recorded.driven(step_us, request_us), driven)
+    course_ms = _course_parted_ms(recorded, replayed, step_us, request_us)
     if judged_to_ms is not None and course_ms is not None and course_ms >= judged_to_ms:
         course_ms = None
     end_ms = math.inf if judged_to_ms is None else judged_to_ms
@@ -326,21 +332,30 @@ def _parting(
         at_ms = (theirs.time_us - step_us) / 1000
         if judged_to_ms is not None and at_ms >= judged_to_ms:
             return None
-        if theirs.command == mine.command or theirs.command is None or mine.command is None:
+        differ = _differing(theirs, mine)
+        if not differ:
             continue
-        count = len(ValveName)
-        differ = [
-            name
-            for valve, name in NAMES.items()
-            if (theirs.command[valve], theirs.command[valve + count])
-            != (mine.command[valve], mine.command[valve + count])
-        ]
         each = [
             None if s.prediction is None else _decision(s.prediction, at_ms, request_us)
             for s in (theirs, mine)
         ]
         return Parting(at_ms, tuple(differ), *each)
     return None
+
+
+def _differing(theirs: Said, mine: Said) -> list[str]:
+    """What two steps command differently: valves by name, `clutch`, `engine`."""
+    if theirs.command is None or mine.command is None:
+        return []
+    count = len(ValveName)
+    differ = [
+        name
+        for valve, name in NAMES.items()
+        if (theirs.command[valve], theirs.command[valve + count])
+        != (mine.command[valve], mine.command[valve + count])
+    ]
+    differ += ["clutch"] if theirs.clutch != mine.clutch else []
+    return [*differ, "engine"] if theirs.engine != mine.engine else differ
 
 
 def _up_to(
@@ -356,15 +371,21 @@ def _up_to(
 
 
 def _course_parted_ms(
-    recorded: dict[str, list[tuple[float, float]]], replayed: dict[str, list[tuple[float, float]]]
+    recorded: Course, replayed: Course, step_us: int, request_us: int
 ) -> float | None:
-    """The first switch that only one of them makes."""
+    """The first switch of a valve that only one of them makes, or the first step at which clutch or
+    engine are commanded differently."""
     edges = [
-        {(at_ms, name, k) for name, spans in each.items() for span in spans
-         for k, at_ms in enumerate(span)}
-        for each in (recorded, replayed)
+        {(at_ms, name, k) for name, spans in course.driven(step_us, request_us).items()
+         for span in spans for k, at_ms in enumerate(span)}
+        for course in (recorded, replayed)
     ]  # fmt: skip
-    return min((at_ms for at_ms, _, _ in edges[0] ^ edges[1]), default=None)
+    parted = [at_ms for at_ms, _, _ in edges[0] ^ edges[1]]
+    for theirs, mine in zip(recorded.steps, replayed.steps, strict=True):
+        if {"clutch", "engine"} & set(_differing(theirs, mine)):
+            parted.append((theirs.time_us - step_us) / 1000)
+            break
+    return min(parted, default=None)
 
 
 def _contact_why(
@@ -396,4 +417,4 @@ def _parting_json(parted: Parting | None) -> dict[str, Any] | None:
         name: None if decision is None else rounded(vars(decision))
         for name, decision in (("recorded", parted.recorded), ("replayed", parted.replayed))
     }
-    return {"at_ms": round(parted.at_ms, 6), "valves": list(parted.valves), **each}
+    return {"at_ms": round(parted.at_ms, 6), "commands": list(parted.commands), **each}

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from rich.table import Table
 
 from meshpoint.testbench.logs.decisions import Decision, Judged, rounded
 from meshpoint.testbench.results.output import broken
 from meshpoint.testbench.results.rows import ShiftRow
+
+FIRING: Final = ("strategy", "reference", "fired_ms", "predicted_phase_deg")
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,12 @@ class JudgedRow:
             "contact_why": "the recorded controller could not be repeated up to this shift",
             "recorded": recorded,
         }
+
+
+def commanded(row: dict[str, Any]) -> dict[str, Any]:
+    """A row of `JudgedRow.to_json` in short: the two firings."""
+    both = {name: row.get(name) for name in ("from", "to", *FIRING)}
+    return both | {"recorded": {name: row["recorded"][name] for name in FIRING}}
 
 
 def judged_table(title: str, rows: Sequence[JudgedRow]) -> Table:

@@ -22,6 +22,8 @@ from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import (
+    TSC1,
+    ClutchCommand,
     ControllerState,
     ControllerStatus,
     ShiftOutcome,
@@ -43,30 +45,33 @@ SHARED: Final = tuple(CODECS.values())
 """What a copy shares with its original: it never changes."""
 SAID: Final = {
     CODECS[kind.__name__].spec.can_id: CODECS[kind.__name__]
-    for kind in (ShiftPrediction, ValveCommand, ShiftOutcome)
+    for kind in (ValveCommand, ClutchCommand, TSC1, ShiftPrediction, ShiftOutcome)
 }
 
 
 def said(time_us: int, frames: list[Frame]) -> Said:
-    """What the frames of one step say about valves and shift."""
-    command = prediction = outcome = None
-    for frame in frames:
-        message = _decoded(frame)
-        if isinstance(message, ValveCommand):
-            command = message
-        elif isinstance(message, ShiftPrediction):
-            prediction = message
-        elif isinstance(message, ShiftOutcome) and message.result is not ShiftResult.REFUSED:
-            outcome = message
-    return Said(time_us, command, prediction, outcome)
+    """What the frames of one step command, and say of the shift."""
+    found = {type(message): message for message in map(_decoded, frames)}
+    outcome = found.get(ShiftOutcome)
+    if outcome is not None and outcome.result is ShiftResult.REFUSED:
+        outcome = None
+    return Said(
+        time_us,
+        found.get(ValveCommand),
+        found.get(ClutchCommand),
+        found.get(TSC1),
+        found.get(ShiftPrediction),
+        outcome,
+    )
 
 
 def _decoded(frame: Frame) -> Any:
     """The message of an undamaged frame, whatever its counter; else None."""
     codec = SAID.get(frame.can_id)
-    if codec is None or codec.spec.data_id is None or len(frame.data) != codec.spec.length:
+    if codec is None or len(frame.data) != codec.spec.length:
         return None
-    return codec.decode(frame.data) if check_crc(frame.data, codec.spec.data_id) else None
+    data_id = codec.spec.data_id
+    return codec.decode(frame.data) if data_id is None or check_crc(frame.data, data_id) else None
 
 
 @dataclass

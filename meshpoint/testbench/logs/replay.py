@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 import zlib
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
@@ -23,11 +23,18 @@ from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerStatus
+from meshpoint.dbc.node import Node
 from meshpoint.testbench.provenance import product_version
 
 RIG_ADDRESSES: Final = frozenset({0x80, 0x81, 0x00})
 KNOWN_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
 STATUS: Final = CODECS[ControllerStatus.__name__]
+OWN: Final = {
+    codec.spec.can_id: codec.spec
+    for codec in CODECS.values()
+    if codec.spec.sender is Node.TRANSMISSION_CONTROL
+}
+"""What the controller sends."""
 LATE_FRAMES: Final = 12
 """How many frames around the end of a step may reach the logger in another order than the node."""
 UNKNOWN_FRAME: Final = Frame(0x1FFF_FFFF, b"", is_fd=False)
@@ -56,12 +63,25 @@ class Session:
     reason: str = ""
     strategy_errors: dict[str, int] = field(default_factory=dict)
     """What was wrong with a user's own strategy, and how many shifts ended of it."""
+    intruders: Counter[int] = field(default_factory=Counter)
+    """Frames under the controller's address that are damaged or not its own, by identifier."""
 
     def __str__(self) -> str:
+        return self._verdict_text() + self.intruders_text
+
+    def _verdict_text(self) -> str:
         if self.verdict is Verification.IDENTICAL:
             return f"identical: {self.steps} steps, {self.frames} frames"
         where = "" if self.step is None else f" at step {self.step}"
         return f"{self.verdict.value}{where}: {self.reason}"
+
+    @property
+    def intruders_text(self) -> str:
+        """Who else has sent under its address, as the end of a sentence."""
+        if not self.intruders:
+            return ""
+        each = ", ".join(f"{can_id:08X} ({n})" for can_id, n in sorted(self.intruders.items()))
+        return f"; under its address, damaged or not its own: {each}"
 
 
 class NotVerifiableError(Exception):
@@ -129,12 +149,14 @@ class LogReplay:
         self._core: ControllerCore | None = None
         self._foreign = 0
         self._aligned = False
+        self._intruders: Counter[int] = Counter()
         self.sessions: list[Session] = []
 
     def run(self, frames: Iterable[Frame]) -> list[Session]:
         """Takes the whole log. A session that cannot go on is skipped to the next one."""
         for frame in frames:
             self.take(frame)
+        self._tell_intruders()
         if self._onlooker is not None:
             self._onlooker.end()
         if not self.sessions:
@@ -148,6 +170,9 @@ class LogReplay:
         if not (frame.is_extended and frame.can_id & 0xFF == OWN_ADDRESS):
             if frame.is_extended and frame.can_id in KNOWN_IDS:
                 self._waiting.append(frame)
+            return
+        if not _is_own(frame):
+            self._intruders[frame.can_id] += 1
             return
         self._sent.append(frame)
         status = _status(frame)
@@ -164,12 +189,18 @@ class LogReplay:
             if starts:
                 self._start(step.status)
             session = self.sessions[-1]
+            self._tell_intruders()
             if session.verdict is Verification.IDENTICAL:
                 self._repeat(session, step)
         except (NotVerifiableError, HeaderError) as error:
             self._end(Verification.NOT_VERIFIABLE, number, str(error))
         except DiffersError as error:
             self._end(Verification.DIFFERS, number, str(error))
+
+    def _tell_intruders(self) -> None:
+        if self.sessions:
+            self.sessions[-1].intruders += self._intruders
+            self._intruders.clear()
 
     def _end(self, verdict: Verification, number: int, reason: str) -> None:
         session = self.sessions[-1]
@@ -220,7 +251,9 @@ class LogReplay:
             if self._on_output is not None:
                 self._on_output(frame)
         if self._verify:
-            _compare(made.frames, step.frames)
+            own, others = _without_unprotected_intruders(made.frames, step.frames)
+            session.intruders += others
+            _compare(made.frames, own)
 
     def _consumed(self, status: ControllerStatus) -> list[Frame]:
         """The frames this step consumed, by its count and CRC; foreign ones by its counter."""
@@ -272,10 +305,15 @@ class LogReplay:
 
 def _last_step(frames: list[Frame]) -> list[Frame]:
     """The frames of the last step alone: a controller that ended before has sent its last frames
-    without a status. Within a step identifiers rise."""
-    start = len(frames) - 1
-    while start > 0 and frames[start - 1].can_id < frames[start].can_id:
-        start -= 1
+    without a status. Within a step identifiers rise, but for what another sender put between."""
+    start = first = len(frames) - 1
+    for i in range(len(frames) - 2, -1, -1):
+        if OWN[frames[i].can_id].data_id is None:
+            start = i
+        elif frames[i].can_id < frames[first].can_id:
+            start = first = i
+        else:
+            break
     return frames[start:]
 
 
@@ -289,6 +327,33 @@ def _status(frame: Frame) -> ControllerStatus | None:
         return None
     status: ControllerStatus | None = STATUS.decode(frame.data)
     return status
+
+
+def _is_own(frame: Frame) -> bool:
+    """Whether a frame under the controller's address may be its own: of a message that it sends,
+    and with undamaged protection. J1939's messages have none."""
+    spec = OWN.get(frame.can_id)
+    if spec is None or len(frame.data) != spec.length or frame.is_fd != spec.is_fd:
+        return False
+    return spec.data_id is None or check_crc(frame.data, spec.data_id)
+
+
+def _without_unprotected_intruders(
+    made: list[Frame], logged: list[Frame]
+) -> tuple[list[Frame], Counter[int]]:
+    """A step's frames in the log without those of J1939 that stand beside the very frame that was
+    sent: nothing else tells whose they are. And how many these are, by identifier."""
+    sent = {frame.can_id: frame for frame in made}
+    own: list[Frame] = []
+    others: Counter[int] = Counter()
+    for frame in logged:
+        mine = sent.get(frame.can_id)
+        is_other = mine is not None and frame.data != mine.data and mine in logged
+        if is_other and OWN[frame.can_id].data_id is None:
+            others[frame.can_id] += 1
+        else:
+            own.append(frame)
+    return own, others
 
 
 def _crc(frames: list[Frame]) -> int:
