@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.calibration.file import (
-    CALIBRATION_LIMIT_BYTES,
     MOST_KEPT,
     load,
     read_file,
@@ -32,6 +31,7 @@ from meshpoint.controller.calibration.learned import (
 )
 from meshpoint.controller.calibration_keeper import CalibrationWriter
 from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
 from meshpoint.testbench.results.tooth_parts import take_apart
 from meshpoint.units import DEG
 
@@ -196,7 +196,7 @@ def test_a_bad_file_is_refused_by_name_kept_aside_and_the_start_is_cold(
 
 
 @pytest.mark.parametrize(
-    "content", [bytes(range(256)), b"#" * (CALIBRATION_LIMIT_BYTES + 1), TEXT.encode("utf-16")],
+    "content", [bytes(range(256)), b"#" * (TABLE_LIMIT_BYTES + 1), TEXT.encode("utf-16")],
     ids=["binary", "too large", "utf-16"],
 )  # fmt: skip
 def test_a_file_that_is_no_text_is_refused(content: bytes, tmp_path: Path) -> None:

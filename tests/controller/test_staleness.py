@@ -13,7 +13,7 @@ import pytest
 from meshpoint.controller.estimation.crossing_tracker import MainTracker
 from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US, CruiseTracker
 from meshpoint.controller.guard.limits import guard_limits
-from meshpoint.controller.guard.view import FRESH_US, SLOW, GuardView
+from meshpoint.controller.guard.view import GUARD_FRESH_US, SLOW, GuardView
 from meshpoint.controller.sensing.edge_speed import SPEED_STALE_US
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.sensing.step_inputs import StepInputs
@@ -117,7 +117,7 @@ def all_heard() -> Receiver:
 def test_one_old_sample_is_enough_for_the_guard_to_see_nothing(kind: Any) -> None:
     """Its counters are live: the frame is new, what it says is old."""
     receiver = all_heard()
-    for age_us, valid in ((FRESH_US, True), (FRESH_US + 1, False)):
+    for age_us, valid in ((GUARD_FRESH_US, True), (GUARD_FRESH_US + 1, False)):
         view = GuardView(SHEET, guard_limits(SHEET, SETTINGS))
         assert view.take(slow_inputs(kind, age_us=age_us), receiver, NOW_US).valid is valid
 
