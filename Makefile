@@ -24,7 +24,7 @@ test: $(VENV)/test.stamp
 	$(BIN)/python -m pytest -n 2 --dist loadfile --ignore=tests/acceptance
 
 # The wheel as a user installs it, and every command of README's table once.
-installed:
+installed: $(VENV)/test.stamp
 	PYTHON=$(PYTHON) tools/test-installed
 
 # Real processes through the commands alone; some minutes.

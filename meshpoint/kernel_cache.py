@@ -96,18 +96,18 @@ class KernelCache(FunctionCache):
         if not self._enabled or not self._impl.check_cachable(data):
             return
         key, reduced = self._index_key(sig, data.codegen), self._impl.reduce(data)
-        refused: OSError | None = None
+        refused = ""
         for files in self._files:
             try:
                 files.save(key, reduced)
             except OSError as error:
-                refused = refused or error
+                refused = refused or f"{files.of_all}: {error.strerror or error}"
                 continue
-            if refused is not None:
-                WATCH.once(f"compiled kernels are kept in {files.folder}: {refused}")
+            if refused:
+                WATCH.once(f"compiled kernels are kept in {files.of_all} ({refused})")
             return
         WATCH.once(
-            f"compiled kernels cannot be kept, every start compiles them again: {refused}; "
+            f"compiled kernels cannot be kept, every start compiles them again ({refused}); "
             "NUMBA_CACHE_DIR may name a folder that can be written"
         )
 
@@ -156,6 +156,8 @@ class _Files(IndexDataCacheFile):
     def __init__(self, folder: Path, title: str) -> None:
         super().__init__(str(folder), title, "")
         self.folder = folder
+        # The folder above those of the packages: messages name it, the same for every kernel.
+        self.of_all = folder.parent.parent if folder.name == "__pycache__" else folder.parent
         self._title = title
 
     def load(self, key: str) -> Any:
@@ -166,7 +168,7 @@ class _Files(IndexDataCacheFile):
         except OSError:
             return None
         if hashlib.sha256(raw[:-DIGEST_BYTES]).digest() != raw[-DIGEST_BYTES:]:
-            WATCH.once(f"{path}: damaged, compiled again")
+            WATCH.once(f"compiled kernels in {self.of_all} are damaged and compiled again")
             return None
         return self._load_data(path.name)
 

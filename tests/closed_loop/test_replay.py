@@ -138,6 +138,26 @@ def test_a_log_with_a_frame_missing_is_never_called_identical(
     assert session.verdict is not Verification.IDENTICAL
 
 
+def test_equal_requests_that_a_slow_node_takes_one_by_one_are_all_found(tmp_path: Path) -> None:
+    """Asked three times before its first step, it takes one request a step: which of the three the
+    first was cannot be told, and must not matter."""
+    held: list[Frame] = []
+
+    def one_each_tick(frame: Frame) -> list[Frame]:
+        if frame.can_id == CODECS["TC1"].spec.can_id:
+            held.append(frame)
+            return []
+        due = held and frame.can_id == CODECS["EEC1"].spec.can_id
+        return [frame, held.pop(0)] if due else [frame]
+
+    phases_us = [726, 5_600, 189]  # the operator's step is the first
+    loop = Loop([(0, 10)] * 3, receiving=one_each_tick, phases_us=phases_us)
+    loop.run(200_000)
+    assert not held and loop.status.step_number > 10
+    session = verify(loop, [frame for _, frame in loop.frames], tmp_path)
+    assert session.verdict is Verification.IDENTICAL, str(session)
+
+
 def test_another_strategy_acts_on_the_same_frames(six_shifts: Loop, tmp_path: Path) -> None:
     """Up to the first aimed shift both do the same; from there on the other one is told."""
     six_shifts.header.save(tmp_path)

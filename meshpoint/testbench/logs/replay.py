@@ -150,6 +150,7 @@ class LogReplay:
         self._foreign = 0
         self._aligned = False
         self._intruders: Counter[int] = Counter()
+        self._passed: list[Frame] = []
         self.sessions: list[Session] = []
 
     def run(self, frames: Iterable[Frame]) -> list[Session]:
@@ -212,7 +213,7 @@ class LogReplay:
     def _start(self, status: ControllerStatus) -> None:
         session = Session(run_hash=status.run_hash)
         self.sessions.append(session)
-        self._core, self._foreign, self._aligned = None, 0, False
+        self._core, self._foreign, self._aligned, self._passed = None, 0, False, []
         if status.step_number != 0:
             raise NotVerifiableError(
                 "the log starts in mid-run; what the steps before it saw is unknown"
@@ -266,11 +267,17 @@ class LogReplay:
         if count == 0:
             return []
         waiting = list(self._waiting)
-        for skipped, chosen in self._candidates(waiting, count):
-            if _crc(chosen) == crc:
-                self._aligned = True
-                self._take_away(waiting, skipped, chosen)
-                return chosen
+        for fewer in range(len(self._passed) + 1):
+            kept = len(self._passed) - fewer
+            longer = self._passed[kept:] + waiting
+            for skipped, chosen in self._candidates(longer, count):
+                if _crc(chosen) == crc:
+                    self._passed = (
+                        self._passed[:kept] if self._aligned else longer[:skipped][-LATE_FRAMES:]
+                    )
+                    self._aligned = True
+                    self._take_away(longer, skipped, chosen)
+                    return chosen
         if not self._verify and len(waiting) >= count:
             # What it commands is asked, not whether the log is whole.
             self._take_away(waiting, 0, waiting[:count])
@@ -284,7 +291,11 @@ class LogReplay:
         """Ways in which the log may hold the frames of a step: (skipped before, frames).
 
         The first step that consumed anything may follow frames sent before the controller was on
-        the bus. Later, only senders on different processors may have overtaken each other."""
+        the bus: the latest place that fits is taken. Where the frames before it are equal (a
+        request sent again and again) it may have been an earlier one, which shows when a step
+        consumed more than is left; `_match` then takes some of them back.
+
+        Later, only senders on different processors may have overtaken each other."""
         if not self._aligned:
             for start in range(len(waiting) - count, -1, -1):
                 yield start, waiting[start : start + count]

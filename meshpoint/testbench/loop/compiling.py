@@ -16,6 +16,8 @@ from typing import IO, Final
 
 from meshpoint.kernel_watch import WATCH
 
+SAID: Final = "! "
+"""Begins a line of the rig's side that is no kernel's package but a message."""
 EVERY_S: Final = 5.0
 """Between two lines where they do not overwrite each other."""
 
@@ -91,12 +93,15 @@ def prepare() -> int:
 
 def _follow(lines: IO[str] | None, progress: Progress) -> None:
     for line in lines or ():
-        progress.count(line.strip())
+        if line.startswith(SAID):
+            WATCH.once(line.removeprefix(SAID).strip())
+        else:
+            progress.count(line.strip())
 
 
 def main() -> int:
     """`python -m meshpoint.testbench.loop.compiling`: compiles the rig's kernels, one line for
-    each."""
+    each. What the cache has to say goes the same way, so that both sides say it once."""
     from meshpoint.gearbox import load_sheet
     from meshpoint.rig_sim.presets import build_world
     from meshpoint.rig_sim.settings import RigSettings
@@ -106,6 +111,7 @@ def main() -> int:
         sys.stdout.flush()
 
     WATCH.compiling = tell
+    WATCH.say = lambda line: tell(SAID + line)
     build_world(load_sheet("truck12"), RigSettings())
     return 0
 
