@@ -53,6 +53,10 @@ class GuardInputs(NamedTuple):
     """The main valve whose gear turns with its sleeve though no sleeve is in mesh; 0 none."""
     valid: bool
     """Positions, clutch and pressures come from channels that are VALID, and are fresh."""
+    engine_rad_s: float | None = None
+    """The engine's speed; None where it says none any more."""
+    requested_gear: int | None = None
+    """The gear asked for in this step; None where none was."""
 
 
 class GuardView:
@@ -69,6 +73,7 @@ class GuardView:
             EdgesPropellerRise: EdgeSpeed(wheels.propeller.teeth),
         }
         self._newest: dict[type, Any] = {}
+        self._engine: tuple[int, float | None] = (0, None)
         self._turns: deque[tuple[Turned, Turned]] = deque()
 
     def take(self, inputs: StepInputs, receiver: Receiver, now_us: int) -> GuardInputs:
@@ -79,6 +84,11 @@ class GuardView:
         for messages in (inputs.sleeves_main, inputs.sleeves_aux, inputs.sensors):
             if messages:
                 self._newest[type(messages[-1])] = messages[-1]
+        for engine in inputs.engine:
+            self._engine = (now_us, engine.engine_speed_rad_s)
+        heard_us, engine_rad_s = self._engine
+        if now_us - heard_us > FRESH_US:
+            engine_rad_s = None
         a, b, c, d = [shaft.at(now_us) for shaft in self._shafts.values()]
         if len(self._newest) < len(SLOW):
             return GuardInputs(now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, valid=False)
@@ -98,6 +108,8 @@ class GuardView:
             (a, b, c, d),
             self._agreeing(positions, b, c, now_us),
             self._valid(receiver, now_us),
+            engine_rad_s,
+            inputs.requested_gear,
         )
 
     def _valid(self, receiver: Receiver, now_us: int) -> bool:
