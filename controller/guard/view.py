@@ -52,7 +52,8 @@ class GuardInputs(NamedTuple):
     agreeing: int
     """The main valve whose gear turns with its sleeve though no sleeve is in mesh; 0 none."""
     valid: bool
-    """Positions, clutch and pressures come from channels that are VALID, and are fresh."""
+    """Positions, clutch and pressures come from channels that are VALID, are fresh, and no sensor
+    says of itself to be out of range."""
     engine_rad_s: float | None = None
     """The engine's speed; None where it says none any more."""
     requested_gear: int | None = None
@@ -91,7 +92,8 @@ class GuardView:
             engine_rad_s = None
         a, b, c, d = [shaft.at(now_us) for shaft in self._shafts.values()]
         if len(self._newest) < len(SLOW):
-            return GuardInputs(now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, valid=False)
+            unseen = GuardInputs(now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, valid=False)
+            return unseen._replace(requested_gear=inputs.requested_gear)
         main, aux, sensors = [self._newest[kind] for kind in SLOW]
         positions = (
             main.sleeve_first_second_m[0],
@@ -114,6 +116,8 @@ class GuardView:
 
     def _valid(self, receiver: Receiver, now_us: int) -> bool:
         if not receiver.all_valid(SLOW):
+            return False
+        if self._newest[SleevesMain].sensor_fault or self._newest[SleevesAux].sensor_fault:
             return False
         return max([_age_us(newest, now_us) for newest in self._newest.values()]) <= FRESH_US
 

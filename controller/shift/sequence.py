@@ -129,10 +129,10 @@ class ShiftSequence(ShiftContext):
             return FaultCode.REQUEST_IMPOSSIBLE, "gears are 1 to 14"
         if not self.armed:
             return FaultCode.GUARD_BLOCKED, "the outputs are not armed (--arm)"
-        if not _knows_the_gear(snapshot.view):
-            return FaultCode.REQUEST_IMPOSSIBLE, "a sleeve stands between two gears"
         if snapshot.lost is not FaultCode.NONE:
             return snapshot.lost, f"{snapshot.lost.name.lower()} before it began"
+        if not _knows_the_gear(snapshot.view):
+            return FaultCode.REQUEST_IMPOSSIBLE, "a sleeve stands between two gears"
         if snapshot.supply_pa < self.settings.limits.supply_low_pa:
             return FaultCode.LOW_SUPPLY, f"supply at {snapshot.supply_pa / 1e5:.1f} bar"
         propeller = snapshot.speeds.propeller

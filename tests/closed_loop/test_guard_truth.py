@@ -230,6 +230,7 @@ def test_row_12_nothing_is_driven_before_the_inputs_are_proven() -> None:
         mad = MadCore(loop.header, deed, guarded)
         mad.is_mad = True
         loop.controller.core = mad
+        ask_for(loop, 11)
         loop.run(200_000)
         first[guarded] = next(
             time_us
