@@ -101,7 +101,7 @@ class ShiftSequence(ShiftContext):
 
     def request(self, number: int, snapshot: StepSnapshot) -> str | None:
         """A gear is asked for. Returns a line for the log where it is refused."""
-        if self.state not in (State.IN_GEAR, State.NEUTRAL):
+        if self.state not in (State.IN_GEAR, State.NEUTRAL) or self._rests(snapshot):
             return None
         current = snapshot.view.gear_number
         if number == current:
@@ -122,6 +122,12 @@ class ShiftSequence(ShiftContext):
         self.shift, self.fault = record, FaultCode.NONE
         self._go(Trigger.REQUESTED, snapshot)
         return None
+
+    def _rests(self, snapshot: StepSnapshot) -> bool:
+        """Whether the last shift ended less than the clutch's way out and back ago. TC1 carries no
+        protection: requests that flood the bus are heeded no more often."""
+        rest_s = self.sheet.clutch.open_delay_s + self.sheet.clutch.close_delay_s
+        return self.ended_us is not None and snapshot.now_us - self.ended_us < rest_s * 1e6
 
     def _impossible(self, snapshot: StepSnapshot, number: int) -> tuple[FaultCode, str] | None:
         """Why a shift is not begun; None where it is."""
