@@ -18,9 +18,10 @@ from typing import Final, NamedTuple
 from meshpoint.bus.core import Step
 from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.carry_over import collect, restore
+from meshpoint.controller.guard.driveline import DrivelineGuard
 from meshpoint.controller.guard.limits import guard_limits
 from meshpoint.controller.guard.rules import Guard
-from meshpoint.controller.guard.view import GuardView
+from meshpoint.controller.guard.view import GuardInputs, GuardView
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.observer import Observer
@@ -102,6 +103,7 @@ class ControllerCore:
         self._speeds = ShaftSpeeds(sheet)
         limits = guard_limits(sheet, settings)
         self._guard = Guard(limits, header.armed)
+        self._driveline_guard = DrivelineGuard(limits)
         self._guard_view = GuardView(sheet, limits)
         self._engine_asked = False
         self._decided = ShiftDecision.NONE
@@ -174,8 +176,9 @@ class ControllerCore:
         self._observer.learn(events)
         frames = self._commands(inputs, snapshot, events)
         frames += self._reporter.frames(self._transmitter, snapshot)
+        blocks = self._guard.blocks + self._driveline_guard.blocks
         status = self._reporter.status(
-            now_us, lateness_us, consumed.frames, consumed.crc, self._receiver, self._guard.blocks
+            now_us, lateness_us, consumed.frames, consumed.crc, self._receiver, blocks
         )
         frames.append(self._transmitter.encode(status))
         # In order of bus priority; the status frame comes last and completes the step.
@@ -297,11 +300,20 @@ class ControllerCore:
             frame = self._transmitter.encode(ValveCommand())
         if not guard.is_armed:
             return [frame]
-        clutch = self._transmitter.encode(ClutchCommand(action=sequence.clutch))
-        return [frame, clutch, *self._engine_request()]
+        return [frame, self._clutch_command(seen, events), *self._engine_request(seen, events)]
 
-    def _engine_request(self) -> list[Frame]:
-        """TSC1 while the engine is asked for a speed, and once more to end it."""
+    def _clutch_command(self, seen: GuardInputs, events: list[str]) -> Frame:
+        """What the sequence wants of the clutch; open where the guard forbids to close."""
+        frame = self._transmitter.encode(ClutchCommand(action=self._sequence.clutch))
+        driveline = self._driveline_guard
+        if driveline.passes_clutch(frame.data, seen):
+            return frame
+        events.append(f"guard blocked a clutch command: row {driveline.blocked_row}")
+        return self._transmitter.encode(ClutchCommand())
+
+    def _engine_request(self, seen: GuardInputs, events: list[str]) -> list[Frame]:
+        """TSC1 while the engine is asked for a speed, and once more to end it; its end where the
+        guard forbids it."""
         wanted = self._sequence.engine_rad_s
         asked, self._engine_asked = self._engine_asked, wanted is not None
         if wanted is None:
@@ -309,7 +321,11 @@ class ControllerCore:
         request = TSC1(
             override_control_mode=TscOverrideMode.SPEED_CONTROL, requested_speed_rad_s=wanted
         )
-        return [self._transmitter.encode(request)]
+        frame, driveline = self._transmitter.encode(request), self._driveline_guard
+        if not driveline.passes_engine(frame.data, seen):
+            events.append(f"guard blocked an engine request: row {driveline.blocked_row}")
+            frame = self._transmitter.encode(TSC1())
+        return [frame]
 
     def _plan_next_step(self, now_us: int, sensor_us: int) -> None:
         tick_us = self._settings.timing.tick_us

@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.settings import ControllerSettings, ShiftLimits
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
-from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, Sleeve
+from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN, Sleeve
 
 GUARD_NEUTRAL_M: Final = 1.5e-3
 """A main sleeve within this of the middle is proven neutral."""
+GUARD_END_M: Final = 1.0e-3
+"""A sleeve within this of its end is in."""
 GUARD_CLUTCH_OPEN_SHARE: Final = 0.05
+CLUTCH_CLOSED_SHARE: Final = 0.98
 SLIP_MARGIN_RAD_S: Final = 1.0
 """Error of the measured speeds plus what the vehicle may gain or lose until contact: 10 rpm."""
 BRAKE_PRESSED_PA: Final = 1.0e5
@@ -70,6 +74,20 @@ class GuardLimits:
     brake_floor_rad_s: float
     valve_on_us: int
     supply_low_pa: float
+    engaged_m: float
+    """From here to its end a sleeve stands in its gear or step."""
+    plate_slip_rad_s: float
+    """Most slip over the clutch's plates on which it may close with a gear in."""
+    clutch_travel_us: int
+    """The clutch's way from one end to the other and back: every shift takes longer."""
+    closings: int
+    """So often the clutch may close without a sleeve being moved in between."""
+    closing_again_us: int
+    """After so long it may close once more, moved or not."""
+    request_us: int
+    """A request is answered within this time, or no longer."""
+    gear_at: dict[tuple[int, int, int], int]
+    """The gear's number by its main valve and the sides of splitter and range sleeve."""
 
     @property
     def are_sane(self) -> bool:
@@ -85,10 +103,20 @@ class GuardLimits:
             self.brake_j,
             self.valve_on_us,
             self.brake_on_us,
+            self.plate_slip_rad_s,
+            self.clutch_travel_us,
+            self.closings,
+            self.closing_again_us,
+            self.request_us,
         ]
         return all(math.isfinite(x) and x > 0.0 for x in numbers) and (
             self.slip_rad_s[0] < self.slip_rad_s[1]
         )
+
+
+def end_of(position_m: float, engaged_m: float) -> int:
+    """The end a sleeve stands in, -1 or 1; 0 between."""
+    return 0 if abs(position_m) <= engaged_m else 1 if position_m > 0.0 else -1
 
 
 def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimits:
@@ -133,4 +161,38 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
         brake_floor_rad_s=guard.brake_floor_rad_s,
         valve_on_us=settings.limits.valve_on_ms * 1000,
         supply_low_pa=guard.supply_low_pa,
+        engaged_m=sleeve.stroke_m - GUARD_END_M,
+        plate_slip_rad_s=_plate_slip_rad_s(sheet),
+        clutch_travel_us=round((sheet.clutch.open_delay_s + sheet.clutch.close_delay_s) * 1e6),
+        closings=settings.limits.raises + 1,
+        closing_again_us=(settings.limits.raise_ms + settings.limits.synchronise_ms) * 1000,
+        request_us=longest_shift_us(settings.limits),
+        gear_at={
+            (
+                MAIN_VALVE_OF_GEAR[gear.main],
+                -1 if gear.split is Split.LOW else 1,
+                -1 if gear.range_ is Range.LOW else 1,
+            ): number
+            for number, gear in DRIVE_GEARS.items()
+        },
+    )
+
+
+def _plate_slip_rad_s(sheet: GearboxSheet) -> float:
+    """What the closest step of the main box leaves over the plates at the input shaft's limit,
+    where the engine keeps its speed. A wider step waits until the engine has come down."""
+    ratios = sorted(sheet.main_mesh(gear).ratio for gear in MAIN_VALVE_OF_GEAR)
+    step = min(high / low for low, high in itertools.pairwise(ratios))
+    return sheet.limits.input_max_rad_s * (1.0 - 1.0 / step)
+
+
+def longest_shift_us(limits: ShiftLimits) -> int:
+    """No shift takes longer: every phase as long as its limit, every retry used."""
+    raised_ms = limits.raise_ms + limits.clutch_ms + 2 * limits.synchronise_ms
+    tried_ms = limits.engage_ms + 2 * limits.disengage_ms
+    return 1000 * (
+        limits.clutch_ms
+        + limits.steps_ms
+        + (limits.raises + 1) * raised_ms
+        + limits.attempts * tried_ms
     )

@@ -13,15 +13,17 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from meshpoint.controller.guard.limits import (
     BRAKE_PRESSED_PA,
+    CLUTCH_CLOSED_SHARE,
     GUARD_CLUTCH_OPEN_SHARE,
     GUARD_NEUTRAL_M,
     SLIP_MARGIN_RAD_S,
     GuardLimits,
+    end_of,
 )
 from meshpoint.controller.guard.view import HALF_WRAP, GuardInputs
 
@@ -37,6 +39,9 @@ RANGE_LOW, RANGE_HIGH = 7, 8
 SLEEVE_VALVE_PAIRS: Final = ((1, 2), (3, 4), (5, 6), (7, 8))
 """The two valves of one sleeve: splitter, first/second, crawl/third, range."""
 MAIN_VALVES: Final = (3, 4, 5, 6)
+SLEEVE_VALVES: Final = range(1, 9)
+OTHER_END: Final = {1: 2, 2: 1, 7: 8, 8: 7}
+"""Of splitter and range: the valve that pushes back."""
 OFF_NOW, ON_NOW, OFF_AT, ON_AT = range(4)
 FOREVER_US: Final = 1 << 62
 PROOF_STEPS: Final = 3
@@ -123,6 +128,10 @@ class GuardState:
     brake_j: float = 0.0
     """Energy (J) that the brake has taken in its present use."""
     judged_us: int | None = None
+    wanted: tuple[int, int] | None = None
+    """The gear asked for and when; until it is in and the clutch closed."""
+    group_us: dict[int, int] = field(default_factory=dict)
+    """When each valve of splitter and range was last driven."""
 
 
 class Case(NamedTuple):
@@ -176,6 +185,19 @@ class Case(NamedTuple):
         """A shaft's speed (rad/s); None if it is stale or invalid."""
         speed = self.seen.speeds[shaft]
         return None if speed is None else speed.omega_rad_s
+
+    def starting(self) -> list[int]:
+        """Sleeve valves that are newly driven."""
+        was = self.state.spans
+        return [v for v in SLEEVE_VALVES if self.spans[v] is not None and was[v] is None]
+
+    def gear_number(self) -> int:
+        """The gear that all sleeves stand in; 0 none."""
+        side = [end_of(position, self.limits.engaged_m) for position in self.seen.positions_m]
+        for valve, gear in self.limits.main.items():
+            if side[gear.sleeve] == gear.direction:
+                return self.limits.gear_at.get((valve, side[SPLITTER], side[RANGE]), 0)
+        return 0
 
     def clutch_is_open(self) -> bool:
         """Whether the clutch separates the engine from the input shaft."""
@@ -362,6 +384,24 @@ def sensor_denies_a_gear(case: Case) -> bool:
     return any(case.spans[v] is not None for v in (BRAKE, RANGE_LOW, RANGE_HIGH, *others))
 
 
+def moved_without_a_request(case: Case) -> bool:
+    """Row 17: a sleeve set going though no gear is asked for that is not in already."""
+    if not case.starting():
+        return False
+    wanted = case.state.wanted
+    return wanted is None or case.seen.now_us - wanted[1] > case.limits.request_us
+
+
+def back_and_forth(case: Case) -> bool:
+    """Row 18: splitter or range sent back sooner than a clutch opens and closes."""
+    now_us, last_us = case.seen.now_us, case.state.group_us
+    return any(
+        now_us - last_us.get(OTHER_END[valve], -FOREVER_US) < case.limits.clutch_travel_us
+        for valve in case.starting()
+        if valve in OTHER_END
+    )
+
+
 class GuardRow(NamedTuple):
     """One rule: its number in docs/guard.md, whether it latches, and the test."""
 
@@ -384,6 +424,8 @@ GUARD_ROWS: Final = (
     GuardRow(4, False, engage_on_unknown_speed),
     GuardRow(3, False, slip_out_of_its_window),
     GuardRow(11, False, actuation_at_low_supply),
+    GuardRow(17, False, moved_without_a_request),
+    GuardRow(18, False, back_and_forth),
 )
 """In the order in which they are applied: the first rule that forbids is the one reported."""
 
@@ -431,8 +473,9 @@ class Guard:
         return None
 
     def _note(self, seen: GuardInputs) -> None:
-        """Counts the steps of the self-test and integrates the brake's energy."""
+        """Self-test, the request and the brake's energy, from what is seen."""
         state = self._state
+        self._note_request(seen)
         if state.proofs < PROOF_STEPS:
             proven = seen.valid and self._is_sound
             state.proofs = state.proofs + 1 if proven else 0
@@ -443,9 +486,20 @@ class Guard:
             state.brake_j += torque * layshaft.omega_rad_s * (seen.now_us - state.judged_us) * 1e-6
         state.judged_us = seen.now_us
 
+    def _note_request(self, seen: GuardInputs) -> None:
+        """A request stands until its gear is in and the clutch is closed."""
+        state, gear = self._state, seen.requested_gear
+        if gear is not None and gear in self._limits.gear_at.values():
+            state.wanted = (gear, seen.now_us)
+        if state.wanted is not None and seen.clutch_closed >= CLUTCH_CLOSED_SHARE:
+            in_mesh = Case(NO_SPANS, seen, state, self._limits).gear_number()
+            if seen.valid and in_mesh == state.wanted[0]:
+                state.wanted = None
+
     def _remember(self, wished: Spans, seen: GuardInputs) -> None:
         state, now_us = self._state, seen.now_us
         state.pulls = Case(wished, seen, state, self._limits).pulling()
+        state.group_us |= {valve: now_us for valve in OTHER_END if wished[valve] is not None}
         was = state.spans[BRAKE]
         if was is not None and was.start_us <= now_us:
             state.brake_off_us = min(was.end_us, now_us)

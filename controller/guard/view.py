@@ -53,8 +53,12 @@ class GuardInputs(NamedTuple):
     """Number of the main valve whose gear turns with its sleeve although both sleeves are measured
     in neutral; 0 if there is none."""
     valid: bool
-    """Positions, clutch and pressures come from channels whose E2E state is VALID, and are
-    recent."""
+    """Positions, clutch and pressures come from channels whose E2E state is VALID and are recent,
+    and no sensor reports itself out of range."""
+    engine_rad_s: float | None = None
+    """The engine's speed; None where it says none any more."""
+    requested_gear: int | None = None
+    """The gear asked for in this step; None where none was."""
 
 
 class GuardView:
@@ -71,6 +75,7 @@ class GuardView:
             EdgesPropellerRise: EdgeSpeed(wheels.propeller.teeth),
         }
         self._newest: dict[type, Any] = {}
+        self._engine: tuple[int, float | None] = (0, None)
         self._turns: deque[tuple[Turned, Turned]] = deque()
 
     def take(self, inputs: StepInputs, receiver: Receiver, now_us: int) -> GuardInputs:
@@ -81,9 +86,15 @@ class GuardView:
         for messages in (inputs.sleeves_main, inputs.sleeves_aux, inputs.sensors):
             if messages:
                 self._newest[type(messages[-1])] = messages[-1]
+        for engine in inputs.engine:
+            self._engine = (now_us, engine.engine_speed_rad_s)
+        heard_us, engine_rad_s = self._engine
+        if now_us - heard_us > GUARD_FRESH_US:
+            engine_rad_s = None
         a, b, c, d = [shaft.at(now_us) for shaft in self._shafts.values()]
         if len(self._newest) < len(SLOW):
-            return GuardInputs(now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, valid=False)
+            unseen = GuardInputs(now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, valid=False)
+            return unseen._replace(requested_gear=inputs.requested_gear)
         main, aux, sensors = [self._newest[kind] for kind in SLOW]
         positions = (
             main.sleeve_first_second_m[0],
@@ -100,10 +111,14 @@ class GuardView:
             (a, b, c, d),
             self._agreeing(positions, b, c, now_us),
             self._valid(receiver, now_us),
+            engine_rad_s,
+            inputs.requested_gear,
         )
 
     def _valid(self, receiver: Receiver, now_us: int) -> bool:
         if not receiver.all_valid(SLOW):
+            return False
+        if self._newest[SleevesMain].sensor_fault or self._newest[SleevesAux].sensor_fault:
             return False
         return max([_age_us(newest, now_us) for newest in self._newest.values()]) <= GUARD_FRESH_US
 

@@ -59,7 +59,7 @@ class EdgeSpeed:
 
     def take(self, frame: EdgeFrame, now_us: int) -> None:
         """One frame, read shortly before `now_us` of the sensor clock."""
-        if frame.stopped or frame.long_interval or frame.valid_stamps < 2:
+        if frame.sensor_fault or frame.stopped or frame.long_interval or frame.valid_stamps < 2:
             self._speed = None
             return
         read_us = now_us + ((frame.read_time_us - now_us + HALF) % WRAP) - HALF

@@ -66,6 +66,8 @@ class GearboxView:
         self._rest_m = dict.fromkeys(Sleeve, 0.0)
         """Offset of each sensor: its reading in neutral (m)."""
         self.tracks: dict[Sleeve, SleeveTrack] = {}
+        self._faulty = {"main": 0, "aux": 0}
+        """`SensorFault` of the newest frames, a bit a sensor."""
         self.clutch_closed: float | None = None
         """0 open .. 1 closed."""
         self.supply_pa = math.inf
@@ -78,12 +80,14 @@ class GearboxView:
         """The range step in mesh."""
 
     def sleeves_main(self, message: SleevesMain, time_us: int) -> None:
-        """Takes the positions of the main box."""
+        """Takes the positions of the main box. What a sensor says of itself to be wrong is none."""
+        self._faulty["main"] = message.sensor_fault
         self._take(Sleeve.FIRST_SECOND, time_us, message.sleeve_first_second_m)
         self._take(Sleeve.CRAWL_THIRD, time_us, message.sleeve_crawl_third_m)
 
     def sleeves_aux(self, message: SleevesAux, time_us: int) -> None:
         """Takes the positions of splitter and range."""
+        self._faulty["aux"] = message.sensor_fault
         self._take(Sleeve.SPLITTER, time_us, message.sleeve_splitter_m)
         self._take(Sleeve.RANGE, time_us, message.sleeve_range_m)
 
@@ -106,8 +110,10 @@ class GearboxView:
 
     @property
     def complete(self) -> bool:
-        """Whether all positions and the clutch have been received at least once."""
-        return len(self.tracks) == SLEEVE_COUNT and self.clutch_closed is not None
+        """Whether all positions and the clutch have been received at least once, and no sensor
+        reports itself out of range."""
+        seen = len(self.tracks) == SLEEVE_COUNT and self.clutch_closed is not None
+        return seen and not any(self._faulty.values())
 
     @property
     def oldest_us(self) -> int:
@@ -132,6 +138,9 @@ class GearboxView:
     def work_out(self) -> None:
         """Which gears are in mesh, from the positions taken."""
         if len(self.tracks) < SLEEVE_COUNT:
+            return
+        if any(self._faulty.values()):
+            self.main_gear = self.split = self.range_ = None
             return
         self.main_gear = self._main_gear()
         self.split = _SPLIT_AT[self.side(Sleeve.SPLITTER)]

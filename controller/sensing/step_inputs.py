@@ -6,6 +6,7 @@ from typing import Any, Final
 
 from meshpoint.controller.sensing.wheel_edges import EdgeFrame
 from meshpoint.dbc.messages import (
+    EEC1,
     TC1,
     EdgesInputFall,
     EdgesInputRise,
@@ -42,6 +43,7 @@ class StepInputs:
         self.sleeves_main: list[SleevesMain] = []
         self.sleeves_aux: list[SleevesAux] = []
         self.sensors: list[GearboxSensors] = []
+        self.engine: list[EEC1] = []
         self._valve_status: list[ValveStatus] = []
         self._requests: list[TC1] = []
         self._lists: dict[type, list[Any]] = {
@@ -50,6 +52,7 @@ class StepInputs:
             SleevesAux: self.sleeves_aux,
             GearboxSensors: self.sensors,
             ValveStatus: self._valve_status,
+            EEC1: self.engine,
             TC1: self._requests,
         }
 

@@ -61,6 +61,10 @@ class EdgeFrame(Protocol):
         """The newest edge is too old to be placed."""
 
     @property
+    def sensor_fault(self) -> bool:
+        """The sensor's supply or signal is out of range: its edges are none."""
+
+    @property
     def timestamp_low_us(self) -> tuple[int, ...]:
         """Low 16 bits of each edge's time, newest first."""
 
@@ -274,6 +278,8 @@ class WheelEdges:
         read_us = LONG_AGO_US
         for frame in frames:
             read_us = clock.stamp(frame.read_time_us, now_us)
+            if frame.sensor_fault:
+                continue
             polarity.take(frame, read_us)
             self.sensor.frame(falling, frame.newest_index, frame.valid_stamps, read_us)
         return read_us

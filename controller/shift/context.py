@@ -76,6 +76,8 @@ class ShiftContext:
         self.shift: ShiftRecord | None = None
         self.finished: ShiftRecord | None = None
         """Set at the step that ends a shift, for its outcome frame."""
+        self.ended_us: int | None = None
+        """When the last shift ended."""
         self.decision: Plan | None = None
         """This step's decision, for the prediction frame."""
         self.fault = FaultCode.NONE
@@ -125,7 +127,7 @@ class ShiftContext:
         shift = self.running
         shift.result, shift.fault, shift.end_us = result, fault, snapshot.now_us
         self.fault = fault
-        self.finished, self.shift = shift, None
+        self.finished, self.shift, self.ended_us = shift, None, snapshot.now_us
         self.engine_rad_s = None
         self.all_off(snapshot.now_us)
 

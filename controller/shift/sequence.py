@@ -102,7 +102,7 @@ class ShiftSequence(ShiftContext):
 
     def request(self, number: int, snapshot: StepSnapshot) -> str | None:
         """A drive gear is requested. Returns a line for the log if the request is refused."""
-        if self.state not in (State.IN_GEAR, State.NEUTRAL):
+        if self.state not in (State.IN_GEAR, State.NEUTRAL) or self._rests(snapshot):
             return None
         current = snapshot.view.gear_number
         if number == current:
@@ -124,16 +124,22 @@ class ShiftSequence(ShiftContext):
         self._go(Trigger.REQUESTED, snapshot)
         return None
 
+    def _rests(self, snapshot: StepSnapshot) -> bool:
+        """Whether the last shift ended less than the clutch's way out and back ago. TC1 carries no
+        protection: requests that flood the bus are heeded no more often."""
+        rest_s = self.sheet.clutch.open_delay_s + self.sheet.clutch.close_delay_s
+        return self.ended_us is not None and snapshot.now_us - self.ended_us < rest_s * 1e6
+
     def _impossible(self, snapshot: StepSnapshot, number: int) -> tuple[FaultCode, str] | None:
         """Fault and reason if a shift to this gear cannot begin; else None."""
         if number not in DRIVE_GEARS:
             return FaultCode.REQUEST_IMPOSSIBLE, "gears are 1 to 14"
         if not self.armed:
             return FaultCode.GUARD_BLOCKED, "the outputs are not armed (--arm)"
-        if not _knows_the_gear(snapshot.view):
-            return FaultCode.REQUEST_IMPOSSIBLE, "a sleeve stands between two gears"
         if snapshot.lost is not FaultCode.NONE:
             return snapshot.lost, f"{snapshot.lost.name.lower()} before it began"
+        if not _knows_the_gear(snapshot.view):
+            return FaultCode.REQUEST_IMPOSSIBLE, "a sleeve stands between two gears"
         if snapshot.supply_pa < self.settings.limits.supply_low_pa:
             return FaultCode.LOW_SUPPLY, f"supply at {snapshot.supply_pa / 1e5:.1f} bar"
         propeller = snapshot.speeds.propeller

@@ -20,7 +20,9 @@ from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ControllerSettings, ShiftLimits
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
+    TC1,
     ClutchAction,
     ControllerState,
     EngagementEvent,
@@ -30,6 +32,7 @@ from meshpoint.dbc.messages import (
     ValveCommand,
     ValveStatus,
 )
+from meshpoint.dbc.node import Node
 from meshpoint.gearbox import Sleeve, load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset
@@ -188,10 +191,16 @@ def run(deed: Deed, guarded: bool) -> tuple[MadCore, Loop, bool]:
     if deed.begins is State.IN_GEAR:
         mad._sequence.clutch = deed.clutch
         hold_clutch(mad, loop, 500_000 if deed.row == 13 else 300_000)
+        ask_for(loop, 10 if deed.gear == 8 else 11)
     mad._board.all_off()
     mad.is_mad = True
     harmed = loop.until(lambda: deed.harm(loop), loop.time.now_us + deed.lasts_us)
     return mad, loop, harmed
+
+
+def ask_for(loop: Loop, gear: int) -> None:
+    """A driver asks for a gear, so that row 17 has nothing to say."""
+    loop.controller.receive(Transmitter(Node.BENCH).encode(TC1(requested_gear=gear)))
 
 
 def hold_clutch(mad: MadCore, loop: Loop, for_us: int) -> None:
@@ -221,6 +230,7 @@ def test_row_12_nothing_is_driven_before_the_inputs_are_proven() -> None:
         mad = MadCore(loop.header, deed, guarded)
         mad.is_mad = True
         loop.controller.core = mad
+        ask_for(loop, 11)
         loop.run(200_000)
         first[guarded] = next(
             time_us

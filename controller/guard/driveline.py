@@ -1,0 +1,214 @@
+"""The guard over clutch and engine: reads the finished ClutchCommand and TSC1 frames with its own
+decode and passes them or says which row forbids them.
+
+What stands in their place is the safe one: a clutch told to open, an engine asked for nothing. An
+open clutch is always allowed, and so is the end of an engine request.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+from meshpoint.controller.guard.limits import (
+    CLUTCH_CLOSED_SHARE,
+    GUARD_NEUTRAL_M,
+    GuardLimits,
+    end_of,
+)
+from meshpoint.controller.guard.view import GuardInputs
+
+CLUTCH_LENGTH: Final = 8
+CLUTCH_ACTION: Final = 3
+ENGINE_LENGTH: Final = 8
+NO_OVERRIDE, SPEED_CONTROL = 0, 1
+"""TSC1's control modes that the guard knows; torque control and limits are not passed."""
+SPEED_BYTES: Final = slice(1, 3)
+SPEED_STEP_RAD_S: Final = 0.125 * math.pi / 30.0
+MODE_BITS: Final = 0x03
+INPUT, LAYSHAFT, MAIN = range(3)
+SPLITTER: Final = 2
+
+
+def decode_clutch(payload: bytes) -> bool:
+    """Whether the clutch is to close: everything but the one value that opens it."""
+    if len(payload) != CLUTCH_LENGTH:
+        raise ValueError(f"clutch command of {len(payload)} bytes, allowed is {CLUTCH_LENGTH}")
+    return payload[CLUTCH_ACTION] != 0
+
+
+class EngineWish(NamedTuple):
+    """A decoded TSC1."""
+
+    mode: int
+    speed_rad_s: float
+
+
+def decode_engine(payload: bytes) -> EngineWish:
+    """Control mode and requested speed."""
+    if len(payload) != ENGINE_LENGTH:
+        raise ValueError(f"TSC1 of {len(payload)} bytes, allowed is {ENGINE_LENGTH}")
+    speed = int.from_bytes(payload[SPEED_BYTES], "little") * SPEED_STEP_RAD_S
+    return EngineWish(payload[0] & MODE_BITS, speed)
+
+
+@dataclass
+class DrivelineState:
+    """What the guard remembers of the clutch."""
+
+    closing: bool = False
+    """The last command that passed was to close."""
+    is_closed: bool = False
+    """It has been seen closed since."""
+    credits: float = 0.0
+    """So many closings are allowed before a sleeve has to move."""
+    sides: tuple[int, ...] = ()
+    """The end each sleeve was last seen in."""
+    judged_us: int | None = None
+
+
+class DrivelineCase(NamedTuple):
+    """What a row is asked about: the closing of the clutch, or the engine request."""
+
+    seen: GuardInputs
+    state: DrivelineState
+    limits: GuardLimits
+    engine: EngineWish = EngineWish(NO_OVERRIDE, 0.0)
+
+    @property
+    def gear_in_mesh(self) -> int:
+        """The main valve of the gear that a sleeve stands in; 0 none."""
+        for valve, gear in self.limits.main.items():
+            if self.seen.positions_m[gear.sleeve] * gear.direction > self.limits.engaged_m:
+                return valve
+        return self.seen.agreeing
+
+    @property
+    def main_is_neutral(self) -> bool:
+        """Whether both main sleeves are proven neutral."""
+        farthest_m = max(abs(self.seen.positions_m[0]), abs(self.seen.positions_m[1]))
+        return self.seen.valid and farthest_m <= GUARD_NEUTRAL_M and not self.seen.agreeing
+
+    def input_speeds(self) -> list[float]:
+        """The input shaft's speed by its own sensor, and by each shaft that it is in mesh with;
+        by both splitter steps where the splitter stands in none."""
+        _, layshaft, main = speeds = [
+            None if speed is None else speed.omega_rad_s for speed in self.seen.speeds[:3]
+        ]
+        found = [] if speeds[INPUT] is None else [speeds[INPUT]]
+        side = self.seen.positions_m[SPLITTER]
+        if abs(side) <= self.limits.engaged_m:
+            return [speed for speed in found if speed is not None]
+        split = self.limits.split_ratio[1 if side > 0.0 else -1]
+        found += [] if layshaft is None else [layshaft / split]
+        gear = self.gear_in_mesh
+        if gear and main is not None:
+            found.append(main / (self.limits.main[gear].ratio * split))
+        return [speed for speed in found if speed is not None]
+
+
+Rule = Callable[[DrivelineCase], bool]
+
+
+def engine_beyond_the_gear(case: DrivelineCase) -> bool:
+    """Row 14: a speed over the sheet's limit, or with a gear in mesh one that the slip window of
+    row 3 does not hold around the speed this gear gives; any other control than of the speed."""
+    mode, wanted = case.engine
+    if mode == NO_OVERRIDE:
+        return False
+    limits, gear, main = case.limits, case.gear_in_mesh, case.seen.speeds[MAIN]
+    if mode != SPEED_CONTROL or not case.seen.valid or wanted > limits.input_max_rad_s:
+        return True
+    if not gear:
+        return False
+    if main is None:
+        return True
+    ratios = [limits.main[gear].ratio * split for split in limits.split_ratio.values()]
+    if abs(case.seen.positions_m[SPLITTER]) > limits.engaged_m:
+        ratios = [ratios[0] if case.seen.positions_m[SPLITTER] < 0.0 else ratios[1]]
+    low, high = limits.slip_rad_s
+    return not (
+        (main.omega_rad_s + low) / max(ratios) <= wanted <= (main.omega_rad_s + high) / min(ratios)
+    )
+
+
+def closing_onto_slip(case: DrivelineCase) -> bool:
+    """Row 15: the clutch closes with a gear in, or none proven out, on more slip than the sheet's
+    closest step leaves, or on a slip that is not known. Shafts that give no edges stand."""
+    if case.state.is_closed or case.main_is_neutral:
+        return False
+    engine = case.seen.engine_rad_s
+    if engine is None or not case.seen.valid:
+        return True
+    turning = case.input_speeds() or [0.0]
+    return max(abs(engine - speed) for speed in turning) > case.limits.plate_slip_rad_s
+
+
+def closing_too_often(case: DrivelineCase) -> bool:
+    """Row 16: one closing more than a shift takes while no sleeve has moved."""
+    return not case.state.closing and case.state.credits < 1.0
+
+
+class DrivelineRow(NamedTuple):
+    """One rule: its number in docs/guard.md, and the test."""
+
+    number: int
+    forbids: Rule
+
+
+CLUTCH_ROWS: Final = (DrivelineRow(15, closing_onto_slip), DrivelineRow(16, closing_too_often))
+ENGINE_ROWS: Final = (DrivelineRow(14, engine_beyond_the_gear),)
+
+
+class DrivelineGuard:
+    """Judges finished clutch and engine frames; the clutch's first, once a step."""
+
+    def __init__(self, limits: GuardLimits) -> None:
+        self._limits = limits
+        self._state = DrivelineState(credits=float(limits.closings))
+        self.blocks = 0
+        self.blocked_row: int | None = None
+
+    def passes_clutch(self, payload: bytes, seen: GuardInputs) -> bool:
+        """Whether the clutch command may go out; where not, the clutch has to be opened."""
+        state = self._state
+        self._note(seen)
+        closes = decode_clutch(payload)
+        row = self._judge(CLUTCH_ROWS, DrivelineCase(seen, state, self._limits)) if closes else None
+        self.blocked_row = row
+        if row is not None or not closes:
+            state.closing = state.is_closed = False
+            return row is None
+        if not state.closing:
+            state.closing = True
+            state.credits -= 1.0
+        return True
+
+    def passes_engine(self, payload: bytes, seen: GuardInputs) -> bool:
+        """Whether the engine request may go out; where not, the request has to be ended."""
+        case = DrivelineCase(seen, self._state, self._limits, decode_engine(payload))
+        self.blocked_row = self._judge(ENGINE_ROWS, case)
+        return self.blocked_row is None
+
+    def _judge(self, rows: tuple[DrivelineRow, ...], case: DrivelineCase) -> int | None:
+        for row in rows:
+            if row.forbids(case):
+                self.blocks += 1
+                return row.number
+        return None
+
+    def _note(self, seen: GuardInputs) -> None:
+        """Whether the clutch is closed, and what may close again."""
+        state, limits = self._state, self._limits
+        if seen.valid:
+            state.is_closed = state.closing and seen.clutch_closed >= CLUTCH_CLOSED_SHARE
+            sides = tuple(end_of(position, limits.engaged_m) for position in seen.positions_m)
+            moved = bool(state.sides) and sides != state.sides
+            state.credits += moved
+            state.sides = sides
+        since_us = 0 if state.judged_us is None else max(0, seen.now_us - state.judged_us)
+        earned = since_us / limits.closing_again_us
+        state.credits = min(state.credits + earned, float(limits.closings))
+        state.judged_us = seen.now_us
