@@ -52,6 +52,8 @@ class ReadFrame(NamedTuple):
     long_interval: bool
     stopped: bool
     timestamp_low_us: tuple[int, ...]
+    sensor_fault: bool = False
+    """A capture says nothing of its sensor's supply."""
 
 
 @dataclass(frozen=True)
