@@ -393,10 +393,11 @@ def moved_without_a_request(case: Case) -> bool:
 
 
 def back_and_forth(case: Case) -> bool:
-    """Row 18: splitter or range sent back sooner than a clutch opens and closes."""
+    """Row 18: splitter or range sent back sooner than a clutch opens and closes. A time that lies
+    ahead is of a sensor clock that has restarted since."""
     now_us, last_us = case.seen.now_us, case.state.group_us
     return any(
-        now_us - last_us.get(OTHER_END[valve], -FOREVER_US) < case.limits.clutch_travel_us
+        0 <= now_us - last_us.get(OTHER_END[valve], -FOREVER_US) < case.limits.clutch_travel_us
         for valve in case.starting()
         if valve in OTHER_END
     )

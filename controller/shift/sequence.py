@@ -31,6 +31,7 @@ from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import FaultCode, ShiftResult
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.units import SECOND_US
 
 Handler = Callable[[ShiftContext, StepSnapshot], Trigger | None]
 HANDLERS: Final[dict[State, Handler]] = {
@@ -127,8 +128,11 @@ class ShiftSequence(ShiftContext):
     def _rests(self, snapshot: StepSnapshot) -> bool:
         """Whether the last shift ended less than the clutch's way out and back ago. TC1 carries no
         protection: requests that flood the bus are heeded no more often."""
+        if self.ended_us is None:
+            return False
         rest_s = self.sheet.clutch.open_delay_s + self.sheet.clutch.close_delay_s
-        return self.ended_us is not None and snapshot.now_us - self.ended_us < rest_s * 1e6
+        # A sensor clock that restarted may lie behind: then nobody knows how long ago it was.
+        return 0 <= snapshot.now_us - self.ended_us < rest_s * SECOND_US
 
     def _impossible(self, snapshot: StepSnapshot, number: int) -> tuple[FaultCode, str] | None:
         """Fault and reason if a shift to this gear cannot begin; else None."""

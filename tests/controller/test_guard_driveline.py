@@ -271,3 +271,15 @@ def test_row_18_back_not_before_a_clutch_opens_and_closes(group: str) -> None:
     for _ in range(3):  # the same way again is no swing
         assert guard.passes(valve(f"{group}_high"), slow)
         assert guard.passes(OFF, slow)
+
+
+@pytest.mark.parametrize("group", ["split", "range"])
+def test_row_18_does_not_wait_for_a_sensor_clock_that_restarted_behind(group: str) -> None:
+    slow = IN_NEUTRAL._replace(speeds=tuple(of(300.0) for _ in range(4)))
+    guard = proven(10)
+    assert guard.passes(valve(f"{group}_high"), slow)
+    assert guard.passes(OFF, slow)
+    restarted = slow._replace(now_us=NOW - 4_000_000, requested_gear=10)
+    assert guard.passes(OFF, restarted)
+    guard.passes(valve(f"{group}_low"), restarted)
+    assert guard.blocked_row != 18

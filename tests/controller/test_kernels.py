@@ -289,20 +289,20 @@ RUN = """
 import json, numpy as np
 from meshpoint.controller.motion.linear_kernels import CRUISE_FILTER, THESIS_FILTER
 from meshpoint.controller.motion.linear_kernels import cruise_filter, propagate, thesis_filter
-from meshpoint.controller.records import Memory
+from meshpoint.controller.records import RecordMemory
 rng = np.random.default_rng(11)
 times = np.cumsum(rng.uniform(300.0, 900.0, 200)).round()
 angles = np.arange(1, 201) * np.pi / 45
 model = np.array([0.29, 16.7, 290.0 / 8e5, 8e5])
 switches = np.array([[20000.0, 70000.0], [1.0, 0.0]])
-thesis = Memory(THESIS_FILTER)
+thesis = RecordMemory(THESIS_FILTER)
 thesis.part("x")[:], thesis.part("p")[:] = [0.0, 120.0, 0.0], np.diag([1e-6, 4.0, 4e8])
 thesis.part("model")[:], thesis.part("w")[:] = model, [0.01, 20.0, 1e5]
 thesis.part("r_rad2")[0] = 1e-7
 thesis_filter(thesis.flat, times, angles, switches)
 x, t = thesis.part("x").copy(), thesis.part("time_us")[0]
 propagate(x, t, t + 90000.0, switches, model)
-cruise = Memory(CRUISE_FILTER)
+cruise = RecordMemory(CRUISE_FILTER)
 cruise.part("x")[:], cruise.part("p")[:] = [0.0, 120.0], np.eye(2)
 cruise.part("acceleration_rad_s2")[0], cruise.part("edge_time_s")[0] = 30.0, 1e-6
 cruise_filter(cruise.flat, times, angles)
