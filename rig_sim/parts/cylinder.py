@@ -16,7 +16,7 @@ import numpy as np
 
 from meshpoint.rig_sim.jit import entry
 from meshpoint.rig_sim.parts.pneumatics import GAS_J_KGK, NORMAL_K, NORMAL_KG_M3, flow_share
-from meshpoint.rig_sim.shared.angle_kernels import Floats
+from meshpoint.rig_sim.records import Floats
 
 CYLINDER_STEP_S: Final = 1e-5
 EVERY: Final = 20

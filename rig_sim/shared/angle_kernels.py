@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Any, Final, TypeVar
-
-import numpy as np
-import numpy.typing as npt
+from collections.abc import Sequence
+from typing import Any, Final
 
 from meshpoint.rig_sim import jit
+from meshpoint.rig_sim.jit import Kernel
 from meshpoint.rig_sim.shared.capture_records import (
     CHANNELS,
     PIECES,
@@ -20,11 +18,7 @@ from meshpoint.rig_sim.shared.capture_records import (
     Reading,
 )
 
-Floats = npt.NDArray[np.float64]
-
 Turned = tuple[int, float]
-
-Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 TAU: Final = 2.0 * math.pi
 

@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from typing import Final
 
 from meshpoint.rig_sim.jit import entry, inlined
-from meshpoint.rig_sim.shared.angle_kernels import TAU, Floats, wrapped
+from meshpoint.rig_sim.records import Floats
+from meshpoint.rig_sim.shared.angle_kernels import TAU, wrapped
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.capture import capture
 from meshpoint.rig_sim.truck.events import TORQUE_S, first_event, torques_turn

@@ -14,8 +14,8 @@ import numpy as np
 
 from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.sheet import GearboxSheet
-from meshpoint.rig_sim.records import RecordArray
-from meshpoint.rig_sim.shared.angle_kernels import Floats, settled, wrapped
+from meshpoint.rig_sim.records import Floats, RecordArray
+from meshpoint.rig_sim.shared.angle_kernels import settled, wrapped
 from meshpoint.rig_sim.shared.angles import Angle, Shafts
 from meshpoint.rig_sim.shared.rotation import Drive
 from meshpoint.rig_sim.truck import layout as at

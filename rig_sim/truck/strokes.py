@@ -14,7 +14,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from meshpoint.rig_sim.shared.angle_kernels import Floats
+from meshpoint.rig_sim.records import Floats
 from meshpoint.units import SECOND_US
 
 SLOWEST_M_S: Final = 1e-3

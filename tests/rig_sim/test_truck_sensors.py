@@ -11,8 +11,8 @@ from truck_bench import SHEET, run, world
 
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.rig_sim.parts.pneumatics import BrakeAir, chamber_pa_s, choked_rate
-from meshpoint.rig_sim.records import RecordArray
-from meshpoint.rig_sim.shared.angle_kernels import TAU, Floats
+from meshpoint.rig_sim.records import Floats, RecordArray
+from meshpoint.rig_sim.shared.angle_kernels import TAU
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import linear, nominal
 from meshpoint.rig_sim.truck.position_sensors import PositionSensors
