@@ -25,6 +25,15 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint replay out/demo/target_phase.log --verify",
         "meshpoint replay out/demo/target_phase.log --strategy speed_window",
     ),
+    "tell": (
+        "meshpoint tell out/demo/target_phase.log",
+        "meshpoint tell run.log --only driver truth --json",
+    ),
+    "watch": (
+        "meshpoint watch",
+        "meshpoint watch -i socketcan -c can0",
+        "meshpoint watch out/demo/target_phase.log --speed 0.2",
+    ),
     "up": ("meshpoint up", "meshpoint up --seed 7 --strategy speed_window --log run.log"),
     "controller": (
         "meshpoint controller --header-dir .",

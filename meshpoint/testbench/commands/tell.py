@@ -1,0 +1,97 @@
+"""`meshpoint tell`: a log as a story, one line an event."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.text import Text
+
+from meshpoint.bus.logs.files import log_files, read_logs
+from meshpoint.bus.logs.limits import LogError
+from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.watch.story import Line, Story
+
+STYLES = {
+    "driver": "bold",
+    "controller": "",
+    "gearbox": "cyan",
+    "truth": "green",
+    "bus": "red",
+    "bench": "magenta",
+}
+
+
+def add_parser(commands: Any) -> None:
+    """The command's arguments."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "tell",
+        help="a log in plain words, one line an event",
+        description="Reads a log and tells what happened: who asked for which gear, what the "
+        "controller decided, what the valves did, how the shift ended; what was lost on the bus. "
+        "Columns: seconds of the log, milliseconds since the gear was asked for by the sensor "
+        "clock, who, what. Lines marked `truth` come from the virtual rig alone.",
+    )
+    parser.add_argument(
+        "log",
+        type=Path,
+        nargs="+",
+        metavar="LOG",
+        help=".log (candump), .blf or .asc; several in order, or a folder of logs, are one bus",
+    )
+    parser.add_argument(
+        "--only",
+        choices=tuple(STYLES),
+        nargs="+",
+        metavar="WHO",
+        help=f"only these: {', '.join(STYLES)} (default: all)",
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="one JSON object a line, on standard output"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(namespace: argparse.Namespace) -> int:
+    """Tells what the log holds, up to a defect in it."""
+    out = Console(highlight=False, soft_wrap=True)
+    wanted = set(namespace.only or STYLES)
+    told = 0
+    try:
+        for line in _lines(namespace.log):
+            if line.who not in wanted:
+                continue
+            told += 1
+            if namespace.json:
+                sys.stdout.write(json.dumps(line.to_json()) + "\n")
+            else:
+                out.print(_text(line))
+    except LogError as error:
+        if not told:
+            raise
+        print(
+            f"meshpoint tell: {error}; what is told is all that stands before it", file=sys.stderr
+        )
+        return Exit.BAD_INPUT
+    if not told:
+        print("meshpoint tell: nothing to tell: no message of the DBC says an event")
+    return Exit.DONE
+
+
+def _lines(logs: list[Path]) -> Iterator[Line]:
+    story = Story()
+    for time_s, frame in read_logs(log_files(logs)):
+        yield from story.receive(time_s, frame)
+
+
+def _text(line: Line) -> Text:
+    ms = "" if line.of_request_ms is None else f"{line.of_request_ms:+.0f} ms"
+    text = Text(f"{line.at_s:9.3f} s {ms:>9}  ")
+    text.append(f"{line.who:<10} ", style=STYLES[line.who])
+    text.append(line.words)
+    return text
