@@ -43,7 +43,7 @@ def cluster() -> Iterator[str]:
     with (
         dask.config.set(patient),
         LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+            n_workers=1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
         ) as local,
     ):
         yield local.scheduler_address
