@@ -97,6 +97,7 @@ class Heard:
         self.frames = 0
         self._clocks = (_RunOn(), _RunOn())
         """Of the sensor side and of the controller, as their frames tell them."""
+        self._begin_s: float | None = None
         self._idle_us = 0
         """Time without any frame."""
         self.sensor_us: int | None = None
@@ -109,6 +110,7 @@ class Heard:
 
     def receive(self, time_s: float, frame: Frame) -> Message | None:
         """One frame; its message where it passed every check. Never raises on a bad one."""
+        self._begin_s = time_s if self._begin_s is None else self._begin_s
         self.now_s = max(self.now_s, time_s)
         self.frames += 1
         verdict, message = self._receiver.receive(frame)
@@ -130,15 +132,15 @@ class Heard:
         further. A bus time that waits for a busy machine is not mistaken for silence. Where
         neither speaks it is the time of the log."""
         told_us = max(clock.total_us for clock in self._clocks)
-        return self._idle_us + (told_us or round(self.now_s * 1e6))
+        heard_us = round((self.now_s - (self._begin_s or self.now_s)) * 1e6)
+        return self._idle_us + (told_us or heard_us)
 
     def idle(self, now_s: float) -> None:
         """Nothing has come up to now: ages grow, and what stays away is no longer valid."""
-        waited_us = round((now_s - self.now_s) * 1e6)
-        if waited_us > 0:
-            self._idle_us += waited_us
-            self.now_s = now_s
+        if self._begin_s is not None and now_s > self.now_s:
+            self._idle_us += round((now_s - self.now_s) * 1e6)
             self._receiver.tick(self.bus_us)
+        self.now_s = max(self.now_s, now_s)
 
     def last(self, kind: type[M]) -> M | None:
         """The newest message of a kind; None where there was none."""
