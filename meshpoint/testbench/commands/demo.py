@@ -32,7 +32,7 @@ from meshpoint.testbench.loop.live import LiveResult, LiveRun, run_live, uses_vi
 from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S
 from meshpoint.testbench.provenance import product_version, provenance
 from meshpoint.testbench.report.comparison import compare, comparison_table, explain
-from meshpoint.testbench.report.demo import write_demo_report
+from meshpoint.testbench.report.demo import demo_run, write_demo_report
 from meshpoint.testbench.report.plot import plot_shift
 from meshpoint.testbench.results.output import (
     console,
@@ -40,7 +40,7 @@ from meshpoint.testbench.results.output import (
     rows_table,
     write_json,
 )
-from meshpoint.testbench.results.rows import ShiftRow, summarise
+from meshpoint.testbench.results.rows import summarise
 
 AIMING_STRATEGY = "target_phase"
 DEMO_STRATEGIES = ("speed_window", AIMING_STRATEGY)
@@ -97,7 +97,7 @@ def run(namespace: argparse.Namespace) -> int:
             result = results[strategy] = _with_progress(namespace, strategy, live)
             out.print(rows_table(strategy, result.monitor.rows.rows))
             if strategy == AIMING_STRATEGY:
-                out.print(_picture(namespace.out, result, sheet, begun_s), markup=False)
+                out.print(_picture(namespace.out, live, begun_s), markup=False)
             out.print()
             sessions[strategy] = _verify(live.log)
     lives, results, sessions = _ordered(lives), _ordered(results), _ordered(sessions)
@@ -254,14 +254,14 @@ def _ordered(by_strategy: dict[str, Any]) -> dict[str, Any]:
     return {name: by_strategy[name] for name in DEMO_STRATEGIES}
 
 
-def _picture(folder: Path, result: LiveResult, sheet: GearboxSheet, begun_s: float) -> str:
+def _picture(folder: Path, live: LiveRun, begun_s: float) -> str:
     """Draws the first aimed shift; says where, and how long that took from the beginning."""
-    rows: list[ShiftRow] = result.monitor.rows.rows
-    aimed = [row for row in rows if row.reference == "known" and row.contact is not None]
-    if not rows:
+    shifts = demo_run(live).shifts
+    aimed = [shift for shift in shifts if shift.row.reference == "known" and shift.row.contact]
+    if not shifts:
         return "no shift to draw"
     path = folder / "shift.png"
-    plot_shift(path, result.traces, (aimed or rows)[0], sheet)
+    plot_shift(path, (aimed or shifts)[0], live.header.sheet)
     setup = ", set-up included" if SINCE in os.environ else ""
     return f"picture {path}: {time.time() - begun_s:.0f} s after the start{setup}"
 

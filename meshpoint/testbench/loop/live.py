@@ -43,7 +43,6 @@ from meshpoint.testbench.loop.node_patience import (
     taken,
 )
 from meshpoint.testbench.results.monitor import Monitor
-from meshpoint.testbench.results.traces import TRACED, Traces
 
 BENCH_ADDRESS = 0xF9
 FLUSH_US = 1_000_000
@@ -82,7 +81,6 @@ class LiveResult:
     """What the bus showed."""
 
     monitor: Monitor
-    traces: Traces
     bench: BenchCore
     frames: int = 0
     heard: Heard = field(default_factory=Heard)
@@ -92,7 +90,7 @@ class LiveResult:
 
 
 class _Recorder:
-    """A core that only listens: everything on the bus goes to rows and traces."""
+    """A core that only listens: everything on the bus goes to rows and scores."""
 
     def __init__(self, result: LiveResult, log: LogWriter, on_row: Callable[[], None]) -> None:
         self._result = result
@@ -107,9 +105,7 @@ class _Recorder:
         sender = OF_ADDRESS.get(frame.can_id & 0xFF)
         if sender is not None:
             self._result.heard.frames[sender] += 1
-        message = self._result.monitor.take(frame)
-        if message is not None:
-            self._result.traces.take(message)
+        self._result.monitor.take(frame)
 
     def step(self, now_us: int) -> Step:
         """Brings the log to disk, and reports finished shifts."""
@@ -129,8 +125,8 @@ class _Recorder:
 async def run_live(run: LiveRun) -> LiveResult:
     """Runs the plan; ends the nodes with their valves off. RunError when they do not."""
     bench = BenchCore(run.plan)
-    monitor = Monitor(run.header.sheet, run.header.settings, TRACED)
-    result = LiveResult(monitor, Traces(), bench)
+    monitor = Monitor(run.header.sheet, run.header.settings)
+    result = LiveResult(monitor, bench)
     stop_listening, stop_bench, stop_nodes = asyncio.Event(), asyncio.Event(), asyncio.Event()
 
     def report(line: str) -> None:
@@ -261,7 +257,7 @@ async def _until_heard(
     """Waits until both nodes are on the bus; each is given a time to run, however long that takes
     on this machine."""
     own = [OwnTime() for _ in nodes]
-    while result.monitor.status is None or not result.traces.series:
+    while result.monitor.status is None or result.heard.missing():
         before_s = perf_counter()
         await asyncio.sleep(POLL_S)
         _check(recorder)

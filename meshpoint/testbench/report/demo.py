@@ -11,7 +11,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.testbench.logs.replay import Session
 from meshpoint.testbench.loop.live import LiveResult, LiveRun
-from meshpoint.testbench.report.run import Report
+from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import (
     estimator_notes,
     gather,
@@ -31,7 +31,7 @@ def write_demo_report(
     for name, live in lives.items():
         notes = [f"{name}: replay of the log is {sessions[name]}"]
         notes += estimator_notes(name, results[name].monitor.estimation.figures())
-        runs.append(gather(name, _frames(live.log), live.header, notes))
+        runs.append(demo_run(live, name, notes))
         hashes[f"run header, {name}"] = f"{live.header.run_hash:016x}"
     first = next(iter(lives.values()))
     rig: RigSettings = first.rig
@@ -45,6 +45,11 @@ def write_demo_report(
         ),
     )
     write_report(path, report)
+
+
+def demo_run(live: LiveRun, name: str = "", notes: list[str] | None = None) -> ReportRun:
+    """The shifts of a finished run, read back from its log."""
+    return gather(name, _frames(live.log), live.header, notes or [])
 
 
 def _frames(log: Path) -> Iterator[Frame]:
