@@ -143,7 +143,7 @@ def test_names_from_outside_stay_text(
     text = page(simulated[0], data | {"extra": HOSTILE}, PLOTLY_STUB)
     assert "<script>alert" not in text
     assert "<img" not in text
-    assert text.count("<script") == text.count("</script>") == 3
+    assert text.count("<script") == text.count("</script>") == 5
     assert text.count("&lt;/script&gt;") >= 4
     (embedded,) = re.findall(r"id='data'>(.*?)</script>", text, re.DOTALL)
     assert json.loads(embedded) == data | {"extra": HOSTILE}

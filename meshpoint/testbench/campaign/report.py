@@ -53,7 +53,7 @@ def write_report(
         "<h2>Provenance</h2>",
         definitions({k: str(v) for k, v in spec.to_json()["provenance"].items()}),
     ]
-    text = document(title, body, figures(spec, collected), get_plotlyjs(), "campaign/report.js")
+    text = document(title, body, figures(spec, collected), get_plotlyjs(), ["campaign/report.js"])
     try:
         path.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:

@@ -42,6 +42,7 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "rig": ("meshpoint rig --seed 7 --gear 8", "meshpoint rig --describe"),
     "request": ("meshpoint request 10",),
     "health": ("meshpoint health controller -i socketcan -c vcan0",),
+    "play": ("meshpoint play", "meshpoint play --gearbox thesis --out slow.html"),
     "pace": (
         "meshpoint pace bus.time",
         "meshpoint rig --pace bus.time",

@@ -38,6 +38,7 @@ MODULES: Final = {
     "request": "request",
     "watch": "watch",
     "health": "health",
+    "play": "play",
     "pace": "pace",
     "gearbox": "gearbox",
     "calibration": "calibration",

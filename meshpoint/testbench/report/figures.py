@@ -32,6 +32,7 @@ from meshpoint.testbench.report.layout import (
     axis,
     layout_key,
 )
+from meshpoint.testbench.report.motion import motion
 from meshpoint.testbench.report.phase import estimated_phase, true_phase
 from meshpoint.testbench.report.replayed import replayed_bars, replayed_events, replayed_predictions
 
@@ -79,6 +80,7 @@ def shift_figure(shift: ReportShift, sheet: GearboxSheet) -> Figure:
         },
         "shapes": shapes,
         "annotations": annotations,
+        "motion": motion(shift, sheet),
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from html import escape
 from importlib import resources
 from typing import Any, Final
@@ -17,9 +18,15 @@ NUMBER_CLASS: Final = "number"
 
 
 def document(
-    title: str, body: list[str], data: dict[str, Any], plotly_js: str, script: str, style: str = ""
+    title: str,
+    body: list[str],
+    data: dict[str, Any],
+    plotly_js: str,
+    scripts: Sequence[str],
+    style: str = "",
 ) -> str:
-    """The whole page: `data` is what the product's own script (a file's name) draws with Plotly."""
+    """The whole page: `data` is what the product's own scripts (names of files) draw, with Plotly
+    where they use it."""
     css = own_text("report/report.css") + (own_text(style) if style else "")
     return "".join(
         (
@@ -30,7 +37,8 @@ def document(
             "</head>\n<body>\n",
             "\n".join(body),
             f"\n<script type='application/json' id='data'>{json_text(data)}</script>\n",
-            f"<script>{plotly_js}</script>\n<script>\n{own_text(script)}</script>\n",
+            f"<script>{plotly_js}</script>\n",
+            *(f"<script>\n{own_text(script)}</script>\n" for script in scripts),
             "</body>\n</html>\n",
         )
     )

@@ -37,9 +37,10 @@ def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
     else:
         body.append("<p>No shift to draw.</p>")
     body += ["<h2>Provenance</h2>", definitions(report.provenance)]
-    return document(report.title, body, data, plotly_js, "report/report.js")
+    return document(report.title, body, data, plotly_js, SCRIPTS)
 
 
+SCRIPTS: Final = ("report/teeth.js", "report/slow_motion.js", "report/report.js")
 FEW: Final = 30
 """Shifts below which a share is little more than its interval."""
 OVERVIEW: Final = """<div class="overview">
@@ -51,8 +52,14 @@ VIEWER: Final = """<div class="bar"><h2 id="title"></h2>
 <table id="account"><thead><tr><th></th><th class="number">predicted when fired</th>
 <th class="number">seen by the controller</th><th class="number">rig's truth</th></tr></thead>
 <tbody></tbody></table>
+<div id="motion"><div class="bar"><button id="motion-play">▶ play</button>
+<input type="range" id="motion-time" step="any" aria-label="time, ms">
+<span>1/50 of its speed</span></div>
+<div id="motion-teeth"></div><p id="motion-words"></p></div>
 <div id="figure"></div>
-<p>Drag to zoom into a panel or along the time axis, double-click to see all. The arrow keys change
+<p>Above: the sleeve's teeth (blue) and the gear's, unrolled; the gear turns past the sleeve, the
+sleeve moves in, and the tooth has to meet the gap. The line through the traces is the time shown.
+Drag to zoom into a panel or along the time axis, double-click to see all. The arrow keys change
 the shift. Phase counts on over the pitches, so every gap that goes by is a band; truth is the rig's
 reference, which the controller never reads.</p>"""
 

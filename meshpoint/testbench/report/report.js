@@ -46,6 +46,7 @@
     }
     tell(data.shifts[key]);
     draw(key);
+    slow.show(data.shifts[key].motion);
   }
 
   function go(key) {
@@ -64,6 +65,7 @@
     place.on("plotly_click", (event) => go(event.points[0].customdata));
   }
   if (keys.length === 0) return;
+  const slow = new SlowMotion(data.geometry, figure);
   for (const key of keys) {
     document.getElementById(key).addEventListener("click", (event) => {
       event.preventDefault();
@@ -73,11 +75,12 @@
   document.getElementById("before").addEventListener("click", () => step(-1));
   document.getElementById("after").addEventListener("click", () => step(1));
   document.addEventListener("keydown", (event) => {
-    if (event.ctrlKey || event.altKey || event.metaKey) return;
+    if (event.ctrlKey || event.altKey || event.metaKey || event.target.type === "range") return;
     if (event.key === "ArrowLeft") step(-1);
     if (event.key === "ArrowRight") step(1);
   });
   window.addEventListener("hashchange", () => choose(location.hash.slice(1), true));
   choose(location.hash.slice(1), true);
   if (chosen === null) choose(data.first, true);
+  figure.on("plotly_afterplot", () => slow.mark());
 })();

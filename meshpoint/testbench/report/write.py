@@ -15,6 +15,7 @@ from meshpoint.testbench.provenance import product_version
 from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.figures import shift_figure
 from meshpoint.testbench.report.layout import common_layout
+from meshpoint.testbench.report.motion import geometry
 from meshpoint.testbench.report.overview import contacts_figure, predictions_figure, shift_key
 from meshpoint.testbench.report.page import page, shift_words
 from meshpoint.testbench.report.run import Report, ReportRun
@@ -108,6 +109,7 @@ def report_data(report: Report) -> dict[str, Any]:
     return {
         "common": common,
         "overview": overview,
+        "geometry": geometry(report.sheet),
         "shifts": {key: figure | words[key] for key, figure in figures.items()},
         "first": next(aimed, next(iter(figures), "")),
     }

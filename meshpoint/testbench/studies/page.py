@@ -63,7 +63,9 @@ def write_page(path: Path, records: Sequence[StudyRecord], provenance: dict[str,
         for chart in record.finding.charts:
             drawn[f"{record.study}-{chart.name}"] = plotly_figure(chart)
     body += ["<h2>Provenance</h2>", definitions(provenance)]
-    text = document("meshpoint study", body, {"figures": drawn}, get_plotlyjs(), "studies/page.js")
+    text = document(
+        "meshpoint study", body, {"figures": drawn}, get_plotlyjs(), ["studies/page.js"]
+    )
     try:
         path.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
