@@ -88,6 +88,7 @@ class ControllerCore:
         self.header = header
         self._settings = settings
         self._inbox: list[Frame] = []
+        self._heard: list[Frame] = []
         self._dropped = 0
         self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
         self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
@@ -174,7 +175,7 @@ class ControllerCore:
         snapshot = self._snapshot(now_us)
         self._decide(inputs.requested_gear, snapshot, events)
         self._observer.learn(events)
-        frames = self._commands(inputs, snapshot, events)
+        frames = self._commands(now_us, snapshot, events)
         frames += self._reporter.frames(self._transmitter, snapshot)
         blocks = self._guard.blocks + self._driveline_guard.blocks
         status = self._reporter.status(
@@ -205,12 +206,14 @@ class ControllerCore:
         self._receiver.tick(now_us)
         inputs = StepInputs()
         consumed: list[bytes] = []
+        self._heard = heard = []
         inbox, self._inbox = sorted(self._inbox, key=_identifier), []
         receive = self._receiver.receive
         for frame in inbox:
             can_id = frame[0]
             if can_id & 0xFF == OWN_ADDRESS and frame.is_extended:
                 continue
+            heard.append(frame)
             verdict, message = receive(frame)
             if verdict is not FOREIGN:
                 consumed += (can_id.to_bytes(4, "little"), frame[1])
@@ -286,14 +289,12 @@ class ControllerCore:
             events += [] if line is None else [line]
         self._decided = decided
 
-    def _commands(
-        self, inputs: StepInputs, snapshot: StepSnapshot, events: list[str]
-    ) -> list[Frame]:
+    def _commands(self, now_us: int, snapshot: StepSnapshot, events: list[str]) -> list[Frame]:
         """Valve, clutch and engine commands; the valve frame goes out only past the guard. A
         controller that is not armed sends all valves off, and nothing to clutch and engine."""
         guard, sequence = self._guard, self._sequence
         frame = self._transmitter.encode(self._board.message(snapshot.now_us + self._ahead_us))
-        seen = self._guard_view.take(inputs, self._receiver, snapshot.now_us)
+        seen = self._guard_view.take(self._heard, now_us, snapshot.now_us)
         if not guard.passes(frame.data, seen):
             events.append(f"guard blocked a valve command: row {guard.blocked_row}")
             sequence.blocked(guard.blocked_row or 0, snapshot)

@@ -46,6 +46,8 @@ OFF_NOW, ON_NOW, OFF_AT, ON_AT = range(4)
 FOREVER_US: Final = 1 << 62
 PROOF_STEPS: Final = 3
 """All inputs must have been valid in this many consecutive steps before a valve may be driven."""
+CLOCK_ERROR_US: Final = 12_000
+"""A tick and the bus: what one of two clocks may not have seen of the least delay."""
 REACT_US: Final = 15_000
 """Time from this judgement until a command of the next step can take effect: a tick and the bus."""
 SPLITTER: Final = 2
@@ -403,6 +405,12 @@ def back_and_forth(case: Case) -> bool:
     )
 
 
+def timed_by_another_clock(case: Case) -> bool:
+    """Row 19: the clock that the commands are timed by is not the sensors' as the guard reads it
+    from their stamps: a valve would open at another time than this command was judged for."""
+    return any(case.spans) and abs(case.seen.clock_error_us) > CLOCK_ERROR_US
+
+
 class GuardRow(NamedTuple):
     """One rule: its number in docs/guard.md, whether it latches, and the test."""
 
@@ -413,6 +421,7 @@ class GuardRow(NamedTuple):
 
 GUARD_ROWS: Final = (
     GuardRow(12, False, output_before_the_self_test),
+    GuardRow(19, False, timed_by_another_clock),
     GuardRow(1, True, both_valves_of_a_sleeve),
     GuardRow(2, True, two_sleeves_of_the_main_box),
     GuardRow(7, False, driven_too_long_or_blind),

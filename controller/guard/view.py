@@ -1,33 +1,37 @@
-"""The guard's inputs, taken directly from the sensor frames of each step.
+"""The guard's inputs, taken directly from the raw frames of each step.
 
-Nothing here comes from the observer. Speeds are teeth over time in the newest frames; positions and
-pressures are the newest samples. A gear that is in mesh although the position sensors show neutral
-is recognised by the shafts' turns (row 13).
+Nothing here comes from the observer, the codec or the receiver: the guard has its own ear
+(`listening`), clock (`own_clock`) and speeds (`own_speed`). Positions and pressures are the newest
+samples. A gear that is in mesh although the position sensors show neutral is recognised by the
+shafts' turns (row 13).
 """
 
 from __future__ import annotations
 
 from collections import deque
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterable
+from typing import Final, NamedTuple
 
 from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, GuardLimits
-from meshpoint.controller.sensing.edge_speed import EdgeSpeed, Speed, Turned
-from meshpoint.controller.sensing.step_inputs import StepInputs
-from meshpoint.dbc.link import Receiver
-from meshpoint.dbc.messages import (
-    EdgesInputRise,
-    EdgesLayshaftRise,
-    EdgesMainRise,
-    EdgesPropellerRise,
-    GearboxSensors,
-    SleevesAux,
-    SleevesMain,
+from meshpoint.controller.guard.listening import (
+    EDGES,
+    LAYSHAFT_EDGES,
+    MAIN_EDGES,
+    NEEDED,
+    SENSORS,
+    SLEEVES_AUX,
+    SLEEVES_MAIN,
+    GuardEar,
 )
+from meshpoint.controller.guard.own_clock import GuardClock, signed_us
+from meshpoint.controller.guard.own_speed import GuardSpeed, ShaftSpeed, TeethCounted
+from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import TURN
 
-GUARD_FRESH_US: Final = 45_000
-"""Samples older than this count as lost, even if the counters of their frames are valid."""
+GUARD_FRESH_US: Final = 40_000
+"""Samples older than this count as lost, even if the counters of their frames are valid. With the
+tick that notices it, within 50 ms."""
 AGREE_US: Final = 100_000
 """Turns of gear and sleeve are compared over two consecutive intervals of this length."""
 AGREE_RAD_S: Final = 0.15
@@ -35,7 +39,8 @@ AGREE_RAD_S: Final = 0.15
 TURNING_RAD_S: Final = 10.0
 """Below this layshaft speed the ratios of the gears cannot be told apart."""
 HALF_WRAP: Final = 1 << 31
-SLOW: Final = (SleevesMain, SleevesAux, GearboxSensors)
+BothCounted = tuple[TeethCounted, TeethCounted]
+"""Layshaft and main shaft."""
 
 
 class GuardInputs(NamedTuple):
@@ -48,17 +53,19 @@ class GuardInputs(NamedTuple):
     clutch_closed: float
     supply_pa: float
     brake_pa: float
-    speeds: tuple[Speed | None, Speed | None, Speed | None, Speed | None]
+    speeds: tuple[ShaftSpeed | None, ShaftSpeed | None, ShaftSpeed | None, ShaftSpeed | None]
     agreeing: int
     """Number of the main valve whose gear turns with its sleeve although both sleeves are measured
     in neutral; 0 if there is none."""
     valid: bool
-    """Positions, clutch and pressures come from channels whose E2E state is VALID and are recent,
-    and no sensor reports itself out of range."""
+    """Positions, clutch, pressures and the valve side's own status come from channels that the
+    guard believes and are recent, and no sensor reports itself out of range."""
     engine_rad_s: float | None = None
     """The engine's speed; None where it says none any more."""
     requested_gear: int | None = None
     """The gear asked for in this step; None where none was."""
+    clock_error_us: int = 0
+    """The clock that the commands are timed by, less the guard's own."""
 
 
 class GuardView:
@@ -68,65 +75,70 @@ class GuardView:
         wheels = sheet.wheels
         self._main = limits.main
         self._teeth = (wheels.layshaft.teeth, wheels.main.teeth)
-        self._shafts: dict[type, EdgeSpeed] = {
-            EdgesInputRise: EdgeSpeed(wheels.input_.teeth),
-            EdgesLayshaftRise: EdgeSpeed(wheels.layshaft.teeth),
-            EdgesMainRise: EdgeSpeed(wheels.main.teeth),
-            EdgesPropellerRise: EdgeSpeed(wheels.propeller.teeth),
+        counts = (wheels.input_.teeth, *self._teeth, wheels.propeller.teeth)
+        self._shafts = {
+            can_id: GuardSpeed(teeth) for can_id, teeth in zip(EDGES, counts, strict=True)
         }
-        self._newest: dict[type, Any] = {}
+        self._ear = GuardEar()
+        self._clock = GuardClock()
         self._engine: tuple[int, float | None] = (0, None)
-        self._turns: deque[tuple[Turned, Turned]] = deque()
+        self._turns: deque[BothCounted] = deque()
 
-    def take(self, inputs: StepInputs, receiver: Receiver, now_us: int) -> GuardInputs:
-        """Takes one step's frames; now_us: sensor time of the step."""
-        for kind, shaft in self._shafts.items():
-            for frame in inputs.edges[kind]:
-                shaft.take(frame, now_us)
-        for messages in (inputs.sleeves_main, inputs.sleeves_aux, inputs.sensors):
-            if messages:
-                self._newest[type(messages[-1])] = messages[-1]
-        for engine in inputs.engine:
-            self._engine = (now_us, engine.engine_speed_rad_s)
-        heard_us, engine_rad_s = self._engine
-        if now_us - heard_us > GUARD_FRESH_US:
-            engine_rad_s = None
-        a, b, c, d = [shaft.at(now_us) for shaft in self._shafts.values()]
-        if len(self._newest) < len(SLOW):
-            unseen = GuardInputs(now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, valid=False)
-            return unseen._replace(requested_gear=inputs.requested_gear)
-        main, aux, sensors = [self._newest[kind] for kind in SLOW]
-        positions = (
-            main.sleeve_first_second_m[0],
-            main.sleeve_crawl_third_m[0],
-            aux.sleeve_splitter_m[0],
-            aux.sleeve_range_m[0],
-        )
+    def take(self, frames: Iterable[Frame], step_us: int, believed_us: int) -> GuardInputs:
+        """Takes one step's frames, at `step_us` of the controller's clock; believed_us: the sensor
+        time that the step's commands are made for."""
+        ear = self._ear
+        for stamp in ear.take(frames, step_us):
+            self._clock.hear(stamp, step_us)
+        own_us = self._clock.now_us(step_us)
+        now_us = 0 if own_us is None else own_us
+        a, b, c, d = self._speeds(now_us)
+        engine_rad_s = self._engine_rad_s(step_us)
+        gear, error_us = ear.requested_gear, signed_us(believed_us - now_us)
+        if len(ear.slow) < len(NEEDED):
+            return GuardInputs(
+                now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, False, engine_rad_s, gear
+            )
+        first_second_m, crawl_third_m = ear.slow[SLEEVES_MAIN].values
+        splitter_m, range_m = ear.slow[SLEEVES_AUX].values
+        positions = (first_second_m, crawl_third_m, splitter_m, range_m)
+        brake_pa, supply_pa, clutch = ear.slow[SENSORS].values
+        oldest_us = max([signed_us(now_us - slow.stamp) for slow in ear.slow.values()])
         return GuardInputs(
             now_us,
             positions,
-            sensors.clutch_position_fraction,
-            sensors.supply_pressure_pa,
-            sensors.brake_pressure_pa,
+            clutch,
+            supply_pa,
+            brake_pa,
             (a, b, c, d),
             self._agreeing(positions, b, c, now_us),
-            self._valid(receiver, now_us),
+            ear.hears_all and oldest_us <= GUARD_FRESH_US,
             engine_rad_s,
-            inputs.requested_gear,
+            gear,
+            error_us,
         )
 
-    def _valid(self, receiver: Receiver, now_us: int) -> bool:
-        if not receiver.all_valid(SLOW):
-            return False
-        if self._newest[SleevesMain].sensor_fault or self._newest[SleevesAux].sensor_fault:
-            return False
-        return max([_age_us(newest, now_us) for newest in self._newest.values()]) <= GUARD_FRESH_US
+    def _speeds(self, now_us: int) -> list[ShaftSpeed | None]:
+        ear = self._ear
+        for can_id, shaft in self._shafts.items():
+            for edges in ear.edges[can_id]:
+                shaft.take(edges, now_us)
+        return [
+            shaft.at(now_us) if ear.channels[can_id].is_valid else None
+            for can_id, shaft in self._shafts.items()
+        ]
+
+    def _engine_rad_s(self, step_us: int) -> float | None:
+        for engine_rad_s in self._ear.engine:
+            self._engine = (step_us, engine_rad_s)
+        heard_us, newest_rad_s = self._engine
+        return newest_rad_s if step_us - heard_us <= GUARD_FRESH_US else None
 
     def _agreeing(
         self,
         positions: tuple[float, ...],
-        layshaft: Speed | None,
-        main: Speed | None,
+        layshaft: ShaftSpeed | None,
+        main: ShaftSpeed | None,
         now_us: int,
     ) -> int:
         """The valve of `GuardInputs.agreeing`, from the turns since both sleeves were in
@@ -137,7 +149,7 @@ class GuardView:
         if out or slow:
             turns.clear()
             return 0
-        turned = (self._shafts[EdgesLayshaftRise].turned, self._shafts[EdgesMainRise].turned)
+        turned = (self._shafts[LAYSHAFT_EDGES].counted, self._shafts[MAIN_EDGES].counted)
         if turned[0] is None or turned[1] is None:
             turns.clear()
             return 0
@@ -154,7 +166,10 @@ class GuardView:
         return 0
 
     def _slip(
-        self, ratio: float, before: tuple[Turned, Turned], after: tuple[Turned, Turned]
+        self,
+        ratio: float,
+        before: tuple[TeethCounted, TeethCounted],
+        after: tuple[TeethCounted, TeethCounted],
     ) -> float:
         """Mean slip (rad/s) between two readings, from whole teeth and the times of their edges."""
         layshaft, main = (
@@ -162,7 +177,3 @@ class GuardView:
             for teeth, early, late in zip(self._teeth, before, after, strict=True)
         )
         return ratio * layshaft - main
-
-
-def _age_us(message: Any, now_us: int) -> int:
-    return int((now_us - message.sample_time_us + HALF_WRAP) % (2 * HALF_WRAP)) - HALF_WRAP

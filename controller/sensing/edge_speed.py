@@ -1,7 +1,8 @@
 """The speed of a shaft straight from one edge frame: teeth over the time they took.
 
 It uses no filter, no model and no tooth numbers, so errors of the estimators do not affect it. The
-guard uses it, and the sequence checks with it whether two shafts turn together.
+sequence checks with it whether two shafts turn together. The guard measures speeds by itself
+(`guard/own_speed`).
 """
 
 from __future__ import annotations

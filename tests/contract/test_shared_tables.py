@@ -11,12 +11,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import meshpoint.controller.core
+import meshpoint.controller.guard.listening as guard_ear
 import meshpoint.controller.guard.rules
 import meshpoint.controller.node
 import meshpoint.controller.shift.valve_board
 import meshpoint.rig_sim.shared.valve_drivers
 from meshpoint.dbc.link import Transmitter
-from meshpoint.dbc.messages import ValveAction, ValveCommand
+from meshpoint.dbc.messages import (
+    EEC1,
+    TC1,
+    EdgesMainRise,
+    GearboxSensors,
+    SleevesAux,
+    SleevesMain,
+    ValveAction,
+    ValveCommand,
+    ValveStatus,
+)
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import MainGear
 from meshpoint.testbench.logs.replay import RIG_ADDRESSES
@@ -113,3 +124,65 @@ def test_the_guard_decodes_what_the_codec_encodes(
     payload = transmitter.encode(ValveCommand(*actions, *times)).data
     driven = tuple(action in (ValveAction.ON_NOW, ValveAction.ON_AT) for action in actions)
     assert meshpoint.controller.guard.rules.decode(payload).driven == driven
+
+
+def start_of(database: Database, name: str, signal: str) -> int:
+    """The byte at which a signal begins."""
+    bit = message(database, name).get_signal_by_name(signal).start
+    assert bit % 8 == 0
+    return bit // 8
+
+
+def test_the_guard_hears_the_messages_that_the_dbc_has(database: Database) -> None:
+    """Identifiers, lengths, E2E data identifiers and offsets, written down a second time."""
+    edges = [f"Edges{shaft}Rise" for shaft in ("Input", "Layshaft", "Main", "Propeller")]
+    slow = ["GearboxSensors", "SleevesMain", "SleevesAux", "ValveStatus"]
+    assert [message(database, name).frame_id for name in edges] == list(guard_ear.EDGES)
+    assert [message(database, name).frame_id for name in slow] == list(guard_ear.NEEDED)
+    there = {}
+    for name in edges + slow:
+        sent = message(database, name)
+        there[sent.frame_id] = (sent.length, int(sent.dbc.attributes["E2EDataId"].value))
+        clock = "ReadTime" if name in edges else "SampleTime"
+        assert start_of(database, name, clock) == guard_ear.STAMP_AT
+    assert there == guard_ear.PROTECTED
+    assert message(database, "EEC1").frame_id == guard_ear.ENGINE_SPEED
+    assert message(database, "TC1").frame_id == guard_ear.GEAR_REQUEST
+    assert start_of(database, "EEC1", "EngineSpeed") == guard_ear.ENGINE_AT
+    assert start_of(database, "TC1", "RequestedGear") == guard_ear.GEAR_AT
+    period_us = message(database, "ValveStatus").cycle_time * 1000
+    assert 4 * period_us == guard_ear.SILENT_US
+
+
+NUMBER = st.floats(0.0, 1.0)
+
+
+@settings(deadline=None, max_examples=100)
+@given(shares=st.tuples(*[NUMBER] * 5), stamp=st.integers(0, (1 << 32) - 1))
+def test_the_guard_hears_what_the_codec_says(shares: tuple[float, ...], stamp: int) -> None:
+    """Positions, pressures, clutch and engine speed, from two decoders written apart."""
+    sleeves = [0.04 * share - 0.02 for share in shares[:4]]
+    pressures = [share * 1.3107e6 for share in shares[:2]]
+    engine, bench = Transmitter(Node.ENGINE), Transmitter(Node.BENCH)
+    io, ear = Transmitter(Node.GEARBOX_IO), guard_ear.GuardEar()
+    frames = [
+        io.encode(SleevesMain(stamp, 0, (sleeves[0],) + (0.0,) * 9, (sleeves[1],) + (0.0,) * 9)),
+        io.encode(SleevesAux(stamp, 2, (sleeves[2],) + (0.0,) * 9, (sleeves[3],) + (0.0,) * 9)),
+        io.encode(GearboxSensors(stamp, pressures[0], pressures[1], 300.0, shares[4])),
+        io.encode(ValveStatus(stamp)),
+        io.encode(EdgesMainRise(stamp, 40_000, 3, False, False, False, (7, 5, 3) + (0,) * 24)),
+        engine.encode(EEC1(engine_speed_rad_s=800.0 * shares[0])),
+        bench.encode(TC1(requested_gear=11)),
+    ]
+    assert ear.take(frames, 0) == [stamp] * 5
+    assert ear.slow[guard_ear.SLEEVES_MAIN].values == pytest.approx(sleeves[:2], abs=0.51e-6)
+    assert ear.slow[guard_ear.SLEEVES_AUX].values == pytest.approx(sleeves[2:], abs=0.51e-6)
+    assert ear.slow[guard_ear.SLEEVES_AUX].is_faulty
+    assert not ear.slow[guard_ear.SLEEVES_MAIN].is_faulty
+    heard = ear.slow[guard_ear.SENSORS].values
+    assert heard[:2] == pytest.approx(pressures, abs=10.1)
+    assert heard[2] == pytest.approx(shares[4], abs=0.51e-4)
+    (edges,) = ear.edges[guard_ear.MAIN_EDGES]
+    assert edges == (stamp, 40_000, (7, 5, 3))
+    assert ear.engine == [pytest.approx(800.0 * shares[0], abs=0.0066)]
+    assert ear.requested_gear == 11

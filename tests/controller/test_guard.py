@@ -13,6 +13,7 @@ from itertools import product
 import pytest
 
 from meshpoint.controller.guard.limits import GuardLimits, guard_limits
+from meshpoint.controller.guard.own_speed import ShaftSpeed as Speed
 from meshpoint.controller.guard.rules import (
     GUARD_ROWS,
     NO_SPANS,
@@ -27,7 +28,6 @@ from meshpoint.controller.guard.rules import (
     spans,
 )
 from meshpoint.controller.guard.view import GuardInputs
-from meshpoint.controller.sensing.edge_speed import Speed
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.link import Transmitter
@@ -134,7 +134,7 @@ def near(valve: ValveName) -> GuardInputs:
 
 
 def test_every_row_of_the_list_is_there_once() -> None:
-    assert sorted(row.number for row in GUARD_ROWS) == [*range(1, 14), 17, 18]
+    assert sorted(row.number for row in GUARD_ROWS) == [*range(1, 14), 17, 18, 19]
     assert {row.number for row in GUARD_ROWS if row.latches} == {1, 2}
 
 
@@ -558,3 +558,11 @@ def test_row_3_leaves_a_lost_speed_to_row_4() -> None:
     seen = NEUTRAL._replace(speeds=(None, None, None, None))
     driven = (*NO_SPANS[:4], Span(NOW, FOREVER), *NO_SPANS[5:])
     assert not slip_out_of_its_window(Case(driven, seen, GuardState(), LIMITS))
+
+
+@pytest.mark.parametrize("error_us", [12_000, 12_001])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_row_19_commands_timed_by_another_clock_than_the_sensors(error_us: int, sign: int) -> None:
+    seen = NEUTRAL._replace(clock_error_us=sign * error_us)
+    assert blocked_row(seen, ValveName.BRAKE) == (19 if error_us > 12_000 else None)
+    assert ready().passes(payload(), seen)

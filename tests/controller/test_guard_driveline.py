@@ -8,9 +8,9 @@ import pytest
 
 from meshpoint.controller.guard.driveline import DrivelineGuard, decode_clutch, decode_engine
 from meshpoint.controller.guard.limits import guard_limits
+from meshpoint.controller.guard.own_speed import ShaftSpeed as Speed
 from meshpoint.controller.guard.rules import Guard
 from meshpoint.controller.guard.view import GuardInputs
-from meshpoint.controller.sensing.edge_speed import Speed
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (

@@ -13,7 +13,9 @@ import pytest
 from meshpoint.controller.estimation.crossing_tracker import MainTracker
 from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US, CruiseTracker
 from meshpoint.controller.guard.limits import guard_limits
-from meshpoint.controller.guard.view import GUARD_FRESH_US, SLOW, GuardView
+from meshpoint.controller.guard.listening import GOOD_TO_BEGIN
+from meshpoint.controller.guard.own_speed import NO_FRAME_US
+from meshpoint.controller.guard.view import GUARD_FRESH_US, GuardInputs, GuardView
 from meshpoint.controller.sensing.edge_speed import SPEED_STALE_US
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.sensing.step_inputs import StepInputs
@@ -27,6 +29,10 @@ from meshpoint.dbc.messages import (
     EdgesLayshaftRise,
     EdgesMainRise,
     EdgesPropellerRise,
+    GearboxSensors,
+    SleevesAux,
+    SleevesMain,
+    ValveStatus,
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
@@ -36,6 +42,7 @@ SETTINGS = ControllerSettings()
 CYCLE_US = 10_000
 NOW_US = 5_000_000
 INTERVAL_US = 700
+SLOW = (SleevesMain, SleevesAux, GearboxSensors, ValveStatus)
 SHAFTS = (EdgesInputRise, EdgesLayshaftRise, EdgesMainRise, EdgesPropellerRise)
 CYCLIC = [
     codec.message_type
@@ -97,41 +104,70 @@ def test_a_wrong_crc_under_a_live_counter_makes_a_channel_invalid(kind: Any) -> 
     assert traffic.receiver.all_valid([other for other in CYCLIC if other is not kind])
 
 
-def slow_inputs(*old: Any, age_us: int = 0) -> StepInputs:
-    """Positions and pressures sampled just now, but of some kinds earlier."""
-    inputs = StepInputs()
-    for kind in SLOW:
-        sample_us = NOW_US - (age_us if kind in old else 0)
-        inputs.take(kind(sample_time_us=sample_us))
-    return inputs
+class Heard:
+    """The guard's view, and frames of the gearbox for it, every 10 ms and read at that moment."""
 
+    def __init__(self) -> None:
+        self.view = GuardView(SHEET, guard_limits(SHEET, SETTINGS))
+        self.sender = Transmitter(Node.GEARBOX_IO)
+        self.now_us = NOW_US
+        for _ in range(GOOD_TO_BEGIN):
+            self.cycle()
 
-def all_heard() -> Receiver:
-    traffic = Traffic()
-    for _ in range(5):
-        traffic.cycle()
-    return traffic.receiver
+    def cycle(self, without: Any = None, damage: Any = None, old: Any = None, age_us: int = 0,
+              turning: bool = True) -> GuardInputs:  # fmt: skip
+        """All frames of a read but one; or one with a wrong CRC, or with an old sample."""
+        self.now_us += CYCLE_US
+        frames = []
+        for kind in SLOW:
+            message = kind(sample_time_us=self.now_us - (age_us if kind is old else 0))
+            frames.append((kind, self.sender.encode(message)))
+        for kind in SHAFTS:
+            newest_us = self.now_us if turning else NOW_US
+            message = edges(kind, newest_us, self.now_us, newest_us // INTERVAL_US & 0xFFFF)
+            frames.append((kind, self.sender.encode(message)))
+        return self.view.take(
+            [_with_wrong_crc(f) if k is damage else f for k, f in frames if k is not without],
+            self.now_us,
+            self.now_us,
+        )
+
+    def wait(self, late_us: int, *kinds: Any) -> GuardInputs:
+        """Nothing but edges of some wheels comes, so long after the last cycle."""
+        now_us = self.now_us + late_us
+        frames = [self.sender.encode(edges(kind, now_us, now_us, 510)) for kind in kinds]
+        return self.view.take(frames, now_us, now_us)
 
 
 @pytest.mark.parametrize("kind", SLOW, ids=lambda kind: kind.__name__)
-def test_one_old_sample_is_enough_for_the_guard_to_see_nothing(kind: Any) -> None:
+@pytest.mark.parametrize("age_us", [40_000, 40_001])
+def test_one_old_sample_is_enough_for_the_guard_to_see_nothing(kind: Any, age_us: int) -> None:
     """Its counters are live: the frame is new, what it says is old."""
-    receiver = all_heard()
-    for age_us, valid in ((GUARD_FRESH_US, True), (GUARD_FRESH_US + 1, False)):
-        view = GuardView(SHEET, guard_limits(SHEET, SETTINGS))
-        assert view.take(slow_inputs(kind, age_us=age_us), receiver, NOW_US).valid is valid
+    assert GUARD_FRESH_US == 40_000
+    assert Heard().cycle(old=kind, age_us=age_us).valid is (age_us <= GUARD_FRESH_US)
 
 
 @pytest.mark.parametrize("kind", SLOW, ids=lambda kind: kind.__name__)
 def test_one_invalid_channel_is_enough_for_the_guard_to_see_nothing(kind: Any) -> None:
-    view = GuardView(SHEET, guard_limits(SHEET, SETTINGS))
-    traffic = Traffic()
-    for _ in range(5):
-        traffic.cycle()
-    assert view.take(slow_inputs(), traffic.receiver, NOW_US).valid
+    heard = Heard()
+    assert heard.cycle().valid
+    assert [heard.cycle(damage=kind).valid for _ in range(3)] == [True, True, False]
+    assert [heard.cycle().valid for _ in range(4)] == [False, False, False, True]  # a step of 4
+
+
+@pytest.mark.parametrize("kind", SLOW, ids=lambda kind: kind.__name__)
+def test_one_silent_channel_is_enough_for_the_guard_to_see_nothing(kind: Any) -> None:
+    """Three cycles may be missed."""
+    heard = Heard()
+    assert [heard.cycle(without=kind).valid for _ in range(4)] == [True, True, True, False]
+
+
+@pytest.mark.parametrize("shaft", range(4), ids=["input", "layshaft", "main", "propeller"])
+def test_three_wrong_edge_frames_lose_a_speed_to_the_guard(shaft: int) -> None:
+    heard = Heard()
     for _ in range(3):
-        traffic.cycle(damage=kind)
-    assert not view.take(slow_inputs(), traffic.receiver, NOW_US).valid
+        seen = heard.cycle(damage=SHAFTS[shaft])
+    assert [speed is None for speed in seen.speeds] == [k == shaft for k in range(4)]
 
 
 def edges(kind: Any, newest_us: int, read_us: int, index: int = 500) -> Any:
@@ -140,29 +176,23 @@ def edges(kind: Any, newest_us: int, read_us: int, index: int = 500) -> Any:
     return kind(read_us, index, len(stamps), False, False, False, stamps)
 
 
+@pytest.mark.parametrize("shaft", range(4), ids=["input", "layshaft", "main", "propeller"])
+@pytest.mark.parametrize("late_us", [SPEED_STALE_US, SPEED_STALE_US + 1])
+def test_the_speed_of_a_shaft_without_frames_is_lost_to_the_guard(shaft: int, late_us: int) -> None:
+    """25 ms, as docs/guard.md has it, whatever a constant may say; the others go on."""
+    assert SPEED_STALE_US == NO_FRAME_US == 25_000
+    others = [kind for kind in SHAFTS if kind is not SHAFTS[shaft]]
+    seen = Heard().wait(late_us, *others)
+    expected = [True] * 4
+    expected[shaft] = late_us <= NO_FRAME_US
+    assert [speed is not None for speed in seen.speeds] == expected
+
+
 def all_turning() -> StepInputs:
     inputs = StepInputs()
     for kind in SHAFTS:
         inputs.take(edges(kind, NOW_US, NOW_US))
     return inputs
-
-
-@pytest.mark.parametrize("shaft", range(4), ids=["input", "layshaft", "main", "propeller"])
-@pytest.mark.parametrize("late_us", [SPEED_STALE_US, SPEED_STALE_US + 1])
-def test_the_speed_of_a_shaft_without_frames_is_lost_to_the_guard(shaft: int, late_us: int) -> None:
-    """25 ms, as docs/guard.md has it, whatever a constant may say; the others go on."""
-    assert SPEED_STALE_US == 25_000
-    view, now_us = GuardView(SHEET, guard_limits(SHEET, SETTINGS)), NOW_US + late_us
-    receiver = all_heard()
-    view.take(all_turning(), receiver, NOW_US)
-    inputs = StepInputs()
-    for kind in SHAFTS:
-        if kind is not SHAFTS[shaft]:
-            inputs.take(edges(kind, now_us, now_us, 510))
-    seen = view.take(inputs, receiver, now_us)
-    expected = [True] * 4
-    expected[shaft] = late_us <= SPEED_STALE_US
-    assert [speed is not None for speed in seen.speeds] == expected
 
 
 @pytest.mark.parametrize(("kind", "name"), [(EdgesLayshaftRise, "layshaft"),
@@ -179,14 +209,13 @@ def test_the_speed_of_a_shaft_without_frames_is_lost_to_the_sequence(kind: Any, 
 @pytest.mark.parametrize("kind", SHAFTS, ids=lambda kind: kind.__name__)
 def test_a_frozen_payload_under_live_frames_is_no_speed(kind: Any) -> None:
     """Frames come, their read times go on, their newest edge does not."""
-    view, receiver = GuardView(SHEET, guard_limits(SHEET, SETTINGS)), all_heard()
-    shaft = SHAFTS.index(kind)
-    found = []
-    for late_us in range(0, 50_000, CYCLE_US):
-        inputs = StepInputs()
-        inputs.take(edges(kind, NOW_US, NOW_US + late_us))
-        found.append(view.take(inputs, receiver, NOW_US + late_us).speeds[shaft] is not None)
-    assert found == [True, True, True, False, False]
+    heard, shaft, found = Heard(), SHAFTS.index(kind), []
+    last_us = heard.now_us
+    for late_us in range(CYCLE_US, 50_000, CYCLE_US):
+        frame = heard.sender.encode(edges(kind, last_us, last_us + late_us))
+        seen = heard.view.take([frame], last_us + late_us, last_us + late_us)
+        found.append(seen.speeds[shaft] is not None)
+    assert found == [True, True, False, False]
 
 
 @pytest.mark.parametrize("tracker", ["crossing", "baseline"])

@@ -1,0 +1,95 @@
+"""The guard's own speed of a shaft: the newest teeth over the time they took.
+
+No filter, no model, no tooth numbers, and no code that the controller measures speeds with.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Final, NamedTuple
+
+from meshpoint.controller.guard.listening import Edges
+from meshpoint.controller.guard.own_clock import signed_us
+
+MEASURED_US: Final = 15_000
+"""A speed is taken over at least this time, as far as the frame has teeth."""
+UNLIKE: Final = 1.7
+"""Neighbouring teeth never differ by more than this factor: else one is missing or too many."""
+NO_EDGE_US: Final = 20_000
+"""In a frame: with an older edge, and older than three teeth took, the sensor is dead."""
+NO_FRAME_US: Final = 25_000
+"""The same without frames."""
+LATE_TEETH: Final = 3
+HELD_US: Final = 45_000
+"""So long an earlier speed stands in for frames with a tooth missing or too many."""
+LOW: Final = 0xFFFF
+
+
+class ShaftSpeed(NamedTuple):
+    """A mean speed, and the middle of the time it was measured over (sensor clock, us)."""
+
+    time_us: int
+    omega_rad_s: float
+
+
+class TeethCounted(NamedTuple):
+    """How many teeth have passed by the newest edge, and when that was (sensor clock, us)."""
+
+    time_us: int
+    teeth: int
+
+
+class GuardSpeed:
+    """One wheel."""
+
+    def __init__(self, teeth: int) -> None:
+        self._pitch_rad = 2.0 * math.pi / teeth
+        self._speed: ShaftSpeed | None = None
+        self._measured_us = 0
+        self._tooth_us = 0
+        self._is_dead = False
+        self._index = 0
+        self.counted: TeethCounted | None = None
+        """None before the first edge."""
+
+    def take(self, edges: Edges, now_us: int) -> None:
+        """A believed frame; now_us: the guard's sensor clock."""
+        if len(edges.lows_us) <= 1:
+            self._speed = None
+            return
+        read_us = now_us + signed_us(edges.stamp - now_us)
+        newest_us = read_us - ((read_us - edges.lows_us[0]) & LOW)
+        before = 0 if self.counted is None else self.counted.teeth
+        self.counted = TeethCounted(newest_us, before + ((edges.newest_index - self._index) & LOW))
+        self._index = edges.newest_index
+        self._is_dead = read_us - newest_us > max(NO_EDGE_US, LATE_TEETH * self._tooth_us)
+        took_us = teeth_us(edges.lows_us)
+        if took_us:
+            span_us = sum(took_us)
+            omega_rad_s = len(took_us) * self._pitch_rad * 1e6 / span_us
+            self._tooth_us = span_us // len(took_us)
+            self._speed = ShaftSpeed(newest_us - span_us // 2, omega_rad_s)
+            self._measured_us = newest_us
+
+    def at(self, now_us: int) -> ShaftSpeed | None:
+        """The newest speed; None where there is none, or edges have stopped coming."""
+        if self._speed is None or self.counted is None or self._is_dead:
+            return None
+        limit_us = max(NO_FRAME_US, LATE_TEETH * self._tooth_us)
+        if now_us - self.counted.time_us > limit_us:
+            return None
+        return self._speed if now_us - self._measured_us <= max(HELD_US, limit_us) else None
+
+
+def teeth_us(lows_us: tuple[int, ...]) -> list[int]:
+    """How long each of the newest teeth took, over `MEASURED_US`; none where they are unlike."""
+    took: list[int] = []
+    for later, earlier in itertools.pairwise(lows_us):
+        tooth_us = (later - earlier) & LOW
+        if tooth_us == 0 or (took and not took[-1] / UNLIKE < tooth_us < took[-1] * UNLIKE):
+            return []
+        took.append(tooth_us)
+        if sum(took) >= MEASURED_US:
+            break
+    return took
