@@ -1,7 +1,7 @@
 """Closed-loop shifts a second a core, and what a second core gives.
 
 A run is what `meshpoint campaign` makes of a seed with its default settings: 6 learning shifts,
-then 2 judged ones by each of `speed_window`, `target_phase` and the oracle, on the truck12 sheet,
+then 2 judged ones by each of `speed_window`, `target_phase` and `true_state`, on the truck12 sheet,
 through encoded frames of both cores. The seconds are those of the processor, of each run the least
 of several repeats, as others may use the machine. The second core's gain is of wall times: the same
 runs by one process, and by two at once.
@@ -35,7 +35,7 @@ def campaign() -> CampaignSpec:
         settings=ControllerSettings(),
         preset=Preset.TRUCK,
         strategies=("speed_window", "target_phase"),
-        oracle=True,
+        true_state=True,
         pairs=upshifts(),
         learn=6,
         judged=2,

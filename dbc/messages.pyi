@@ -104,6 +104,12 @@ class EngagementEvent(IntEnum):
     RELEASED = 5
     BLOCKED = 6
     GIVEN_UP = 7
+    CLUTCH_OPENS = 8
+    PLATES_PARTED = 9
+    BRAKE_FILLS = 10
+    BRAKE_EMPTIES = 11
+    CLUTCH_CLOSES = 12
+    PLATES_MET = 13
 
 class RigFault(IntEnum):
     NO_FAULT = 0
@@ -603,10 +609,10 @@ class ReferenceEngagement(NamedTuple):
     """Sensor clock of the event (0..4294967295)."""
 
     event: EngagementEvent = ...
-    """What happened between sleeve and gear."""
+    """What happened: between sleeve and gear, at the clutch, or at the brake."""
 
     gear: MainGear = ...
-    """The gear it happened at."""
+    """The gear it happened at; Neutral at clutch and brake."""
 
     phase_rad: float = ...
     """Phase at the event (-374.806603..374.806603)."""

@@ -37,7 +37,7 @@ class Violation(IntEnum):
     """States that a controller must never cause."""
 
     TWO_GEARS = 0  # a second gear at its sleeve while one is in mesh
-    BRAKE_IN_GEAR = 1  # brake valve on while a gear is locked
+    BRAKE_IN_GEAR = 1  # air let into the brake in gear, or its valve on when a gear locks
     BOTH_VALVES = 2  # both valves of one sleeve on
 
 
@@ -99,7 +99,6 @@ class Engagement(ABC, Generic[SleeveT]):
         """A main valve or the brake valve has been switched."""
         (self._energised.add if on else self._energised.discard)(valve)
         if valve is Valve.BRAKE:
-            self._count_brake_in_gear(time_us)
             return
         where = SLEEVE_OF_MAIN[GEAR_OF_VALVE[valve]]
         opposite = VALVE_OF_MAIN[GEAR_AT[where.sleeve, -where.direction]]
@@ -114,6 +113,18 @@ class Engagement(ABC, Generic[SleeveT]):
             self._valve_off(where.sleeve, -where.direction, time_us)
         else:
             self._valve_on(where.sleeve, where.direction, time_us)
+
+    def brake_air(self, on: bool) -> None:
+        """The brake valve's delay is over: air comes in, or goes out."""
+        self.moment(EngagementEvent.BRAKE_FILLS if on else EngagementEvent.BRAKE_EMPTIES)
+        if on:
+            self._count_brake_in_gear(self._plant.time_us)
+
+    def moment(self, event: EngagementEvent) -> None:
+        """Clutch or brake has done something; no gear takes part in it."""
+        time_us = self._plant.time_us
+        self.records.append(Engaged(event, MainGear.NEUTRAL, time_us, 0.0, 0.0))
+        self._say(time_us, event.name)
 
     def due(self, time_us: float) -> None:
         """Do what is due now; the plant stands at this instant."""

@@ -205,7 +205,9 @@ class World:
         if expiry_us is not None and expiry_us <= time_us:
             self._switched(self.valves.expire(expiry_us), expiry_us)
         while self._brake_inputs and self._brake_inputs[0][0] <= time_us:
-            self.plant.set_brake(self._brake_inputs.popleft()[1])
+            _, on = self._brake_inputs.popleft()
+            self.plant.set_brake(on)
+            self.engagement.brake_air(on)
         self.engagement.due(time_us)
         self.script.due(time_us)
         self.script.watch()

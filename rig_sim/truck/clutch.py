@@ -8,8 +8,10 @@ governor works otherwise.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
+from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.gearbox.sheet import Clutch
 from meshpoint.rig_sim.orders import EngineRequest
@@ -27,9 +29,13 @@ NO_REQUEST: Final = EngineRequest(None, None)
 class TruckClutch:
     """The actuator, with position 0 (open) to 1 (closed), and the state of the plates."""
 
-    def __init__(self, plant: TruckPlant, clutch: Clutch) -> None:
+    def __init__(
+        self, plant: TruckPlant, clutch: Clutch, note: Callable[[EngagementEvent], None]
+    ) -> None:
+        """`note` is told when it sets off, and when the plates part or meet."""
         self._plant = plant
         self._clutch = clutch
+        self._note = note
         self._closing = True
         self._kiss_us = NEVER_US
         self._end_us = NEVER_US
@@ -83,6 +89,7 @@ class TruckClutch:
             return
         plant, kiss = self._plant, self._plant.p.plates.kiss
         self._closing = close
+        self._note(EngagementEvent.CLUTCH_CLOSES if close else EngagementEvent.CLUTCH_OPENS)
         delay_s = self._clutch.close_delay_s if close else self._clutch.open_delay_s
         rate = (1.0 if close else -1.0) / max(delay_s, LEAST_DELAY_S)
         position = plant.y.clutch
@@ -93,7 +100,9 @@ class TruckClutch:
         self._kiss_us = time_us + to_kiss * SECOND_US if touches else NEVER_US
 
     def _touch(self) -> None:
-        if self._closing:
+        met = self._closing
+        self._note(EngagementEvent.PLATES_MET if met else EngagementEvent.PLATES_PARTED)
+        if met:
             self._plant.rub(at.PLATE, at.CLUTCH, 1.0, 0.0)
         else:
             self._plant.smooth(at.PLATE)

@@ -78,7 +78,7 @@ class TruckWorld:
         self.script = BenchScript(self.sheet, self.plant, self.engagement, self.delays, gear)
         self.script.ramp_s = settings.return_ramp_s
         self.valves = ValveBank()
-        self.clutch = TruckClutch(self.plant, self.sheet.clutch)
+        self.clutch = TruckClutch(self.plant, self.sheet.clutch, self.engagement.moment)
         self.engine = TruckEngine(self.plant)
         self.positions = PositionSensors(self.built)
         self.faults = FaultInjector(self)
@@ -302,12 +302,17 @@ class TruckWorld:
         time_us = self.plant.time_us
         if valve is Valve.BRAKE:
             delay_us = self.sheet.brake.valve_delay_s * SECOND_US
-            self.later(delay_us, partial(self.plant.set_brake, float(on)))
+            self.later(delay_us, partial(self._brake_air, on))
             self.engagement.switch(valve, on, time_us)
         elif valve in GEAR_OF_VALVE:
             self.engagement.switch(valve, on, time_us)
         elif on:
             self._change_over(*STEP_VALVES[valve])
+
+    def _brake_air(self, on: bool) -> None:
+        """The brake valve has moved: air comes in, or goes out."""
+        self.plant.set_brake(float(on))
+        self.engagement.brake_air(on)
 
     def _change_over(self, name: Sleeve, side: int) -> None:
         """Splitter or range by its valve: out of the old step, then the cones, then in."""

@@ -53,7 +53,7 @@ def small_spec(preset: Preset = Preset.THESIS, **changes: Any) -> CampaignSpec:
         "settings": ControllerSettings(),
         "preset": preset,
         "strategies": tuple(BOTH.split(",")),
-        "oracle": True,
+        "true_state": True,
         "pairs": upshifts(),
         "learn": 2,
         "judged": 1,

@@ -18,7 +18,7 @@ from meshpoint.testbench.cli import main
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.rows import ShiftRow
 
-RUNS = ("--runs", "4", "--oracle")
+RUNS = ("--runs", "4", "--true-state")
 
 
 @pytest.fixture(scope="module")
@@ -59,9 +59,9 @@ def test_every_strategy_is_judged_on_the_same_draws(by_one: Outcome) -> None:
     key = ("seed", "shift", "from_gear", "to_gear", "layshaft_rpm", "backlash_percent")
     draws = {
         name: [tuple(row[k] for k in key) for row in table if row["strategy"] == name]
-        for name in ("speed_window", "target_phase", "oracle")
+        for name in ("speed_window", "target_phase", "true_state")
     }
-    assert draws["speed_window"] == draws["target_phase"] == draws["oracle"]
+    assert draws["speed_window"] == draws["target_phase"] == draws["true_state"]
     assert len({row["layshaft_rpm"] for row in table}) == 4
 
 
@@ -69,7 +69,7 @@ def test_the_json_says_what_was_asked(by_one: Outcome) -> None:
     values = by_one.values
     assert values["runs"] == 4
     assert values["failed"] == []
-    assert list(values["strategies"]) == ["oracle", "speed_window", "target_phase"]
+    assert list(values["strategies"]) == ["speed_window", "target_phase", "true_state"]
     for strategy, figures in values["strategies"].items():
         low, high = figures["first_contact_gap"]["ci95"]
         assert low <= figures["first_contact_gap"]["rate"] <= high
@@ -80,7 +80,7 @@ def test_the_json_says_what_was_asked(by_one: Outcome) -> None:
         ):  # fmt: skip
             assert isinstance(figures[key], (int, float))
         known_from = sum(figures["reference_sources"].values())
-        assert strategy == "oracle" or known_from == pytest.approx(figures["reference_known"])
+        assert strategy == "true_state" or known_from == pytest.approx(figures["reference_known"])
     assert "target_phase/speed_window" in values["ratios"]
 
 
@@ -120,7 +120,7 @@ def test_an_interrupted_campaign_goes_on_to_the_same_result(
 
 
 def test_a_finished_campaign_grows(by_one: Outcome, tmp_path: Path) -> None:
-    campaign(tmp_path, "--runs", "2", "--oracle", "--jobs", "1")
+    campaign(tmp_path, "--runs", "2", "--true-state", "--jobs", "1")
     grown = campaign(tmp_path, *RUNS, "--jobs", "1", "--resume")
     assert grown.text == by_one.text
 
@@ -155,7 +155,7 @@ def test_a_failed_run_is_named_by_its_seed_and_the_others_count(
 
 
 def test_one_run_alone_has_the_shifts_it_had_among_all(by_one: Outcome, tmp_path: Path) -> None:
-    alone = campaign(tmp_path, "--oracle", "--only", "1000003")
+    alone = campaign(tmp_path, "--true-state", "--only", "1000003")
     assert alone.values["shifts"] == [row for row in by_one.table if row["seed"] == 1_000_003]
 
 

@@ -1,4 +1,4 @@
-"""The plant run ahead for the oracle: one time or many, it is the same forecast."""
+"""The plant run ahead for `true_state`: one time or many, it is the same forecast."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ TICK_US = 10_000
 
 
 def records_of(strategy: str, *among: str) -> list[JudgedShift]:
-    spec = small_spec(strategies=among, oracle=False, learn=1, judged=2)
+    spec = small_spec(strategies=among, true_state=False, learn=1, judged=2)
     result = run_one(spec, Job(7))
     assert result.error is None
     return [record for record in result.records if record.strategy == strategy]

@@ -37,6 +37,7 @@ from meshpoint.testbench.logs.decisions import Decision, Judged, Parting
 from meshpoint.testbench.logs.judged_rows import JudgedRow, judged_table
 from meshpoint.testbench.report.comparison import compare, comparison_table
 from meshpoint.testbench.results.output import rows_table
+from meshpoint.testbench.results.phases import PHASES
 from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.testbench.studies.record import Finding, Statement, ThesisVerdict
 from meshpoint.testbench.studies.registry import STUDY_NAMES, load
@@ -44,7 +45,7 @@ from meshpoint.testbench.studies.runner import StudyRecord
 
 WIDTH = 80
 LONGEST = "speed_window_anticipating"
-STRATEGIES = (*STRATEGY_NAMES, "oracle")
+STRATEGIES = (*STRATEGY_NAMES, "true_state")
 
 ROW = ShiftRow(
     from_=10, to=12, strategy=LONGEST, reference="unknown", result="ended_between_gears",
@@ -60,7 +61,8 @@ RECORD = JudgedShift(
     duration_ms=10_436.0, slip_rpm=-123.4, phase_error_deg=-3.75, pitch_deg=7.5,
     predicted_phase_deg=None, predicted_phase_sd_deg=None, delay_ms=None, attempts=3,
     impact_j=123.45, face_ms=0.0, ratchets=0, blocked=0, backlash_percent=20.0, delay_sd_ms=1.0,
-    oil_c=None, slope_percent=None, mass_kg=None, supply_offset_bar=None,
+    oil_c=None, slope_percent=None, mass_kg=None, supply_offset_bar=None, bound_ms=None,
+    **dict.fromkeys(PHASES),
 )  # fmt: skip
 CAPTURE = CaptureRow(
     "crank-60-2-cold-start.csv", "60-2", 60, 123_456, 123_400, 12_345.6, 123, 123, 12, 1_234, 123,
@@ -77,6 +79,10 @@ def campaign_values() -> dict[str, Any]:
         "duration_ms": span,
         "impact_j": span,
         "slip_rpm_mean": -123.4,
+        "phases_ms": dict.fromkeys(PHASES, 12_436.7),
+        "bound_ms": 12_436.0,
+        "over_bound": 12.345,
+        "thrown_back": 2_000_000,
         "retries": 2_000_000,
         "blocked": 2_000_000,
         "given_up": 2_000_000,
@@ -124,6 +130,7 @@ TABLES: dict[str, Callable[[], Table]] = {
         compare({name: [ROW] * 1000 for name in STRATEGIES})
     ),
     "campaign.table._strategies": lambda: campaign_table._strategies(campaign_values()),
+    "campaign.table._phases": lambda: campaign_table._phases(campaign_values()),
     "campaign.table._ratios": lambda: campaign_table._ratios(campaign_values()["ratios"]),
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
     "logs.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),

@@ -24,8 +24,8 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.campaign.draw import Draw
-from meshpoint.testbench.campaign.oracle import Oracle
 from meshpoint.testbench.campaign.scorer import NO_STEP_US, SCORED_IDS, Scorer
+from meshpoint.testbench.campaign.true_state import TrueState
 from meshpoint.testbench.loop.bench import BenchCore, Pauses
 from meshpoint.testbench.loop.simulate import LIMIT_US_PER_SHIFT, not_addressed_to, tick_phases
 from meshpoint.testbench.loop.virtual_time import VirtualTime
@@ -42,6 +42,8 @@ every look, and the clutch closes meanwhile, which it would else do in the old g
 FAST_RETURN_RAMP_S: Final = 0.05
 """From the new gear's speeds to the old one's. As fast as this the wheels' teeth are still counted
 without a loss; it is the bench's doing and no part of a shift."""
+CLOSING_US: Final = 400_000
+"""The clutch's plates have met this long after a shift's end, or there are none."""
 ALL_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
 SHARED: Final = tuple(CODECS.values())
 """What a copy shares with its original: it never changes."""
@@ -119,7 +121,14 @@ class ClosedLoop:
         made, before = self._made, len(rows)
         self._run(lambda: len(rows) > before or bench.index > made)
         self._made += 1
+        if len(rows) > before:
+            self._until_the_plates_meet(rows)
         return rows[-1] if len(rows) > before else None
+
+    def _until_the_plates_meet(self, rows: list[ShiftRow]) -> None:
+        """Goes on until the last row says how long the clutch took after the shift, if it can."""
+        give_up_us = self._driver.now_us + CLOSING_US
+        self._driver.run(lambda: rows[-1].phases.closing_ms is not None, give_up_us)
 
     def _run(self, until: Callable[[], bool]) -> None:
         limit_us = self._driver.now_us + LIMIT_US_PER_SHIFT
@@ -141,4 +150,4 @@ class ClosedLoop:
         """Other engagement settings from here on; `knows_all`: by the rig's truth."""
         self._controller.change_settings(settings)
         if knows_all:
-            self._controller.take_predictor_from(Oracle(self._sheet, self._rig.truth))
+            self._controller.take_predictor_from(TrueState(self._sheet, self._rig.truth))

@@ -9,6 +9,8 @@ from typing import Any
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.loop.bench import PlannedShift
+from meshpoint.testbench.results.kinematic_bound import kinematic_bound_ms
+from meshpoint.testbench.results.phases import ShiftPhases
 from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.units import RPM
 
@@ -55,6 +57,19 @@ class JudgedShift:
     slope_percent: float | None
     mass_kg: float | None
     supply_offset_bar: float | None
+    bound_ms: float | None
+    """The kinematic bound of this shift; None where there is none."""
+    ramp_ms: float | None
+    parting_ms: float | None
+    pull_out_ms: float | None
+    raising_ms: float | None
+    brake_on_ms: float | None
+    braking_ms: float | None
+    release_ms: float | None
+    entry_ms: float | None
+    seen_ms: float | None
+    closing_ms: float | None
+    """Where the time went, as `results.phases` has it."""
 
     @property
     def engaged(self) -> bool:
@@ -80,6 +95,7 @@ class Conditions:
             "supply_offset_bar": built("air", "supply_offset_bar"),
         }
         self._sheet = sheet
+        self._as_built = as_built
 
     def record(self, planned: PlannedShift, row: ShiftRow | None, **key: Any) -> JudgedShift:
         """The record of a shift; `row` None: there was no outcome. `key`: sweep to strategy."""
@@ -109,5 +125,9 @@ class Conditions:
             face_ms=0.0 if row is None else row.face_ms,
             ratchets=0 if row is None else row.ratchets,
             blocked=0 if row is None else row.blocked,
+            bound_ms=kinematic_bound_ms(
+                self._sheet, self._as_built, (planned.from_, planned.to), planned.main_rad_s
+            ),
+            **vars(ShiftPhases() if row is None else row.phases),
             **self.columns,
         )

@@ -20,6 +20,7 @@ from meshpoint.testbench.report.html import (
     table,
     table_row,
 )
+from meshpoint.testbench.results.phases import TITLES as PHASE_TITLES
 
 FEW_RUNS = 30
 SWEPT_BY = {"backlash": BACKLASH, "scatter": DELAY_SD}
@@ -45,6 +46,9 @@ def write_report(
         *_size(values["runs"]),
         "<h2>Strategies</h2>",
         _strategies(values),
+        "<h2>Where the milliseconds go</h2>",
+        "<p>Mean of each phase over the shifts that have it, by the rig's truth.</p>",
+        _phases(values),
         "<h2>Ratios on the same draws</h2>",
         _ratios(values),
         '<h2>Figures</h2>\n<div class="overview">',
@@ -95,7 +99,8 @@ def _size(runs: int) -> list[str]:
 def _strategies(values: dict[str, Any]) -> str:
     columns = (
         "shifts", "first contact in gap", "95 % interval", "mean ms", "p50", "p99",
-        "mean impact, J", "retries", "blocked", "given up", "phase sd, deg", "reference known",
+        "bound ms", "after the ramp / bound", "mean impact, J", "retries", "blocked",
+        "thrown back", "given up", "phase sd, deg", "reference known",
     )  # fmt: skip
     head: list[Cell] = [("strategy", ""), *((name, NUMBER_CLASS) for name in columns)]
     rows = []
@@ -105,11 +110,21 @@ def _strategies(values: dict[str, Any]) -> str:
             str(figure["shifts"]), _percent(gap["rate"]),
             f"{_percent(gap['ci95'][0])} to {_percent(gap['ci95'][1])}",
             _text(duration["mean"], 0), _text(duration["p50"], 0), _text(duration["p99"], 0),
+            _text(figure["bound_ms"], 0), _text(figure["over_bound"], 2),
             _text(figure["impact_j"]["mean"], 2), str(figure["retries"]), str(figure["blocked"]),
-            str(figure["given_up"]), _text(figure["phase_error_sd_deg"], 2),
-            _percent(figure["reference_known"]),
+            str(figure["thrown_back"]), str(figure["given_up"]),
+            _text(figure["phase_error_sd_deg"], 2), _percent(figure["reference_known"]),
         ]  # fmt: skip
         rows.append(_line(name, cells))
+    return table(head, rows)
+
+
+def _phases(values: dict[str, Any]) -> str:
+    head: list[Cell] = [("strategy", ""), *((t, NUMBER_CLASS) for t in PHASE_TITLES.values())]
+    rows = [
+        _line(name, [_text(figure["phases_ms"][phase], 1) for phase in PHASE_TITLES])
+        for name, figure in values["strategies"].items()
+    ]
     return table(head, rows)
 
 

@@ -13,7 +13,7 @@ from meshpoint.bus.settle import settle
 from meshpoint.testbench.campaign.draw import draw
 from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.campaign.record import Conditions, JudgedShift
-from meshpoint.testbench.campaign.spec import ORACLE, CampaignSpec, Job
+from meshpoint.testbench.campaign.spec import TRUE_STATE, CampaignSpec, Job
 from meshpoint.testbench.results.rows import ShiftRow
 
 
@@ -89,7 +89,7 @@ def _judged(
     for name in spec.names:
         if name != spec.own:
             copy = bench.fork()
-            copy.use(spec.engagement(name), knows_all=name == ORACLE)
+            copy.use(spec.engagement(name), knows_all=name == TRUE_STATE)
             rows[name] = copy.shift()
             errors += copy.strategy_errors
     if spec.own in spec.names:

@@ -17,9 +17,9 @@ from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.campaign.sweep import BASE_POINT, SweepPoint, at_point
 from meshpoint.testbench.provenance import product_version, provenance
 
-ORACLE: Final = "oracle"
-ORACLE_STRATEGY: Final = "target_phase"
-"""What the oracle does with the truth."""
+TRUE_STATE: Final = "true_state"
+TRUE_STATE_STRATEGY: Final = "target_phase"
+"""The strategy that is given the true state."""
 SEEDS_APART: Final = 1_000_000
 """Run k of campaign seed S has seed S * 10^6 + k: no two campaigns share a draw."""
 
@@ -40,7 +40,7 @@ class CampaignSpec:
     settings: ControllerSettings
     preset: Preset
     strategies: tuple[str, ...]
-    oracle: bool
+    true_state: bool
     pairs: tuple[tuple[int, int], ...]
     learn: int
     judged: int
@@ -52,8 +52,8 @@ class CampaignSpec:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The strategies compared, the oracle last."""
-        return (*self.strategies, ORACLE) if self.oracle else self.strategies
+        """The strategies compared, `true_state` last."""
+        return (*self.strategies, TRUE_STATE) if self.true_state else self.strategies
 
     @property
     def own(self) -> str:
@@ -72,8 +72,8 @@ class CampaignSpec:
         return dataclasses.replace(self, sheet=sheet, settings=settings, as_built=as_built)
 
     def engagement(self, name: str) -> ControllerSettings:
-        """The controller's settings for a strategy or the oracle."""
-        strategy = ORACLE_STRATEGY if name == ORACLE else name
+        """The controller's settings for a strategy or for `true_state`."""
+        strategy = TRUE_STATE_STRATEGY if name == TRUE_STATE else name
         return self.settings.with_strategy(strategy, self.strategy_files.get(strategy))
 
     def to_json(self) -> dict[str, Any]:

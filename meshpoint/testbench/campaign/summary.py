@@ -17,7 +17,8 @@ from meshpoint.testbench.campaign.intervals import (
     rate_interval,
 )
 from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.campaign.spec import ORACLE
+from meshpoint.testbench.campaign.spec import TRUE_STATE
+from meshpoint.testbench.results.phases import PHASES
 from meshpoint.testbench.results.rows import SOURCES
 
 P99: Final = 0.99
@@ -81,8 +82,15 @@ def strategy_figures(shots: Shots, bootstrap: Bootstrap) -> dict[str, Any]:
             "mean_ci95": interval(bootstrap.means(*shots.impacts())),
             "p99": quantile(shots.impact_j, P99) if shots.impact_j.size else None,
         },
+        "phases_ms": {
+            name: _mean(np.array([at for r in records if (at := getattr(r, name)) is not None]))
+            for name in PHASES
+        },
+        "bound_ms": _mean(np.array([r.bound_ms for r in records if r.bound_ms is not None])),
+        "over_bound": _over_bound(records),
         "retries": sum(max(0, r.attempts - 1) for r in records),
         "blocked": sum(r.blocked for r in records),
+        "thrown_back": sum(r.contact == "gap" and r.ratchets > 0 for r in records),
         "ratchets": sum(r.ratchets for r in records),
         "given_up": sum(not r.engaged for r in records),
         "phase_error_mean_deg": finite(errors.mean()) if errors.size else None,
@@ -95,6 +103,18 @@ def strategy_figures(shots: Shots, bootstrap: Bootstrap) -> dict[str, Any]:
         },
         "by_gear": _by_gear(shots),
     }
+
+
+def _over_bound(records: list[JudgedShift]) -> float | None:
+    """Mean duration from the end of the torque ramp on over the mean bound, of the shifts that have
+    a bound."""
+    bounded = [
+        (r.duration_ms - (r.ramp_ms or 0.0), r.bound_ms)
+        for r in records
+        if r.bound_ms is not None and r.duration_ms is not None
+    ]
+    spent, bound = (sum(part) for part in zip(*bounded, strict=True)) if bounded else (0.0, 0.0)
+    return finite(spent / bound) if bound else None
 
 
 def ratios(of: Shots, to: Shots, bootstrap: Bootstrap) -> dict[str, Any]:
@@ -120,12 +140,12 @@ FIGURES: Final[dict[str, Figure]] = {
 
 
 def compare(shots: dict[str, Shots], bootstrap: Bootstrap) -> dict[str, Any]:
-    """Every strategy over each one before it in the list, and over the oracle."""
+    """Every strategy over each one before it in the list, and over `true_state`."""
     names = list(shots)
     found: dict[str, Any] = {}
     for k, name in enumerate(names):
-        others = names[:k] + ([ORACLE] if ORACLE in names else [])
-        for other in others if name != ORACLE else []:
+        others = names[:k] + ([TRUE_STATE] if TRUE_STATE in names else [])
+        for other in others if name != TRUE_STATE else []:
             found[f"{name}/{other}"] = ratios(shots[name], shots[other], bootstrap)
     return found
 

@@ -10,11 +10,14 @@ from rich.table import Table
 
 from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.results.output import broken
+from meshpoint.testbench.results.phases import TITLES as PHASE_TITLES
 
 
 def print_tables(out: Console, values: dict[str, Any]) -> None:
-    """Strategies side by side, then the ratios between them."""
+    """Strategies side by side, where their time went, then the ratios between them."""
     out.print(_strategies(values))
+    out.print()
+    out.print(_phases(values))
     if values["ratios"]:
         out.print()
         out.print(_ratios(values["ratios"]))
@@ -32,6 +35,23 @@ def _strategies(values: dict[str, Any]) -> Table:
         table.add_column(broken(name), justify="right")
     for title, cell in CELLS.items():
         table.add_row(title, *(cell(figures) for figures in strategies.values()))
+    return table
+
+
+def _phases(values: dict[str, Any]) -> Table:
+    """Where the milliseconds go: mean of each phase over the shifts that have it."""
+    table = Table(
+        title="mean ms by phase, by the rig's truth", title_justify="left", box=None,
+        pad_edge=False,
+    )  # fmt: skip
+    strategies: dict[str, dict[str, Any]] = values["strategies"]
+    table.add_column("", no_wrap=True)
+    for name in strategies:
+        table.add_column(broken(name), justify="right")
+    for phase, title in PHASE_TITLES.items():
+        cells = [_number(figures["phases_ms"][phase], 1) for figures in strategies.values()]
+        if any(cell != "-" for cell in cells):
+            table.add_row(title, *cells)
     return table
 
 
@@ -103,11 +123,14 @@ CELLS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
     "mean ms": lambda f: _number(f["duration_ms"]["mean"], 0),
     "p50 ms": lambda f: _number(f["duration_ms"]["p50"], 0),
     "p99 ms": lambda f: _number(f["duration_ms"]["p99"], 0),
+    "bound ms": lambda f: _number(f["bound_ms"], 0),
+    "over bound": lambda f: _number(f["over_bound"], 2),
     "mean impact J": lambda f: _number(f["impact_j"]["mean"], 2),
     "p99 impact J": lambda f: _number(f["impact_j"]["p99"], 2),
     "mean slip rpm": lambda f: _number(f["slip_rpm_mean"], 1),
     "retries": lambda f: str(f["retries"]),
     "blocked": lambda f: str(f["blocked"]),
+    "thrown back": lambda f: str(f["thrown_back"]),
     "given up": lambda f: str(f["given_up"]),
     "phase sd deg": lambda f: _number(f["phase_error_sd_deg"], 2),
     "reference known": lambda f: _percent(f["reference_known"]),

@@ -66,8 +66,9 @@ def add_parser(commands: Any) -> None:
         "(default: all of ours)",
     )  # fmt: skip
     parser.add_argument(
-        "--oracle", action="store_true",
-        help="also target_phase with the rig's true state and parameters, but no future chance",
+        "--true-state", "--oracle", dest="true_state", action="store_true",
+        help="also target_phase with the rig's true state and parameters, but no future chance "
+        "(--oracle: its old name)",
     )  # fmt: skip
     parser.add_argument(
         "--pairs", type=pairs, default=upshifts(), metavar="LIST",
@@ -117,7 +118,7 @@ def run(namespace: argparse.Namespace) -> int:
         settings=arguments.settings_of(namespace),
         preset=Preset(namespace.preset),
         strategies=namespace.strategies,
-        oracle=namespace.oracle,
+        true_state=namespace.true_state,
         pairs=namespace.pairs,
         learn=namespace.learn,
         judged=namespace.judged,

@@ -18,7 +18,7 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint simulate --pairs mixed --log run.log --report run.html",
     ),
     "campaign": (
-        "meshpoint campaign --runs 300 --oracle --json campaign.json",
+        "meshpoint campaign --runs 300 --true-state --json campaign.json",
         "meshpoint campaign --runs 20 --seed 9 --sweep backlash_percent=10,20,30",
     ),
     "replay": (

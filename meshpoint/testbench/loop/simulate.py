@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -24,10 +24,11 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import ScheduledFault
 from meshpoint.rig_sim.settings import Preset, RigSettings
-from meshpoint.testbench.loop.bench import TICK_US, BenchCore, plan_shifts
+from meshpoint.testbench.loop.bench import TICK_US, BenchCore, PlannedShift, plan_shifts
 from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs
 from meshpoint.testbench.loop.virtual_time import VirtualTime
 from meshpoint.testbench.provenance import product_version, provenance
+from meshpoint.testbench.results.kinematic_bound import kinematic_bound_ms
 from meshpoint.testbench.results.monitor import Monitor
 from meshpoint.testbench.results.rows import ShiftRow, summarise
 
@@ -105,6 +106,25 @@ def tick_phases(seed: int) -> list[int]:
     return [int(phase) for phase in rng.integers(0, TICK_US, 3)]
 
 
+def _with_bounds(
+    rows: list[ShiftRow],
+    plan: list[PlannedShift],
+    sheet: GearboxSheet,
+    as_built: Mapping[str, Mapping[str, float]],
+) -> list[ShiftRow]:
+    """The rows with the kinematic bound of the shift of the plan that each of them is of."""
+    planned = iter(plan)
+    found = []
+    for row in rows:
+        shift = next((p for p in planned if (p.from_, p.to) == (row.from_, row.to)), None)
+        bound_ms = None
+        if shift is not None:
+            gears = (shift.from_, shift.to)
+            bound_ms = kinematic_bound_ms(sheet, as_built, gears, shift.main_rad_s)
+        found.append(replace(row, bound_ms=bound_ms))
+    return found
+
+
 def _virtual_time(now_us: int) -> str:
     return f"{now_us / 1e6:.2f} s of virtual time"
 
@@ -160,7 +180,7 @@ def simulate(
         driver.run(lambda: bench.done or stop(), LIMIT_US_PER_SHIFT * len(plan))
     controller.shutdown(driver.now_us)
     return Result(
-        rows=monitor.rows.rows,
+        rows=_with_bounds(monitor.rows.rows, plan, setup.sheet, rig.as_built or {}),
         estimation=monitor.estimation.figures(),
         provenance=provenance(setup.sheet, setup.seed, setup.preset),
         simulated_s=driver.now_us / 1e6,

@@ -6,7 +6,7 @@ Fed with messages in bus order, so simulate, demo and replay make the same rows 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, NamedTuple
 
 from meshpoint.controller.planning.strategies.table import AIMING
@@ -24,6 +24,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.testbench.results.phases import ShiftPhases, closing_since_us, phases_of
 from meshpoint.testbench.results.road_speed import RoadSpeed, span_us
 from meshpoint.units import DEG, RPM
 
@@ -69,6 +70,10 @@ class ShiftRow:
     preset thesis, which has no vehicle."""
     reference_source: str = "none"
     """Where a known reference came from: measured, restored or narrowed."""
+    phases: ShiftPhases = field(default_factory=ShiftPhases)
+    """Where the time went, by the rig's truth."""
+    bound_ms: float | None = None
+    """The kinematic bound; None where there is none, or what was drawn for the rig is not known."""
 
     @property
     def phase_error_pct_of_pitch(self) -> float | None:
@@ -78,8 +83,13 @@ class ShiftRow:
     def to_json(self) -> dict[str, Any]:
         """The row as the commands print it; times are the sensor clock's 32-bit microseconds."""
         fields = {key.rstrip("_"): value for key, value in vars(self).items()}
+        fields["phases"] = _rounded(vars(self.phases))
         fields["phase_error_pct_of_pitch"] = self.phase_error_pct_of_pitch
-        return {k: round(v, 6) if isinstance(v, float) else v for k, v in fields.items()}
+        return _rounded(fields)
+
+
+def _rounded(fields: dict[str, Any]) -> dict[str, Any]:
+    return {k: round(v, 6) if isinstance(v, float) else v for k, v in fields.items()}
 
 
 class RowCollector:
@@ -98,6 +108,8 @@ class RowCollector:
         self._contacts: list[ReferenceEngagement] = []
         self._events: list[ReferenceEngagement] = []
         self._road = RoadSpeed()
+        self._closing_since_us: int | None = None
+        """From here on the last row waits for the plates to meet."""
         self.rows: list[ShiftRow] = []
 
     def take(self, message: Message) -> None:
@@ -113,15 +125,29 @@ class RowCollector:
             if message.event is EngagementEvent.READY:
                 self._contacts.clear()
                 self._events.clear()
+                self._closing_since_us = None
             elif message.event in CONTACT_KINDS:
                 self._contacts.append(message)
+            elif message.event is EngagementEvent.PLATES_MET:
+                self._plates_met(message.event_time_us)
         elif isinstance(message, ShiftOutcome) and message.result is not ShiftResult.REFUSED:
+            self._closing_since_us = closing_since_us(self._events, message.end_time_us)
             self.rows.append(self._row(message))
+
+    def _plates_met(self, time_us: int) -> None:
+        """The clutch of the last shift is closing: its row is complete."""
+        since_us, self._closing_since_us = self._closing_since_us, None
+        if since_us is None:
+            return
+        row = self.rows[-1]
+        closing_ms = span_us(time_us, since_us) / 1000
+        self.rows[-1] = replace(row, phases=replace(row.phases, closing_ms=closing_ms))
 
     def _row(self, outcome: ShiftOutcome) -> ShiftRow:
         target = DRIVE_GEARS[outcome.to_gear].main
         contact = next((c for c in self._contacts if c.gear == MainGear(target)), None)
         cost = _cost([event for event in self._events if event.gear == MainGear(target)])
+        phases = phases_of(self._events, outcome.request_time_us, outcome.end_time_us)
         self._contacts.clear()
         self._events.clear()
         known = outcome.reference is PhaseReference.KNOWN
@@ -157,6 +183,7 @@ class RowCollector:
             ratchets=cost.ratchets,
             blocked=cost.blocked,
             reference_source=outcome.reference_source.name.lower(),
+            phases=phases,
             speed_lost_kmh=None if lost_m_s is None else 3.6 * lost_m_s,
         )
 

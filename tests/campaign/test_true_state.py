@@ -1,4 +1,4 @@
-"""The oracle knows all but chance: what is left of its phase error is the scatter of the delay."""
+"""`true_state` knows all but chance: what is left of its error is the scatter of the delay."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from campaigns import small_spec
 from meshpoint.controller.settings import ControllerSettings, Window
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.campaign.run import run_one
-from meshpoint.testbench.campaign.spec import ORACLE, Job
+from meshpoint.testbench.campaign.spec import TRUE_STATE, Job
 
 RPM_TO_DEG_PER_MS = 6e-3
 
 
 @pytest.mark.parametrize(("preset", "seeds"), [(Preset.THESIS, (1, 2)), (Preset.TRUCK, (3, 4, 5))])
-def test_the_oracle_misses_by_the_scatter_of_the_delay_alone(
+def test_true_state_misses_by_the_scatter_of_the_delay_alone(
     preset: Preset, seeds: tuple[int, ...]
 ) -> None:
     spec = small_spec(preset, strategies=(), learn=1, judged=2)
@@ -23,7 +23,7 @@ def test_the_oracle_misses_by_the_scatter_of_the_delay_alone(
         result = run_one(spec, Job(seed))
         assert result.error is None
         for record in result.records:
-            assert record.strategy == ORACLE
+            assert record.strategy == TRUE_STATE
             assert record.contact == "gap"
             assert record.pitch_deg == pytest.approx(360.0 / spec.sheet.dog.teeth)
             assert record.phase_error_deg is not None

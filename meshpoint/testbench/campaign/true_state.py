@@ -1,4 +1,4 @@
-"""The oracle: a strategy that is told the rig's true state and parameters, and no future chance.
+"""`true_state`: target_phase told the rig's true state and parameters, and no future chance.
 
 It shows what physics leaves to be had: the scatter of the sleeve's delay stays unknown to it. In
 the preset thesis the controller's own model is exact, so the true state is all that it needs; in
@@ -77,7 +77,7 @@ class ForecastPredictor(GearPredictor):
         return LayshaftState(time_us, theta, omega, 0.0)
 
 
-class Oracle:
+class TrueState:
     """Makes a true predictor of an estimated one
     (`meshpoint.controller.shift.sequence.PredictorSource`)."""
 

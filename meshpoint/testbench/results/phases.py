@@ -1,0 +1,115 @@
+"""Where the time of a shift goes, by the rig's truth: the phases between the moments it tells.
+
+A phase ends at its moment and begins at the last moment before it that there was, so the phases of
+a shift add up to its duration. A phase that a shift does not have is None: the brake in a
+downshift, the old gear's teeth in a shift of the splitter alone, the clutch in the preset thesis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, fields
+from typing import Final
+
+from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement
+from meshpoint.testbench.results.road_speed import span_us
+
+_E: Final = EngagementEvent
+CONTACTS: Final = (_E.GAP_CONTACT, _E.TOOTH_CONTACT)
+
+
+@dataclass(frozen=True)
+class ShiftPhases:
+    """How long each phase of a shift took, ms; in their order."""
+
+    ramp_ms: float | None = None
+    """From the request until the clutch sets off: the wait for the torque's ramp, and the command's
+    way over the bus."""
+    parting_ms: float | None = None
+    """Until the plates have parted."""
+    pull_out_ms: float | None = None
+    """Until the old gear's teeth are out of each other."""
+    raising_ms: float | None = None
+    """Downshifts: until the engine has raised the layshaft and the plates have parted again."""
+    brake_on_ms: float | None = None
+    """Until air comes into the brake."""
+    braking_ms: float | None = None
+    """Until it is let out of it for the last time."""
+    release_ms: float | None = None
+    """Until the first contact of sleeve and gear."""
+    entry_ms: float | None = None
+    """Until the gear is locked."""
+    seen_ms: float | None = None
+    """Until the shift's end as the controller has it: the gear measured in."""
+    closing_ms: float | None = None
+    """From the lock, or from the end of a shift without one, until the plates meet again: after the
+    shift, not part of its duration."""
+
+
+PHASES: Final = tuple(field.name for field in fields(ShiftPhases))
+DURING: Final = PHASES[:-1]
+"""The phases that add up to the duration."""
+TITLES: Final = {
+    "ramp_ms": "torque ramp",
+    "parting_ms": "clutch parting",
+    "pull_out_ms": "pull-out",
+    "raising_ms": "speed raised",
+    "brake_on_ms": "brake on",
+    "braking_ms": "braking",
+    "release_ms": "release",
+    "entry_ms": "contact to lock",
+    "seen_ms": "lock to seen",
+    "closing_ms": "plates meet (after)",
+}
+
+
+def phases_of(events: list[ReferenceEngagement], request_us: int, end_us: int) -> ShiftPhases:
+    """The phases of a shift from its request to its end, 32-bit times of the sensor clock (us);
+    events: what the rig has told since the gear before."""
+    told = [(event.event, span_us(event.event_time_us, request_us)) for event in events]
+    told = [(event, at) for event, at in told if at >= 0]
+    end = span_us(end_us, request_us)
+    contact = _first(told, *CONTACTS)
+    released = _first(told, _E.RELEASED)
+    before = [(event, at) for event, at in told if contact is None or at <= contact]
+    raised = _last(before, _E.PLATES_PARTED, after=released)
+    fills = _first(before, _E.BRAKE_FILLS, after=raised if raised is not None else released)
+    empties = _last(told, _E.BRAKE_EMPTIES, after=fills) if fills is not None else None
+    moments = (
+        _first(told, _E.CLUTCH_OPENS),
+        _first(told, _E.PLATES_PARTED),
+        released,
+        raised,
+        fills,
+        empties if contact is None or empties is None else min(empties, contact),
+        contact,
+        _last(told, _E.LOCKED),
+        end,
+    )
+    spent: list[float | None] = []
+    since = 0
+    for moment in moments:
+        spent.append(None if moment is None else max(0, moment - since) / 1000.0)
+        since = since if moment is None else max(since, moment)
+    return ShiftPhases(*spent)
+
+
+def closing_since_us(events: Iterable[ReferenceEngagement], end_us: int) -> int:
+    """The moment from which `closing_ms` counts: the last lock, else the shift's end."""
+    locked = [event.event_time_us for event in events if event.event is _E.LOCKED]
+    return locked[-1] if locked else end_us
+
+
+Told = list[tuple[EngagementEvent, int]]
+
+
+def _first(told: Told, *kinds: EngagementEvent, after: int | None = -1) -> int | None:
+    if after is None:
+        return None
+    return next((at for event, at in told if event in kinds and at > after), None)
+
+
+def _last(told: Told, *kinds: EngagementEvent, after: int | None = -1) -> int | None:
+    if after is None:
+        return None
+    return next((at for event, at in reversed(told) if event in kinds and at > after), None)
