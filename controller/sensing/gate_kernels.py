@@ -26,14 +26,17 @@ from meshpoint.controller.records import Integers, Vector
 from meshpoint.controller.sensing.gate_layout import (
     AFTER_REJECTED,
     BETTER,
+    CALM,
     CLEAN,
     COUNTING,
     DOUBT,
     DUTY_SHARE,
     ERRATIC,
+    EVEN,
     FOLLOW,
     FOLLOW_RATE,
     GAP,
+    GAPS_TO_TURN,
     GATE,
     GONE,
     HOLE,
@@ -152,6 +155,10 @@ def accept(gate: Gate, time_us: int, falling: int) -> None:
     gate.scatter = min(max(scatter, LEAST_SCATTER), MOST_SCATTER)
     if falling == 1:
         gate.duty += DUTY_SHARE * bounded
+    gate.interval_us[falling] = (time_us - gate.last_us[falling]) / max(
+        gate.slot - gate.last[falling], 1
+    )
+    gate.last_us[falling] = time_us
     gate.time_us, gate.tooth, gate.at = time_us, gate.slot, share
     gate.last[falling], gate.falling = gate.slot, falling
     gate.rejected = 0
@@ -201,10 +208,15 @@ def seek(gate: Gate, rises: Integers, falls: Integers) -> bool:
                 between, at = between + 1, at + 1
         if found:
             gate.rate_per_us = 2.0 / (rise_us[r + 2] - rise_us[r])
-            gate.duty = duty / RUN if between == RUN else gate.duty_share
+            share = 1.0 - gate.duty_share if gate.turned == 1 else gate.duty_share
+            gate.duty = duty / RUN if between == RUN else share
             gate.lag, gate.at, gate.scatter = 0.0, 0.0, START_SCATTER
             gate.time_us, gate.tooth, gate.falling = rise_us[r], rise_number[r], 0
             gate.last[0], gate.last[1] = rise_number[r], rise_number[r] - 1
+            before_us = 1.0 / gate.rate_per_us
+            gate.interval_us[0] = gate.interval_us[1] = before_us
+            gate.last_us[0] = rise_us[r]
+            gate.last_us[1] = rise_us[r] + np.int64((gate.duty - 1.0) * before_us)
         r += 1
     gate.used[0], gate.used[1] = r, f if r < gate.given[0] else gate.given[1]
     return found
@@ -260,18 +272,68 @@ def settle(gate: Gate, teeth: Integers, time_us: int, falling: int, verdict: int
 
 
 @inlined
+def weigh_extra(
+    gate: Gate, advance: Integers, own_us: Integers, other_us: Integers, falling: int
+) -> int:
+    """Whether an edge out of its place is extra, or a true one of a shaft that has changed its
+    speed by more than was assumed: the two edges after it tell. NONE: wait for them.
+
+    It is extra where another is nearer to its slot, and the intervals are uneven with it or calm
+    without it. Otherwise the count is in doubt: `guess` has it as if the edge is true."""
+    at, others, slot = gate.used[falling], gate.given[1 - falling], gate.slot
+    time_us = own_us[at]
+    if at + 2 >= gate.given[falling]:
+        waited = others > 0 and other_us[others - 1] > time_us
+        behind = (other_us[others - 1] - time_us) * gate.rate_per_us if waited else 0.0
+        return WRONG if behind > LONGEST_WAIT + gate.widest else NONE
+    step = max(slot - gate.last[falling], 1)
+    next_step = after_step = 1
+    if gate.mode == COUNTING:
+        next_step = advance[slot % advance.size]
+        after_step = advance[(slot + next_step) % advance.size]
+    second = float(own_us[at + 1] - time_us)
+    third = float(own_us[at + 2] - own_us[at + 1])
+    first, joined = float(time_us - gate.last_us[falling]), own_us[at + 1] - gate.last_us[falling]
+    if min(first, second, third) <= 0.0 or next_step == 0 or after_step == 0:
+        return WRONG
+    first, joined, before = first / step, joined / step, gate.interval_us[falling]
+    extra = max(unlike(before, joined), unlike(joined, third / next_step))
+    second, third = second / next_step, third / after_step
+    true = max(unlike(before, first), unlike(first, second), unlike(second, third))
+    nearer = abs(gate.error + second * next_step * gate.rate_per_us) < abs(gate.error)
+    if nearer and (true >= EVEN or extra < min(true, CALM)):
+        return WRONG
+    if true < EVEN:
+        gate.rate_per_us = 1.0 / second
+    if gate.mode == SEARCHING:
+        return RIGHT if true < EVEN else WRONG
+    gate.guess = slot
+    return DOUBT
+
+
+@inlined
+def unlike(a: float, b: float) -> float:
+    """By which factor two lengths differ."""
+    return float(max(a / b, b / a))
+
+
+@inlined
 def weigh(gate: Gate, advance: Integers, own_us: Integers, other_us: Integers, falling: int) -> int:
     """The verdict on a polarity's next edge, in view of the one after it; NONE: wait for that
     one."""
     at, others = gate.used[falling], gate.given[1 - falling]
     time_us = own_us[at]
     verdict = judge(gate, advance, time_us, falling)
+    if verdict == WRONG and gate.dragged == 0:
+        return weigh_extra(gate, advance, own_us, other_us, falling)
     if verdict != RIGHT or gate.dragged == 1:
         return verdict
     if abs(gate.error) < SURE + SURE_SCATTERS * gate.scatter:
         return verdict
     if at + 1 < gate.given[falling]:
-        return WRONG if is_nearer(gate, own_us[at + 1], falling) else RIGHT
+        if is_nearer(gate, own_us[at + 1], falling):
+            return weigh_extra(gate, advance, own_us, other_us, falling)
+        return RIGHT
     if others == 0 or (other_us[others - 1] - time_us) * gate.rate_per_us < LONGEST_WAIT:
         return NONE
     return RIGHT
@@ -280,10 +342,15 @@ def weigh(gate: Gate, advance: Integers, own_us: Integers, other_us: Integers, f
 @inlined
 def put(gate: Gate, n: int, edges: Vector, numbers: Integers) -> None:
     """The edge that was just accepted becomes the n-th."""
-    falling = int(gate.falling)
+    second = int(gate.falling)
     edges[0, n] = gate.time_us
-    edges[1, n] = (gate.tooth + falling * gate.duty_share) * gate.pitch_rad
-    numbers[0, n], numbers[1, n] = gate.tooth, falling
+    if gate.turned == 1:
+        share = 1.0 if second == 1 else gate.duty_share
+        numbers[0, n], numbers[1, n] = gate.tooth + second, 1 - second
+        edges[1, n] = (gate.tooth + share) * gate.pitch_rad
+    else:
+        numbers[0, n], numbers[1, n] = gate.tooth, second
+        edges[1, n] = (gate.tooth + second * gate.duty_share) * gate.pitch_rad
     if gate.found_us == 0:
         gate.found_us = gate.time_us
 
@@ -344,6 +411,19 @@ def gate_edges(
 
 
 @bare
+def turn(memory: Vector, alone: int) -> bool:
+    """Whether rising and falling edges are to change places from the next call on, because gaps end
+    with the other one, or (`alone` 1) only that one comes. The tooth number is lost then."""
+    gate = memory.view(GATE)[0]
+    if alone == 0 and gate.other_gaps < GAPS_TO_TURN:
+        return False
+    lose(gate)
+    gate.turned, gate.other_gaps = 1 - gate.turned, 0
+    gate.given[0] = gate.given[1] = 0
+    return True
+
+
+@bare
 def stand(memory: Vector) -> None:
     """The wheel of a `Gate` stands still: gives its tooth number up."""
     gate = memory.view(GATE)[0]
@@ -354,4 +434,5 @@ def warm_up() -> None:
     """Compiles all, or loads what was compiled before."""
     gate, teeth, room = new_gate(1.0, 0.5, 1.0, 1.0, 1), teeth_of(1, ()), np.zeros((2, 8), np.int64)
     gate_edges(gate.flat, teeth, room, room, np.zeros((2, 8)), np.zeros((3, 8), np.int64))
+    turn(gate.flat, 0)
     stand(gate.flat)

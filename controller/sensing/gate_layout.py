@@ -6,7 +6,7 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from meshpoint.controller.records import Integers, RecordMemory, layout_of
+from meshpoint.controller.records import Integers, RecordMemory, Vector, layout_of
 
 SEEKING, SEARCHING, COUNTING = range(3)
 """Modes: no steady speed yet; a speed, but not yet the place of the missing teeth; each edge gets
@@ -29,6 +29,10 @@ class Gate:
     """Polarity of that edge."""
     last: Annotated[Integers, 2]
     """Tooth of each polarity's last edge."""
+    last_us: Annotated[Integers, 2]
+    """Sensor time of it."""
+    interval_us: Annotated[Vector, 2]
+    """Time for a pitch before it, by the edge of its polarity before."""
     given: Annotated[Integers, 2]
     """How many edges there are to be judged."""
     used: Annotated[Integers, 2]
@@ -54,6 +58,11 @@ class Gate:
     """How often of `lost` the wheel was slow or stood."""
     found_us: int
     """When teeth were first numbered; 0 before."""
+    turned: int
+    """1: a tooth begins with its falling edge, so `rises` and `falls` have changed places: gaps end
+    with a falling edge, or there is no rising one."""
+    other_gaps: int
+    """Gaps in a row that ended with the second edge of a tooth while the pattern was searched."""
     dragged: int
     """1 while a synchroniser changes the shaft's speed: edges cannot be predicted then, so each one
     is taken for the next."""
@@ -101,6 +110,13 @@ RATE_ERROR: Final = 0.03
 """Largest error of the filtered speed, as a share."""
 GAP_RATIO: Final = 1.45
 """A gap may appear longer or shorter by up to this factor."""
+GAPS_TO_TURN: Final = 2
+"""So many gaps in a row that end with the other polarity: teeth begin with that one."""
+ALONE: Final = 10
+"""So many edges of one polarity, and none of the other: that one alone is used."""
+EVEN, CALM = 1.5, 1.1
+"""Neighbouring intervals of true edges differ by less than the first factor at any acceleration, by
+less than the second if nothing has happened."""
 MOST_REJECTED: Final = 60
 LONG: Final = 2.0
 """At the least speed, a wheel may stop within so many pitches."""
@@ -131,6 +147,7 @@ class GateMemory(RecordMemory):
             self.part("last"),
         )
         self.given, self.used = self.part("given"), self.part("used")
+        self.other_gaps = self.part("other_gaps")
         self.extra, self.lost = self.part("extra"), self.part("lost")
         self.rate_per_us = self.part("rate_per_us")
 

@@ -20,9 +20,12 @@ from meshpoint.controller.sensing.gate_layout import (
 
 @inlined
 def judge_gap(gate: Gate, advance: Integers, falling: int) -> int:
-    """The same while the pattern of missing teeth is searched, behind a hole."""
+    """The same while the pattern of missing teeth is searched, behind a hole.
+
+    One that ends with the second edge of a tooth is counted: after some of them in a row, the
+    polarities change places (`turn` in `gate_kernels`)."""
     seen = gate.error + 1.0
-    if falling == 1 or gate.rejected > 0:
+    if gate.rejected > 0:
         return DOUBT
     nearest, ratio = 0, GAP_RATIO
     for gap in advance:
@@ -30,6 +33,10 @@ def judge_gap(gate: Gate, advance: Integers, falling: int) -> int:
             nearest, ratio = gap, max(seen / gap, gap / seen)
     if nearest == 0:
         return DOUBT
+    if falling == 1:
+        gate.other_gaps += 1
+        return DOUBT
+    gate.other_gaps = 0
     gate.slot += nearest - 1
     gate.error -= nearest - 1
     return GAP

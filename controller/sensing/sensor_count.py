@@ -88,10 +88,13 @@ class SensorCount:
         if not self._whole or not (slow or self._gap_us > LOST_FRAMES_US):
             self._doubt()
 
-    def counting(self, tooth: int, waiting: int, time_us: int, rate: float) -> None:
-        """Tooth of the last rising edge that has one; how many newer edges wait for theirs; when
-        the last tooth came, and the speed, pitches/us."""
-        rises, falls = self._numbers
+    def counting(
+        self, tooth: int, waiting: int, time_us: int, rate: float, turned: bool = False
+    ) -> None:
+        """Tooth of the last rising edge that has one (falling, where teeth begin with those:
+        `turned`); how many newer edges wait for theirs; when the last tooth came, and the speed,
+        pitches/us."""
+        rises, falls = self._numbers[::-1] if turned else self._numbers
         now = _Count(tooth - (rises - waiting), rises, falls, time_us, rate)
         if self._before is not None:
             self._join(self._before, now)

@@ -20,8 +20,15 @@ from meshpoint.controller.sensing.chain_kernels import (
     chain_edges,
     pack_frame,
 )
-from meshpoint.controller.sensing.gate_kernels import gate_edges, stand
-from meshpoint.controller.sensing.gate_layout import COUNTING, new_gate, teeth_of
+from meshpoint.controller.sensing.gate_kernels import gate_edges, stand, turn
+from meshpoint.controller.sensing.gate_layout import (
+    ALONE,
+    COUNTING,
+    GAPS_TO_TURN,
+    SEEKING,
+    new_gate,
+    teeth_of,
+)
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.sensor_count import SensorCount
 from meshpoint.gearbox.sheet import Wheel
@@ -178,6 +185,8 @@ class WheelEdges:
             self._gate.part("least_rate_per_us").item(),
             not missing,
         )
+        self._lead, self._other = self._rise, self._fall
+        self._alone = 0
         self.broken = 0
         """How often tooth numbers were lost: every phase reference of this wheel with them."""
         self.newest: Edge | None = None
@@ -209,7 +218,11 @@ class WheelEdges:
 
     def restart(self) -> None:
         """Forgets all numbers: the sensor side has restarted."""
+        turned = self._lead is self._fall
         self._rise, self._fall = Polarity(), Polarity()
+        self._lead, self._other = self._rise, self._fall
+        if turned:
+            self._lead, self._other = self._fall, self._rise
         self._gate.forget()
         self.sensor.restart()
         self.newest = None
@@ -236,7 +249,7 @@ class WheelEdges:
             return NO_EDGES
         gate = self._gate
         lost = gate.lost.item()
-        batch = self._judge(risen, fallen)
+        batch = self._judge()
         if read_us - gate.time_us.item() > LONGEST_US:
             stand(gate.flat)
         lost_now = gate.lost.item() - lost
@@ -246,24 +259,35 @@ class WheelEdges:
             self.sensor.lost()
         if batch.time_us.size and gate.mode.item() == COUNTING:
             self.sensor.counting(
-                gate.last.item(0), risen.count, gate.time_us.item(), gate.rate_per_us.item()
+                gate.last.item(0),
+                self._lead.count,
+                gate.time_us.item(),
+                gate.rate_per_us.item(),
+                self._lead is fallen,
             )
             self.newest = Edge(int(batch.time_us[-1]), float(batch.theta_rad[-1]))
         return batch
 
-    def _judge(self, risen: Polarity, fallen: Polarity) -> EdgeBatch:
-        room = risen.count + fallen.count
+    def _judge(self) -> EdgeBatch:
+        lead, other, gate = self._lead, self._other, self._gate
+        room = lead.count + other.count
         if room == 0:
             self.extra_us = NO_EDGES.tooth
             return NO_EDGES
-        gate = self._gate
-        gate.given[0], gate.given[1] = risen.count, fallen.count
+        if lead.count == 0 and gate.mode.item() == SEEKING:
+            self._alone += other.count
+        else:
+            self._alone = 0
+        gate.given[0], gate.given[1] = lead.count, other.count
         edges, numbers = np.empty((2, room)), np.empty((3, room), np.int64)
         extra = gate.extra.item()
-        n = gate_edges(gate.flat, self._teeth, risen.rows, fallen.rows, edges, numbers)
-        risen.use(gate.used.item(0))
-        fallen.use(gate.used.item(1))
+        n = gate_edges(gate.flat, self._teeth, lead.rows, other.rows, edges, numbers)
+        lead.use(gate.used.item(0))
+        other.use(gate.used.item(1))
         self.extra_us = numbers[2, : gate.extra.item() - extra]
+        alone = self._alone >= ALONE
+        if (alone or gate.other_gaps.item() >= GAPS_TO_TURN) and turn(gate.flat, int(alone)):
+            self._lead, self._other, self._alone = other, lead, 0
         return _new(EdgeBatch, (edges[0, :n], edges[1, :n], numbers[0, :n], numbers[1, :n]))
 
     def _take(
