@@ -51,9 +51,13 @@ class Collected:
         """Runs that broke off, in order."""
         return [self._failed[job] for job in self.jobs if job in self._failed]
 
-    def left(self) -> list[Job]:
-        """Runs not made yet."""
-        return [job for job in self.jobs if job not in self._records]
+    def left(self, within: list[Job]) -> list[Job]:
+        """Of these runs, those not made yet."""
+        return [job for job in within if job not in self._records and job not in self._failed]
+
+    def stop_at(self, jobs: list[Job]) -> None:
+        """These are all runs there will be."""
+        self.jobs = jobs
 
     def take(self, results: list[RunResult]) -> None:
         """Some more results."""

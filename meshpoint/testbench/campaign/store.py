@@ -78,7 +78,7 @@ class Store:
             )
         if files:
             self._check(head, spec)
-            self.records = [record for path in files for record in _read(path)]
+            self.records = [record for path in files for record in read_records(path)]
             self._count = max((int(p.stem) for p in self._parts.glob("*.parquet")), default=0)
         values = spec.to_json() | {"sha256": spec.sha256}
         head.write_text(json.dumps(values, indent=1, sort_keys=True) + "\n", encoding="utf-8")
@@ -132,7 +132,8 @@ def _write(path: Path, records: Iterable[JudgedShift]) -> None:
         raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
-def _read(path: Path) -> list[JudgedShift]:
+def read_records(path: Path) -> list[JudgedShift]:
+    """A table of judged shifts. CommandError where it is none."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 

@@ -64,6 +64,21 @@ def whole(low: int, high: int):  # type: ignore[no-untyped-def]
     return parse
 
 
+def percent(low: float, high: float) -> Callable[[str], float]:
+    """An argparse type: per cent from `low` to `high`, as a share."""
+
+    def parse(text: str) -> float:
+        try:
+            value = float(text)
+        except ValueError:
+            value = math.nan
+        if not low <= value <= high:
+            raise argparse.ArgumentTypeError(f"{text!r}, allowed are {low:g} to {high:g} per cent")
+        return value / 100.0
+
+    return parse
+
+
 def speed(text: str) -> float:
     """An argparse type: how many times as fast as the wall clock."""
     try:

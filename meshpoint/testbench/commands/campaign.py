@@ -20,10 +20,19 @@ from meshpoint.testbench.campaign.report import write_report
 from meshpoint.testbench.campaign.result import Collected, to_json
 from meshpoint.testbench.campaign.run import RunResult, run_one
 from meshpoint.testbench.campaign.runner import run_all
+from meshpoint.testbench.campaign.sequential import FIGURES, GOAL_FORM, Goal, parse_goal
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
+from meshpoint.testbench.campaign.stopping import (
+    Against,
+    AllRuns,
+    Stopping,
+    Until,
+    read_baseline,
+)
 from meshpoint.testbench.campaign.store import Store
 from meshpoint.testbench.campaign.sweep import SweepPoint
 from meshpoint.testbench.campaign.table import print_tables, records_table
+from meshpoint.testbench.campaign.verdict_words import is_worse, stopped_words, write_junit
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError
@@ -33,6 +42,7 @@ from meshpoint.testbench.loop.schedules import pairs
 from meshpoint.testbench.results.output import complain_of_strategy, console, write_json
 
 MOST_RUNS: Final = 1_000_000
+_GOAL_HELP: Final = GOAL_FORM.replace("%", "%%")
 DESCRIPTION: Final = """\
 Seeded Monte Carlo. A run is one draw: a gearbox as built, oil, load, slope, supply pressure and one
 gear change. The controller first makes the learning shifts; then each judged shift is made by every
@@ -79,6 +89,7 @@ def add_parser(commands: Any) -> None:
         help="all runs again at each of these values, for curves: backlash_percent, delay_sd_ms, "
         "or a controller setting, as window.aim_slip_rpm; may be repeated",
     )  # fmt: skip
+    _add_stopping(parser)
     _add_execution(parser)
     arguments.add_preset(parser)
     arguments.add_seed(parser)
@@ -87,6 +98,58 @@ def add_parser(commands: Any) -> None:
     arguments.add_controller(parser, strategy=False)
     arguments.add_json(parser)
     parser.set_defaults(run=run)
+
+
+def _add_stopping(parser: argparse.ArgumentParser) -> None:
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument(
+        "--until", type=_goal, metavar="GOAL",
+        help=f"stop when an interval is narrow enough, {_GOAL_HELP}: of the controller's own "
+        f"strategy against the first other one of --strategy; figures: {', '.join(FIGURES)}; at "
+        "most --runs",
+    )  # fmt: skip
+    what.add_argument(
+        "--against", type=Path, metavar="FILE|DIR",
+        help="an earlier campaign with the same draws (its --out folder, or its table): stop when "
+        "it is clear whether shifts have got worse, exit code 1 when they have",
+    )  # fmt: skip
+    parser.add_argument(
+        "--margin", type=arguments.percent(0.5, 50.0), default=0.03, metavar="PERCENT",
+        help="with --against: by how much the share of gaps must fall to be called worse "
+        "(default: 3)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--budget", type=float, metavar="S",
+        help="with --until: begin nothing that would end after so many wall seconds",
+    )  # fmt: skip
+    parser.add_argument(
+        "--junit", type=Path, metavar="FILE", help="the result as JUnit XML, for a CI server"
+    )
+
+
+def _goal(text: str) -> Goal:
+    try:
+        return parse_goal(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def _stopping(namespace: argparse.Namespace, spec: CampaignSpec) -> Stopping:
+    """What ends the campaign. CommandError where it cannot be judged."""
+    if namespace.until is None and namespace.against is None:
+        if namespace.budget is not None:
+            raise CommandError("--budget needs --until: the interval that is waited for")
+        return AllRuns()
+    if spec.sweep:
+        raise CommandError("--until and --against judge the base alone: leave out --sweep")
+    if namespace.against is not None:
+        return Against(read_baseline(namespace.against), spec.own, namespace.margin)
+    others = [name for name in spec.names if name != spec.own]
+    if spec.own not in spec.names or not others:
+        raise CommandError(
+            f"--until compares {spec.own} with another strategy: name both with --strategy"
+        )
+    return Until(namespace.until, (spec.own, others[0]), namespace.budget)
 
 
 def _add_execution(parser: argparse.ArgumentParser) -> None:
@@ -159,12 +222,13 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
     store = None
     if namespace.out is not None:
         store = Store(namespace.out, spec, namespace.resume)
+    stopping = _stopping(namespace, spec)
     jobs = spec.jobs(namespace.runs)
     if namespace.dask is None:
         prepare()
     collected = Collected(spec, jobs, [] if store is None else store.records)
-    finished = _make(namespace, spec, store, collected)
-    values = to_json(spec, collected)
+    finished = _make(namespace, spec, store, collected, stopping)
+    values = to_json(spec, collected) | stopping.to_json()
     if not finished:
         values["interrupted"] = True
         if namespace.json is not None:
@@ -187,11 +251,20 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
             file=sys.stderr,
         )
     complain_of_strategy(collected.strategy_errors)
-    return Exit.FAILED if collected.failed or collected.strategy_errors else Exit.DONE
+    for line in stopped_words(values):
+        out.print(line, markup=False)
+    if namespace.junit is not None:
+        write_junit(namespace.junit, values)
+    went_wrong = bool(collected.failed or collected.strategy_errors or is_worse(values))
+    return Exit.FAILED if went_wrong else Exit.DONE
 
 
 def _make(
-    namespace: argparse.Namespace, spec: CampaignSpec, store: Store | None, collected: Collected
+    namespace: argparse.Namespace,
+    spec: CampaignSpec,
+    store: Store | None,
+    collected: Collected,
+    stopping: Stopping,
 ) -> bool:
     """All runs that are left, under a progress bar on standard error."""
     progress = Progress(
@@ -213,7 +286,16 @@ def _make(
             if interrupted():
                 raise KeyboardInterrupt
 
-        return run_all(spec, collected.left(), namespace.jobs, namespace.dask, take)
+        made = collected.jobs[:0]
+        for runs in stopping.looks(namespace.runs):
+            made = spec.jobs(runs)
+            if not run_all(spec, collected.left(made), namespace.jobs, namespace.dask, take):
+                return False
+            seeds = {job.seed for job in made}
+            if stopping.enough([r for r in collected.records if r.seed in seeds]):
+                break
+        collected.stop_at(made)
+        return True
 
 
 def _say_interrupted(namespace: argparse.Namespace, collected: Collected) -> None:

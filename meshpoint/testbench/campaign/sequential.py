@@ -1,0 +1,145 @@
+"""When a campaign may stop: looks at fixed numbers of runs, an interval that allows for them.
+
+The interval of a paired figure is made of the runs' own means, as runs are what is drawn (Student's
+t over runs; Cochran 1977, ch. 9, for the ratio). One that is looked at until it is narrow enough is
+too short by a little (Chow and Robbins 1965): few looks, each at sqrt(2) times the runs of the one
+before, and none before `LEAST_RUNS`, keep its coverage within a per cent of what it says
+(`meshpoint study campaign_statistics` measures it).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from meshpoint.testbench.campaign.record import JudgedShift
+
+LEAST_RUNS: Final = 32
+GROWTH: Final = math.sqrt(2.0)
+NOMINAL: Final = 0.95
+FIGURES: Final = ("first_contact_gap", "duration_ms", "impact_j")
+KINDS: Final = ("difference", "ratio")
+GOAL_FORM: Final = '"FIGURE KIND +-X", as "first_contact_gap difference +-1%"'
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Goal:
+    """An interval no wider than `half_width` to either side, of one strategy against another."""
+
+    figure: str
+    kind: str
+    half_width: float
+
+    def __str__(self) -> str:
+        return f"{self.figure} {self.kind} +-{self.half_width:g}"
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A figure of one strategy less, or over, that of another."""
+
+    value: float
+    half_width: float
+    runs: int
+
+    @property
+    def low(self) -> float:
+        """The lower end of the interval."""
+        return self.value - self.half_width
+
+    @property
+    def high(self) -> float:
+        """The upper end of the interval."""
+        return self.value + self.half_width
+
+    def to_json(self) -> dict[str, Any]:
+        """By name."""
+        known = math.isfinite(self.half_width)
+        return {
+            "value": round(self.value, 6) if known else None,
+            "ci95": [round(self.low, 6), round(self.high, 6)] if known else [None, None],
+            "runs": self.runs,
+        }
+
+
+def parse_goal(text: str) -> Goal:
+    """`first_contact_gap difference +-1%`. ValueError names what is allowed."""
+    found = re.fullmatch(r"\s*(\w+)\s+(\w+)\s+(?:\+-|±)\s*([0-9.]+)\s*(%?)\s*", text)
+    if found is None:
+        raise ValueError(f"{text!r}, allowed is {GOAL_FORM}")
+    figure, kind, number, percent = found.groups()
+    if figure not in FIGURES:
+        raise ValueError(f"figure {figure!r}, allowed are {', '.join(FIGURES)}")
+    if kind not in KINDS:
+        raise ValueError(f"kind {kind!r}, allowed are {', '.join(KINDS)}")
+    try:
+        half_width = float(number) / (100.0 if percent else 1.0)
+    except ValueError:
+        raise ValueError(f"{number!r} is no number") from None
+    if not 0.0 < half_width < math.inf:
+        raise ValueError(f"+-{number}{percent}, allowed is more than 0")
+    return Goal(figure, kind, half_width)
+
+
+def looks(most_runs: int) -> Iterator[int]:
+    """The numbers of runs at which it is looked, the last of them `most_runs`."""
+    runs = float(LEAST_RUNS)
+    while runs < most_runs:
+        yield round(runs)
+        runs *= GROWTH
+    yield most_runs
+
+
+def estimate(goal: Goal, records: list[JudgedShift], strategy: str, other: str) -> Estimate:
+    """The figure of `strategy` against `other` from the runs so far."""
+    sums: dict[int, list[float]] = {}
+    for record in records:
+        value = _value(goal.figure, record)
+        if value is None or record.strategy not in (strategy, other):
+            continue
+        run = sums.setdefault(record.seed, [0.0, 0.0, 0.0, 0.0])
+        side = 0 if record.strategy == strategy else 2
+        run[side] += value
+        run[side + 1] += 1.0
+    table = np.array([run for _, run in sorted(sums.items()) if run[1] and run[3]])
+    if table.shape[0] < 2:
+        return Estimate(math.nan, math.inf, table.shape[0])
+    return paired_estimate(goal.kind, *table.T)
+
+
+def paired_estimate(kind: str, a: Floats, a_n: Floats, b: Floats, b_n: Floats) -> Estimate:
+    """Of sums `a` over `a_n` shifts and `b` over `b_n`, one number a run.
+
+    A run's residual is taken from the whole's mean: runs of unequal length count by their shifts.
+    Where no two runs differ, each strategy is given half a shift more that went the other way:
+    an interval of width zero would say too much (Agresti and Min 2005)."""
+    runs = a.size
+    mean_a, mean_b = a.sum() / a_n.sum(), b.sum() / b_n.sum()
+    part_a = (a - mean_a * a_n) * runs / a_n.sum()
+    part_b = (b - mean_b * b_n) * runs / b_n.sum()
+    if kind == "difference":
+        value, parts = mean_a - mean_b, part_a - part_b
+    elif mean_b == 0.0:
+        return Estimate(math.nan, math.inf, runs)
+    else:
+        value = mean_a / mean_b
+        parts = (part_a - value * part_b) / mean_b
+    variance = float(parts @ parts) / (runs - 1) / runs
+    least = 0.5 / runs**2 / (1.0 if kind == "difference" else mean_b**2)
+    margin = float(student.ppf(0.5 + NOMINAL / 2.0, runs - 1))
+    return Estimate(float(value), margin * math.sqrt(max(variance, least)), runs)
+
+
+def _value(figure: str, record: JudgedShift) -> float | None:
+    if figure == "first_contact_gap":
+        return float(record.contact == "gap")
+    value: float | None = getattr(record, figure)
+    return value
