@@ -155,13 +155,13 @@ def campaign(folder: Path, *more: str) -> int:
 
 def test_the_same_code_is_not_worse_than_itself_and_a_blunt_estimator_is(tmp_path: Path) -> None:
     own = ["--strategy", "target_phase"]
-    base = [*own, "--runs", "6", "--out", str(tmp_path / "base")]
+    base = [*own, "--runs", "3", "--out", str(tmp_path / "base")]
     assert campaign(tmp_path, *base) == 0
     junit = tmp_path / "junit.xml"
-    against = ["--runs", "6", "--against", str(tmp_path / "base"), "--junit", str(junit)]
+    against = ["--runs", "3", "--against", str(tmp_path / "base"), "--junit", str(junit)]
     assert campaign(tmp_path, *own, *against) == 0
     values = json.loads((tmp_path / "x.json").read_text())["against"]
-    assert (values["worse"], values["better"], values["pairs"]) == (0, 0, 6)
+    assert (values["worse"], values["better"], values["pairs"]) == (0, 0, 3)
     assert ET.parse(junit).getroot().attrib["failures"] == "0"
     assert campaign(tmp_path, *own, *against, "--estimator", "window") == 1
     values = json.loads((tmp_path / "x.json").read_text())["against"]
