@@ -24,7 +24,7 @@ from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 from meshpoint.testbench.campaign.store import Store
 from meshpoint.testbench.campaign.sweep import SweepPoint
 from meshpoint.testbench.campaign.table import print_tables, records_table
-from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.commands import arguments, swarm
 from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
@@ -79,6 +79,7 @@ def add_parser(commands: Any) -> None:
         "or a controller setting, as window.aim_slip_rpm; may be repeated",
     )  # fmt: skip
     _add_execution(parser)
+    swarm.add_arguments(parser)
     arguments.add_preset(parser)
     arguments.add_seed(parser)
     arguments.add_as_built(parser)
@@ -112,6 +113,8 @@ def _add_execution(parser: argparse.ArgumentParser) -> None:
 
 def run(namespace: argparse.Namespace) -> int:
     """Runs it."""
+    if namespace.faults or namespace.scenario is not None:
+        return swarm.run(namespace)
     spec = CampaignSpec(
         sheet=arguments.sheet_of(namespace),
         settings=arguments.settings_of(namespace),
