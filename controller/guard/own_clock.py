@@ -1,7 +1,8 @@
 """The guard's own sensor clock, from the raw stamps of the frames it believes.
 
 The offset between the controller's clock and the sensors' is the least that `now - stamp` was
-lately: each second's least is kept for some seconds. It is written apart from the clock that the
+lately: each second's least is kept for some seconds. Frames that come late, as after a node has
+hung, are therefore old, not of a slower clock. It is written apart from the clock that the
 commands are timed by, so that an error there shows as a difference (row 19).
 """
 
@@ -12,12 +13,15 @@ from typing import Final
 
 MODULUS: Final = 1 << 32
 SECOND: Final = 1_000_000
-SECONDS_KEPT: Final = 4
+SECONDS_KEPT: Final = 6
+"""Seconds in which stamps were heard: in silence nothing is forgotten."""
 RESTARTED_US: Final = 500_000
-"""An offset that changes by more is that of another clock."""
+"""A stamp so far from where the clock should be is that of another clock, unless it only comes
+late: then it goes on from the newest by no more than"""
+GOES_ON_US: Final = 100_000
 BACK_US: Final = 20_000
-"""So is one with a stamp so far behind the newest. A frame that only waited for the bus does no
-harm: the next one that did not wait gives the least again."""
+"""A stamp so far behind the newest is that of another clock too. A frame that only waited for the
+bus does no harm: the next one that did not wait gives the least again."""
 
 
 def signed_us(difference: int) -> int:
@@ -29,7 +33,7 @@ class GuardClock:
     """The sensors' time, unwrapped."""
 
     def __init__(self) -> None:
-        self._least: deque[tuple[int, int]] = deque()
+        self._least: deque[tuple[int, int]] = deque(maxlen=SECONDS_KEPT)
         """Each second of the controller's clock, and its least offset."""
         self._newest_us: int | None = None
 
@@ -41,9 +45,7 @@ class GuardClock:
         else:
             ahead_us = signed_us(stamp - newest_us)
             time_us = newest_us + ahead_us
-            expected_us = self.now_us(now_us)
-            is_other = expected_us is not None and abs(time_us - expected_us) > RESTARTED_US
-            if is_other or ahead_us < -BACK_US:
+            if self._is_of_another_clock(ahead_us, time_us, now_us):
                 self._least.clear()
         self._newest_us = time_us
         offset, second = now_us - time_us, now_us // SECOND
@@ -51,8 +53,13 @@ class GuardClock:
             self._least.append((second, offset))
         elif offset < self._least[-1][1]:
             self._least[-1] = (second, offset)
-        while self._least[0][0] <= second - SECONDS_KEPT:
-            self._least.popleft()
+
+    def _is_of_another_clock(self, ahead_us: int, time_us: int, now_us: int) -> bool:
+        expected_us = self.now_us(now_us)
+        if ahead_us < -BACK_US or expected_us is None:
+            return True
+        is_late = time_us < expected_us and ahead_us <= GOES_ON_US
+        return abs(time_us - expected_us) > RESTARTED_US and not is_late
 
     def now_us(self, now_us: int) -> int | None:
         """The sensor clock at `now_us` of the controller's; None before the first stamp."""

@@ -83,6 +83,8 @@ class ShiftContext:
         self.fault = FaultCode.NONE
         self.strategy_error: str | None = None
         """What was wrong with a user's strategy in this step."""
+        self.on_transition: Callable[[State, Trigger], None] | None = None
+        """Is told of each change of state, before it; for those who look on."""
         self.predictor_source: PredictorSource | None = None
         self.free_predictor: GearPredictor | None = None
         """The last predictor before the sleeve entered its gear."""

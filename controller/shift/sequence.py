@@ -51,6 +51,9 @@ HANDLERS: Final[dict[State, Handler]] = {
     State.CLUTCH_CLOSING: close_clutch,
     State.FAULTED: wait_for_position,
 }
+RAISE_ROOM: Final = 1.11
+"""For a lower gear the engine raises the input shaft by so much above the speed that the gear will
+have: the slip that is asked for, and what the engine overshoots."""
 FAULT_OF_ROW: Final = {
     6: FaultCode.BRAKE_LIMIT,
     9: FaultCode.INPUT_OVERSPEED,
@@ -83,6 +86,8 @@ class ShiftSequence(ShiftContext):
             return self.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
 
     def _go(self, trigger: Trigger, snapshot: StepSnapshot) -> None:
+        if self.on_transition is not None:
+            self.on_transition(self.state, trigger)
         self.enter(TRANSITIONS[self.state, trigger], snapshot)
 
     def blocked(self, row: int, snapshot: StepSnapshot) -> None:
@@ -150,7 +155,8 @@ class ShiftSequence(ShiftContext):
         top = self.sheet.limits.input_max_rad_s
         if propeller is not None:
             input_rad_s = propeller * self.sheet.overall_ratio(DRIVE_GEARS[number])
-            if input_rad_s > top:
+            raised = 0 < number < snapshot.view.gear_number
+            if input_rad_s * (RAISE_ROOM if raised else 1.0) > top:
                 rpm = input_rad_s * 30.0 / math.pi
                 return FaultCode.INPUT_OVERSPEED, f"the input shaft would turn at {rpm:.0f} rpm"
         return None

@@ -201,3 +201,20 @@ def test_a_shift_by_request_meets_no_row_of_the_driveline() -> None:
     loop.run(5_000_000)
     assert [outcome.result for outcome in loop.outcomes] == [ShiftResult.ENGAGED] * 2
     assert loop.status.guard_blocks == 0, loop.events
+
+
+@pytest.mark.parametrize(("layshaft_rpm", "gears"), [(1400.0, (8, 6)), (1350.0, (8, 6))])
+def test_a_downshift_near_the_limit_does_not_overspeed_the_input_shaft(
+    layshaft_rpm: float, gears: tuple[int, int]
+) -> None:
+    """Found by the swarm: asked for 2,396 rpm, the engine overshot to 2,525 of 2,400 allowed."""
+    loop = Loop(
+        [(300_000, gears[1])],
+        sheet=TRUCK12,
+        preset=Preset.TRUCK,
+        start_gear=gears[0],
+        layshaft_rad_s=layshaft_rpm * RPM,
+        seed=1,
+    )
+    assert not loop.until(lambda: input_overspeeds(loop), 2_500_000), loop.events
+    assert loop.outcomes

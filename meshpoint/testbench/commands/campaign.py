@@ -33,7 +33,7 @@ from meshpoint.testbench.campaign.store import Store
 from meshpoint.testbench.campaign.sweep import SweepPoint
 from meshpoint.testbench.campaign.table import print_tables, records_table
 from meshpoint.testbench.campaign.verdict_words import is_worse, stopped_words, write_junit
-from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.commands import arguments, swarm
 from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
@@ -91,6 +91,7 @@ def add_parser(commands: Any) -> None:
     )  # fmt: skip
     _add_stopping(parser)
     _add_execution(parser)
+    swarm.add_arguments(parser)
     arguments.add_preset(parser)
     arguments.add_seed(parser)
     arguments.add_as_built(parser)
@@ -176,6 +177,8 @@ def _add_execution(parser: argparse.ArgumentParser) -> None:
 
 def run(namespace: argparse.Namespace) -> int:
     """Runs it."""
+    if namespace.faults or namespace.scenario is not None:
+        return swarm.run(namespace)
     built = arguments.as_built_of(namespace)
     spec = CampaignSpec(
         sheet=arguments.sheet_of(namespace),

@@ -1,0 +1,128 @@
+"""`meshpoint campaign --faults`: worlds in which anything fails, held against plant truth."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+from typing import Any, Final
+
+from rich.table import Table
+
+from meshpoint.gearbox import load_sheet
+from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.loop.compiling import prepare
+from meshpoint.testbench.results.output import complain, console, write_json
+from meshpoint.testbench.swarm.episode import Episode
+from meshpoint.testbench.swarm.events import load_world
+from meshpoint.testbench.swarm.swarm import NAMES, Swarm, SwarmSpec, run_swarm
+
+OWN_GEARBOX: Final = "truck12"
+"""The deeds are made for a gearbox with a splitter and a range."""
+TELL_EVERY_S: Final = 60.0
+WORDS: Final = {
+    "faults": "faults",
+    "fault_codes": "fault codes",
+    "guard_rows": "rows of the guard",
+    "transitions": "transitions",
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """What `campaign --faults` takes besides --seed, --jobs, --out, --resume, --json."""
+    group = parser.add_argument_group("worlds in which anything may fail")
+    group.add_argument(
+        "--faults", action="store_true",
+        help="draw kinds and rates of faults by seed, and hold every step against plant truth "
+        f"(gearbox {OWN_GEARBOX} unless another is named)",
+    )  # fmt: skip
+    group.add_argument(
+        "--hours", type=_positive, default=1.0, metavar="H",
+        help="simulated hours (default: 1)",
+    )  # fmt: skip
+    group.add_argument("--wall", type=_positive, metavar="S", help="begin no world after S seconds")
+    group.add_argument(
+        "--scenario", type=Path, metavar="FILE", help="repeat a world that was found, alone"
+    )
+
+
+def run(namespace: argparse.Namespace) -> int:
+    """Runs it."""
+    is_default = namespace.gearbox == "thesis"
+    sheet = load_sheet(OWN_GEARBOX) if is_default else arguments.sheet_of(namespace)
+    spec = SwarmSpec(sheet, arguments.settings_of(namespace), namespace.seed)
+    if namespace.scenario is not None:
+        return _repeat(namespace, spec)
+    if namespace.resume and namespace.out is None:
+        raise CommandError("--resume needs the --out of the swarm to go on with")
+    prepare()
+    begun_s = time.monotonic()
+    swarm = run_swarm(
+        spec, namespace.hours, namespace.wall, namespace.jobs, namespace.out, namespace.resume,
+        _Teller(),
+    )  # fmt: skip
+    values = swarm.to_json(time.monotonic() - begun_s)
+    if namespace.json is not None:
+        write_json(namespace.json, values)
+    if namespace.json != "-":
+        out = console(namespace.json)
+        out.print(reached_table(values))
+        for found in values["found"]:
+            out.print(f"seed {found['seed']}: {found['what']} at {found['at_ms']} ms, "
+                      f"{found['text']}", markup=False)  # fmt: skip
+    return Exit.FAILED if swarm.found else Exit.DONE
+
+
+def _repeat(namespace: argparse.Namespace, spec: SwarmSpec) -> int:
+    world = load_world(namespace.scenario)
+    result = Episode(spec.sheet, spec.settings, world).run()
+    values = {
+        "simulated_s": result.simulated_s,
+        "shifts": result.shifts,
+        "broken": [broken._asdict() for broken in result.broken],
+    }
+    if namespace.json is not None:
+        write_json(namespace.json, values)
+    for broken in result.broken:
+        complain(f"{broken.what} at {broken.at_ms} ms: {broken.text}")
+    return Exit.FAILED if result.broken else Exit.DONE
+
+
+class _Teller:
+    """Says how far it is, now and then, where it does not get into anybody's results."""
+
+    def __init__(self) -> None:
+        self._told_s = time.monotonic()
+
+    def __call__(self, swarm: Swarm) -> None:
+        now_s = time.monotonic()
+        if now_s - self._told_s >= TELL_EVERY_S:
+            self._told_s = now_s
+            hours = swarm.simulated_s / 3600.0
+            text = f"{hours:.2f} h simulated, {swarm.shifts} shifts, {len(swarm.found)} violations"
+            print(text, file=sys.stderr)
+
+
+def reached_table(values: dict[str, Any]) -> Table:
+    """How much was simulated, and how much of what there is was reached."""
+    hours, shifts = values["simulated_hours"], values["shifts"]
+    title = f"{hours:.2f} h, {values['worlds']} worlds, {shifts} shifts"
+    table = Table("reached", "of", "missing", title=f"{title}, {values['violations']} violations")
+    for name in NAMES:
+        part = values[f"{name}_reached"]
+        missing = ", ".join(part["missing"]) or "-"
+        table.add_row(f"{part['reached']} {WORDS[name]}", str(part["declared"]), missing)
+    return table
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"{text!r}, allowed is a number above 0")
+    return value

@@ -1,0 +1,133 @@
+"""What must hold at every step, whatever fails: held against the gearbox's own truth.
+
+What the guard cannot know (docs/safety.md) is left out by rule: while a position sensor lies, or a
+valve does not follow its coil, a collision that it causes is the fault's own.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Any, Final, NamedTuple
+
+from meshpoint.controller.shift.table import IN_SHIFT
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.rig_sim.shared.engagement import Violation
+from meshpoint.testbench.swarm.nodes import WatchedController, WatchedRig
+
+EXPIRY_US: Final = 115_000
+"""The valve side's 100 ms, its read and the bus."""
+LONGEST_SHIFT_US: Final = 25_000_000
+"""Every phase as long as its limit, every retry used."""
+OVERSPEED: Final = 1.03
+"""The sheet's limit, what a sensor may be wrong by, and the guard's 1 %."""
+MEMORY_US: Final = 90_000
+"""A speed that the guard uses is at most so old."""
+SPEED_ERROR: Final = 0.02
+SPEED_ERROR_RAD_S: Final = 2.0
+BLIND_STEPS: Final = 2
+LIES: Final = frozenset({"position_offset", "position_frozen", "frozen_payload"})
+SLUGGISH: Final = frozenset({"valve_stuck", "valve_slow"})
+CLOCKS: Final = frozenset({"clock_step", "clock_drift", "node_restart", "node_stalled"})
+
+
+class Broken(NamedTuple):
+    """An invariant that did not hold."""
+
+    what: str
+    at_ms: int
+    text: str
+
+
+@dataclass
+class Invariants:
+    """Looks at both nodes after every step; `active` are the faults of now and just before."""
+
+    sheet: GearboxSheet
+    broken: list[Broken]
+
+    def __post_init__(self) -> None:
+        self._counted: dict[Violation, int] = {}
+        self._speeds: deque[tuple[int, tuple[float, ...]]] = deque()
+        self._blind = 0
+        self._sent_us = 0
+        self._in_shift_us: int | None = None
+        self._sensor_us: int | None = None
+        self._stepped_us = 0
+
+    def note(self, what: str, now_us: int, text: str) -> None:
+        """Keeps the first of each kind."""
+        if all(each.what != what for each in self.broken):
+            self.broken.append(Broken(what, now_us // 1000, text))
+
+    def controller_is_new(self) -> None:
+        """It has started anew: its clock and its shift begin anew as well."""
+        self._sensor_us = self._in_shift_us = None
+
+    def heard(self, now_us: int) -> None:
+        """A valve command of the controller's has reached the gearbox."""
+        self._sent_us = now_us
+
+    def rig(self, rig: WatchedRig, now_us: int, active: frozenset[str]) -> None:
+        """After a step of the gearbox."""
+        truth: Any = rig.truth
+        for kind, count in truth.violations.items():
+            before, self._counted[kind] = self._counted.get(kind, 0), count
+            if count > before and not (active & _excuses(kind)):
+                self.note(kind.name.lower(), now_us, f"{count} times")
+        speeds = truth.speeds_rad_s
+        self._speeds.append((now_us, speeds))
+        while self._speeds[0][0] < now_us - MEMORY_US:
+            self._speeds.popleft()
+        most = OVERSPEED * self.sheet.limits.input_max_rad_s
+        if speeds[0] > most:
+            rpm = speeds[0] * 30.0 / 3.14159265
+            self.note("input_overspeed", now_us, f"input shaft at {rpm:.0f} rpm")
+        if any(rig.energised) and not rig.is_stalled and now_us - self._sent_us > EXPIRY_US:
+            late_ms = (now_us - self._sent_us) / 1000.0
+            self.note(
+                "valve_after_expiry", now_us, f"driven {late_ms:.0f} ms after the last command"
+            )
+
+    def controller(self, core: WatchedController, now_us: int, active: frozenset[str]) -> None:
+        """After a step of the controller."""
+        self._blind = self._blind + 1 if core.drives and not core.sees_all else 0
+        if self._blind > BLIND_STEPS:
+            self.note("driven_blind", now_us, "valves driven on channels that are not valid")
+        if core.state not in IN_SHIFT:
+            self._in_shift_us = None
+        elif self._in_shift_us is None:
+            self._in_shift_us = now_us
+        elif now_us - self._in_shift_us > LONGEST_SHIFT_US:
+            self.note("shift_without_end", now_us, core.state.name)
+        if core.seen is not None:
+            self._time(core.seen.now_us, now_us, active)
+            self._guard_speeds(core.seen.speeds, now_us, active)
+
+    def _time(self, sensor_us: int, now_us: int, active: frozenset[str]) -> None:
+        before_us, self._sensor_us = self._sensor_us, sensor_us or None
+        passed_us, self._stepped_us = now_us - self._stepped_us, now_us
+        if before_us is None or not sensor_us or active & (CLOCKS | {"bus_delay"}):
+            return
+        error_us = sensor_us - before_us - passed_us
+        if abs(error_us) > 20_000 and len(self._speeds) > 1:
+            self.note("absurd_time", now_us, f"the guard's clock went wrong by {error_us} us")
+
+    def _guard_speeds(self, speeds: Any, now_us: int, active: frozenset[str]) -> None:
+        if active & {"hall_noise_burst", "bus_delay", *CLOCKS} or not self._speeds:
+            return
+        for shaft, speed in enumerate(speeds):
+            if speed is None:
+                continue
+            true = [each[shaft] for _, each in self._speeds]
+            slack = SPEED_ERROR_RAD_S + SPEED_ERROR * max(true)
+            if not min(true) - slack <= speed.omega_rad_s <= max(true) + slack:
+                self.note(
+                    "guard_speed", now_us,
+                    f"shaft {shaft}: {speed.omega_rad_s:.1f} rad/s, in truth {min(true):.1f}.."
+                    f"{max(true):.1f}",
+                )  # fmt: skip
+
+
+def _excuses(kind: Violation) -> frozenset[str]:
+    return LIES | SLUGGISH if kind is not Violation.BOTH_VALVES else SLUGGISH
