@@ -318,8 +318,9 @@ class CanBus:
             self._count_bad(senders, fault)
             self._recessive_ns = end_ns
             self._free_ns = end_ns + (DELIMITER_BITS + INTERMISSION_BITS) * nominal_ns
+            counters = {number: self.counters(number) for number in self._nodes}
             self._events.append(
-                Destroyed(end_ns, senders, attempt.frame, fault.kind, fault.seen_by)
+                Destroyed(end_ns, senders, attempt.frame, fault.kind, counters, fault.seen_by)
             )
         self.busy_ns += self._free_ns - attempt.start_ns
         self._on_bus = None

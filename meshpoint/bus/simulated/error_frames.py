@@ -38,12 +38,13 @@ _AT_ACK: Final = 0x19
 _PLACES: Final = {ErrorKind.CRC: _AT_CRC, ErrorKind.ACK: _AT_ACK}
 
 
-def of_destroyed(event: Destroyed, is_sender: bool, counters: tuple[int, int]) -> can.Message:
+def of_destroyed(event: Destroyed, node: int) -> can.Message:
     """What a node reports of a frame that was destroyed."""
     classes = ErrorClass.PROTOCOL | ErrorClass.BUS_ERROR
     if event.kind is ErrorKind.ACK:
         classes |= ErrorClass.NO_ACK
-    kind = _TYPES[event.kind] | (_SENDING if is_sender else 0)
+    kind = _TYPES[event.kind] | (_SENDING if node in event.senders else 0)
+    counters = event.counters.get(node, (0, 0))
     return _message(classes, counters, kind=kind, place=_PLACES.get(event.kind, 0))
 
 

@@ -68,6 +68,8 @@ class Destroyed(NamedTuple):
     senders: tuple[int, ...]
     frame: WireFrame
     kind: ErrorKind
+    counters: dict[int, tuple[int, int]]
+    """Each node's transmit and receive error counter afterwards."""
     seen_by: int | None = None
 
 

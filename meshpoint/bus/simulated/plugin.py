@@ -64,8 +64,12 @@ class SimulatedBus(can.BusABC):
         name = "default" if channel is None else str(channel)
         try:
             form = (BitTiming(_bit_ns(bitrate), _bit_ns(data_bitrate)), QueueOrder(queue))
-            if min(tx_queue_size, rx_queue_size) < 1 or restart_ms < 0:
-                raise ValueError("tx_queue_size, rx_queue_size and restart_ms: 1, 1, 0 at least")
+            for what, value, least in (
+                ("tx_queue_size", tx_queue_size, 1),
+                ("rx_queue_size", rx_queue_size, 1),
+                ("restart_ms", restart_ms, 0),
+            ):
+                _check_least(what, value, least)
 
             def port(number: int) -> Port:
                 restart_ns = restart_ms * 1_000_000
@@ -157,6 +161,11 @@ class SimulatedBus(can.BusABC):
     @staticmethod
     def _detect_available_configs() -> list[AutoDetectedConfig]:
         return [{"interface": INTERFACE, "channel": name} for name in open_channels()]
+
+
+def _check_least(what: str, value: int, least: int) -> None:
+    if value < least:
+        raise ValueError(f"{what} {value}, allowed is {least} or more")
 
 
 def _bit_ns(bitrate: int) -> int:

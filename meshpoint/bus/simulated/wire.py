@@ -206,8 +206,7 @@ class Wire:
     def _report(self, event: Destroyed) -> None:
         for port in self.ports.values():
             if port.hears_errors and not port.is_off:
-                counters = self._bus.counters(port.number)
-                message = of_destroyed(event, port.number in event.senders, counters)
+                message = of_destroyed(event, port.number)
                 self._hear_error(port, message, event.time_ns)
 
     def _change(self, event: StateChanged) -> None:
