@@ -235,11 +235,15 @@ def test_a_log_is_played_onto_it_and_recorded_from_it(channel: str, tmp_path: Pa
         for message in messages:
             writer(message)
     with SimulatedBus(channel) as listener, can.Logger(str(recorded)) as logger:
-        notifier = can.Notifier(listener, [logger], timeout=0.05)
+        heard: list[can.Message] = []
+        notifier = can.Notifier(listener, [logger, heard.append], timeout=0.05)
         with SimulatedBus(channel) as sender:
             for message in can.MessageSync(can.LogReader(str(played)), timestamps=True):
                 sender.send(message)
-        time.sleep(0.05)
+        # What the sender had handed over goes out although it has left.
+        deadline_s = time.monotonic() + HANG_S
+        while len(heard) < len(messages) and time.monotonic() < deadline_s:
+            time.sleep(0.01)
         notifier.stop()
     found = [(m.arbitration_id, bytes(m.data)) for m in can.LogReader(str(recorded))]
     assert found == [(m.arbitration_id, bytes(m.data)) for m in messages]

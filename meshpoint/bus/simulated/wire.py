@@ -72,6 +72,7 @@ class Wire:
         self.ports: dict[int, Port] = {}
         self._orders: list[_Order] = []
         self._restarts: list[tuple[int, int]] = []
+        self._leaving: set[int] = set()
         self._began_ns = time.monotonic_ns()
         self._epoch_ns = time.time_ns() - self._began_ns
         self._bus = CanBus(1, timing, order=order, disturb=self._disturb, restarts=False)
@@ -89,11 +90,12 @@ class Wire:
             return self.ports[number]
 
     def leave(self, port: Port) -> bool:
-        """The node is gone; whether it was the last."""
+        """The node hears nothing more, and is gone when what it handed over is sent; whether it
+        was the last."""
         with self.changed:
             self._advance()
             del self.ports[port.number]
-            self._bus.remove_node(port.number)
+            self._leaving.add(port.number)
             self._restarts = [entry for entry in self._restarts if entry[1] != port.number]
             self.changed.notify_all()
             return not self.ports
@@ -168,6 +170,9 @@ class Wire:
             self._tell(self._bus.run_to(at_ns))
             self._bus.restart(number, at_ns)
         self._tell(self._bus.run_to(now_ns))
+        for number in [n for n in self._leaving if not self._bus.waiting(n)]:
+            self._leaving.remove(number)
+            self._bus.remove_node(number)
 
     def _tell(self, events: list[BusEvent]) -> None:
         for event in events:
