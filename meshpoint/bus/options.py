@@ -20,6 +20,8 @@ from meshpoint.bus.local.channel import ChannelError, TcpChannel, parse_channel
 from meshpoint.bus.local.register import register_interface
 
 DEFAULT_INTERFACE = "meshpoint"
+IN_PROCESS = frozenset({"virtual", "meshpoint_simulated"})
+"""Interfaces whose buses end at the process."""
 BUS_TITLE = "which bus, as in python-can (`meshpoint help bus` explains)"
 BUS_HELP = "-i --interface -c --channel -b --bitrate --fd --data-bitrate --config ..."
 """All that a command's help says of python-can's own arguments."""
@@ -157,14 +159,14 @@ def _channel_info(config: dict[str, Any]) -> str:
 
 
 def is_local_bus(namespace: argparse.Namespace) -> bool:
-    """Whether the bus asked for cannot reach a valve: the local bus of this machine, or the one
-    named `virtual`, which ends at the process. A vcan is not: it may be bridged to a real bus.
+    """Whether the bus asked for cannot reach a valve: the local bus of this machine, or one that
+    ends at the process (`IN_PROCESS`). A vcan is not: it may be bridged to a real bus.
 
     Raises BusOpenError.
     """
     config = bus_config(namespace)
     if config["interface"] != DEFAULT_INTERFACE:
-        return bool(config["interface"] == "virtual")
+        return config["interface"] in IN_PROCESS
     channel = config.get("channel")
     try:
         place = None if channel is None else parse_channel(str(channel))

@@ -14,12 +14,25 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Final
 
+from meshpoint.bus.simulated.contract_traffic import (
+    AT_ONCE,
+    JITTER_NS,
+    PROBE_NS,
+    RIG_QUEUES,
+    STEP_NS,
+    contract_traffic,
+)
+from meshpoint.bus.simulated.core import QueueOrder
+from meshpoint.bus.simulated.frame_bits import BitTiming
+from meshpoint.bus.simulated.response_time import load, worst_response_ns
 from meshpoint.controller.settings import SettingsFile
+from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.keys import KeyGroup, groups_of, rounded, to_toml
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.testbench.exits import Exit
 
+SPECS: Final = {spec.name: spec for spec in SCHEMA.messages}
 GENERATED: Final = "Generated from the code by `make reference`; a test holds it equal."
 SETTINGS_TITLE: Final = (
     "Settings of `meshpoint controller --settings FILE`: every key with its default. A key that is "
@@ -97,6 +110,51 @@ def commands_page() -> str:
     return "\n".join(lines) + "\n"
 
 
+def bus_page() -> str:
+    """docs/reference/bus.md."""
+    timing = BitTiming()
+    apart, together = contract_traffic(timing), contract_traffic(timing, RIG_QUEUES)
+    columns = [
+        worst_response_ns(messages, order, timing.nominal_ns)
+        for messages, order in ((apart, QueueOrder.PRIORITY), (together, QueueOrder.FIFO))
+    ]
+    rows = [
+        (m.name, f"`{SPECS[m.name].can_id:08X}`", str(SPECS[m.name].sender),
+         f"{SPECS[m.name].length}{' FD' if SPECS[m.name].is_fd else ''}",
+         f"{m.longest_ns / 1e3:.1f}", f"{m.period_ns / 1e6:g}",
+         *(_milliseconds(column[m.name]) for column in columns))
+        for m in apart
+    ]  # fmt: skip
+    lines = [
+        "# How long a message may take", "", GENERATED, "",
+        "Each message of the DBC by priority, at 500 kbit/s and 2 Mbit/s: its longest frame with "
+        "the intermission, bit stuffing at its worst, and its worst response: from when it is due "
+        "until it is through, queuing jitter of "
+        f"{JITTER_NS / 1e6:g} ms included, on a bus without errors and without other nodes.",
+        "",
+        "- *by priority*: every sender of the DBC is a node that sends its waiting frames by "
+        "priority (Davis, Burns, Bril, Lukkien, Real-Time Systems 35, 2007).",
+        "- *in order*: every node sends them in the order given, as a SocketCAN interface does, "
+        "and the rig is one node. This bound is safe and far from what happens: on a bus as full "
+        "as this, each queue's waiting adds to the others' (after Davis, Kollmann, Pollex, "
+        "Slomka, ECRTS 2011).", "",
+        f"Assumed: an event message comes at most once each {STEP_NS / 1e6:g} ms (of "
+        f"{', '.join(AT_ONCE)} {', '.join(map(str, AT_ONCE.values()))} at once), and the "
+        f"controller makes one step more each {PROBE_NS / 1e9:g} s, to measure the delay of the "
+        "bus. A node whose waiting frames overtake each other mixes the frames of two steps when "
+        "the bus is full; a log of it cannot be verified, because the status frame closes a step "
+        "([decision 0004](../decisions/0004-status-frame-closes-a-step.md)).", "",
+        f"All frames at their longest take {load(apart):.1%} of the bus.", "",
+    ]  # fmt: skip
+    heads = ("message", "identifier", "sender", "bytes", "longest us", "least interval ms",
+             "by priority ms", "in order ms")  # fmt: skip
+    return "\n".join([*lines, *_table(heads, rows)]) + "\n"
+
+
+def _milliseconds(time_ns: int | None) -> str:
+    return "none" if time_ns is None else f"{time_ns / 1e6:.2f}"
+
+
 def subparsers(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
     """The commands of a parser by name."""
     for action in parser._actions:
@@ -146,6 +204,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "settings.md": settings_page,
     "gearbox.md": gearbox_page,
     "commands.md": commands_page,
+    "bus.md": bus_page,
 }
 """Each page by its file's name."""
 

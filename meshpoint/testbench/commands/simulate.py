@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import math
 from contextlib import ExitStack
 from typing import Any
 
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 
+from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.calibration_keeper import CalibrationWriter, Keep
 from meshpoint.dbc.frame import Frame
@@ -38,6 +40,7 @@ from meshpoint.testbench.results.output import (
 from meshpoint.testbench.results.rows import ShiftRow
 
 LOG_CHANNEL = "virtual"
+LEAST_LOAD = 0.1
 
 
 def add_parser(commands: Any) -> None:
@@ -53,10 +56,41 @@ def add_parser(commands: Any) -> None:
     arguments.add_controller(parser)
     arguments.add_calibration(parser)
     arguments.add_shifts(parser, default=20, least=1)
+    _add_bus(parser)
     arguments.add_log(parser)
     arguments.add_json(parser)
     arguments.add_report(parser)
     parser.set_defaults(run=run)
+
+
+def _add_bus(parser: argparse.ArgumentParser) -> None:
+    """--bus-load and --bus-queue."""
+    parser.add_argument(
+        "--bus-load",
+        type=_load,
+        metavar="X",
+        help="share of the bus that is taken, 0.1 to 1: frames of exact length, arbitration, and "
+        "other nodes' frames, drawn from the seed, up to this load (default: our own frames alone, "
+        "of average length)",
+    )
+    parser.add_argument(
+        "--bus-queue",
+        choices=tuple(order.value for order in QueueOrder),
+        default=QueueOrder.FIFO.value,
+        help="with --bus-load: a node's waiting frames leave fifo, in the order given, as from a "
+        "SocketCAN interface; or by priority, for which worst responses have the least bounds, but "
+        "frames of two steps may be mixed, which --verify does not take (default: %(default)s)",
+    )
+
+
+def _load(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not LEAST_LOAD <= value <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r}, allowed is a number from {LEAST_LOAD} to 1")
+    return value
 
 
 def run(namespace: argparse.Namespace) -> int:
@@ -76,6 +110,8 @@ def run(namespace: argparse.Namespace) -> int:
         as_built=built.fixed,
         faults=arguments.faults_of(namespace),
         calibration=calibration,
+        bus_load=namespace.bus_load,
+        bus_queue=QueueOrder(namespace.bus_queue),
     )
     out = console(namespace.json)
     check_report(namespace.report)

@@ -23,6 +23,7 @@ from meshpoint.bus.clock import Clock, NodeClock
 from meshpoint.bus.core import Step
 from meshpoint.bus.driver import run_node
 from meshpoint.bus.logs.recorder import LogWriter
+from meshpoint.bus.options import IN_PROCESS
 from meshpoint.bus.pace import PacedClock, PaceFile
 from meshpoint.controller import node as controller_node
 from meshpoint.controller.header import RunHeader
@@ -333,4 +334,4 @@ async def _end_nodes(nodes: Nodes, stop: asyncio.Event) -> None:
 
 def uses_virtual(namespace: argparse.Namespace) -> bool:
     """Whether the bus asked for ends at the process."""
-    return getattr(namespace, "interface", None) == "virtual"
+    return getattr(namespace, "interface", None) in IN_PROCESS

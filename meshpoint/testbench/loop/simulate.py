@@ -11,6 +11,7 @@ import numpy as np
 
 from meshpoint.bus.core import Core
 from meshpoint.bus.settle import settle
+from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.calibration_keeper import CalibrationKeeper, Keep
 from meshpoint.controller.core import ControllerCore
@@ -25,6 +26,7 @@ from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import ScheduledFault
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile, RigSettings
 from meshpoint.testbench.loop.bench import TICK_US, BenchCore, PlannedShift, plan_shifts
+from meshpoint.testbench.loop.loaded_bus import LoadedBus
 from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs
 from meshpoint.testbench.loop.virtual_time import VirtualTime
 from meshpoint.testbench.provenance import product_version, provenance
@@ -52,6 +54,11 @@ class Setup:
     calibration: Calibration | None = None
     """What the controller starts with."""
     profile: Profile = DEFAULT_PROFILE
+    bus_load: float | None = None
+    """The load of the bus, other nodes' traffic included; None: a bus of our own frames, of average
+    length."""
+    bus_queue: QueueOrder = QueueOrder.FIFO
+    """In which order a node's waiting frames leave, where the bus has a load."""
 
     @property
     def header(self) -> RunHeader:
@@ -78,12 +85,15 @@ class Result:
 
     interrupted: bool = False
     """It was ended before its last shift."""
+    bus: Mapping[str, Any] | None = None
+    """What the frames went through on a loaded bus."""
 
     def to_json(self, strategy: str) -> dict[str, Any]:
         """As `simulate --json` prints it."""
         errors = {"strategy_errors": dict(self.strategy_errors)} if self.strategy_errors else {}
         more = errors | ({} if self.as_built is None else {"as_built": self.as_built})
         more |= {"interrupted": True} if self.interrupted else {}
+        more |= {} if self.bus is None else {"bus": dict(self.bus)}
         return {
             "shifts": [row.to_json() for row in self.rows],
             "summary": summarise(strategy, self.rows).to_json(),
@@ -176,7 +186,10 @@ def simulate(
         not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
         not_addressed_to(Node.BENCH),
     ]
-    driver = VirtualTime(cores, tick_phases(setup.seed), take, on_event, filters)
+    bus = None
+    if setup.bus_load is not None:
+        bus = LoadedBus(setup.bus_load, setup.seed, setup.bus_queue)
+    driver = VirtualTime(cores, tick_phases(setup.seed), take, on_event, filters, bus)
     settle()
     if plan:
         driver.run(lambda: bench.done or stop(), LIMIT_US_PER_SHIFT * len(plan))
@@ -192,4 +205,5 @@ def simulate(
         cold_start=setup.calibration is None,
         strategy_errors=core.strategy_errors,
         interrupted=bool(plan) and not bench.done and stop(),
+        bus=None if bus is None else bus.figures(),
     )

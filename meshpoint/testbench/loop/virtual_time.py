@@ -12,6 +12,7 @@ from collections.abc import Callable
 
 from meshpoint.bus.core import Core
 from meshpoint.dbc.frame import Frame
+from meshpoint.testbench.loop.loaded_bus import LoadedBus
 from meshpoint.testbench.loop.virtual_bus import VirtualBus
 
 
@@ -21,6 +22,7 @@ class VirtualTime:
     `phases_us` are the first step times of the nodes: real nodes do not tick together.
     `on_frame(time_us, frame)` sees every frame as it leaves the bus, in bus order.
     `rejected` are the acceptance filters: identifiers that a node's CAN controller drops.
+    `bus` is the bus between them, a `VirtualBus` where none is given.
     """
 
     def __init__(
@@ -30,10 +32,11 @@ class VirtualTime:
         on_frame: Callable[[int, Frame], None] | None = None,
         on_event: Callable[[int, int, str], None] | None = None,
         rejected: list[frozenset[int]] | None = None,
+        bus: VirtualBus | LoadedBus | None = None,
     ) -> None:
         self._cores = cores
         self._rejected = rejected or [frozenset()] * len(cores)
-        self._bus = VirtualBus()
+        self._bus = VirtualBus() if bus is None else bus
         self._on_frame = on_frame
         self._on_event = on_event
         self._heap: list[tuple[int, int, int]] = []
@@ -45,7 +48,7 @@ class VirtualTime:
             self._push(phase_us, node)
 
     @property
-    def bus(self) -> VirtualBus:
+    def bus(self) -> VirtualBus | LoadedBus:
         """The bus, for its load."""
         return self._bus
 
@@ -64,7 +67,9 @@ class VirtualTime:
                 if bus.next_us > limit_us:
                     return False
                 self.now_us = int(bus.next_us)
-                self._deliver(*bus.take())
+                through = bus.take()
+                if through is not None:
+                    self._deliver(*through)
             if heap[0][0] > limit_us:
                 return False
             self.now_us, _, node = heapq.heappop(heap)

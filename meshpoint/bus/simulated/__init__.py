@@ -1,0 +1,1 @@
+"""A CAN bus simulated to the bit, in virtual time: lengths, arbitration, errors, bus-off, load."""
