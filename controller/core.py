@@ -111,6 +111,8 @@ class ControllerCore:
         self._reporter = Reporter(header, self._observer, self._sequence)
         self._due_us: int | None = None
         self._wake_us: int | None = None
+        self.snapshot: StepSnapshot | None = None
+        """The inputs of the newest decision; for those who look on. Estimates in it are live."""
         self.shifts = 0
         """How many shifts have ended since the start."""
         self.strategy_errors: dict[str, int] = {}
@@ -127,6 +129,16 @@ class ControllerCore:
     def running_shift(self) -> ShiftRecord | None:
         """The shift under way, or the one that this step has ended; for those who look on."""
         return self._sequence.shift or self._sequence.finished
+
+    @property
+    def sequence(self) -> ShiftSequence:
+        """The shift sequence; for those who look on."""
+        return self._sequence
+
+    @property
+    def observer(self) -> Observer:
+        """The estimates; for those who look on."""
+        return self._observer
 
     def calibration(self, written: str) -> Calibration:
         """What has been learned, earlier runs included; written: date and time as text for the
@@ -172,7 +184,7 @@ class ControllerCore:
             self._observer.clock.stamp(read_us, now_us)
         self._observer.take(inputs, now_us, events)
         self._speeds.take(inputs, self._observer.clock.now_us(now_us))
-        snapshot = self._snapshot(now_us)
+        snapshot = self.snapshot = self._snapshot(now_us)
         self._decide(inputs.requested_gear, snapshot, events)
         self._observer.learn(events)
         frames = self._commands(now_us, snapshot, events)

@@ -12,6 +12,7 @@ Kalman filter whose steps are shifts.
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 from typing import Final
@@ -121,6 +122,18 @@ class BrakeModel:
         sd = [*record.emptying_sd, *record.filling_sd]
         delays_sd = np.maximum((record.off_delay_sd_s, record.on_delay_sd_s), LEAST_SD_S)
         self._covariance = np.diag([*np.maximum(sd, LEAST_SD), *delays_sd]) ** 2
+
+    def varied(self, normal: Vector) -> BrakeModel:
+        """Another brake that is as likely: law and delays moved by `normal` (PARAMETERS,) standard
+        deviations, correlations kept. Gain, drag and touch stay."""
+        other = copy.copy(self)
+        other.move_law(np.linalg.cholesky(self._covariance) @ normal)
+        return other
+
+    def move_law(self, by: Vector) -> None:
+        """Moves rates and delays (PARAMETERS,); a delay is never negative."""
+        self._mean = self._mean + by
+        self._mean[2 * RATES :] = np.maximum(self._mean[2 * RATES :], 0.0)
 
     @property
     def off_delay_us(self) -> int:

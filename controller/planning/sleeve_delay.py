@@ -68,6 +68,11 @@ class SleeveDelays:
         variance = learned.squares_s2 / learned.scatter_samples
         return math.sqrt(variance * (1.0 + 1.0 / learned.samples))
 
+    def scatter_samples(self, gear: MainGear) -> float:
+        """From how many contacts the scatter is known, the data sheet's weight among them: degrees
+        of freedom of the next delay's Student law."""
+        return self._learned[gear].scatter_samples
+
     def samples(self, gear: MainGear) -> int:
         """How many contacts have been seen."""
         return round(self._learned[gear].samples - PRIOR_SAMPLES)

@@ -25,6 +25,7 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.testbench.logs.counterfactual import Counterfactual
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.units import DEG, RPM
 
@@ -109,6 +110,8 @@ class Judged:
     """When each valve is commanded on up to there, for drawing."""
     events: list[str] = field(default_factory=list)
     """What it says of its decisions, up to its firing or up to there."""
+    counterfactual: Counterfactual | None = None
+    """Where its tooth would have landed, worked out; None where that was not asked for."""
 
     @property
     def on_own_course(self) -> bool | None:
@@ -157,6 +160,7 @@ class Judged:
             "judged_to_ms": self.judged_to_ms,
             "contact": None,
             "contact_why": self.contact_why,
+            "counterfactual": self._counterfactual_json(),
             "strayed_at_step": self.strayed_at_step,
             "events": self.events,
         }
@@ -166,6 +170,13 @@ class Judged:
             "last_on_own_course": None if own is None else rounded(vars(own)),
             "parted": _parting_json(self.parted),
         }
+
+    def _counterfactual_json(self) -> dict[str, Any] | None:
+        if self.counterfactual is None:
+            return None
+        told = {"decidable": self.counterfactual.decidable} | vars(self.counterfactual)
+        told.pop("course")
+        return rounded(told | {"why": self.counterfactual.why or None})
 
 
 class Course:
@@ -232,7 +243,7 @@ def judge(
     status, last, fault = _status(mine, record, judged_to_ms, step_us, replayed)
     driven = replayed.driven(step_us, request_us)
     parted = _parting(recorded, replayed, step_us, request_us, judged_to_ms)
-    course_ms = _course_parted_ms(recorded, replayed, step_us, request_us)
+    course_ms = course_parted_ms(recorded, replayed, step_us, request_us)
     if judged_to_ms is not None and course_ms is not None and course_ms >= judged_to_ms:
         course_ms = None
     end_ms = math.inf if judged_to_ms is None else judged_to_ms
@@ -332,7 +343,7 @@ def _parting(
         at_ms = (theirs.time_us - step_us) / 1000
         if judged_to_ms is not None and at_ms >= judged_to_ms:
             return None
-        differ = _differing(theirs, mine)
+        differ = differing(theirs, mine)
         if not differ:
             continue
         each = [
@@ -343,7 +354,7 @@ def _parting(
     return None
 
 
-def _differing(theirs: Said, mine: Said) -> list[str]:
+def differing(theirs: Said, mine: Said) -> list[str]:
     """What two steps command differently: valves by name, `clutch`, `engine`."""
     if theirs.command is None or mine.command is None:
         return []
@@ -370,7 +381,7 @@ def _up_to(
     return {name: spans for name, spans in cut.items() if spans}
 
 
-def _course_parted_ms(
+def course_parted_ms(
     recorded: Course, replayed: Course, step_us: int, request_us: int
 ) -> float | None:
     """The first switch of a valve that only one of them makes, or the first step at which clutch or
@@ -382,7 +393,7 @@ def _course_parted_ms(
     ]  # fmt: skip
     parted = [at_ms for at_ms, _, _ in edges[0] ^ edges[1]]
     for theirs, mine in zip(recorded.steps, replayed.steps, strict=True):
-        if {"clutch", "engine"} & set(_differing(theirs, mine)):
+        if {"clutch", "engine"} & set(differing(theirs, mine)):
             parted.append((theirs.time_us - step_us) / 1000)
             break
     return min(parted, default=None)

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from rich.table import Table
 
+from meshpoint.testbench.logs.counterfactual import Counterfactual
 from meshpoint.testbench.logs.decisions import Decision, Judged, rounded
 from meshpoint.testbench.results.output import broken
 from meshpoint.testbench.results.rows import ShiftRow
@@ -61,10 +62,9 @@ def judged_table(title: str, rows: Sequence[JudgedRow]) -> Table:
     for column in ("from", "to"):
         table.add_column(column, justify="right")
     table.add_column("strategy", no_wrap=True)
-    for column in ("fires\nms", "expects\ndeg", "parts\nms"):
+    for column in ("fires\nms", "expects\ndeg", "parts\nms", "lands\ndeg", "gap\n%"):
         table.add_column(column, justify="right", no_wrap=True)
     table.add_column("log:\nstrategy", no_wrap=True)
-    table.add_column("log:\nfired\nms", justify="right", no_wrap=True)
     table.add_column("log:\ncontact", no_wrap=True)
     for row in rows:
         table.add_row(str(row.recorded.from_), str(row.recorded.to), *_cells(row))
@@ -73,15 +73,22 @@ def judged_table(title: str, rows: Sequence[JudgedRow]) -> Table:
 
 def _cells(row: JudgedRow) -> list[str]:
     recorded, judged = row.recorded, row.judged
-    was = ["-", "-", "-", "-"]
-    fired = None
+    was = ["-"] * 6
     if judged is not None:
         told = judged.last if judged.fired_ms is not None else None
         parted = judged.parted.at_ms if judged.parted else None
         fires = judged.status if told is None else _number(told.fired_ms)
         was = [broken(judged.strategy), fires, _phase_text(told), _number(parted)]
-        fired = judged.recorded.fired_ms if judged.recorded else None
-    return [*was, broken(recorded.strategy), _number(fired), recorded.contact or "-"]
+        was += _landing_cells(judged.counterfactual)
+    return [*was, broken(recorded.strategy), recorded.contact or "-"]
+
+
+def _landing_cells(found: Counterfactual | None) -> list[str]:
+    """The landing worked out with its 95 % interval, and the chance of a gap."""
+    if found is None or found.phase_deg is None:
+        return ["-", "-"]
+    half = ((found.phase_high_deg or 0.0) - (found.phase_low_deg or 0.0)) / 2.0
+    return [f"{found.phase_deg:+.1f}±{half:.1f}", f"{100 * (found.contact_probability or 0.0):.0f}"]
 
 
 def _phase_text(decision: Decision | None) -> str:
@@ -98,8 +105,7 @@ def judged_words(rows: Sequence[JudgedRow], asked: str) -> str:
     parted = sum(shift.parted is not None for shift in judged)
     text = (
         f"{asked} judged in {len(judged)} of {len(rows)} recorded shifts: fires in {fired}, parts "
-        f"from what was recorded in {parted}. Contacts are the log's; where {asked} would have met "
-        "is not in it."
+        f"from what was recorded in {parted}. Contacts are the log's; {_landings(judged, asked)}."
     )
     strayed = [shift.strayed_at_step for shift in judged if shift.strayed_at_step is not None]
     if strayed:
@@ -108,6 +114,19 @@ def judged_words(rows: Sequence[JudgedRow], asked: str) -> str:
             "shifts are judged from a state like the recorded one, not from it."
         )
     return text
+
+
+def _landings(judged: Sequence[Judged], asked: str) -> str:
+    """Where the other strategy would have landed, in words."""
+    landings = [shift.counterfactual for shift in judged if shift.counterfactual is not None]
+    chances = [found.contact_probability for found in landings if found.decidable]
+    told = [chance for chance in chances if chance is not None]
+    if not told:
+        return f"where {asked} would have met is not in it"
+    return (
+        f"where {asked} would have met is worked out for {len(told)} shifts (95 % intervals): "
+        f"{sum(told):.1f} first contacts in a gap are expected of these"
+    )
 
 
 def _number(value: float | None) -> str:

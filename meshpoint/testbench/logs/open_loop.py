@@ -11,10 +11,11 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.shift.table import ShiftRecord
@@ -31,7 +32,22 @@ from meshpoint.dbc.messages import (
     ShiftResult,
     ValveCommand,
 )
-from meshpoint.testbench.logs.decisions import Course, Judged, Said, judge
+from meshpoint.testbench.logs.counterfactual import (
+    DRAWS,
+    Counterfactual,
+    Parting,
+    undecidable,
+    work_out,
+)
+from meshpoint.testbench.logs.decisions import (
+    Course,
+    Judged,
+    Said,
+    course_parted_ms,
+    differing,
+    judge,
+)
+from meshpoint.testbench.logs.recorded_course import RecordedCourse
 
 SHIFTING: Final = frozenset(ControllerState) - {
     ControllerState.STARTING,
@@ -85,6 +101,10 @@ class _Branch:
     recorded: Course = field(default_factory=Course)
     replayed: Course = field(default_factory=Course)
     record: ShiftRecord | None = None
+    course: RecordedCourse = field(default_factory=RecordedCourse)
+    parting: Parting | None = None
+    undriven: str = ""
+    """What else than valves was commanded differently when the courses parted."""
 
     def step(self, time_us: int, consumed: list[Frame]) -> None:
         """The same frames at the same step."""
@@ -94,6 +114,29 @@ class _Branch:
         self.record = self.core.running_shift or self.record
         self.replayed.take(said(time_us, made.frames)._replace(events=tuple(made.events)))
 
+    def part(self) -> None:
+        """Keeps the copy as it is at the last step before the frames answer to other commands than
+        its own."""
+        theirs, mine = self.recorded.steps[-1], self.replayed.steps[-1]
+        if self.parting is not None or self.record is None or not differing(theirs, mine):
+            return
+        request_us = self.record.request_us
+        if course_parted_ms(self.recorded, self.replayed, self.step_us, request_us) is None:
+            return
+        self.undriven = " and ".join({"clutch", "engine"} & set(differing(theirs, mine)))
+        self.parting = Parting(self.core, len(self.course.steps) + 1)
+
+    def counterfactual(self, known: BrakeModel, judged: Judged, draws: int) -> Counterfactual:
+        """Where its tooth would have landed. The recorded course is closed; known: the brake as
+        learned by then."""
+        if judged.parted is None:
+            return undecidable(judged.contact_why)
+        if self.parting is None or judged.course_parted_ms is None:
+            return undecidable(judged.contact_why)
+        if self.undriven:
+            return undecidable(f"{self.undriven} commanded otherwise: they have no model here")
+        return work_out(self.parting, self.course, known, judged.request_us, draws)
+
 
 class OpenLoop:
     """Looks on while a log is repeated (`meshpoint.testbench.logs.replay.Onlooker`).
@@ -101,8 +144,13 @@ class OpenLoop:
     change(header): the other settings. A session in which nothing can be repeated has no shifts.
     """
 
-    def __init__(self, change: Callable[[RunHeader], ControllerSettings]) -> None:
+    def __init__(
+        self, change: Callable[[RunHeader], ControllerSettings], draws: int = DRAWS
+    ) -> None:
+        """draws: of each shift's landing (`counterfactual`); 0: landings are not worked out."""
         self._change = change
+        self._draws = draws
+        self._core: ControllerCore | None = None
         self._settings = ControllerSettings()
         self._branch: _Branch | None = None
         self._session = -1
@@ -143,6 +191,8 @@ class OpenLoop:
         if self._branch is not None:
             self._branch.step(status.step_time_us, consumed)
             self._branch.recorded.take(was)
+            self._branch.part()
+        self._core = core
 
     def after(self, status: ControllerStatus, sent: list[Frame], made: list[Frame]) -> None:
         """The step has been repeated: `made` instead of `sent`."""
@@ -150,14 +200,17 @@ class OpenLoop:
         was, is_now = said(now, sent), said(now, made)
         if self._strayed is None and was.command != is_now.command:
             self._strayed = status.step_number
-        branch = self._branch
-        if branch is None or was.outcome is None:
+        branch, core = self._branch, self._core
+        if branch is None or core is None:
+            return
+        branch.course.take(core)
+        if was.outcome is None:
             return
         self._branch = None
         for line, count in branch.core.strategy_errors.items():
             self._errors[line] = self._errors.get(line, 0) + count
         key = self._session, was.outcome.request_time_us
-        self.judged[key] = judge(
+        judged = judge(
             was.outcome,
             branch.step_us,
             branch.recorded,
@@ -167,3 +220,8 @@ class OpenLoop:
             known=branch.known,
             strayed=self._strayed,
         )
+        if self._draws:
+            branch.course.close()
+            landing = branch.counterfactual(core.observer.brake, judged, self._draws)
+            judged = replace(judged, counterfactual=landing)
+        self.judged[key] = judged

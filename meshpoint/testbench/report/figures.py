@@ -20,7 +20,6 @@ from meshpoint.testbench.report.layout import (
     INK,
     ORANGE,
     PHASE,
-    PITCHES_EACH_WAY,
     PREDICTION,
     PURPLE,
     SLEEVE,
@@ -34,7 +33,13 @@ from meshpoint.testbench.report.layout import (
 )
 from meshpoint.testbench.report.motion import motion
 from meshpoint.testbench.report.phase import estimated_phase, true_phase
-from meshpoint.testbench.report.replayed import replayed_bars, replayed_events, replayed_predictions
+from meshpoint.testbench.report.replayed import (
+    FAR,
+    replayed_bars,
+    replayed_course,
+    replayed_events,
+    replayed_predictions,
+)
 
 HOLE_MS: Final = 50.0
 """A line is broken where the bus was silent for longer."""
@@ -43,8 +48,6 @@ VALVE_NAMES: Final = (
     "split_low", "split_high", "range_low", "range_high",
 )  # fmt: skip
 CLUTCH_CLOSED_PERCENT: Final = 95.0
-FAR: Final = 100.0 * PITCHES_EACH_WAY
-"""Phase further away than this has no gap drawn."""
 
 
 def shift_figure(shift: ReportShift, sheet: GearboxSheet) -> Figure:
@@ -70,6 +73,7 @@ def shift_figure(shift: ReportShift, sheet: GearboxSheet) -> Figure:
         *_phases(shift, gear, ratio),
         *_predictions(shift),
         *replayed_predictions(shift),
+        *replayed_course(shift),
     ]
     return {
         "data": [trace for trace in data if trace["x"]],

@@ -1,6 +1,7 @@
 """What a replay adds to a report: the other strategy's decisions, beside what was recorded.
 
-Drawn in one colour of their own, and never a contact: the log holds only the recorded one.
+Drawn in one colour of their own. The log holds only the recorded contact; where the other tooth
+would have landed is drawn as what it is, an interval that a model has worked out.
 """
 
 from __future__ import annotations
@@ -8,19 +9,32 @@ from __future__ import annotations
 from html import escape
 from typing import Final
 
+from meshpoint.testbench.logs.counterfactual import Counterfactual
 from meshpoint.testbench.logs.decisions import Decision, Judged
 from meshpoint.testbench.report.collect import ReportShift
 from meshpoint.testbench.report.html import NUMBER_CLASS, Cell, table, table_row
-from meshpoint.testbench.report.layout import ORANGE, PREDICTION, VALVE, Figure, axis
+from meshpoint.testbench.report.layout import (
+    ORANGE,
+    PHASE,
+    PITCHES_EACH_WAY,
+    PREDICTION,
+    SLIP,
+    VALVE,
+    Figure,
+    axis,
+)
 from meshpoint.testbench.report.run import Report, figure
 
 OTHER_BAND: Final = "rgba(213,94,0,.20)"
+FAR: Final = 100.0 * PITCHES_EACH_WAY
+"""Phase further away than this has no gap drawn."""
 HEAD: Final = [
     ("shift", ""), ("gears", ""), ("recorded: fired, ms", NUMBER_CLASS), ("recorded contact", ""),
     ("acts", ""), ("decision", ""), ("brake off, ms", NUMBER_CLASS), ("fires, ms", NUMBER_CLASS),
     ("expects phase, % of pitch", NUMBER_CLASS), ("expects slip, rpm", NUMBER_CLASS),
     ("parts, ms", NUMBER_CLASS),
-    ("why no contact is told", "text"),
+    ("would land, % of pitch, 95 %", NUMBER_CLASS), ("chance of a gap, %", NUMBER_CLASS),
+    ("why no landing is told", "text"),
 ]  # fmt: skip
 
 
@@ -108,7 +122,9 @@ def decisions_table(report: Report) -> str:
         f'<div class="scroll">{table(HEAD, rows)}</div>'
         "<p>Each shift is judged from the state in which it was begun. The frames answer to the "
         "recorded commands: decisions made after a valve would have been driven otherwise are "
-        "those of a controller that sees another course than its own.</p>"
+        "those of a controller that sees another course than its own. Where its tooth would have "
+        "landed is worked out from there by the learned brake and drag; outcomes are the log's "
+        "alone.</p>"
     )
 
 
@@ -117,7 +133,7 @@ def _cells(shift: ReportShift) -> list[Cell]:
     gears: Cell = (f"{row.from_} → {row.to}", "")
     contact: Cell = (row.contact or "–", row.contact or "")
     if judged is None:
-        none: list[Cell] = [("–", NUMBER_CLASS)] * 5
+        none: list[Cell] = [("–", NUMBER_CLASS)] * 7
         why: Cell = ("the recorded controller could not be repeated up to here", "text")
         return [gears, ("–", NUMBER_CLASS), contact, ("–", ""), ("not judged", ""), *none, why]
     told = judged.last if judged.fired_ms is not None else None
@@ -132,8 +148,56 @@ def _cells(shift: ReportShift) -> list[Cell]:
         (_phase(told, row.pitch_deg), NUMBER_CLASS),
         _number(told.predicted_slip_rpm if told else None, signed=True),
         _number(judged.parted.at_ms if judged.parted else None),
-        (judged.contact_why, "text"),
+        *_landing_cells(judged, row.pitch_deg),
     ]
+
+
+def _landing_cells(judged: Judged, pitch_deg: float) -> list[Cell]:
+    found = judged.counterfactual
+    if found is None or not found.decidable:
+        none: Cell = ("–", NUMBER_CLASS)
+        return [none, none, (found.why if found else judged.contact_why, "text")]
+    chance = 100.0 * (found.contact_probability or 0.0)
+    return [
+        (_landing(found, pitch_deg), NUMBER_CLASS),
+        (figure(chance, 0), NUMBER_CLASS),
+        ("", "text"),
+    ]
+
+
+def _landing(found: Counterfactual, pitch_deg: float) -> str:
+    to_pct = 100.0 / pitch_deg
+    half = to_pct * ((found.phase_high_deg or 0.0) - (found.phase_low_deg or 0.0)) / 2.0
+    return f"{figure(to_pct * (found.phase_deg or 0.0), 1, True)} ± {half:.1f}"
+
+
+def replayed_course(shift: ReportShift) -> list[Figure]:
+    """Slip and phase as they would have gone on, and the landing with its interval."""
+    found = shift.replayed.counterfactual if shift.replayed else None
+    if found is None or not found.course:
+        return []
+    to_pct = 100.0 / shift.row.pitch_deg
+    x = [round(at_ms, 2) for at_ms, _, _ in found.course]
+    lines = [(SLIP, x, [round(slip, 2) for _, slip, _ in found.course])]
+    near = [(ms, to_pct * phase) for ms, _, phase in found.course if abs(to_pct * phase) < FAR]
+    lines.append((PHASE, [round(ms, 2) for ms, _ in near], [round(value, 2) for _, value in near]))
+    traces: list[Figure] = [
+        {"type": "scatter", "mode": "lines", "name": "replayed, worked out", "x": times,
+         "y": values, "yaxis": axis(panel), "legend": f"legend{panel + 1}",
+         "line": {"color": ORANGE, "width": 2, "dash": "dash"}}
+        for panel, times, values in lines
+    ]  # fmt: skip
+    if found.decidable:
+        middle, high = to_pct * (found.phase_deg or 0.0), to_pct * (found.phase_high_deg or 0.0)
+        traces += [
+            {"type": "scatter", "mode": "markers", "name": "would land, 95 %",
+             "x": [round(found.contact_ms or 0.0, 2)], "y": [round(middle, 2)],
+             "error_y": {"type": "data", "array": [round(high - middle, 2)], "color": ORANGE},
+             "marker": {"symbol": "diamond", "size": 9, "color": ORANGE}, "yaxis": axis(panel),
+             "legend": f"legend{panel + 1}"}
+            for panel in (PHASE, PREDICTION)
+        ]  # fmt: skip
+    return traces
 
 
 def replayed_account(judged: Judged, pitch_deg: float) -> list[list[str]]:
@@ -143,7 +207,13 @@ def replayed_account(judged: Judged, pitch_deg: float) -> list[list[str]]:
         figure(told.expected_contact_ms, 1)
     )  # fmt: skip
     name = f"{judged.strategy} would have"
+    landing = judged.counterfactual
+    rows = []
+    if landing is not None and landing.decidable:
+        worked_out = _landing(landing, pitch_deg)
+        rows = [[f"{name} landed, % of pitch, 95 %: worked out", worked_out, "–", "not in the log"]]
     return [
+        *rows,
         [f"{name}: contact, ms after the request", contact, "–", "not in the log"],
         [f"{name}: phase, % of pitch", _phase(told, pitch_deg), "–", "not in the log"],
     ]

@@ -36,6 +36,7 @@ STUDY_NAMES: Final = (
     "hardware",
     "target",
     "fusion",
+    "counterfactual",
 )
 """In the order of the thesis, then what goes beyond it."""
 ALL: Final = "all"

@@ -1,0 +1,121 @@
+"""Another strategy's landing worked out from a log, beside the branched bench."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from campaigns import small_spec
+
+from meshpoint.controller.header import new_header
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.testbench.campaign.draw import draw
+from meshpoint.testbench.campaign.loop import ClosedLoop
+from meshpoint.testbench.logs.counterfactual import MOST_SD_SHARE, STUDENT_95
+from meshpoint.testbench.logs.decisions import Judged
+from meshpoint.testbench.logs.open_loop import OpenLoop
+from meshpoint.testbench.logs.replay import LogReplay, Verification
+from meshpoint.testbench.provenance import product_version
+from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.units import DEG
+
+SHIFTS = 5
+RECORDED, OTHER = "speed_window", "target_phase"
+CHI_SQUARE_3 = 16.27
+"""Exceeded by the sum of three squared normal errors once in 1,000."""
+Pairs = list[tuple[Judged, ShiftRow]]
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory) -> Pairs:
+    """Each recorded shift as judged, and what the same bench did with the other strategy."""
+    settings = ControllerSettings(strategy_name=RECORDED)
+    spec = small_spec(Preset.THESIS, settings=settings)
+    drawn = draw(11, spec.sheet, spec.preset, spec.pairs, SHIFTS + 1, {})
+    loop = ClosedLoop(spec.sheet, settings, spec.preset, drawn, log=[])
+    truth = []
+    for _ in range(SHIFTS):
+        loop.prepare()
+        branch = loop.fork()
+        branch.use(replace(settings, strategy_name=OTHER), knows_all=False)
+        row = branch.shift()
+        assert row is not None
+        truth.append(row)
+        loop.shift()
+    loop.prepare()
+    folder = tmp_path_factory.mktemp("log")
+    return list(zip(judge(folder, settings, loop), truth, strict=True))
+
+
+def judge(folder: Path, settings: ControllerSettings, loop: ClosedLoop) -> list[Judged]:
+    spec = small_spec(Preset.THESIS)
+    new_header(product_version(), spec.sheet, settings).save(folder)
+    open_loop = OpenLoop(lambda header: header.settings.with_strategy(OTHER))
+    assert loop.log is not None
+    replay = LogReplay(folder, verify=True, onlooker=open_loop)
+    (session,) = replay.run([frame for _, frame in loop.log])
+    assert session.verdict is Verification.IDENTICAL, str(session)
+    return list(open_loop.judged.values())
+
+
+def test_the_true_landing_lies_where_the_log_says(compared: Pairs) -> None:
+    """Errors over their standard deviations: no larger than chance gives in 999 cases of 1,000."""
+    spec = small_spec(Preset.THESIS)
+    target_deg = ControllerSettings().aim.target_rad_share * spec.sheet.dog.backlash_rad / 2 / DEG
+    squares = []
+    for shift, true in compared:
+        found = shift.counterfactual
+        assert found is not None
+        if not found.decidable:
+            continue
+        assert found.phase_deg is not None
+        assert found.phase_low_deg is not None
+        assert true.phase_error_deg is not None
+        assert true.contact_us is not None
+        half = found.phase_deg - found.phase_low_deg
+        assert half <= STUDENT_95 * MOST_SD_SHARE * true.pitch_deg
+        error = true.phase_error_deg + target_deg - found.phase_deg
+        error -= true.pitch_deg * math.floor(error / true.pitch_deg + 0.5)
+        true_ms = (true.contact_us - true.request_us) / 1000
+        assert found.contact_ms == pytest.approx(true_ms, abs=12.0)
+        squares.append((STUDENT_95 * error / half) ** 2)
+    assert len(squares) == 3
+    assert sum(squares) < CHI_SQUARE_3
+
+
+def test_what_was_commanded_alike_has_no_counterfactual(compared: Pairs) -> None:
+    """Before a phase is known both do the same: what came of it is the log's, and stays there."""
+    alike = [shift for shift, _ in compared if shift.parted is None]
+    assert len(alike) == 2
+    for shift in alike:
+        assert shift.counterfactual is not None
+        assert not shift.counterfactual.decidable
+        assert shift.counterfactual.phase_deg is None
+        assert "the log's" in shift.counterfactual.why
+
+
+def test_a_row_carries_the_landing_under_its_own_name_and_no_contact(compared: Pairs) -> None:
+    for shift, true in compared:
+        row = shift.to_json()
+        assert row["contact"] is None
+        told = row["counterfactual"]
+        assert told["decidable"] is (told["why"] is None)
+        assert (told["contact_probability"] is None) is not told["decidable"]
+        assert "phase_error_deg" not in row
+        # the recorded contact is another one than that worked out
+        assert true.contact in ("gap", "tooth")
+
+
+def test_a_decision_before_the_courses_part_is_the_firing_that_is_told(compared: Pairs) -> None:
+    for shift, _ in compared:
+        found = shift.counterfactual
+        if found is None or not found.course:
+            continue
+        assert shift.course_parted_ms is not None
+        assert found.course[0][0] >= shift.course_parted_ms - 10.0
+        assert found.course[-1][0] == pytest.approx(found.contact_ms)
+        phases = [phase for _, _, phase in found.course]
+        assert phases == sorted(phases)  # the slip is positive: the phase only grows
