@@ -63,8 +63,8 @@ RECORD = JudgedShift(
     oil_c=None, slope_percent=None, mass_kg=None, supply_offset_bar=None,
 )  # fmt: skip
 CAPTURE = CaptureRow(
-    "crank-60-2-cold-start.csv", "60-2", 60, 123_456, 123_400, 12_345.6, 123, 123, 12, 1_234, 123,
-    [0.1], 12_345.6, 1_234.5,
+    "crank-60-2-cold-start.csv", "60-2", 60, "Channel 0", "inverted", 123_456, 123_400, 12_345.6,
+    123, 123, 12, 1_234, 123, 123_400, 123, [0.1], 12_345.6, 12_345.6, 1_234.5, [],
 )  # fmt: skip
 
 
