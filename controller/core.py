@@ -53,6 +53,7 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.dbc.node import Node
+from meshpoint.gearbox import MainGear
 
 OWN_ADDRESS: Final = 0x03
 INBOX_LIMIT: Final = 20_000
@@ -152,6 +153,16 @@ class ControllerCore:
         self._settings = settings
         self._sequence.change_settings(settings)
         self._reporter.change_header(self.header)
+
+    @property
+    def main_gear(self) -> MainGear | None:
+        """The main box's gear by its sleeves; None between two, or while they are unknown."""
+        return self._observer.view.main_gear
+
+    def engaged_by_another(self, gear: MainGear) -> None:
+        """This gear was engaged, but not by this controller: its reference is learned from how
+        its tooth moves alone. For replays of another controller's log."""
+        self._observer.references.locked(gear, 0.0, straight=False)
 
     def take_predictor_from(self, source: PredictorSource) -> None:
         """From now on decisions use this source's predictions instead of the estimates. For studies

@@ -72,6 +72,10 @@ def search(gate: Gate, teeth: Integers, step: int, gap: bool) -> None:
         gate.guess = UNKNOWN
     if left == 0:
         begin_search(gate, teeth)
+        for tooth in range(size if gap else 0):
+            # The gap that contradicts is the first of the new search: it ends before this edge.
+            if advance[(tooth - step) % size] != step:
+                candidates[tooth] = 0
     elif left == 1 and gate.searched > size:
         shift = guess - gate.last[0] if right else (tooth - gate.last[0]) % size
         gate.last[0] += shift

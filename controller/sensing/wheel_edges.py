@@ -210,6 +210,12 @@ class WheelEdges:
             gate.mode.item() == COUNTING,
         )
 
+    @property
+    def begins_falling(self) -> bool:
+        """Whether teeth begin with their falling edge: the wheel's gaps end with one, or no other
+        edge comes."""
+        return self._lead is self._fall
+
     def set_dragged(self, dragged: bool) -> None:
         """Whether a synchroniser may be dragging the shaft to another speed."""
         self._gate.part("dragged")[0] = dragged

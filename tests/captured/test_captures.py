@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.logs.capture_files import read_capture
-from meshpoint.testbench.logs.captures import CaptureRow, capture_row
+from meshpoint.testbench.logs.capture_files import Columns, read_columns
+from meshpoint.testbench.logs.capture_ways import Asked, choose
+from meshpoint.testbench.logs.captures import CaptureRow
 
 FOLDER = Path(
     os.environ.get("MESHPOINT_CAPTURES", Path(__file__).parents[3] / "shared/data/captured_edges")
@@ -24,12 +25,16 @@ WHEELS = {
 """What is known of each sensor, or counted by hand in its file."""
 
 
-@pytest.fixture(scope="module", params=WHEELS)
-def row(request: pytest.FixtureRequest) -> CaptureRow:
-    path = FOLDER / request.param
+def capture(name: str) -> Columns:
+    path = FOLDER / name
     if not path.exists():
         pytest.skip(f"{path} is not there; MESHPOINT_CAPTURES names the folder of captures")
-    return capture_row(read_capture(path))
+    return read_columns(path)
+
+
+@pytest.fixture(scope="module", params=WHEELS)
+def row(request: pytest.FixtureRequest) -> CaptureRow:
+    return choose(capture(request.param), Asked()).row()
 
 
 def test_the_wheel_is_found(row: CaptureRow) -> None:
@@ -41,6 +46,8 @@ def test_no_tooth_is_lost_while_the_wheel_turns(row: CaptureRow) -> None:
     assert row.lost == row.stood == (1 if row.file == "noisy-trigger-2.csv" else 0)
     assert row.gaps >= 8
     assert row.gaps_wrong == 0
+    assert row.wrong == 0
+    assert row.checked > 0.8 * row.numbered
     assert row.numbered > 0.75 * row.edges
 
 
@@ -55,3 +62,29 @@ def test_the_pattern_tells_the_running_engine_s_tenth_edge(row: CaptureRow) -> N
     assert row.constant_speed_rms_us == pytest.approx(159.0, rel=0.02)
     assert row.ratio is not None
     assert row.ratio <= 0.45
+
+
+def test_the_prediction_in_use_is_about_the_best_of_the_simple_ones(row: CaptureRow) -> None:
+    assert row.learned_rms_us is not None
+    assert row.constant_speed_rms_us is not None
+    assert row.turn_ago_rms_us is not None
+    simple = min(row.constant_speed_rms_us, row.turn_ago_rms_us)
+    assert row.learned_rms_us <= 1.05 * simple
+
+
+@pytest.mark.parametrize("polarity", ["rising", "falling", "inverted"])
+@pytest.mark.parametrize("name", WHEELS)
+def test_each_capture_in_other_polarities(name: str, polarity: str) -> None:
+    """Levels exchanged, or one polarity alone. Of the voltage, both edges make no wheel: the
+    rising ones of its gap lie anywhere in it."""
+    columns, asked = capture(name), polarity or None
+    if name == "trigger_adc_real1.csv" and polarity == "inverted":
+        columns = Columns(name, columns.time_s, columns.titles, -columns.values)
+        asked = None
+    row = choose(columns, Asked(polarity=asked)).row()
+    assert row.wrong == row.gaps_wrong == 0
+    assert row.lost <= 1
+    assert row.checked > 0.8 * row.numbered
+    assert row.numbered > (0.7 if name == "noisy-trigger-2.csv" else 0.89) * row.edges
+    simple = min(row.constant_speed_rms_us or 0.0, row.turn_ago_rms_us or 0.0)
+    assert 0.0 < (row.learned_rms_us or 0.0) <= 1.05 * simple

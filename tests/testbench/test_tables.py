@@ -32,8 +32,10 @@ from meshpoint.testbench.commands import dbc as dbc_command
 from meshpoint.testbench.commands import gearbox as gearbox_command
 from meshpoint.testbench.commands import study as study_command
 from meshpoint.testbench.commands.describe import faults_table, parameters_table
+from meshpoint.testbench.commands.sensor_replay import seen_table
 from meshpoint.testbench.logs.captures import CaptureRow
 from meshpoint.testbench.logs.decisions import Decision, Judged, Parting
+from meshpoint.testbench.logs.gear_track import SeenShift
 from meshpoint.testbench.logs.judged_rows import JudgedRow, judged_table
 from meshpoint.testbench.report.comparison import compare, comparison_table
 from meshpoint.testbench.results.output import rows_table
@@ -65,8 +67,8 @@ RECORD = JudgedShift(
     **dict.fromkeys(PHASES),
 )  # fmt: skip
 CAPTURE = CaptureRow(
-    "crank-60-2-cold-start.csv", "60-2", 60, 123_456, 123_400, 12_345.6, 123, 123, 12, 1_234, 123,
-    [0.1], 12_345.6, 1_234.5,
+    "crank-60-2-cold-start.csv", "60-2", 60, "Channel 0", "inverted", 123_456, 123_400, 12_345.6,
+    123, 123, 12, 1_234, 123, 123_400, 123, [0.1], 12_345.6, 12_345.6, 1_234.5, [],
 )  # fmt: skip
 
 
@@ -136,6 +138,9 @@ TABLES: dict[str, Callable[[], Table]] = {
     "logs.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
     "commands.captures.counts_table": lambda: captures_command.counts_table([CAPTURE]),
     "commands.captures.errors_table": lambda: captures_command.errors_table([CAPTURE]),
+    "commands.sensor_replay.seen_table": lambda: seen_table(
+        "shifts that the log shows, by the ratio of speeds", [SeenShift(10, 12, 86_400.0, 86_400.5)]
+    ),
     "commands.study.list_table": lambda: study_command.list_table(
         [load(name) for name in STUDY_NAMES]
     ),

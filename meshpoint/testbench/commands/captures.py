@@ -11,13 +11,15 @@ from rich.table import Table
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.logs.captures import EDGES_AHEAD, CaptureRow, capture_rows
-from meshpoint.testbench.results.output import console, write_json
+from meshpoint.testbench.logs.capture_prediction import EDGES_AHEAD
+from meshpoint.testbench.logs.capture_ways import Refused, capture_rows
+from meshpoint.testbench.logs.captures import CaptureRow
+from meshpoint.testbench.results.output import complain, console, write_json
 
 COUNTS = (
     "file", "wheel", "edges", "numbered", "locked\nafter ms", "lost", "of it\nstood", "doubts",
 )  # fmt: skip
-ERRORS = ("file", "marks", "wrong", "extra", "constant\nspeed us", "learned\nus", "ratio")
+ERRORS = ("file", "teeth\nchecked", "wrong", "extra", "constant\nus", "turn ago\nus", "in use\nus")
 LAYOUT: Final[dict[str, Any]] = {
     "title_justify": "left", "box": None, "pad_edge": False, "collapse_padding": True,
 }  # fmt: skip
@@ -28,37 +30,62 @@ def add_parser(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "captures",
         help="edges captured from real sensors, through the node's edge gate",
-        description="Reads each .csv of a folder (time in s and one level a channel after each "
-        "change, or time and voltage), finds the wheel, numbers its teeth as the node does and "
-        f"predicts the edge {EDGES_AHEAD} edges ahead: by constant speed, and by the patterns "
-        "learned of one turn and of two where they have been better. "
+        description="Reads captures (a time, then one level or voltage a channel; docs/edges.md), "
+        "tries their channels and edges in turn, finds the wheel, numbers its teeth as the node "
+        f"does and predicts the edge {EDGES_AHEAD} edges ahead. "
         "lost: tooth numbers lost after lock; doubts: times edges were withheld until a gap had "
-        "shown the count right; marks: gaps or edges of the second channel after lock, wrong: "
-        "those that disagree with the count.",
+        "shown the count right; teeth checked: edges whose tooth the whole file tells as well, "
+        "wrong: those numbered otherwise; constant, turn ago, in use: RMS error of the time by "
+        "constant speed, by the turn before scaled to the speed, and by whatever was best so far. "
+        "A file that gives no row is named with the reason.",
     )
-    parser.add_argument("folder", type=Path, metavar="DIR", help="the folder of captures")
+    parser.add_argument(
+        "paths", type=Path, nargs="+", metavar="DIR|FILE", help="captures, or folders of .csv files"
+    )
     arguments.add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(namespace: argparse.Namespace) -> int:
-    """Prints the table."""
-    if not namespace.folder.is_dir():
-        raise CommandError(f"{namespace.folder}: not a folder; allowed is a folder of captures")
+    """Prints the table. Bad input if no file gives a row."""
     with console("-").status("reading captures"):
-        rows = capture_rows(namespace.folder)
+        rows, refused = capture_rows(_files(namespace.paths))
     if namespace.json is not None:
-        write_json(namespace.json, {"captures": [row.to_json() for row in rows]})
-    if namespace.json != "-":
-        out = console(namespace.json)
-        out.print(counts_table(rows))
-        out.print()
-        out.print(errors_table(rows))
-        for row in rows:
-            if row.extra_s:
-                times = ", ".join(f"{t:.4f}" for t in row.extra_s)
-                out.print(f"{row.file}: extra edges at {times} s", markup=False)
-    return Exit.DONE
+        values = {
+            "captures": [row.to_json() for row in rows],
+            "refused": [{"file": r.file, "reason": r.reason} for r in refused],
+        }
+        write_json(namespace.json, values)
+    if namespace.json != "-" and rows:
+        _show(console(namespace.json), rows)
+    _complain(refused)
+    return Exit.DONE if rows else Exit.BAD_INPUT
+
+
+def _files(paths: list[Path]) -> list[Path]:
+    files: list[Path] = []
+    for path in paths:
+        found = sorted(path.glob("*.csv")) if path.is_dir() else [path]
+        if not found:
+            raise CommandError(f"{path}: no .csv file in it")
+        files += found
+    return files
+
+
+def _show(out: Any, rows: list[CaptureRow]) -> None:
+    out.print(counts_table(rows))
+    out.print()
+    out.print(errors_table(rows))
+    for row in rows:
+        out.print(f"{row.file}: channel {row.channel!r}, edges: {row.polarity}", markup=False)
+        if row.extra_s:
+            times = ", ".join(f"{t:.4f}" for t in row.extra_s)
+            out.print(f"{row.file}: extra edges at {times} s", markup=False)
+
+
+def _complain(refused: list[Refused]) -> None:
+    for file in refused:
+        complain(f"{file.file}: {file.reason}")
 
 
 def counts_table(rows: list[CaptureRow]) -> Table:
@@ -75,17 +102,16 @@ def counts_table(rows: list[CaptureRow]) -> Table:
 
 
 def errors_table(rows: list[CaptureRow]) -> Table:
-    """How far off the prediction was."""
-    title = f"marks of the wheel, and RMS error of an edge predicted {EDGES_AHEAD} ahead"
+    """How many teeth were wrong, and how far off the prediction was."""
+    title = f"teeth, and RMS error of an edge predicted {EDGES_AHEAD} ahead"
     table = Table(title=title, **LAYOUT)
     _add_columns(table, ERRORS)
     for row in rows:
-        rms = (row.constant_speed_rms_us, row.learned_rms_us)
+        rms = (row.constant_speed_rms_us, row.turn_ago_rms_us, row.learned_rms_us)
         table.add_row(
             row.file,
-            *map(str, (row.gaps, row.gaps_wrong, len(row.extra_s))),
+            *map(str, (row.checked, row.wrong, len(row.extra_s))),
             *("-" if value is None else f"{value:.1f}" for value in rms),
-            "-" if row.ratio is None else f"{row.ratio:.2f}",
         )
     return table
 

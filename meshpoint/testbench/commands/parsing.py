@@ -53,6 +53,10 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "calibration": ("meshpoint calibration show box.toml",),
     "calibration show": ("meshpoint calibration show box.toml --gearbox truck12",),
     "captures": ("meshpoint captures my-captures --json -",),
+    "convert": (
+        "meshpoint convert wheel.csv -o wheel.log",
+        "meshpoint convert adc.csv --teeth 60 --missing 58,59 --threshold 2 -o a.log",
+    ),
     "study": ("meshpoint study list", "meshpoint study 6.8 --out out/study"),
     "settings": ("meshpoint settings show", "meshpoint settings show --toml > own.toml"),
     "settings show": (

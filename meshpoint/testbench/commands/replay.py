@@ -18,7 +18,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import Message, ReferenceEngagement, ShiftOutcome, ShiftResult
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.commands import arguments, sensor_replay
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.judged_rows import JudgedRow, commanded, judged_table, judged_words
 from meshpoint.testbench.logs.open_loop import OpenLoop
@@ -69,6 +69,7 @@ def add_parser(commands: Any) -> None:
         "file",
     )
     parser.add_argument("--header-dir", type=Path, metavar="DIR", help="where the run headers are")
+    sensor_replay.add_arguments(parser)
     arguments.add_json(parser)
     arguments.add_report(parser)
     parser.set_defaults(run=run)
@@ -179,6 +180,8 @@ def run(namespace: argparse.Namespace) -> int:
     name, verify = namespace.strategy, namespace.verify
     chosen = None if name is None else Chosen(name, arguments.strategy_file(name))
     files = log_files(namespace.log)
+    if not verify and sensor_replay.asked(namespace):
+        return sensor_replay.run(namespace, files, "")
     check_report(namespace.report)
     open_loop = None
     if chosen is not None and not verify:
@@ -201,6 +204,8 @@ def run(namespace: argparse.Namespace) -> int:
         open_loop,
     )
     log, sessions = _replayed(replay, files, rows)
+    if not verify and namespace.report is None and not any(s.steps for s in sessions):
+        return sensor_replay.run(namespace, files, str(sessions[0]))
     if log.defect is not None:
         _end_early(sessions[-1], log.defect)
     _show(namespace, out, files, sessions, rows, events)
@@ -210,6 +215,8 @@ def run(namespace: argparse.Namespace) -> int:
     for session in sessions:
         errors += Counter(session.strategy_errors)
     complain_of_strategy(errors)
+    if log.defect is not None and not verify:
+        return Exit.BAD_INPUT
     return _exit_code(sessions, verify) or (Exit.FAILED if errors else Exit.DONE)
 
 

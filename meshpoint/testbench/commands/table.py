@@ -43,6 +43,7 @@ MODULES: Final = {
     "gearbox": "gearbox",
     "calibration": "calibration",
     "captures": "captures",
+    "convert": "convert",
     "study": "study",
     "settings": "settings",
     "dbc": "dbc",

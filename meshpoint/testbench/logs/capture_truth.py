@@ -21,8 +21,6 @@ BREAK_COST: Final = 5.0
 about four times the logarithm of the gap's length each turn."""
 MOST_COST: Final = 1.5
 """The largest cost of one pair of intervals."""
-AROUND_BREAK: Final = 2
-"""Teeth beside a break are not told."""
 
 
 def true_teeth(lead_us: Integers, wheel: FoundWheel, second_us: Integers) -> Integers:
@@ -47,8 +45,13 @@ def _by_gaps(lead_us: Integers, wheel: FoundWheel) -> Integers:
     expected = np.log(np.roll(steps, -1)) - np.log(steps)
     places, breaks = _course(seen, expected)
     teeth = present[places]
+    behind_gaps = np.flatnonzero(np.append(False, steps[places[:-1]] > 1.0))
     for at in np.flatnonzero(breaks):
-        teeth[max(0, at - AROUND_BREAK) : at + AROUND_BREAK + 1] = UNSURE
+        # Between two gaps all teeth look alike: where it breaks there cannot be told.
+        k = int(np.searchsorted(behind_gaps, at, "right"))
+        begin = behind_gaps[k - 1] if k else 0
+        end = behind_gaps[k] if k < behind_gaps.size else teeth.size
+        teeth[min(begin, at) : end] = UNSURE
     return np.asarray(teeth)
 
 

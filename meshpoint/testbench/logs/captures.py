@@ -6,9 +6,7 @@ from __future__ import annotations
 
 import bisect
 import itertools
-from collections import deque
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -16,27 +14,18 @@ import numpy as np
 from meshpoint.controller.sensing.chain_kernels import STAMPS
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate, wrap
 from meshpoint.controller.sensing.wheel_edges import WheelEdges
-from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.logs.capture_files import (
     GAP,
     Capture,
-    Floats,
     FoundWheel,
     Integers,
-    find_wheel,
     local_ratio,
-    read_capture,
 )
-from meshpoint.testbench.logs.cycle_pattern import CyclePattern
+from meshpoint.testbench.logs.capture_prediction import predict
+from meshpoint.testbench.logs.capture_truth import true_teeth, wrong_teeth
 
 READ_US: Final = 10_000
 LONG_US: Final = 65_535
-EDGES_AHEAD: Final = 10
-CYCLES: Final = (1, 2)
-"""Turns after which a pattern may come back: of a wheel, of a four-stroke engine's crank."""
-LEARNED_CYCLES: Final = 2
-SCORE_SHARE: Final = 0.05
-"""What the newest error counts for where predictors are compared."""
 CRANK_RAD_S2: Final = 150.0
 """What the speed of a cranked or idling engine changes by."""
 CAPTURE_DUTY_SHARE: Final = 0.5
@@ -70,6 +59,8 @@ class NumberedEdges:
     stood: int
     """How often of `lost` the wheel was slow or stood."""
     doubts: int
+    lead: int
+    """The polarity that teeth begin with: 0 rising, 1 falling."""
 
 
 @dataclass(frozen=True)
@@ -79,6 +70,9 @@ class CaptureRow:
     file: str
     wheel: str
     teeth: int
+    channel: str
+    polarity: str
+    """Which channel was used, and which of its edges."""
     edges: int
     numbered: int
     """Edges that got a tooth."""
@@ -89,9 +83,15 @@ class CaptureRow:
     gaps: int
     """Turns' marks (gaps, or the second channel's edges) after lock, and how many disagree."""
     gaps_wrong: int
+    checked: int
+    """Numbered edges whose tooth the whole file tells as well, and how many disagree."""
+    wrong: int
     extra_s: list[float]
     constant_speed_rms_us: float | None
+    turn_ago_rms_us: float | None
     learned_rms_us: float | None
+    tried: list[str]
+    """What came of each channel and polarity that was tried."""
 
     @property
     def ratio(self) -> float | None:
@@ -105,38 +105,41 @@ class CaptureRow:
         return asdict(self) | {"ratio": self.ratio}
 
 
-def capture_rows(folder: Path) -> list[CaptureRow]:
-    """One row a `.csv` file of the folder, in order of their names."""
-    files = sorted(folder.glob("*.csv"))
-    if not files:
-        raise CommandError(f"{folder}: no .csv file in it")
-    return [capture_row(read_capture(path)) for path in files]
-
-
-def capture_row(capture: Capture) -> CaptureRow:
-    """A capture through gate and predictor."""
-    wheel = find_wheel(capture)
-    numbered = number_edges(capture, wheel)
-    if not numbered.time_us.size:
-        raise CommandError(f"{capture.name}: no tooth of a {wheel} wheel could be numbered")
-    marks, wrong = check_marks(capture, wheel, numbered)
-    constant, pattern = predict(wheel, numbered)
-    start_us = min(capture.rise_us[0], *capture.fall_us[:1], capture.rise_us[-1])
+def capture_row(
+    capture: Capture,
+    wheel: FoundWheel,
+    numbered: NumberedEdges,
+    channel: str = "",
+    polarity: str = "",
+    tried: list[str] | None = None,
+) -> CaptureRow:
+    """A numbered capture, checked and predicted."""
+    marks, marks_wrong = check_marks(capture, wheel, numbered)
+    checked, wrong = check_teeth(capture, wheel, numbered)
+    first = numbered.falling == numbered.lead
+    predicted = predict(wheel, numbered.tooth[first], numbered.time_us[first], numbered.part[first])
+    start_us = min(*capture.rise_us[:1], *capture.fall_us[:1], capture.lead_us[-1])
     return CaptureRow(
         capture.name,
         str(wheel),
         wheel.teeth,
-        capture.rise_us.size + capture.fall_us.size,
+        channel,
+        polarity,
+        capture.edges,
         numbered.time_us.size,
         float(numbered.time_us[0] - start_us) * 1e-3,
         numbered.lost,
         numbered.stood,
         numbered.doubts,
         marks,
+        marks_wrong,
+        checked,
         wrong,
         [t * 1e-6 for t in numbered.extra_us],
-        constant,
-        pattern,
+        predicted.constant_us,
+        predicted.turn_ago_us,
+        predicted.in_use_us,
+        tried or [],
     )
 
 
@@ -173,6 +176,7 @@ def number_edges(capture: Capture, wheel: FoundWheel) -> NumberedEdges:
         edges.broken,
         health.stops,
         health.doubts,
+        int(edges.begins_falling),
     )
 
 
@@ -181,13 +185,13 @@ def check_marks(capture: Capture, wheel: FoundWheel, edges: NumberedEdges) -> tu
 
     A gap is one by its length alone; the wheel's edges after a gap must be the teeth after one.
     Without gaps, the second channel's edges must find the same tooth each time."""
-    rises = edges.falling == 0
-    time_us, tooth = edges.time_us[rises], edges.tooth[rises] % wheel.teeth
+    first = edges.falling == edges.lead
+    time_us, tooth = edges.time_us[first], edges.tooth[first] % wheel.teeth
     if not wheel.missing:
         at = np.searchsorted(time_us, capture.second_us, "right") - 1
         teeth = tooth[at[at >= 0]]
         return teeth.size, int((teeth != teeth[:1]).sum())
-    clean_us = np.setdiff1d(capture.rise_us, edges.extra_us)
+    clean_us = np.setdiff1d(_lead_us(capture, edges), edges.extra_us)
     ratio = dict(zip(clean_us[1:].tolist(), local_ratio(clean_us), strict=True))
     behind = {(m + 1) % wheel.teeth for m in wheel.missing} - set(wheel.missing)
     seen = np.array([ratio.get(t, 1.0) for t in time_us.tolist()])
@@ -196,66 +200,20 @@ def check_marks(capture: Capture, wheel: FoundWheel, edges: NumberedEdges) -> tu
     return int(said.sum()), int(wrong.sum())
 
 
-class Contest:
-    """Predictors side by side; each time the one speaks whose errors were least so far."""
-
-    def __init__(self, count: int) -> None:
-        self._square_us2 = np.zeros(count)
-        self._pending: deque[list[float]] = deque()
-
-    def said(self, predictions: list[float], time_us: float) -> float:
-        """Takes what all say of the edge AHEAD edges ahead, and the edge that has just come."""
-        if len(self._pending) == EDGES_AHEAD:
-            square = (np.array(self._pending.popleft()) - time_us) ** 2
-            self._square_us2 += SCORE_SHARE * (square - self._square_us2)
-        self._pending.append(predictions)
-        return predictions[int(np.argmin(self._square_us2))]
-
-    def restart(self) -> None:
-        """Edges were lost: predictions of before say nothing."""
-        self._pending.clear()
+def check_teeth(capture: Capture, wheel: FoundWheel, edges: NumberedEdges) -> tuple[int, int]:
+    """Each tooth number against the one that the whole file tells (`capture_truth`): how many can
+    be checked, and how many are wrong. An edge that a tooth ends with is that of the tooth whose
+    beginning is the last before it."""
+    lead_us = _lead_us(capture, edges)
+    true = true_teeth(lead_us, wheel, capture.second_us)
+    at = np.searchsorted(lead_us, edges.time_us, "right") - 1
+    # Where teeth begin with the falling edge, the rising one behind it belongs to the next number.
+    said = edges.tooth - np.where(edges.falling != edges.lead, edges.lead, 0)
+    found = np.where(at >= 0, true[np.maximum(at, 0)], -1)
+    parts = [edges.part == part for part in np.unique(edges.part)]
+    counts = [wrong_teeth(said[p], found[p], wheel.teeth, bool(wheel.missing)) for p in parts]
+    return sum(n for n, _ in counts), sum(wrong for _, wrong in counts)
 
 
-def predict(wheel: FoundWheel, edges: NumberedEdges) -> tuple[float | None, float | None]:
-    """RMS of the time of the tooth edge AHEAD edges ahead, by constant speed over the last AHEAD
-    edges, and by what has been best so far of that and the patterns of one turn and of two; over
-    the same edges, from when LEARNED_CYCLES cycles of two turns are learned."""
-    rises = edges.falling == 0
-    time_us, tooth, part = edges.time_us[rises], edges.tooth[rises], edges.part[rises]
-    present = np.array([k for k in range(wheel.teeth) if k not in wheel.missing])
-    place = np.searchsorted(present, tooth % wheel.teeth)
-    follows = np.r_[False, (np.diff(part) == 0) & (np.diff(place) % present.size == 1)]
-    unbroken = np.cumsum(~follows)
-    patterns = [CyclePattern(_places(present, wheel.teeth, turns)) for turns in CYCLES]
-    slots = [place + present.size * (tooth // wheel.teeth % turns) for turns in CYCLES]
-    contest, constant, learned = Contest(1 + len(CYCLES)), [], []
-    for k in range(tooth.size):
-        for pattern, slot in zip(patterns, slots, strict=True):
-            if not follows[k]:
-                pattern.restart()
-            pattern.edge(int(slot[k]), float(time_us[k]))
-        if (
-            k < EDGES_AHEAD
-            or k + EDGES_AHEAD >= tooth.size
-            or unbroken[k - EDGES_AHEAD] != unbroken[k + EDGES_AHEAD]
-        ):
-            contest.restart()
-            continue
-        us_a_pitch = (time_us[k] - time_us[k - EDGES_AHEAD]) / (tooth[k] - tooth[k - EDGES_AHEAD])
-        straight = float(time_us[k] + us_a_pitch * (tooth[k + EDGES_AHEAD] - tooth[k]))
-        best = contest.said(
-            [straight, *(p.ahead_us(EDGES_AHEAD) for p in patterns)], float(time_us[k])
-        )
-        if patterns[-1].cycles >= LEARNED_CYCLES:
-            constant.append(straight - float(time_us[k + EDGES_AHEAD]))
-            learned.append(best - float(time_us[k + EDGES_AHEAD]))
-    return _rms(constant), _rms(learned)
-
-
-def _places(present: Integers, teeth: int, turns: int) -> Floats:
-    """Where in a cycle of so many turns the edges of the drawing lie, as shares."""
-    return np.concatenate([present + turn * teeth for turn in range(turns)]) / (turns * teeth)
-
-
-def _rms(errors: list[float]) -> float | None:
-    return float(np.sqrt(np.mean(np.square(errors)))) if errors else None
+def _lead_us(capture: Capture, edges: NumberedEdges) -> Integers:
+    return capture.fall_us if edges.lead else capture.rise_us

@@ -1,0 +1,149 @@
+"""`meshpoint replay` of a log that our controller has not made: open loop on its sensor frames."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any, Final
+
+from rich.table import Table
+
+from meshpoint.bus.logs.files import read_logs
+from meshpoint.bus.logs.limits import LogError
+from meshpoint.controller.header import new_header
+from meshpoint.controller.settings import load_settings
+from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.logs.bus_map import BusMap, load_map
+from meshpoint.testbench.logs.gear_track import SeenShift
+from meshpoint.testbench.logs.sensor_replay import SensorReplay
+from meshpoint.testbench.provenance import product_version
+from meshpoint.testbench.results.output import console, write_json
+
+MOST_EVENTS: Final = 10_000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """--sensors, --gearbox, --dbc and --map."""
+    group = parser.add_argument_group("a log that our controller has not made (docs/replay.md)")
+    group.add_argument(
+        "--sensors",
+        action="store_true",
+        help="open loop on the log's sensor frames alone, whoever controlled the gearbox; chosen "
+        "by itself where no controller's run is in the log",
+    )
+    arguments.add_gearbox(group)
+    group.add_argument("--dbc", type=Path, metavar="FILE", help="the other bus's DBC, with --map")
+    group.add_argument(
+        "--map",
+        type=Path,
+        metavar="TOML",
+        help="which of its signals are edges, speeds, positions and pressures of ours",
+    )
+
+
+def asked(namespace: argparse.Namespace) -> bool:
+    """Whether sensor frames alone are to be used."""
+    if (namespace.dbc is None) != (namespace.map is None):
+        raise CommandError("--dbc and --map go together: a DBC, and what its signals are here")
+    return bool(namespace.sensors or namespace.dbc is not None)
+
+
+def run(namespace: argparse.Namespace, files: list[Path], why: str) -> int:
+    """Replays, and shows what the log tells and what it does not. why: it was chosen, if it was not
+    asked for. A log that is torn gives all before that, and bad input."""
+    if namespace.report is not None:
+        raise CommandError("--report: a page needs a controller's run; --json holds all there is")
+    sheet = arguments.sheet_of(namespace)
+    name = namespace.strategy
+    file = None if name is None else arguments.strategy_file(name)
+    settings = load_settings(None, strategy_name=name, strategy_file=file)
+    bus_map: BusMap | None = None
+    if namespace.dbc is not None:
+        bus_map = load_map(namespace.dbc, namespace.map)
+    events: list[dict[str, Any]] = []
+
+    def on_event(since_s: float, line: str) -> None:
+        if len(events) < MOST_EVENTS:
+            events.append({"s": round(since_s, 3), "event": line})
+
+    replay = SensorReplay(new_header(product_version(), sheet, settings), bus_map, on_event)
+    frames, defect = 0, None
+    try:
+        for time_s, frame in read_logs(files):
+            frames += 1
+            replay.take(time_s, frame)
+    except LogError as error:
+        if not frames:
+            raise
+        defect = error
+    replay.finish()
+    if namespace.json is not None:
+        values = {
+            "logs": [str(path) for path in files],
+            "mode": "sensors alone",
+            "why": why,
+            "gearbox": namespace.gearbox,
+            "frames": frames,
+            "defect": None if defect is None else str(defect),
+            **replay.to_json(),
+            "decisions": replay.decided(),
+            "events": events,
+        }
+        write_json(namespace.json, values)
+    if namespace.json != "-":
+        _show(console(namespace.json), replay, why, defect)
+    return Exit.DONE if defect is None else Exit.BAD_INPUT
+
+
+def _show(out: Any, replay: SensorReplay, why: str, defect: LogError | None) -> None:
+    values = replay.to_json()
+    lines = [f"open loop on sensor frames alone{': ' + why if why else ''}"]
+    lines.append(f"{values['seconds']} s, {replay.steps} steps")
+    lines += [f"  {name}: {n} frames" for name, n in values["inputs"].items()]
+    lines += [f"  mapped {name}: {n} values" for name, n in values["mapped"].items()]
+    for title, key in (
+        ("foreign", "foreign_frames"),
+        ("another controller's", "controller_frames"),
+    ):
+        if values[key]:
+            each = ", ".join(f"{can_id} ({n})" for can_id, n in list(values[key].items())[:8])
+            more = f" and {len(values[key]) - 8} more" if len(values[key]) > 8 else ""
+            lines.append(f"  {title}, not used: {each}{more}")
+    for shaft, (least, most) in values["speeds_rpm"].items():
+        lines.append(f"{shaft} shaft: {least:g} to {most:g} rpm")
+    for since_s, by_s in replay.time.set_back:
+        lines.append(f"at {since_s:.3f} s the log's clock is set back by {by_s:.3f} s")
+    for since_s, for_s in replay.time.silent:
+        lines.append(f"at {since_s:.3f} s the log is silent for {for_s:.3f} s")
+    lines += [f"cannot be said: {line}" for line in replay.cannot]
+    for line in lines:
+        out.print(line, markup=False)
+    seen = replay.gears.shifts or replay.ratio.track.shifts
+    if seen:
+        by = "sleeves" if replay.gears.shifts else "the ratio of speeds"
+        out.print(seen_table(f"shifts that the log shows, by {by}", seen))
+    for row in replay.decided():
+        after = "" if row["fired_ms"] is None else f" after {row['fired_ms']} ms"
+        phase = row["predicted_phase_deg"]
+        told = "phase unknown" if phase is None else f"phase {phase:+.2f} deg expected"
+        line = f"asked {row['from']} -> {row['to']}: {row['status']}{after}, {told}"
+        out.print(line, markup=False)
+    if defect is not None:
+        out.print(f"the log cannot be read on: {defect}", markup=False)
+
+
+def seen_table(title: str, shifts: list[SeenShift]) -> Table:
+    """One row a shift."""
+    table = Table(
+        title=title, title_justify="left", box=None, pad_edge=False, collapse_padding=True
+    )
+    for column in ("from", "to", "left s", "there s", "open ms"):
+        table.add_column(column, justify="right")
+    for shift in shifts:
+        table.add_row(
+            str(shift.from_gear), str(shift.to_gear), f"{shift.left_s:.2f}",
+            f"{shift.there_s:.2f}", f"{shift.open_ms:.0f}",
+        )  # fmt: skip
+    return table

@@ -1,0 +1,220 @@
+"""Logs that our controller has not made: sensor frames alone, another bus, speeds alone."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from loop_bench import Loop
+
+from meshpoint.bus.logs.recorder import LogWriter
+from meshpoint.controller.core import OWN_ADDRESS
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.testbench.cli import main
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "other_bus"
+SHEET = load_sheet("thesis")
+ETC1_ID = CODECS["ETC1"].spec.can_id
+
+
+def sensors_of(loop: Loop) -> list[tuple[int, Frame]]:
+    return [(t, f) for t, f in loop.frames if f.can_id & 0xFF != OWN_ADDRESS]
+
+
+def write(path: Path, frames: list[tuple[float, Frame]]) -> Path:
+    with LogWriter(path, flush_every_s=None) as log:
+        for time_s, frame in frames:
+            log.write(time_s, frame)
+    return path
+
+
+def replayed(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:
+    assert main(["replay", *map(str, arguments), "--json", "-"]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def etc1(input_rpm: float, output_rpm: float, source: int = OWN_ADDRESS) -> Frame:
+    """A J1939-71 ETC1 with two speeds and nothing else."""
+    output, shaft = round(output_rpm * 8).to_bytes(2, "little"), round(input_rpm * 8)
+    data = b"\xff" + output + b"\xff\xff" + shaft.to_bytes(2, "little") + b"\xff"
+    return Frame((ETC1_ID & ~0xFF) | source, data, is_fd=False)
+
+
+def speeds_of_two_gears() -> list[tuple[float, Frame]]:
+    """Gear 8 for 2 s, half a second on the way, gear 10 for 2 s; every 10 ms."""
+    frames = []
+    for k in range(450):
+        time_s = 1.0 + 0.01 * k
+        before, after = (SHEET.overall_ratio(DRIVE_GEARS[n]) for n in (8, 10))
+        share = min(max((k - 200) / 50.0, 0.0), 1.0)
+        ratio = before + (after - before) * share
+        frames.append((time_s, etc1(900.0 * ratio, 900.0, source=0x77)))
+    return frames
+
+
+@pytest.mark.parametrize("shifted_s", [0.0, 1.7e9])
+def test_sensor_frames_alone_are_enough(
+    six_shifts: Loop, tmp_path: Path, capsys: pytest.CaptureFixture[str], shifted_s: float
+) -> None:
+    """Every request is judged, none swallowed; no outcome of the log is anybody's; and phase
+    references are learned from gears that another controller engaged."""
+    frames = [(shifted_s + t * 1e-6, frame) for t, frame in sensors_of(six_shifts)]
+    found = replayed(capsys, write(tmp_path / "a.log", frames))
+    assert found["mode"] == "sensors alone"
+    asked = [(row["from"], row["to"]) for row in found["decisions"]]
+    assert asked == [(8, 10), (10, 12)] * 3
+    for row in found["decisions"]:
+        assert row["status"] == "fired"
+        assert "result" not in row
+        assert row["contact"] is None
+    assert found["unfinished_requests"] == 0
+    assert found["decisions"][-1]["reference"] == "known"
+    assert abs(found["decisions"][-1]["predicted_phase_deg"]) < 1.5
+    seen = [(s["from"], s["to"]) for s in found["shifts_by_sleeves"]]
+    assert [pair for pair in seen if pair != (12, 8)] == [(8, 10), (10, 12)] * 3
+    assert found["cannot"] == [
+        "no speeds of input and output shaft (ETC1): no gears by their ratio"
+    ]
+
+
+def test_a_log_that_starts_in_mid_run_is_judged_by_its_sensors(
+    six_shifts: Loop, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = [(t * 1e-6, f) for t, f in six_shifts.frames if t > 2_000_000]
+    found = replayed(capsys, write(tmp_path / "a.log", frames))
+    assert "the log starts in mid-run" in found["why"]
+    assert len(found["decisions"]) >= 4
+    assert found["controller_frames"]
+
+
+def test_a_log_of_speeds_alone_gives_gears_and_shifts(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """J1939 only, of a transmission with another source address."""
+    path = write(tmp_path / "a.log", speeds_of_two_gears())
+    found = replayed(capsys, path)
+    (shift,) = found["shifts_by_ratio"]
+    assert (shift["from"], shift["to"]) == (8, 10)
+    assert shift["left_s"] == pytest.approx(2.05, abs=0.1)
+    assert shift["open_ms"] == pytest.approx(500.0, abs=120.0)
+    assert found["decisions"] == []
+    for word in ("layshaft edges", "sleeve positions", "pressures", "request (TC1)"):
+        assert any(word in line for line in found["cannot"])
+    mapped = replayed(
+        capsys, path, "--dbc", EXAMPLE / "vehicle.dbc", "--map", EXAMPLE / "vehicle.toml"
+    )
+    assert mapped["shifts_by_ratio"] == found["shifts_by_ratio"]
+    assert mapped["mapped"]["speed.input"] == mapped["mapped"]["speed.propeller"] == 450
+
+
+def test_another_bus_s_edges_positions_and_pressures_become_ours(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The worked example of docs/replay.md: a layshaft of 48 teeth at 1,000 rpm, whose edge times
+    wrap in mid-log, in second gear."""
+    frames: list[tuple[float, Frame]] = []
+    pitch_us = 60e6 / 1000.0 / SHEET.wheels.layshaft.teeth
+    for k in range(4000):
+        edge = (round(k * pitch_us) - 1_000_000) % (1 << 32)
+        at_s = 50.0 + k * pitch_us * 1e-6
+        frames.append(
+            (at_s, Frame(769, edge.to_bytes(8, "little"), is_fd=False, is_extended=False))
+        )
+        if k % 10 == 0:
+            fork = (1200).to_bytes(2, "little") + bytes(6)
+            frames.append((at_s, Frame(768, fork, is_fd=False, is_extended=False)))
+            air = b"\xff\xff" + bytes([80]) + b"\xff" * 5
+            frames.append((at_s, Frame(0x18FEAE30, air, is_fd=False)))
+    path = write(tmp_path / "a.log", frames)
+    found = replayed(
+        capsys, path, "--dbc", EXAMPLE / "vehicle.dbc", "--map", EXAMPLE / "vehicle.toml"
+    )
+    assert found["mapped"]["edge.layshaft.rise"] == 4000
+    least, most = found["speeds_rpm"]["layshaft"]
+    assert least == pytest.approx(1000.0, abs=3.0)
+    assert most == pytest.approx(1000.0, abs=3.0)
+    assert found["inputs"]["EdgesLayshaftRise"] == pytest.approx(found["seconds"] * 100, abs=3)
+    assert found["inputs"]["SleevesMain"] > 0
+    assert found["inputs"]["GearboxSensors"] > 0
+    assert not any("layshaft edges" in line for line in found["cannot"])
+    assert any("main shaft edges" in line for line in found["cannot"])
+
+
+@pytest.mark.parametrize(
+    ("entry", "named"),
+    [
+        ('message = "ETC1"\nsignal = "InputShaftSpeed"\nis = "speed.wheel"', "speed.propeller"),
+        ('message = "ETC9"\nsignal = "InputShaftSpeed"\nis = "speed.input"', "ETC9"),
+        ('message = "ETC1"\nsignal = "Nothing"\nis = "speed.input"', "Nothing"),
+        ('message = "ETC1"\nsignal = "InputShaftSpeed"', "a key is missing"),
+        ('message = "ETC1"\nsignal = "InputShaftSpeed"\nis = "speed.input"\nunit = 1', "unit"),
+    ],
+)
+def test_a_map_that_cannot_be_used_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], entry: str, named: str
+) -> None:
+    log, table = write(tmp_path / "a.log", speeds_of_two_gears()[:3]), tmp_path / "map.toml"
+    table.write_text(f"[[signal]]\n{entry}\n")
+    command = ["replay", str(log), "--dbc", str(EXAMPLE / "vehicle.dbc"), "--map", str(table)]
+    assert main(command) == 2
+    error = capsys.readouterr().err
+    assert "map.toml: [[signal]] 1" in error
+    assert named in error
+
+
+def test_a_map_without_a_dbc_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write(tmp_path / "a.log", speeds_of_two_gears()[:3])
+    assert main(["replay", str(log), "--map", str(EXAMPLE / "vehicle.toml")]) == 2
+    assert "--dbc and --map go together" in capsys.readouterr().err
+
+
+def test_a_log_of_many_days_whose_clock_is_set_back(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """An hour back at the end of summer time, and three days without a frame: both are told, and no
+    step is made for each 10 ms of them."""
+    frames = [(t + 1e6, f) for t, f in speeds_of_two_gears()]
+    later = [(t + 3 * 86_400.0 - 3_600.0, f) for t, f in frames]
+    again = [(t - 3_600.0, f) for t, f in frames[:100]]
+    path = tmp_path / "a.log"
+    # As candump has it: python-can's writer lets no time go back.
+    lines = [f"({t:.6f}) can0 {f.can_id:08X}#{f.data.hex()}" for t, f in [*frames, *again, *later]]
+    path.write_text("\n".join(lines) + "\n")
+    found = replayed(capsys, path)
+    assert found["clock_set_back_s"] == [[4.49, pytest.approx(3604.49, abs=0.02)]]
+    (silence,) = found["silent_s"]
+    assert silence[1] == pytest.approx(3 * 86_400.0, abs=2.0)
+    assert found["steps"] < 1_200
+    assert len(found["shifts_by_ratio"]) == 3
+
+
+def test_a_torn_log_gives_all_before_the_tear(
+    one_shift: Loop, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = [(t * 1e-6, f) for t, f in sensors_of(one_shift)]
+    path = write(tmp_path / "a.log", frames)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(0.9 * len(content)) - 7])
+    assert main(["replay", str(path), "--json", "-"]) == 2
+    found = json.loads(capsys.readouterr().out)
+    assert "the log ends inside this line" in found["defect"]
+    assert found["decisions"][0]["to"] == 10
+    assert found["seconds"] == pytest.approx(0.9 * frames[-1][0], rel=0.05)
+
+
+def test_speeds_that_are_not_available_are_none() -> None:
+    """J1939: the highest values say `error` and `not available`."""
+    message = CODECS["ETC1"].decode(bytes.fromhex("ff" * 8))
+    assert message is not None
+    assert message.output_shaft_speed_rad_s is None
+    assert math.isclose(
+        CODECS["ETC1"].decode(etc1(1000.0, 500.0).data).input_shaft_speed_rad_s or 0.0,
+        1000.0 * math.pi / 30.0,
+    )
