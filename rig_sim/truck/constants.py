@@ -129,7 +129,9 @@ def _load_disturbance(p: PlantParameters, built: AsBuilt) -> None:
     for k, name in enumerate(SHAKEN):
         tau_ms = built["disturbance.road_ms" if name == "road" else "disturbance.correlation_ms"]
         found.keep[k] = math.exp(-SAMPLE_S * 1e3 / tau_ms)
-        found.spread_nm[k] = built[f"disturbance.{name}_nm"] * math.sqrt(1.0 - found.keep[k] ** 2)
+        # half of the variance of z is that of each of the two tables
+        spread = math.sqrt(0.5 * (1.0 - found.keep[k] ** 2))
+        found.spread_nm[k] = built[f"disturbance.{name}_nm"] * spread
     found.first_order = built["engine.first_order"]
     found.main_order = built["engine.main_order"]
     found.clutch_drag_nm = built["clutch.drag_nm"] if p.plates.kiss < 1.0 else 0.0

@@ -92,7 +92,7 @@ def load_propeller(y: RigState, rate: RigState, rig: Rig) -> None:
         rate.wheels_rad_s = (torque - resisting) / shafts.wheels_kgm2
         return
     if rig.p.disturbance.is_on != 0:
-        chance = chance_nm(rig.shaking, WHEELS_SOURCE, y.wheels_rad_s)
+        chance = chance_nm(rig.shaking, WHEELS_SOURCE)
         torque += chance
         rate.work_j += chance * y.wheels_rad_s
     creep = y.wheels_rad_s - omega

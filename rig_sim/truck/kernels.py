@@ -12,7 +12,14 @@ from collections.abc import Sequence
 from typing import Final
 
 from meshpoint.rig_sim.jit import entry, inlined
-from meshpoint.rig_sim.parts.disturbance import LOAD_LAG, LOAD_NM, SAMPLE_US, renew
+from meshpoint.rig_sim.parts.disturbance import (
+    LOAD_LAG,
+    LOAD_NM,
+    SAMPLE_US,
+    WHEELS_SOURCE,
+    lead_to_next,
+    renew,
+)
 from meshpoint.rig_sim.records import Floats
 from meshpoint.rig_sim.shared.angle_kernels import TAU, wrapped
 from meshpoint.rig_sim.truck import layout as at
@@ -63,6 +70,9 @@ def _shake(t_us: float, rig: Rig) -> None:
     shaking, count = rig.shaking, math.floor(t_us / SAMPLE_US)
     if rig.p.disturbance.is_on != 0 and count > shaking.count:
         renew(shaking, int(count), rig.p.disturbance, rig.chance)
+        for k in range(at.BODIES):
+            lead_to_next(shaking, k, rig.y.speed_rad_s[k])
+        lead_to_next(shaking, WHEELS_SOURCE, rig.y.wheels_rad_s)
         load = min(abs(rig.torques.link_nm[at.MAIN_BOX]) / LOAD_NM, 1.0)
         shaking.load += LOAD_LAG * (load - shaking.load)
 

@@ -55,7 +55,7 @@ def _shake(y: RigState, rate: RigState, rig: Rig) -> None:
     """Torque of chance on every body, and its work."""
     torques, speed, shaking = rig.torques, y.speed_rad_s, rig.shaking
     for k in range(at.BODIES):
-        torque = chance_nm(shaking, k, speed[k])
+        torque = chance_nm(shaking, k)
         torques.body_nm[k] += torque
         rate.work_j += torque * speed[k]
 

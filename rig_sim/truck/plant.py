@@ -15,6 +15,7 @@ import numpy as np
 from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.parts.disturbance import FIRST_NUMBERS, SECOND_NUMBERS, SOURCES
+from meshpoint.rig_sim.parts.vehicle import CREEP_M_S
 from meshpoint.rig_sim.records import Floats, RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import settled, wrapped
 from meshpoint.rig_sim.shared.angles import Angle, Shafts
@@ -203,6 +204,15 @@ class TruckPlant:
         self.find_torques()
         return self.rig.torques.body_nm[body]
 
+    def resistance_nm(self) -> float:
+        """What road and slope take at the propeller shaft now; with rigid shafts all that acts on
+        it."""
+        if self.p.twisting.stiff_nm_rad == 0.0:
+            return -self.load_nm(at.PROPELLER)
+        self.find_torques()
+        power, speed = self.rig.ahead.road_j + self.rig.ahead.grade_j, self.road_speed_m_s
+        return power / speed * self.p.road.wheel_m if abs(speed) > CREEP_M_S else 0.0
+
     def link_nm(self, link: int) -> float:
         """What a rigid link puts on the body behind it, as last found by `advance`."""
         return self.rig.torques.link_nm[link]
@@ -273,10 +283,11 @@ class TruckPlant:
 
     def strike(self, link: int, ratio: float, restitution: float) -> float:
         """An impact at a link that stays open; returns its loss, J."""
-        before = self.chain.kinetic_j()
+        driven = self.chain.is_driven(link) or self.chain.is_driven(link + 1)
+        before = self.chain.kinetic_j() if driven else 0.0
         lost = self.chain.impact(link, ratio, restitution)
         self.impacts_j += lost
-        if self.chain.is_driven(link) or self.chain.is_driven(link + 1):
+        if driven:
             # what the bench drives goes on as before: the impulse is its work
             self.y.work_j += self.chain.kinetic_j() - before + lost
         return lost
@@ -426,7 +437,7 @@ class TruckPlant:
         self.rig.chance.second[:] = rng.standard_normal(SECOND_NUMBERS).tolist()
         begin = rng.standard_normal(SOURCES).tolist()
         sd_nm = [built[f"disturbance.{name}_nm"] for name in SHAKEN]
-        self.rig.shaking.now_nm[:] = [z * sd for z, sd in zip(begin, sd_nm, strict=True)]
+        self.rig.shaking.chance_nm[:] = [z * sd for z, sd in zip(begin, sd_nm, strict=True)]
 
     def _load_angles(self, start: Shafts) -> None:
         wheels = (start.input, start.layshaft, start.main, start.propeller)
