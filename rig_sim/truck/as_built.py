@@ -36,6 +36,16 @@ LATER: Final = (
         "driveline.wheels_kgm2",
         "driveline.tyre_nm_rad",
         "driveline.tyre_nms",
+        "engine.first_order",
+        "engine.main_order",
+        "clutch.drag_nm",
+        "air.valve_scatter_ms",
+        "disc.judder_",
+        "sleeve.correlation",
+        "sleeve.stiction_",
+        "hall.load_runout_mm",
+        "pressure.",
+        "disturbance.",
     ),
 )
 """What was added later, in the order of its coming: all names that begin so. It is drawn last, so

@@ -26,6 +26,8 @@ class BodyChain:
         self._p, self._y, self._g = rig.p, rig.y, rig.g
         self._ratios: list[float | None] = [None] * at.LINKS
         self._forced: dict[int, float] = {}
+        self._felt: dict[int, tuple[float, dict[int, float]]] = {}
+        """What `_feel` has found since the last change of the links."""
         for link in range(at.LINKS):
             self._limit(link, -UNLIMITED, UNLIMITED)
         self.rebuild()
@@ -81,7 +83,7 @@ class BodyChain:
     def impact(self, link: int, ratio: float, restitution: float) -> float:
         """An impact at a link that is not rigid. Returns the energy lost, J."""
         slip = self.slip_rad_s(link, ratio)
-        before, behind = self._inverse_inertia(link), self._inverse_inertia(link + 1)
+        before, behind = self._feel(link)[0], self._feel(link + 1)[0]
         compliance = ratio**2 * before + behind
         if compliance == 0.0 or slip == 0.0:
             return 0.0
@@ -108,6 +110,7 @@ class BodyChain:
 
     def rebuild(self) -> None:
         """Groups, inertias and accelerations into g; speeds in a group brought in line."""
+        self._felt.clear()
         body = 0
         while body < at.BODIES:
             members = self.group(body)
@@ -145,17 +148,21 @@ class BodyChain:
         leader.forced = int(bool(forced))
         leader.accel_rad_s2 = self._forced[lead] if forced else 0.0
 
-    def _inverse_inertia(self, body: int) -> float:
-        members = self.group(body)
-        if self.is_driven(body):
-            return 0.0
-        group_kgm2 = 0.0
-        for k, rate in self.rates(members, body).items():
-            group_kgm2 += self._p.inertia_kgm2[k] * rate**2
-        return 1.0 / group_kgm2
+    def _feel(self, body: int) -> tuple[float, dict[int, float]]:
+        """1 / inertia of the body's group, felt at the body, and the speeds of the group's bodies
+        over its own."""
+        found = self._felt.get(body)
+        if found is None:
+            rates = self.rates(self.group(body), body)
+            group_kgm2 = 0.0
+            for k, rate in rates.items():
+                group_kgm2 += self._p.inertia_kgm2[k] * rate**2
+            inverse = 0.0 if self.is_driven(body) else 1.0 / group_kgm2
+            found = self._felt[body] = (inverse, rates)
+        return found
 
     def _kick(self, body: int, change_rad_s: float) -> None:
-        for k, rate in self.rates(self.group(body), body).items():
+        for k, rate in self._feel(body)[1].items():
             self._y.speed_rad_s[k] += rate * change_rad_s
 
     def _limit(self, link: int, low_nm: float, high_nm: float) -> None:

@@ -162,5 +162,5 @@ class TruckEngine:
         plant, shafts = self._plant, self._plant.shafts
         gear = shafts.lock.gear if shafts.lock is not None else MainGear.THIRD
         through = shafts.split_ratio * plant.ratio(gear) * shafts.range_ratio
-        load_nm = -plant.load_nm(at.PROPELLER) * through
+        load_nm = plant.resistance_nm() * through
         return plant.y.speed_rad_s[at.ENGINE] + load_nm / plant.p.engine.governor_nms

@@ -22,6 +22,7 @@ import math
 from typing import Final
 
 from meshpoint.rig_sim.jit import inlined
+from meshpoint.rig_sim.parts.disturbance import WHEELS_SOURCE, chance_nm
 from meshpoint.rig_sim.parts.vehicle import resistance_n
 from meshpoint.rig_sim.truck.layout import PROPELLER, Rig, RigState, TwistingShafts
 
@@ -90,6 +91,10 @@ def load_propeller(y: RigState, rate: RigState, rig: Rig) -> None:
     if tyre == 0.0:
         rate.wheels_rad_s = (torque - resisting) / shafts.wheels_kgm2
         return
+    if rig.p.disturbance.is_on != 0:
+        chance = chance_nm(rig.shaking, WHEELS_SOURCE)
+        torque += chance
+        rate.work_j += chance * y.wheels_rad_s
     creep = y.wheels_rad_s - omega
     damping = shafts.tyre_nms * creep
     traction = tyre * y.tyre_rad + damping

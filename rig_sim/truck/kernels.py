@@ -12,6 +12,14 @@ from collections.abc import Sequence
 from typing import Final
 
 from meshpoint.rig_sim.jit import entry, inlined
+from meshpoint.rig_sim.parts.disturbance import (
+    LOAD_LAG,
+    LOAD_NM,
+    SAMPLE_US,
+    WHEELS_SOURCE,
+    lead_to_next,
+    renew,
+)
 from meshpoint.rig_sim.records import Floats
 from meshpoint.rig_sim.shared.angle_kernels import TAU, wrapped
 from meshpoint.rig_sim.truck import layout as at
@@ -57,6 +65,19 @@ def _next_grid_us(t_us: float, rig: Rig) -> float:
 
 
 @inlined
+def _shake(t_us: float, rig: Rig) -> None:
+    """At a sample of chance that has been reached: draws the next."""
+    shaking, count = rig.shaking, math.floor(t_us / SAMPLE_US)
+    if rig.p.disturbance.is_on != 0 and count > shaking.count:
+        renew(shaking, int(count), rig.p.disturbance, rig.chance)
+        for k in range(at.BODIES):
+            lead_to_next(shaking, k, rig.y.speed_rad_s[k])
+        lead_to_next(shaking, WHEELS_SOURCE, rig.y.wheels_rad_s)
+        load = min(abs(rig.torques.link_nm[at.MAIN_BOX]) / LOAD_NM, 1.0)
+        shaking.load += LOAD_LAG * (load - shaking.load)
+
+
+@inlined
 def _copy(source: Floats, target: Floats) -> None:
     for i in range(len(source)):
         target[i] = source[i]
@@ -87,6 +108,8 @@ def advance(rigs: Sequence[Rig], t_us: float, until_us: float, stop_us: float) -
             if end_us > until_us:
                 return t_us, at.REACHED
         h = (end_us - t_us) / SECOND_US
+        rig.shaking.since_s = (t_us - rig.shaking.count * SAMPLE_US) / SECOND_US
+        rig.shaking.at_s = rig.shaking.since_s
         event = at.REACHED
         _copy(rig.y.vector, rig.after.vector)
         if h > 0.0:
@@ -106,6 +129,7 @@ def advance(rigs: Sequence[Rig], t_us: float, until_us: float, stop_us: float) -
         _copy(rig.ahead.vector, rig.stages[0].vector)
         t_us = end_us
         _remember(t_us, rig)
+        _shake(t_us, rig)
         if event != at.REACHED and event < at.MEETS_FLANK:
             return t_us, event
         if t_us == stop_us:

@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Final, cast
 
 from meshpoint.rig_sim.parts.brake_disc import DiscBrake
+from meshpoint.rig_sim.parts.disturbance import ChanceNumbers, Disturbance, Shaking
 from meshpoint.rig_sim.parts.engine import ClutchPlates, EngineLimits
 from meshpoint.rig_sim.parts.lash import Backlash
 from meshpoint.rig_sim.parts.pneumatics import BrakeAir
@@ -62,6 +63,7 @@ class RigState(Vector):
     lash_rad: Annotated[Row[float], GEARS]  # and each gear
     brake_pa: float  # absolute pressure in the brake
     supply_pa: float  # absolute pressure of the tank
+    felt_pa: float  # brake pressure as its sensor follows it
     disc_k: float  # temperature of the brake disc
     engine_nm: float  # engine torque at the crankshaft
     clutch: float  # position, 0 open to 1 closed
@@ -112,6 +114,8 @@ class PlantParameters(Record):
     plates: ClutchPlates
     road: RoadLoad
     twisting: TwistingShafts
+    disturbance: Disturbance
+    feeling_rate: float  # 1 / lag of the brake pressure sensor, 1/s; 0: none
 
 
 class Body(Record):
@@ -184,6 +188,7 @@ class Hall(Record):
 
     teeth: int
     edges_rad: Annotated[Row[float], MOST_TEETH]  # angle of each edge
+    drift_rad: Annotated[Row[float], MOST_TEETH]  # and how far full load moves it
     first_rad: Annotated[Row[float], FIRST_EDGES]  # error of the first edges after power-up
     silent: int
     missing: int  # number of the tooth that gives no edge, plus one; 0: none
@@ -206,10 +211,12 @@ class Rig(Record):
     contacts: Annotated[Row[Contact], CONTACTS]
     laps: Annotated[Row[int], BODIES]  # whole turns
     captured: Captured
+    shaking: Shaking
     p: PlantParameters
     watches: Annotated[Row[PhaseWatch], WATCHES]
     hall: Annotated[Row[Hall], CHANNELS]
     jitter_s: Annotated[Row[float], JITTERS]  # turned into angle at the present speed
+    chance: ChanceNumbers
     history: Annotated[Row[Past], HISTORY]
     stages: Annotated[Row[RigState], 4]  # rates at the stages of a step
     after: RigState  # at its end

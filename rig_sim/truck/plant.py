@@ -14,6 +14,8 @@ import numpy as np
 
 from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.rig_sim.parts.disturbance import FIRST_NUMBERS, SECOND_NUMBERS, SOURCES
+from meshpoint.rig_sim.parts.vehicle import CREEP_M_S
 from meshpoint.rig_sim.records import Floats, RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import settled, wrapped
 from meshpoint.rig_sim.shared.angles import Angle, Shafts
@@ -21,11 +23,12 @@ from meshpoint.rig_sim.shared.rotation import Drive
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.chain import UNLIMITED, BodyChain
-from meshpoint.rig_sim.truck.constants import load_parameters
+from meshpoint.rig_sim.truck.constants import SHAKEN, load_parameters
 from meshpoint.rig_sim.truck.edges import TruckEdges
 from meshpoint.rig_sim.truck.kernels import advance, sample
 from meshpoint.rig_sim.truck.layout import Contact, PhaseWatch, Rig
 
+CHANCE_STREAM: Final = 0xC4A
 INDEX: Final = {gear: index for index, gear in enumerate(MAIN_GEARS)}
 
 
@@ -119,6 +122,7 @@ class TruckPlant:
         self._load_angles(start)
         self.edges = TruckEdges(sheet, built, rig)
         self._load_speeds(gear, main_rad_s, built)
+        self._load_chance(built)
         self._stored_at_start_j = self._stored_j()
 
     @property
@@ -200,6 +204,15 @@ class TruckPlant:
         self.find_torques()
         return self.rig.torques.body_nm[body]
 
+    def resistance_nm(self) -> float:
+        """What road and slope take at the propeller shaft now; with rigid shafts all that acts on
+        it."""
+        if self.p.twisting.stiff_nm_rad == 0.0:
+            return -self.load_nm(at.PROPELLER)
+        self.find_torques()
+        power, speed = self.rig.ahead.road_j + self.rig.ahead.grade_j, self.road_speed_m_s
+        return power / speed * self.p.road.wheel_m if abs(speed) > CREEP_M_S else 0.0
+
     def link_nm(self, link: int) -> float:
         """What a rigid link puts on the body behind it, as last found by `advance`."""
         return self.rig.torques.link_nm[link]
@@ -270,10 +283,11 @@ class TruckPlant:
 
     def strike(self, link: int, ratio: float, restitution: float) -> float:
         """An impact at a link that stays open; returns its loss, J."""
-        before = self.chain.kinetic_j()
+        driven = self.chain.is_driven(link) or self.chain.is_driven(link + 1)
+        before = self.chain.kinetic_j() if driven else 0.0
         lost = self.chain.impact(link, ratio, restitution)
         self.impacts_j += lost
-        if self.chain.is_driven(link) or self.chain.is_driven(link + 1):
+        if driven:
             # what the bench drives goes on as before: the impulse is its work
             self.y.work_j += self.chain.kinetic_j() - before + lost
         return lost
@@ -409,6 +423,22 @@ class TruckPlant:
         """A sleeve's stroke has taken this share of the tank's air."""
         self.y.supply_pa *= 1.0 - share
 
+    def without_chance(self) -> None:
+        """From now on chance brings nothing new: what there is of it dies out, as is expected."""
+        self.p.disturbance.spread_nm[:] = [0.0] * SOURCES
+
+    def _load_chance(self, built: AsBuilt) -> None:
+        """The numbers of chance, and its torques at power-up."""
+        self.rig.shaking.count = -1
+        if not self.p.disturbance.is_on:
+            return
+        rng = np.random.Generator(np.random.PCG64([built.teeth_seed, CHANCE_STREAM]))
+        self.rig.chance.first[:] = rng.standard_normal(FIRST_NUMBERS).tolist()
+        self.rig.chance.second[:] = rng.standard_normal(SECOND_NUMBERS).tolist()
+        begin = rng.standard_normal(SOURCES).tolist()
+        sd_nm = [built[f"disturbance.{name}_nm"] for name in SHAKEN]
+        self.rig.shaking.chance_nm[:] = [z * sd for z, sd in zip(begin, sd_nm, strict=True)]
+
     def _load_angles(self, start: Shafts) -> None:
         wheels = (start.input, start.layshaft, start.main, start.propeller)
         for body, (turns, rest) in zip(range(at.INPUT, at.BODIES), wheels, strict=True):
@@ -430,7 +460,7 @@ class TruckPlant:
         g.release_nm = -1.0
         g.governed_pa = governed_pa + air.atmosphere_pa
         y.supply_pa = g.governed_pa
-        y.brake_pa = air.atmosphere_pa
+        y.brake_pa = y.felt_pa = air.atmosphere_pa
         y.disc_k = self.p.oil_k
         y.clutch = 1.0
         layshaft = main_rad_s / self.ratio(gear)
