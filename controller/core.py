@@ -171,7 +171,8 @@ class ControllerCore:
             self._observer.clock.stamp(read_us, now_us)
         self._observer.take(inputs, now_us, events)
         self._speeds.take(inputs, self._observer.clock.now_us(now_us))
-        snapshot = self._snapshot(now_us)
+        engine = inputs.engine[-1].engine_speed_rad_s if inputs.engine else None
+        snapshot = self._snapshot(now_us, engine)
         self._decide(inputs.requested_gear, snapshot, events)
         self._observer.learn(events)
         frames = self._commands(inputs, snapshot, events)
@@ -221,7 +222,7 @@ class ControllerCore:
             self._dropped = 0
         return inputs, Consumed((len(consumed) // 2) & 0xFFFF, zlib.crc32(b"".join(consumed)))
 
-    def _snapshot(self, now_us: int) -> StepSnapshot:
+    def _snapshot(self, now_us: int, engine_rad_s: float | None) -> StepSnapshot:
         observer = self._observer
         sensor_us = observer.clock.now_us(now_us)
         valves = observer.valves
@@ -236,6 +237,7 @@ class ControllerCore:
             self._lost(sensor_us),
             brake,
             observer.view.supply_pa,
+            engine_rad_s,
         )
 
     def _lost(self, sensor_us: int) -> FaultCode:

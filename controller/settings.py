@@ -46,7 +46,7 @@ class Timing:
 
     tick_ms: int = count("tick_ms", 1, 100, default=10)
     """From one step to the next."""
-    lead_ms: int = count("lead_ms", 1, 80, default=8)
+    lead_ms: int = count("lead_ms", 1, 80, default=4)
     """How far ahead of the controller's notion of sensor time an activation is placed at least:
     bus time and the node's own lateness must fit into it."""
 

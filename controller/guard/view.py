@@ -35,6 +35,11 @@ AGREE_RAD_S: Final = 0.15
 TURNING_RAD_S: Final = 10.0
 """Below this layshaft speed the ratios of the gears cannot be told apart."""
 HALF_WRAP: Final = 1 << 31
+OVER_SAMPLES: Final = 3
+SAMPLE_S: Final = 1e-3
+"""A sleeve's speed is taken over so many samples of 1 ms."""
+CLUTCH_GAP_US: Final = 25_000
+"""Samples of the clutch further apart say nothing of its speed."""
 SLOW: Final = (SleevesMain, SleevesAux, GearboxSensors)
 
 
@@ -59,6 +64,14 @@ class GuardInputs(NamedTuple):
     """The engine's speed; None where it says none any more."""
     requested_gear: int | None = None
     """The gear asked for in this step; None where none was."""
+    positions_us: int = 0
+    """When the positions of the main sleeves were sampled."""
+    speeds_m_s: tuple[float, float] = (0.0, 0.0)
+    """Of the two main sleeves, over their newest samples."""
+    clutch_us: int = 0
+    """When the clutch's position was sampled."""
+    clutch_per_s: float = 0.0
+    """How fast the clutch closes; negative: opens."""
 
 
 class GuardView:
@@ -76,6 +89,8 @@ class GuardView:
         }
         self._newest: dict[type, Any] = {}
         self._engine: tuple[int, float | None] = (0, None)
+        self._clutch: tuple[int, float] | None = None
+        self._clutch_per_s = 0.0
         self._turns: deque[tuple[Turned, Turned]] = deque()
 
     def take(self, inputs: StepInputs, receiver: Receiver, now_us: int) -> GuardInputs:
@@ -86,6 +101,8 @@ class GuardView:
         for messages in (inputs.sleeves_main, inputs.sleeves_aux, inputs.sensors):
             if messages:
                 self._newest[type(messages[-1])] = messages[-1]
+        for sample in inputs.sensors:
+            self._see_clutch(now_us - _age_us(sample, now_us), sample.clutch_position_fraction)
         for engine in inputs.engine:
             self._engine = (now_us, engine.engine_speed_rad_s)
         heard_us, engine_rad_s = self._engine
@@ -113,7 +130,17 @@ class GuardView:
             self._valid(receiver, now_us),
             engine_rad_s,
             inputs.requested_gear,
+            now_us - _age_us(main, now_us),
+            (_speed_m_s(main.sleeve_first_second_m), _speed_m_s(main.sleeve_crawl_third_m)),
+            now_us - _age_us(sensors, now_us),
+            self._clutch_per_s,
         )
+
+    def _see_clutch(self, time_us: int, closed: float) -> None:
+        before, self._clutch = self._clutch, (time_us, closed)
+        self._clutch_per_s = 0.0
+        if before is not None and 0 < time_us - before[0] <= CLUTCH_GAP_US:
+            self._clutch_per_s = (closed - before[1]) / (time_us - before[0]) * 1e6
 
     def _valid(self, receiver: Receiver, now_us: int) -> bool:
         if not receiver.all_valid(SLOW):
@@ -162,6 +189,11 @@ class GuardView:
             for teeth, early, late in zip(self._teeth, before, after, strict=True)
         )
         return ratio * layshaft - main
+
+
+def _speed_m_s(samples_m: tuple[float, ...]) -> float:
+    """Speed (m/s) from the newest samples, 1 ms apart, the newest first."""
+    return (samples_m[0] - samples_m[OVER_SAMPLES]) / (OVER_SAMPLES * SAMPLE_S)
 
 
 def _age_us(message: Any, now_us: int) -> int:

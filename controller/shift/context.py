@@ -13,6 +13,7 @@ from meshpoint.controller.planning.phase_drift import PhaseDrifts
 from meshpoint.controller.planning.sleeve_delay import SleeveDelays
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import MS_IN_US, ControllerSettings
+from meshpoint.controller.shift.kiss_point import KissPoint
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
 from meshpoint.controller.shift.valve_board import ValveBoard, ValveName
@@ -20,7 +21,6 @@ from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear
 
-SEQUENCE_CLUTCH_OPEN_SHARE: Final = 0.02
 SEQUENCE_CLUTCH_CLOSED_SHARE: Final = 0.98
 FALL_US: Final = 20 * MS_IN_US
 """The rate at which the slip falls is taken from two predictions this far apart."""
@@ -68,6 +68,7 @@ class ShiftContext:
         self.strategist = Strategist(sheet, settings)
         self.delays = SleeveDelays(sheet)
         self.drifts = PhaseDrifts()
+        self.kiss = KissPoint(sheet)
         self.state = State.STARTING
         self.since_us = 0
         self.clutch = ClutchAction.OPEN
@@ -98,6 +99,11 @@ class ShiftContext:
         return self.shift
 
     @property
+    def tick_us(self) -> int:
+        """From one step to the next."""
+        return self.settings.timing.tick_us
+
+    @property
     def target(self) -> DriveGear | None:
         """The gear being shifted to."""
         return self.shift.target if self.shift else None
@@ -111,6 +117,16 @@ class ShiftContext:
         """Whether the present state has lasted longer than this limit."""
         return snapshot.now_us - self.since_us > limit_ms * MS_IN_US
 
+    def unloaded_us(self, snapshot: StepSnapshot, share: float | None = None) -> int | None:
+        """The earliest activation (sensor time, us) of a valve whose sleeve begins to move when the
+        clutch's plates have parted; None while it is not known that they will. share: the clutch's
+        position to wait for, else where the plates are taken to part."""
+        level = self.kiss.parted_share if share is None else share
+        parted_us = snapshot.view.clutch.falls_to_us(level)
+        if parted_us is None:
+            return None
+        return max(snapshot.earliest_us, round(parted_us - 1e6 * self.sheet.sleeve.valve_delay_s))
+
     def switch_brake(self, on: bool, time_us: int, snapshot: StepSnapshot) -> None:
         """Commands the brake valve at a sensor time (us), and enters the switch in the filter's
         input."""
@@ -122,10 +138,18 @@ class ShiftContext:
         self.board.all_off()
         self.brake.schedule(now_us, False, now_us)
 
-    def end(self, snapshot: StepSnapshot, result: ShiftResult, fault: FaultCode) -> None:
-        """Ends the running shift with this result; all valves go off."""
+    def end(
+        self,
+        snapshot: StepSnapshot,
+        result: ShiftResult,
+        fault: FaultCode,
+        ended_us: int | None = None,
+    ) -> None:
+        """Ends the running shift with this result; all valves go off. ended_us: when a sensor
+        showed it to be over, if not now."""
         shift = self.running
-        shift.result, shift.fault, shift.end_us = result, fault, snapshot.now_us
+        shift.result, shift.fault = result, fault
+        shift.end_us = snapshot.now_us if ended_us is None else ended_us
         self.fault = fault
         self.finished, self.shift, self.ended_us = shift, None, snapshot.now_us
         self.engine_rad_s = None

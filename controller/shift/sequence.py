@@ -67,6 +67,7 @@ class ShiftSequence(ShiftContext):
     def step(self, snapshot: StepSnapshot) -> None:
         """One decision. Passes through several states if these need not wait for anything."""
         self.finished = self.decision = self.strategy_error = None
+        self.kiss.look(snapshot.view.clutch, snapshot.engine_rad_s)
         if self.shift is not None and snapshot.lost is not FaultCode.NONE:
             self._go(self.give_up(snapshot, snapshot.lost), snapshot)
         for _ in range(len(State)):

@@ -222,6 +222,15 @@ class Clutch:
     """From the command to fully open."""
     close_delay_s: float = quantity("close_delay_ms", 0.0, 2000.0, MS)
     """From the command to fully closed."""
+    kiss_share: float = quantity("kiss_percent", 0.0, 100.0, 0.01, default=0.1)
+    """The kiss point, at which the plates touch and part: travel from fully open."""
+    kiss_tolerance: float = quantity("kiss_tolerance_percent", 0.0, 50.0, 0.01, default=0.05)
+    """By how much the kiss point may differ from that, from clutch to clutch and with wear."""
+
+    @property
+    def surely_open_share(self) -> float:
+        """The plates are apart from here on, whichever clutch of the tolerance it is."""
+        return max(0.0, self.kiss_share - self.kiss_tolerance)
 
 
 @dataclass(frozen=True)
