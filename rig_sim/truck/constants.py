@@ -63,10 +63,18 @@ def _load_vehicle(p: PlantParameters, built: AsBuilt) -> None:
     road.grade_n = weight_n * math.sin(slope)
     road.air_ns2_m2 = 0.5 * AIR_KG_M3 * built["vehicle.drag_area_m2"]
     twisting.vehicle_kgm2 = built["vehicle.mass_kg"] * road.wheel_m**2
+    twisting.wheels_kgm2 = built["driveline.wheels_kgm2"]
     twisting.stiff_nm_rad = built["driveline.stiffness_nm_rad"]
     twisting.damping_nms = built["driveline.damping_nms"]
     if twisting.stiff_nm_rad == 0.0:
-        p.inertia_kgm2[at.PROPELLER] += twisting.vehicle_kgm2
+        p.inertia_kgm2[at.PROPELLER] += twisting.wheels_kgm2 + twisting.vehicle_kgm2
+        return
+    twisting.half_lash_rad = math.radians(built["driveline.backlash_deg"]) / 2.0
+    if built["driveline.tyre_nm_rad"] == 0.0 or twisting.wheels_kgm2 == 0.0:
+        twisting.wheels_kgm2 += twisting.vehicle_kgm2
+        return
+    twisting.tyre_nm_rad = built["driveline.tyre_nm_rad"]
+    twisting.tyre_nms = built["driveline.tyre_nms"]
 
 
 def _load_air(p: PlantParameters, sheet: GearboxSheet, built: AsBuilt) -> None:

@@ -7,6 +7,7 @@ torque that leaves its limits, found by bisection.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from meshpoint.rig_sim.jit import inlined, part
@@ -20,6 +21,7 @@ EVENT_ROOT_S: Final = 1e-11
 EVENT_ITERATIONS: Final = 60
 TORQUE_MARGIN_NM: Final = 0.2
 TORQUE_S: Final = 1e-9
+AT_FLANK_RAD: Final = 1e-12
 
 
 @inlined
@@ -34,7 +36,14 @@ def _watched(y: RigState, watch: PhaseWatch) -> float:
 def _beyond(y: RigState, event: int, rig: Rig) -> float:
     """How far a state is beyond an event's limit: positive once the event has happened."""
     beyond: float
-    if event >= at.STOPPED:
+    if event >= at.MEETS_FLANK:
+        flank = rig.p.twisting.half_lash_rad * (2.0 * (event - at.MEETS_FLANK) - 1.0)
+        since = rig.y.twist_rad - flank
+        if abs(since) < AT_FLANK_RAD:  # begins there, and may go either way
+            beyond = -1.0
+        else:
+            beyond = (flank - y.twist_rad) * math.copysign(1.0, since)
+    elif event >= at.STOPPED:
         beyond = -rig.g.brake_sign * y.speed_rad_s[at.LAYSHAFT]
     elif event >= at.NO_SLIP:
         contact = rig.contacts[event - at.NO_SLIP]
@@ -97,7 +106,8 @@ def first_event(h: float, rig: Rig) -> tuple[int, float]:
     found = at.REACHED
     layshaft = rig.g.bodies[at.LAYSHAFT]
     stoppable = rig.g.brake_sign != 0.0 and rig.g.bodies[layshaft.lead].forced == 0
-    for candidate in range(2 * at.WATCHES + at.CONTACTS + 1):
+    flanked = rig.p.twisting.half_lash_rad > 0.0
+    for candidate in range(2 * at.WATCHES + at.CONTACTS + 3):
         if candidate < at.WATCHES:
             event, asked = at.LEFT_TOP + candidate, rig.watches[candidate].gear >= 0
         elif candidate < 2 * at.WATCHES:
@@ -106,8 +116,11 @@ def first_event(h: float, rig: Rig) -> tuple[int, float]:
         elif candidate < 2 * at.WATCHES + at.CONTACTS:
             contact = candidate - 2 * at.WATCHES
             event, asked = at.NO_SLIP + contact, rig.contacts[contact].sign != 0.0
-        else:
+        elif candidate == 2 * at.WATCHES + at.CONTACTS:
             event, asked = at.STOPPED, stoppable
+        else:
+            side = candidate - 2 * at.WATCHES - at.CONTACTS - 1
+            event, asked = at.MEETS_FLANK + side, flanked
         if asked and _happened(event, rig):
             found = event
             h = _root(event, h, rig)

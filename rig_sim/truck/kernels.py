@@ -49,9 +49,9 @@ def _settle(rig: Rig) -> None:
 @inlined
 def _next_grid_us(t_us: float, rig: Rig) -> float:
     """The next grid point (us). The grid is finer while air moves, because the pressure's rate has
-    kinks, and for shafts that twist, because they oscillate fast."""
-    grid_us = rig.p.step_us
-    if abs(rig.stages[0].brake_pa) > QUIET_PA_S or rig.p.twisting.stiff_nm_rad > 0.0:
+    kinks, and for shafts that swing fast."""
+    grid_us = rig.g.swing_us
+    if abs(rig.stages[0].brake_pa) > QUIET_PA_S:
         grid_us = min(grid_us, FINE_GRID_US)
     return (math.floor(t_us / grid_us) + 1.0) * grid_us
 
@@ -106,7 +106,7 @@ def advance(rigs: Sequence[Rig], t_us: float, until_us: float, stop_us: float) -
         _copy(rig.ahead.vector, rig.stages[0].vector)
         t_us = end_us
         _remember(t_us, rig)
-        if event != at.REACHED:
+        if event != at.REACHED and event < at.MEETS_FLANK:
             return t_us, event
         if t_us == stop_us:
             return t_us, at.DUE

@@ -39,6 +39,7 @@ STOPPED: Final = 40  # the layshaft has come to rest
 LINK_SLIPS: Final = 50  # + link: its torque has left low_nm..high_nm
 CAN_RELEASE: Final = 60
 LET_GO: Final = 61  # the brake cannot hold the layshaft any more
+MEETS_FLANK: Final = 70  # + side: a flank of the final drive is met or left; not told to the caller
 
 # --- sensor wheels ------------------------------------------------------------------------------
 WHEELS: Final = 4
@@ -70,17 +71,23 @@ class RigState(Vector):
     road_j: float  # by tyres and air
     grade_j: float  # stored by climbing
     rub_j: float  # by clutch, tooth faces and synchroniser cones
-    wheels_rad_s: float  # vehicle's speed, at the propeller shaft; only with a compliant one
-    twist_rad: float  # how far the propeller shaft is ahead of the vehicle
-    twist_j: float  # turned into heat by the twisted shafts
+    wheels_rad_s: float  # driven wheels, at the propeller shaft; only where shafts twist
+    twist_rad: float  # how far the propeller shaft is ahead of the wheels
+    vehicle_rad_s: float  # vehicle's speed, at the propeller shaft; only where tyres twist too
+    tyre_rad: float  # how far the wheels are ahead of the vehicle
+    twist_j: float  # turned into heat by shafts and tyres
 
 
 class TwistingShafts(Record):
-    """Propeller and axle shafts as built (`driveline`)."""
+    """Propeller shaft, half-shafts and tyres as built (`driveline`); all at the propeller shaft."""
 
-    stiff_nm_rad: float  # 0: rigid, the vehicle is part of body P
+    stiff_nm_rad: float  # 0: rigid, wheels and vehicle are part of body P
     damping_nms: float
-    vehicle_kgm2: float  # at the propeller shaft
+    half_lash_rad: float  # half the backlash of the final drive
+    wheels_kgm2: float  # with rigid tyres the vehicle as well
+    tyre_nm_rad: float  # 0: rigid tyres
+    tyre_nms: float
+    vehicle_kgm2: float
 
 
 class PlantParameters(Record):
@@ -139,6 +146,7 @@ class Connections(Record):
     meshed: int  # index of the gear in mesh, or -1
     release_nm: float  # main-box torque at which a waiting release can go, or -1
     held: int  # 1 where the brake holds a stopped layshaft
+    swing_us: float  # longest step for what swings now
 
 
 class Contact(Record):

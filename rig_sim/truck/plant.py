@@ -135,8 +135,9 @@ class TruckPlant:
     def road_speed_m_s(self) -> float:
         """Speed of the vehicle."""
         y, p = self.y, self.p
-        is_rigid = p.twisting.stiff_nm_rad == 0.0
-        omega = y.speed_rad_s[at.PROPELLER] if is_rigid else y.wheels_rad_s
+        omega = y.speed_rad_s[at.PROPELLER]
+        if p.twisting.stiff_nm_rad > 0.0:
+            omega = y.vehicle_rad_s if p.twisting.tyre_nm_rad > 0.0 else y.wheels_rad_s
         return omega * p.road.wheel_m
 
     @property
@@ -384,16 +385,20 @@ class TruckPlant:
         """Where the bench drives the propeller shaft the vehicle goes with it; its work as well."""
         if self.p.twisting.stiff_nm_rad > 0.0 and self.chain.is_driven(at.PROPELLER):
             before = self._stored_j()
-            self.y.wheels_rad_s = self.y.speed_rad_s[at.PROPELLER]
-            self.y.twist_rad = 0.0
+            self.y.wheels_rad_s = self.y.vehicle_rad_s = self.y.speed_rad_s[at.PROPELLER]
+            self.y.twist_rad = self.y.tyre_rad = 0.0
             self.y.work_j += self._stored_j() - before
 
     def _stored_j(self) -> float:
-        y, p = self.y, self.p
+        y, shafts = self.y, self.p.twisting
         stored_j = self.chain.kinetic_j()
-        if p.twisting.stiff_nm_rad > 0.0:
-            stored_j += 0.5 * p.twisting.vehicle_kgm2 * y.wheels_rad_s**2
-            stored_j += 0.5 * p.twisting.stiff_nm_rad * y.twist_rad**2
+        if shafts.stiff_nm_rad > 0.0:
+            twist_rad = max(abs(y.twist_rad) - shafts.half_lash_rad, 0.0)
+            stored_j += 0.5 * shafts.wheels_kgm2 * y.wheels_rad_s**2
+            stored_j += 0.5 * shafts.stiff_nm_rad * twist_rad**2
+        if shafts.tyre_nm_rad > 0.0:
+            stored_j += 0.5 * shafts.vehicle_kgm2 * y.vehicle_rad_s**2
+            stored_j += 0.5 * shafts.tyre_nm_rad * y.tyre_rad**2
         return stored_j
 
     def set_brake(self, valve: float) -> None:
@@ -441,6 +446,6 @@ class TruckPlant:
             self.chain.place(at.CLUTCH, 1.0)
         self.chain.place(at.SPLITTER, shafts.split_ratio)
         self.chain.place(at.RANGE, shafts.range_ratio)
-        y.wheels_rad_s = y.speed_rad_s[at.PROPELLER]
+        y.wheels_rad_s = y.vehicle_rad_s = y.speed_rad_s[at.PROPELLER]
         if self.constant_speed:
             self.chain.force(at.MAIN, 0.0)

@@ -60,7 +60,7 @@ class TruckWorld:
         rng: np.random.Generator = seeded(settings.seed)
         start = draw_start(rng, sheet, settings)
         gear = drive_gear(settings.start_gear)
-        self.built: AsBuilt = draw_as_built(settings.seed, settings.as_built)
+        self.built: AsBuilt = draw_as_built(settings.seed, settings.as_built, settings.profile)
         self.sheet = as_built_sheet(sheet, self.built)
         self.clock_start_us = start.clock_us
         self.clock = SensorClock(start.clock_us)
