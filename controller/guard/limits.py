@@ -88,6 +88,10 @@ class GuardLimits:
     """Most slip over the clutch's plates on which it may close with a gear in."""
     clutch_travel_us: int
     """The clutch's way from one end to the other and back: every shift takes longer."""
+    torque_away_us: int
+    """For so long the engine's torque may be taken away before the plates have parted."""
+    tick_us: int
+    """From one step to the next."""
     closings: int
     """So often the clutch may close without a sleeve being moved in between."""
     closing_again_us: int
@@ -176,6 +180,8 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
         engaged_m=sleeve.stroke_m - GUARD_END_M,
         plate_slip_rad_s=_plate_slip_rad_s(sheet),
         clutch_travel_us=round((sheet.clutch.open_delay_s + sheet.clutch.close_delay_s) * 1e6),
+        torque_away_us=1000 * (settings.engine.ramp_ms + settings.limits.clutch_ms),
+        tick_us=settings.timing.tick_us,
         closings=settings.limits.raises + 1,
         closing_again_us=(settings.limits.raise_ms + settings.limits.synchronise_ms) * 1000,
         request_us=longest_shift_us(settings.limits),

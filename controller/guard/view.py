@@ -70,6 +70,8 @@ class GuardInputs(NamedTuple):
     """Of the two main sleeves, over their newest samples."""
     clutch_us: int = 0
     """When the clutch's position was sampled."""
+    engine_torque_share: float | None = None
+    """The engine's torque, as a share of its reference torque; None where it says none any more."""
     clutch_per_s: float = 0.0
     """How fast the clutch closes; negative: opens."""
 
@@ -88,7 +90,7 @@ class GuardView:
             EdgesPropellerRise: EdgeSpeed(wheels.propeller.teeth),
         }
         self._newest: dict[type, Any] = {}
-        self._engine: tuple[int, float | None] = (0, None)
+        self._engine: tuple[int, float | None, float | None] = (0, None, None)
         self._clutch: tuple[int, float] | None = None
         self._clutch_per_s = 0.0
         self._turns: deque[tuple[Turned, Turned]] = deque()
@@ -104,10 +106,11 @@ class GuardView:
         for sample in inputs.sensors:
             self._see_clutch(now_us - _age_us(sample, now_us), sample.clutch_position_fraction)
         for engine in inputs.engine:
-            self._engine = (now_us, engine.engine_speed_rad_s)
-        heard_us, engine_rad_s = self._engine
+            torque = engine.actual_engine_torque_fraction
+            self._engine = (now_us, engine.engine_speed_rad_s, torque)
+        heard_us, engine_rad_s, torque_share = self._engine
         if now_us - heard_us > GUARD_FRESH_US:
-            engine_rad_s = None
+            engine_rad_s = torque_share = None
         a, b, c, d = [shaft.at(now_us) for shaft in self._shafts.values()]
         if len(self._newest) < len(SLOW):
             unseen = GuardInputs(now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, valid=False)
@@ -133,6 +136,7 @@ class GuardView:
             now_us - _age_us(main, now_us),
             (_speed_m_s(main.sleeve_first_second_m), _speed_m_s(main.sleeve_crawl_third_m)),
             now_us - _age_us(sensors, now_us),
+            torque_share,
             self._clutch_per_s,
         )
 

@@ -16,6 +16,7 @@ from meshpoint.controller.settings import MS_IN_US, ControllerSettings
 from meshpoint.controller.shift.kiss_point import KissPoint
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
+from meshpoint.controller.shift.torque_ramp import TorqueFall
 from meshpoint.controller.shift.valve_board import ValveBoard, ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
@@ -74,6 +75,9 @@ class ShiftContext:
         self.clutch = ClutchAction.OPEN
         self.engine_rad_s: float | None = None
         """The speed the engine is asked for; None: nothing is asked."""
+        self.engine_share: float | None = None
+        """The torque the engine is asked for, as a share of its reference torque; None: none."""
+        self.torque = TorqueFall()
         self.shift: ShiftRecord | None = None
         self.finished: ShiftRecord | None = None
         """Set at the step that ends a shift, for its outcome frame."""
@@ -117,6 +121,11 @@ class ShiftContext:
         """Whether the present state has lasted longer than this limit."""
         return snapshot.now_us - self.since_us > limit_ms * MS_IN_US
 
+    def engine_carries(self, snapshot: StepSnapshot) -> bool:
+        """Whether the engine's torque may go through the clutch into a gear."""
+        closed = snapshot.view.clutch_closed or 0.0
+        return closed > self.kiss.share and snapshot.view.main_gear is not MainGear.NEUTRAL
+
     def unloaded_us(self, snapshot: StepSnapshot, share: float | None = None) -> int | None:
         """The earliest activation (sensor time, us) of a valve whose sleeve begins to move when the
         clutch's plates have parted; None while it is not known that they will. share: the clutch's
@@ -152,7 +161,7 @@ class ShiftContext:
         shift.end_us = snapshot.now_us if ended_us is None else ended_us
         self.fault = fault
         self.finished, self.shift, self.ended_us = shift, None, snapshot.now_us
-        self.engine_rad_s = None
+        self.engine_rad_s = self.engine_share = None
         self.all_off(snapshot.now_us)
 
     def give_up(self, snapshot: StepSnapshot, fault: FaultCode) -> Trigger:

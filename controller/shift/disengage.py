@@ -9,6 +9,7 @@ from meshpoint.controller.shift.brake_ahead import brake_ahead
 from meshpoint.controller.shift.context import OPPOSITE, ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
+from meshpoint.controller.shift.torque_ramp import ramp_down
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.gearbox import MainGear
 
@@ -18,7 +19,10 @@ meanwhile."""
 
 
 def open_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """Waits until it is time to command the valve that moves a sleeve as the plates part."""
+    """Takes the engine's torque away, opens the clutch, and waits until it is time to command the
+    valve that moves a sleeve as the plates part."""
+    if context.clutch is not ClutchAction.OPEN and not ramp_down(context, snapshot):
+        return None
     context.clutch = ClutchAction.OPEN
     unloaded_us = context.unloaded_us(snapshot)
     if unloaded_us is not None and unloaded_us < snapshot.earliest_us + context.tick_us:

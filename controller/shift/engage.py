@@ -44,7 +44,7 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         return Trigger.ENGAGED
     # The plates meet some hundredths of a second after the clutch sets off: it does so as soon as
     # the overlap holds the sleeve.
-    holds = _entered_m(context, snapshot) > context.settings.prices.overlap_m
+    holds = _entered_m(context, snapshot) > context.sheet.dog.most_overlap_m
     context.clutch = ClutchAction.CLOSE if holds else ClutchAction.OPEN
     if _is_tooth_on_tooth(context, snapshot) or context.late(
         snapshot, context.settings.limits.engage_ms

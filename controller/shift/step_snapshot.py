@@ -31,3 +31,5 @@ class StepSnapshot:
     """Absolute supply pressure; infinite before the first frame."""
     engine_rad_s: float | None = None
     """The engine's speed in this step's newest frame; None without one."""
+    engine_torque_share: float | None = None
+    """Its torque there, as a share of its reference torque."""

@@ -103,6 +103,15 @@ class DogTeeth:
     """Width of a gap beyond the tooth that goes into it."""
     radius_m: float = quantity("radius_mm", 30.0, 150.0, MM)
     """Middle radius of the dog teeth."""
+    overlap_m: float = quantity("overlap_mm", 0.0, 10.0, MM, default=1.0 * MM)
+    """How far a sleeve must go past the teeth's faces to be held."""
+    overlap_tolerance_m: float = quantity("overlap_tolerance_mm", 0.0, 5.0, MM, default=0.2 * MM)
+    """By how much that may differ, from gear to gear and with wear."""
+
+    @property
+    def most_overlap_m(self) -> float:
+        """An overlap that holds in any gearbox of the tolerance."""
+        return self.overlap_m + self.overlap_tolerance_m
 
     @property
     def pitch_rad(self) -> float:
@@ -206,6 +215,11 @@ class SleeveActuator:
     """Way from neutral to fully in."""
     speed_m_s: float = quantity("speed_m_s", 0.02, 2.0)
     """Speed of a sleeve that nothing stands before."""
+
+    @property
+    def contact_speed_m_s(self) -> float:
+        """Speed of the sleeve as it meets the gear: it gets there under a constant force."""
+        return 2.0 * self.to_contact_m / (self.delay_s - self.valve_delay_s)
 
     def __post_init__(self) -> None:
         if self.to_contact_m >= self.stroke_m:
