@@ -229,7 +229,7 @@ class ControllerCore:
         brake = valves is not None and (valves.brake_energised or valves.brake_pending)
         return StepSnapshot(
             sensor_us,
-            sensor_us + self._settings.timing.lead_us,
+            sensor_us + self._lead_us,
             observer.view,
             observer.layshaft,
             observer.main_at(sensor_us),
@@ -240,6 +240,13 @@ class ControllerCore:
             None if engine is None else engine.engine_speed_rad_s,
             None if engine is None else engine.actual_engine_torque_fraction,
         )
+
+    @property
+    def _lead_us(self) -> int:
+        """The least lead of an activation; a step's own frames must be through before the moment of
+        a command that cannot be scheduled."""
+        lead_us = self._settings.timing.lead_us
+        return max(lead_us, FRAME_WAIT_US) if self._ahead_us else lead_us
 
     def _lost(self, sensor_us: int) -> FaultCode:
         """The most serious fault among missing inputs that a shift needs; NONE if all are there."""

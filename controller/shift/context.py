@@ -21,6 +21,7 @@ from meshpoint.controller.shift.valve_board import ValveBoard, ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear
+from meshpoint.units import SECOND_US
 
 SEQUENCE_CLUTCH_CLOSED_SHARE: Final = 0.98
 FALL_US: Final = 20 * MS_IN_US
@@ -40,6 +41,8 @@ OPPOSITE: Final = {
 """The valve that pulls a gear out pushes toward the sleeve's other gear."""
 
 
+SENSED_SHARE: Final = 0.005
+"""Error of the clutch's measured position."""
 PredictorSource = Callable[[GearPredictor], GearPredictor]
 """Replaces the predictor made from the estimates by another one; every phase reference then counts
 as known."""
@@ -126,15 +129,30 @@ class ShiftContext:
         closed = snapshot.view.clutch_closed or 0.0
         return closed > self.kiss.share and snapshot.view.main_gear is not MainGear.NEUTRAL
 
-    def unloaded_us(self, snapshot: StepSnapshot, share: float | None = None) -> int | None:
-        """The earliest activation (sensor time, us) of a valve whose sleeve begins to move when the
-        clutch's plates have parted; None while it is not known that they will. share: the clutch's
-        position to wait for, else where the plates are taken to part."""
-        level = self.kiss.parted_share if share is None else share
-        parted_us = snapshot.view.clutch.falls_to_us(level)
-        if parted_us is None:
+    def unloaded_us(self, snapshot: StepSnapshot) -> int | None:
+        """The earliest activation (sensor time, us) of the valve that pulls a gear out: the sleeve
+        begins to move as the plates part, where they were learned to, and its teeth are out no
+        sooner than they surely have. None while it is not known that they will."""
+        clutch, sleeve = snapshot.view.clutch, self.sheet.sleeve
+        parted_us = clutch.falls_to_us(self.kiss.parted_share)
+        surely_us = self._surely_parted_us(snapshot)
+        if parted_us is None or surely_us is None:
             return None
-        return max(snapshot.earliest_us, round(parted_us - 1e6 * self.sheet.sleeve.valve_delay_s))
+        moves_us = parted_us - SECOND_US * sleeve.valve_delay_s
+        out_us = surely_us - SECOND_US * sleeve.least_pull_s
+        return max(snapshot.earliest_us, round(moves_us), round(out_us))
+
+    def step_unloaded_us(self, snapshot: StepSnapshot) -> int | None:
+        """The same for splitter and range, whose teeth part as soon as the sleeve moves."""
+        surely_us = self._surely_parted_us(snapshot)
+        if surely_us is None:
+            return None
+        moves_us = round(surely_us - SECOND_US * self.sheet.sleeve.valve_delay_s)
+        return max(snapshot.earliest_us, moves_us)
+
+    def _surely_parted_us(self, snapshot: StepSnapshot) -> float | None:
+        share = self.sheet.clutch.surely_open_share - SENSED_SHARE
+        return snapshot.view.clutch.falls_to_us(max(0.0, share))
 
     def switch_brake(self, on: bool, time_us: int, snapshot: StepSnapshot) -> None:
         """Commands the brake valve at a sensor time (us), and enters the switch in the filter's

@@ -126,9 +126,7 @@ def _stood(view: GearboxView, context: ShiftContext) -> tuple[Split | None, Rang
 
 
 def _push(context: ShiftContext, valve: ValveName, snapshot: StepSnapshot) -> None:
-    # A splitter sleeve leaves its teeth as soon as it moves: the plates have surely parted by then.
-    unloaded_us = context.unloaded_us(snapshot, context.sheet.clutch.surely_open_share)
-    command = context.board.command(valve)
+    command, unloaded_us = context.board.command(valve), context.step_unloaded_us(snapshot)
     if unloaded_us is None:
         context.board.off(valve)
     elif not command.on or command.time_us > snapshot.earliest_us:

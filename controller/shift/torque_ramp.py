@@ -51,10 +51,12 @@ def ramp_down(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     limits = context.settings.engine
     if limits.ramp_ms == 0 or not context.engine_carries(snapshot):
         return True
-    context.engine_share = 0.0
     clutch = context.sheet.clutch
     parting_s = clutch.open_delay_s * (1.0 - context.kiss.share)
     left = context.torque.left_in(parting_s)
-    if left is None or abs(left) <= limits.torque_left_share:
+    if left is None:
+        return True  # an engine that does not say how far it is cannot be waited for
+    context.engine_share = 0.0
+    if abs(left) <= limits.torque_left_share:
         return True
     return snapshot.now_us - context.since_us >= limits.ramp_ms * MS_IN_US

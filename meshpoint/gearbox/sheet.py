@@ -217,6 +217,13 @@ class SleeveActuator:
     """Speed of a sleeve that nothing stands before."""
 
     @property
+    def least_pull_s(self) -> float:
+        """From a pulling valve's current until a gear's teeth may be out, at the earliest: at the
+        sheet's speed all the way, less the delay's scatter."""
+        way_s = (self.stroke_m - self.to_contact_m) / self.speed_m_s
+        return self.valve_delay_s + max(0.0, way_s - self.delay_limit_s)
+
+    @property
     def contact_speed_m_s(self) -> float:
         """Speed of the sleeve as it meets the gear: it gets there under a constant force."""
         return 2.0 * self.to_contact_m / (self.delay_s - self.valve_delay_s)
