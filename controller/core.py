@@ -39,6 +39,7 @@ from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
+    EEC1,
     TSC1,
     ClutchCommand,
     EdgesLayshaftRise,
@@ -195,7 +196,8 @@ class ControllerCore:
             self._observer.clock.stamp(read_us, now_us)
         self._observer.take(inputs, now_us, events)
         self._speeds.take(inputs, self._observer.clock.now_us(now_us))
-        snapshot = self.snapshot = self._snapshot(now_us)
+        newest_engine = inputs.engine[-1] if inputs.engine else None
+        snapshot = self.snapshot = self._snapshot(now_us, newest_engine)
         self._decide(inputs.requested_gear, snapshot, events)
         self._observer.learn(events)
         frames = self._commands(now_us, snapshot, events)
@@ -247,14 +249,14 @@ class ControllerCore:
             self._dropped = 0
         return inputs, Consumed((len(consumed) // 2) & 0xFFFF, zlib.crc32(b"".join(consumed)))
 
-    def _snapshot(self, now_us: int) -> StepSnapshot:
+    def _snapshot(self, now_us: int, engine: EEC1 | None) -> StepSnapshot:
         observer = self._observer
         sensor_us = observer.clock.now_us(now_us)
         valves = observer.valves
         brake = valves is not None and (valves.brake_energised or valves.brake_pending)
         return StepSnapshot(
             sensor_us,
-            sensor_us + self._settings.timing.lead_us,
+            sensor_us + self._lead_us,
             observer.view,
             observer.layshaft,
             observer.main_at(sensor_us),
@@ -262,7 +264,16 @@ class ControllerCore:
             self._lost(sensor_us),
             brake,
             observer.view.supply_pa,
+            None if engine is None else engine.engine_speed_rad_s,
+            None if engine is None else engine.actual_engine_torque_fraction,
         )
+
+    @property
+    def _lead_us(self) -> int:
+        """The least lead of an activation; a step's own frames must be through before the moment of
+        a command that cannot be scheduled."""
+        lead_us = self._settings.timing.lead_us
+        return max(lead_us, FRAME_WAIT_US) if self._ahead_us else lead_us
 
     def _lost(self, sensor_us: int) -> FaultCode:
         """The most serious fault among missing inputs that a shift needs; NONE if all are there."""
@@ -336,14 +347,17 @@ class ControllerCore:
         return self._transmitter.encode(ClutchCommand())
 
     def _engine_request(self, seen: GuardInputs, events: list[str]) -> list[Frame]:
-        """TSC1 while the engine is asked for a speed, and once more to end it; its end where the
-        guard forbids it."""
-        wanted = self._sequence.engine_rad_s
-        asked, self._engine_asked = self._engine_asked, wanted is not None
-        if wanted is None:
+        """TSC1 while the engine is asked for a speed or a torque, and once more to end it; its end
+        where the guard forbids it."""
+        wanted, share = self._sequence.engine_rad_s, self._sequence.engine_share
+        asked, self._engine_asked = self._engine_asked, (wanted, share) != (None, None)
+        if not self._engine_asked:
             return [self._transmitter.encode(TSC1())] if asked else []
+        speed, torque = TscOverrideMode.SPEED_CONTROL, TscOverrideMode.TORQUE_CONTROL
         request = TSC1(
-            override_control_mode=TscOverrideMode.SPEED_CONTROL, requested_speed_rad_s=wanted
+            override_control_mode=torque if wanted is None else speed,
+            requested_speed_rad_s=wanted,
+            requested_torque_fraction=share if wanted is None else None,
         )
         frame, driveline = self._transmitter.encode(request), self._driveline_guard
         if not driveline.passes_engine(frame.data, seen):

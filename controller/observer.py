@@ -40,7 +40,6 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import GearboxSheet, MainGear, Split
 
-OBSERVER_CLUTCH_OPEN_SHARE = 0.05
 DRAGGED_US = 30_000
 """For this long after a change of splitter or range, edges from during the change still arrive."""
 CLUTCH_BITES_SHARE = 0.2
@@ -183,8 +182,9 @@ class Observer:
         time_us = np.empty(len(sensors))
         pressure_pa = np.empty(len(sensors))
         for k, sample in enumerate(sensors):
-            self.view.clutch_closed = sample.clutch_position_fraction
-            time_us[k] = self.clock.stamp(sample.sample_time_us, now_us)
+            sampled_us = self.clock.stamp(sample.sample_time_us, now_us)
+            time_us[k] = sampled_us
+            self.view.clutch.take(sampled_us, sample.clutch_position_fraction)
             pressure_pa[k] = sample.brake_pressure_pa - atmosphere_pa
             self.view.supply_pa = sample.supply_pressure_pa
             self.brake.supply_pa = sample.supply_pressure_pa - atmosphere_pa
@@ -236,9 +236,8 @@ class Observer:
         if view.split is not None and view.split is not self._split:
             self._split = view.split
             self._model_layshaft()
-        clutch_open = (view.clutch_closed or 0.0) < OBSERVER_CLUTCH_OPEN_SHARE
         steps_in = view.split is not None and view.range_ is not None and not self._dragged
-        free = clutch_open and view.main_box_free and steps_in
+        free = view.clutch_parted and view.main_box_free and steps_in
         newest = self._layshaft_wheel.newest
         if newest is None:
             return

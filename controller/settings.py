@@ -46,7 +46,7 @@ class Timing:
 
     tick_ms: int = count("tick_ms", 1, 100, default=10)
     """From one step to the next."""
-    lead_ms: int = count("lead_ms", 1, 80, default=8)
+    lead_ms: int = count("lead_ms", 1, 80, default=4)
     """How far ahead of the controller's notion of sensor time an activation is placed at least:
     bus time and the node's own lateness must fit into it."""
 
@@ -125,12 +125,10 @@ class Prices:
     blocked."""
     block_slip_rad_s: float = quantity("block_slip_rpm", 0.1, 100.0, RPM, default=6.0 * RPM)
     """The slip below which a tooth may block the sleeve."""
-    energy_s_per_j: float = quantity("energy_ms_per_j", 0.0, 10_000.0, 1e-3, default=0.005)
+    energy_s_per_j: float = quantity("energy_ms_per_j", 0.0, 10_000.0, 1e-3, default=0.02)
     """Cost of a joule of impact energy at a tooth's flank."""
     aim_s: float = quantity("aim_ms", 0.0, 10_000.0, 1e-3, default=0.01)
     """A contact half a backlash away from the target angle."""
-    overlap_m: float = quantity("overlap_mm", 0.0, 10.0, 1e-3, default=1e-3)
-    """How far a sleeve must go past the teeth's faces to be in mesh."""
 
 
 @dataclass(frozen=True)
@@ -173,6 +171,11 @@ class EngineRequests:
 
     least_rad_s: float = quantity("least_rpm", 100.0, 2000.0, RPM, default=500.0 * RPM)
     """The engine is asked for no speed below this one."""
+    ramp_ms: int = count("ramp_ms", 0, 2000, default=250)
+    """The longest wait for the engine's torque to fall before the clutch sets off; 0: it sets off
+    at once, under torque, and the driveline rings."""
+    torque_left_share: float = quantity("torque_left_percent", 0.5, 100.0, 0.01, default=0.05)
+    """So much of the engine's reference torque may be left when the clutch's plates part."""
 
 
 @dataclass(frozen=True)

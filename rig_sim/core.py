@@ -36,7 +36,10 @@ FROM_IO: Final = frozenset(
 SUSPECT: Final = frozenset({FrameVerdict.E2E, FrameVerdict.REPEATED, FrameVerdict.WRONG_SEQUENCE})
 """What a bus does not do to a frame: its own check would have thrown it away."""
 TELL_US: Final = 1_000_000
-PROMPT: Final = CODECS[ValveCommand.__name__].spec.can_id
+VALVES: Final = CODECS[ValveCommand.__name__].spec.can_id
+CLUTCH: Final = CODECS[ClutchCommand.__name__].spec.can_id
+CLUTCH_ACTION: Final = 3
+"""The byte of the clutch command that says what it is to do."""
 """What is obeyed at once. The clutch actuator, like one on the bus, and the bench's script look at
 their commands every 10 ms."""
 
@@ -58,6 +61,7 @@ class RigCore:
         self._last_sequence: int | None = None
         self._last_fault: int | None = None
         self._last_valves: ValveCommand | None = None
+        self._last_clutch = b""
         self._node = self._world.node
         self._restarts = 0
         self._suspect: Counter[int] = Counter()
@@ -77,10 +81,15 @@ class RigCore:
         return self._start_us + max(self._world.next_read_us, stalled_us)
 
     def receive(self, frame: Frame) -> None:
-        """Keep a frame for the next step; a valve command asks for that step at once."""
+        """Keep a frame for the next step; a valve command asks for that step at once, and so does
+        a clutch command other than the one before."""
         self._inbox.append(frame)
-        if frame.can_id == PROMPT:
+        if frame.can_id == VALVES:
             self._commanded = True
+        elif frame.can_id == CLUTCH:
+            action = frame.data[CLUTCH_ACTION:]
+            self._commanded |= action != self._last_clutch
+            self._last_clutch = action
 
     def step(self, now_us: int) -> Step:
         """Go on to now, sending every read that was due; then obey the frames received."""

@@ -66,7 +66,12 @@ def read_messages(world: RigWorld, now_us: int) -> list[Message]:
     messages.append(_sensors(sensors, clock_us))
     messages.extend(_sleeves(world, now_us, clock_us))
     messages.append(valve_status(world, now_us))
-    messages.append(EEC1(engine_speed_rad_s=min(sensors.engine_rad_s, ENGINE_MAX_RAD_S)))
+    messages.append(
+        EEC1(
+            engine_speed_rad_s=min(sensors.engine_rad_s, ENGINE_MAX_RAD_S),
+            actual_engine_torque_fraction=sensors.torque_share,
+        )
+    )
     angles, speeds = world.encoder_read(now_us)
     messages.append(ReferenceEncoder(sample_time_us=clock_us, angle_rad=angles, speed_rad_s=speeds))
     messages.append(_phases(world, clock_us))

@@ -23,8 +23,13 @@ from meshpoint.controller.guard.view import GuardInputs
 CLUTCH_LENGTH: Final = 8
 CLUTCH_ACTION: Final = 3
 ENGINE_LENGTH: Final = 8
-NO_OVERRIDE, SPEED_CONTROL = 0, 1
-"""TSC1's control modes that the guard knows; torque control and limits are not passed."""
+NO_OVERRIDE, SPEED_CONTROL, TORQUE_CONTROL = range(3)
+"""TSC1's control modes that the guard knows; limits are not passed."""
+TORQUE_BYTE: Final = 3
+TORQUE_OFFSET: Final = 125
+PER_CENT: Final = 0.01
+TORQUE_NOISE: Final = 1.5 * PER_CENT
+"""A step of the signal, and half a one for rounding."""
 SPEED_BYTES: Final = slice(1, 3)
 SPEED_STEP_RAD_S: Final = 0.125 * math.pi / 30.0
 MODE_BITS: Final = 0x03
@@ -44,14 +49,17 @@ class EngineWish(NamedTuple):
 
     mode: int
     speed_rad_s: float
+    torque_share: float = 0.0
+    """Of the engine's reference torque."""
 
 
 def decode_engine(payload: bytes) -> EngineWish:
-    """Control mode and requested speed."""
+    """Control mode, requested speed and requested torque."""
     if len(payload) != ENGINE_LENGTH:
         raise ValueError(f"TSC1 of {len(payload)} bytes, allowed is {ENGINE_LENGTH}")
     speed = int.from_bytes(payload[SPEED_BYTES], "little") * SPEED_STEP_RAD_S
-    return EngineWish(payload[0] & MODE_BITS, speed)
+    torque = (payload[TORQUE_BYTE] - TORQUE_OFFSET) * PER_CENT
+    return EngineWish(payload[0] & MODE_BITS, speed, torque)
 
 
 @dataclass
@@ -67,6 +75,8 @@ class DrivelineState:
     sides: tuple[int, ...] = ()
     """The end each sleeve was last seen in."""
     judged_us: int | None = None
+    torque_us: int = 0
+    """For so long the engine's torque has been taken away since the plates were last apart."""
 
 
 class DrivelineCase(NamedTuple):
@@ -114,10 +124,13 @@ Rule = Callable[[DrivelineCase], bool]
 
 def engine_beyond_the_gear(case: DrivelineCase) -> bool:
     """Row 14: a speed over the sheet's limit, or with a gear in mesh one that the slip window of
-    row 3 does not hold around the speed this gear gives; any other control than of the speed."""
-    mode, wanted = case.engine
+    row 3 does not hold around the speed this gear gives; a torque other than one on the way from
+    the engine's own to none, before the clutch opens; any other control."""
+    mode, wanted, _ = case.engine
     if mode == NO_OVERRIDE:
         return False
+    if mode == TORQUE_CONTROL:
+        return not _takes_torque_away(case)
     limits, gear, main = case.limits, case.gear_in_mesh, case.seen.speeds[MAIN]
     if mode != SPEED_CONTROL or not case.seen.valid or wanted > limits.input_max_rad_s:
         return True
@@ -132,6 +145,16 @@ def engine_beyond_the_gear(case: DrivelineCase) -> bool:
     return not (
         (main.omega_rad_s + low) / max(ratios) <= wanted <= (main.omega_rad_s + high) / min(ratios)
     )
+
+
+def _takes_torque_away(case: DrivelineCase) -> bool:
+    """Whether the torque asked for lies between the engine's own and none, and has not been for
+    longer than a clutch may take to open."""
+    now = case.seen.engine_torque_share
+    if now is None or not case.seen.valid or case.state.torque_us > case.limits.torque_away_us:
+        return False
+    low, high = min(now, 0.0) - TORQUE_NOISE, max(now, 0.0) + TORQUE_NOISE
+    return low <= case.engine.torque_share <= high
 
 
 def closing_onto_slip(case: DrivelineCase) -> bool:
@@ -188,8 +211,13 @@ class DrivelineGuard:
 
     def passes_engine(self, payload: bytes, seen: GuardInputs) -> bool:
         """Whether the engine request may go out; where not, the request has to be ended."""
-        case = DrivelineCase(seen, self._state, self._limits, decode_engine(payload))
+        wish = decode_engine(payload)
+        case = DrivelineCase(seen, self._state, self._limits, wish)
         self.blocked_row = self._judge(ENGINE_ROWS, case)
+        if seen.valid and seen.clutch_closed <= self._limits.clutch_open_share:
+            self._state.torque_us = 0
+        elif wish.mode == TORQUE_CONTROL:
+            self._state.torque_us += self._limits.tick_us
         return self.blocked_row is None
 
     def _judge(self, rows: tuple[DrivelineRow, ...], case: DrivelineCase) -> int | None:

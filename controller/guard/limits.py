@@ -15,10 +15,11 @@ GUARD_NEUTRAL_M: Final = 1.5e-3
 """A main sleeve within this of the middle is proven neutral."""
 GUARD_END_M: Final = 1.0e-3
 """A sleeve within this of its end is in."""
-GUARD_CLUTCH_OPEN_SHARE: Final = 0.05
 CLUTCH_CLOSED_SHARE: Final = 0.98
 SLIP_MARGIN_RAD_S: Final = 1.0
 """Error of the measured speeds plus what the vehicle may gain or lose until contact: 10 rpm."""
+CLEAR_M: Final = 0.5e-3
+"""Teeth this far past each other are out."""
 BRAKE_PRESSED_PA: Final = 1.0e5
 """Above this gauge pressure the brake is taken to put torque on the gear in mesh."""
 SPEED_TOLERANCE: Final = 1.01
@@ -55,6 +56,13 @@ class GuardLimits:
     """omega_propeller / omega_main by the range sleeve's side."""
     contact_m: float
     sleeve_delay_us: float
+    sleeve_valve_us: float
+    """From a sleeve valve's activation to the first movement."""
+    teeth_out_us: float
+    """From there on a main sleeve's teeth may be out of its gear's, at the earliest."""
+    stroke_m: float
+    clutch_open_share: float
+    """The clutch's plates are surely apart from here on."""
     sleeve_scatter_us: float
     brake_delay_us: float
     brake_lag_us: float
@@ -80,6 +88,10 @@ class GuardLimits:
     """Most slip over the clutch's plates on which it may close with a gear in."""
     clutch_travel_us: int
     """The clutch's way from one end to the other and back: every shift takes longer."""
+    torque_away_us: int
+    """For so long the engine's torque may be taken away before the plates have parted."""
+    tick_us: int
+    """From one step to the next."""
     closings: int
     """So often the clutch may close without a sleeve being moved in between."""
     closing_again_us: int
@@ -145,6 +157,10 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
         },
         contact_m=sleeve.to_contact_m,
         sleeve_delay_us=sleeve.delay_s * 1e6,
+        sleeve_valve_us=sleeve.valve_delay_s * 1e6,
+        teeth_out_us=_teeth_out_us(sheet),
+        stroke_m=sleeve.stroke_m,
+        clutch_open_share=sheet.clutch.surely_open_share,
         sleeve_scatter_us=sleeve.delay_limit_s * 1e6,
         brake_delay_us=brake.valve_delay_s * 1e6,
         brake_lag_us=brake.time_constant_s * 1e6,
@@ -164,6 +180,8 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
         engaged_m=sleeve.stroke_m - GUARD_END_M,
         plate_slip_rad_s=_plate_slip_rad_s(sheet),
         clutch_travel_us=round((sheet.clutch.open_delay_s + sheet.clutch.close_delay_s) * 1e6),
+        torque_away_us=1000 * (settings.engine.ramp_ms + settings.limits.clutch_ms),
+        tick_us=settings.timing.tick_us,
         closings=settings.limits.raises + 1,
         closing_again_us=(settings.limits.raise_ms + settings.limits.synchronise_ms) * 1000,
         request_us=longest_shift_us(settings.limits),
@@ -176,6 +194,14 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
             for number, gear in DRIVE_GEARS.items()
         },
     )
+
+
+def _teeth_out_us(sheet: GearboxSheet) -> float:
+    """From a pulling valve's activation until the teeth may be out, at the earliest: at the sheet's
+    speed all the way, less the delay's scatter."""
+    sleeve = sheet.sleeve
+    way_s = (sleeve.stroke_m - sleeve.to_contact_m) / sleeve.speed_m_s
+    return 1e6 * max(sleeve.valve_delay_s, sleeve.valve_delay_s + way_s - sleeve.delay_limit_s)
 
 
 def _plate_slip_rad_s(sheet: GearboxSheet) -> float:

@@ -53,7 +53,8 @@ SILENT_US: Final = 40_000
 
 _stamp: Final = struct.Struct("<I").unpack_from
 _sensors: Final = struct.Struct("<HHHH").unpack_from
-_sleeves: Final = struct.Struct("<Bh18xh").unpack_from
+_sleeves: Final = struct.Struct("<Bh4xh12xh4xh").unpack_from
+"""Fault bits; of each sleeve the newest sample and the one `OVER_SAMPLES` before it."""
 _edges: Final = struct.Struct("<HB27H").unpack_from
 _word: Final = struct.Struct("<H").unpack_from
 STAMP_AT: Final = 3
@@ -62,7 +63,12 @@ PRESSURE_STEP_PA: Final = 20.0
 CLUTCH_STEPS: Final = 10_000
 POSITION_STEP_M: Final = 1e-6
 POSITION_STEPS: Final = 20_000
+OVER_SAMPLES: Final = 3
+SAMPLE_S: Final = 1e-3
+OVER_SPAN_S: Final = OVER_SAMPLES * SAMPLE_S
+"""A sleeve's speed is taken over so many samples of 1 ms."""
 ENGINE_AT, ENGINE_STEP_RAD_S = 3, 0.125 * math.pi / 30.0
+TORQUE_AT, TORQUE_OFFSET, TORQUE_STEPS = 2, 125, 0xFA
 ENGINE_STEPS: Final = 0xFAFF
 """Above this a J1939 word says that there is no value."""
 GEAR_AT, GEAR_OFFSET, GEAR_STEPS = 2, 125, 0xFA
@@ -79,6 +85,16 @@ class Slow(NamedTuple):
     positions (m)."""
     is_faulty: bool = False
     """A sensor says that it is out of range."""
+    speeds_m_s: tuple[float, float] = (0.0, 0.0)
+    """Of two sleeves, over their newest samples."""
+
+
+class Engine(NamedTuple):
+    """What EEC1 says; None: it says that there is no value."""
+
+    speed_rad_s: float | None
+    torque_share: float | None
+    """Of the engine's reference torque."""
 
 
 class Edges(NamedTuple):
@@ -142,8 +158,10 @@ class GuardEar:
         """The newest of each."""
         self.edges: dict[int, list[Edges]] = {}
         """Those of this step."""
-        self.engine: list[float | None] = []
-        """Engine speeds (rad/s) of this step; None: says that it has none."""
+        self.engine: list[Engine] = []
+        """Those of this step."""
+        self.clutch: list[tuple[int, float]] = []
+        """Of this step: stamps, and how far the clutch was closed."""
         self.requested_gear: int | None = None
         """The gear asked for in this step; None where none was."""
 
@@ -151,7 +169,7 @@ class GuardEar:
         """One step's frames at `now_us` of the controller's clock. Returns the 32-bit times (us) of
         the sensor clock that they carry."""
         self.edges = {can_id: [] for can_id in EDGES}
-        self.engine, self.requested_gear = [], None
+        self.engine, self.clutch, self.requested_gear = [], [], None
         stamps: list[int] = []
         for frame in frames:
             if not frame.is_extended:
@@ -182,7 +200,13 @@ class GuardEar:
             return
         if frame.can_id == ENGINE_SPEED:
             (raw,) = _word(data, ENGINE_AT)
-            self.engine.append(raw * ENGINE_STEP_RAD_S if raw <= ENGINE_STEPS else None)
+            torque = data[TORQUE_AT]
+            self.engine.append(
+                Engine(
+                    raw * ENGINE_STEP_RAD_S if raw <= ENGINE_STEPS else None,
+                    (torque - TORQUE_OFFSET) / 100 if torque <= TORQUE_STEPS else None,
+                )
+            )
         elif frame.can_id == GEAR_REQUEST:
             raw = data[GEAR_AT]
             self.requested_gear = raw - GEAR_OFFSET if raw <= GEAR_STEPS else None
@@ -202,13 +226,15 @@ class GuardEar:
             brake, supply, _, clutch = _sensors(data, CONTENT_AT)
             pressures = (brake * PRESSURE_STEP_PA, supply * PRESSURE_STEP_PA)
             self.slow[can_id] = Slow(stamp, (*pressures, clutch / CLUTCH_STEPS))
+            self.clutch.append((stamp, clutch / CLUTCH_STEPS))
             return bool(clutch <= CLUTCH_STEPS)
         if can_id == VALVE_STATUS:
             self.slow[can_id] = Slow(stamp, ())
             return True
-        fault, *positions = _sleeves(data, CONTENT_AT)
-        if max(map(abs, positions)) > POSITION_STEPS:
+        fault, *samples = _sleeves(data, CONTENT_AT)
+        if max(map(abs, samples)) > POSITION_STEPS:
             return False
-        values = tuple([position * POSITION_STEP_M for position in positions])
-        self.slow[can_id] = Slow(stamp, values, bool(fault))
+        a, a_before, b, b_before = [sample * POSITION_STEP_M for sample in samples]
+        speeds = ((a - a_before) / OVER_SPAN_S, (b - b_before) / OVER_SPAN_S)
+        self.slow[can_id] = Slow(stamp, (a, b), bool(fault), speeds)
         return True

@@ -11,6 +11,7 @@ effect, with the guard's own speeds and with bounds on what brake and drag can d
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -18,13 +19,14 @@ from typing import Final, NamedTuple
 
 from meshpoint.controller.guard.limits import (
     BRAKE_PRESSED_PA,
+    CLEAR_M,
     CLUTCH_CLOSED_SHARE,
-    GUARD_CLUTCH_OPEN_SHARE,
     GUARD_NEUTRAL_M,
     SLIP_MARGIN_RAD_S,
     GuardLimits,
     end_of,
 )
+from meshpoint.controller.guard.listening import OVER_SAMPLES, SAMPLE_S
 from meshpoint.controller.guard.view import HALF_WRAP, GuardInputs
 
 ACTION_BYTES: Final = slice(3, 6)
@@ -50,6 +52,10 @@ CLOCK_ERROR_US: Final = 12_000
 """A tick and the bus: what one of two clocks may not have seen of the least delay."""
 REACT_US: Final = 15_000
 """Time from this judgement until a command of the next step can take effect: a tick and the bus."""
+CLUTCH_AHEAD_US: Final = 60_000
+"""Where the clutch will be is said no further ahead."""
+LEAVING_M_S: Final = 0.05
+"""A sleeve this fast is on its way: some times what the sensors' noise gives."""
 SPLITTER: Final = 2
 RANGE: Final = 3
 INPUT, LAYSHAFT, MAIN, PROPELLER = range(4)
@@ -201,9 +207,42 @@ class Case(NamedTuple):
                 return self.limits.gear_at.get((valve, side[SPLITTER], side[RANGE]), 0)
         return 0
 
-    def clutch_is_open(self) -> bool:
-        """Whether the clutch separates the engine from the input shaft."""
-        return self.seen.clutch_closed <= GUARD_CLUTCH_OPEN_SHARE
+    def clutch_at(self, time_us: float) -> float:
+        """Where the clutch will be, at the rate at which it moves now; nowhere further than it gets
+        in CLUTCH_AHEAD_US."""
+        ahead_us = min(max(0.0, time_us - self.seen.clutch_us), CLUTCH_AHEAD_US)
+        return self.seen.clutch_closed + self.seen.clutch_per_s * ahead_us * 1e-6
+
+    def is_parted(self, from_us: float) -> bool:
+        """Whether the clutch's plates are surely apart at a time, and will be as long as nothing
+        can be taken back."""
+        until_us = max(from_us, self.seen.now_us + REACT_US)
+        farthest = max(self.clutch_at(from_us), self.clutch_at(until_us))
+        return farthest <= self.limits.clutch_open_share
+
+    def teeth_are_out(self, sleeve: int, at_us: float) -> bool:
+        """Whether a main sleeve is clear of its gears' teeth at a time: it is already, or a driven
+        valve pulls it and it is seen to move out fast enough, s = a t^2 / 2 from its end."""
+        limits = self.limits
+        position = self.seen.positions_m[sleeve]
+        if abs(position) <= GUARD_NEUTRAL_M:
+            return True
+        pulled = any(limits.main[valve].sleeve == sleeve for valve in self.pulling())
+        speed = -math.copysign(1.0, position) * self.seen.speeds_m_s[sleeve]
+        come_m = limits.stroke_m - abs(position)
+        if not pulled:
+            return False
+        if come_m >= limits.stroke_m - limits.contact_m + CLEAR_M:
+            return True
+        # The speed is the one half its samples ago.
+        ago_s = 0.5 * OVER_SAMPLES * SAMPLE_S
+        come_m -= speed * ago_s
+        if speed < LEAVING_M_S or come_m <= 0.0:
+            return False
+        since_s = 2.0 * come_m / speed
+        then_s = since_s + ago_s + max(0.0, at_us - self.seen.positions_us) * 1e-6
+        come_m *= (then_s / since_s) ** 2
+        return come_m >= limits.stroke_m - limits.contact_m + CLEAR_M
 
 
 Rule = Callable[[Case], bool]
@@ -229,7 +268,7 @@ def slip_out_of_its_window(case: Case) -> bool:
     """Row 3: the slip cannot lie in the allowed window at any possible time of contact. With the
     clutch closed the engine can cause any slip, so the rule forbids engaging then."""
     return any(
-        not case.clutch_is_open() or not _slip_can_fit(case, valve, span)
+        not case.is_parted(case.contact_us(span)[0]) or not _slip_can_fit(case, valve, span)
         for valve, span in case.engaging()
     )
 
@@ -273,18 +312,18 @@ def engage_on_unknown_speed(case: Case) -> bool:
 
 
 def brake_against_the_driveline(case: Case) -> bool:
-    """Row 5: the brake is driven while a gear is in mesh, while the clutch is closed, or beyond the
-    earliest contact of a sleeve that is driven. A release that is still to come counts."""
+    """Row 5: air may come into the brake while a gear is in mesh or the clutch's plates may touch,
+    or stay in it beyond the earliest contact of a sleeve that is driven. A release that is still to
+    come counts."""
     brake = case.spans[BRAKE]
     if brake is None:
         return False
     engaging = case.engaging()
     approaching = {case.limits.main[valve].sleeve for valve, _ in engaging}
-    in_mesh = any(
-        abs(case.seen.positions_m[sleeve]) > GUARD_NEUTRAL_M for sleeve in {0, 1} - approaching
-    )
+    acts_us = max(float(case.seen.now_us), brake.start_us + case.limits.brake_delay_us)
+    in_mesh = not all(case.teeth_are_out(sleeve, acts_us) for sleeve in {0, 1} - approaching)
     meets = any(brake.end_us > case.contact_us(span)[0] for _, span in engaging)
-    return in_mesh or meets or not case.clutch_is_open()
+    return in_mesh or meets or not case.is_parted(acts_us)
 
 
 def brake_beyond_its_limits(case: Case) -> bool:
@@ -347,16 +386,22 @@ def _side(position_m: float) -> int:
 
 
 def disengage_under_torque(case: Case) -> bool:
-    """Row 10: a main or splitter sleeve is pulled out of mesh while clutch or brake load it."""
-    pulls = any(
-        case.spans[valve] is not None and case.way_m(valve) < -GUARD_NEUTRAL_M
+    """Row 10: the teeth of a main or splitter sleeve may be pulled out of mesh before the clutch's
+    plates have surely parted, or while the brake loads them."""
+    now_us, limits = float(case.seen.now_us), case.limits
+    in_mesh_m = limits.contact_m - CLEAR_M
+    out_us = [
+        max(now_us, span.start_us + limits.teeth_out_us)
         for valve in MAIN_VALVES
-    ) or any(
-        case.spans[valve] is not None and case.seen.positions_m[SPLITTER] * way < -GUARD_NEUTRAL_M
+        if (span := case.spans[valve]) is not None and case.way_m(valve) < -in_mesh_m
+    ] + [
+        max(now_us, span.start_us + limits.sleeve_valve_us)
         for valve, way in ((SPLIT_LOW, -1), (SPLIT_HIGH, 1))
-    )
-    gauge_pa = case.seen.brake_pa - case.limits.atmosphere_pa
-    return pulls and (not case.clutch_is_open() or gauge_pa > BRAKE_PRESSED_PA)
+        if (span := case.spans[valve]) is not None
+        and case.seen.positions_m[SPLITTER] * way < -GUARD_NEUTRAL_M
+    ]
+    gauge_pa = case.seen.brake_pa - limits.atmosphere_pa
+    return any(not case.is_parted(at_us) or gauge_pa > BRAKE_PRESSED_PA for at_us in out_us)
 
 
 def actuation_at_low_supply(case: Case) -> bool:

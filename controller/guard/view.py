@@ -21,6 +21,7 @@ from meshpoint.controller.guard.listening import (
     SENSORS,
     SLEEVES_AUX,
     SLEEVES_MAIN,
+    Engine,
     GuardEar,
 )
 from meshpoint.controller.guard.own_clock import GuardClock, signed_us
@@ -39,6 +40,9 @@ AGREE_RAD_S: Final = 0.15
 TURNING_RAD_S: Final = 10.0
 """Below this layshaft speed the ratios of the gears cannot be told apart."""
 HALF_WRAP: Final = 1 << 31
+CLUTCH_GAP_US: Final = 25_000
+"""Samples of the clutch further apart say nothing of its speed."""
+NO_ENGINE: Final = Engine(None, None)
 BothCounted = tuple[TeethCounted, TeethCounted]
 """Layshaft and main shaft."""
 
@@ -66,6 +70,16 @@ class GuardInputs(NamedTuple):
     """The gear asked for in this step; None where none was."""
     clock_error_us: int = 0
     """The clock that the commands are timed by, less the guard's own."""
+    positions_us: int = 0
+    """When the positions of the main sleeves were sampled."""
+    speeds_m_s: tuple[float, float] = (0.0, 0.0)
+    """Of the two main sleeves, over their newest samples."""
+    clutch_us: int = 0
+    """When the clutch's position was sampled."""
+    engine_torque_share: float | None = None
+    """The engine's torque, as a share of its reference torque; None where it says none any more."""
+    clutch_per_s: float = 0.0
+    """How fast the clutch closes; negative: opens."""
 
 
 class GuardView:
@@ -81,7 +95,9 @@ class GuardView:
         }
         self._ear = GuardEar()
         self._clock = GuardClock()
-        self._engine: tuple[int, float | None] = (0, None)
+        self._engine: tuple[int, Engine] = (0, NO_ENGINE)
+        self._clutch: tuple[int, float] | None = None
+        self._clutch_per_s = 0.0
         self._turns: deque[BothCounted] = deque()
 
     def take(self, frames: Iterable[Frame], step_us: int, believed_us: int) -> GuardInputs:
@@ -93,11 +109,13 @@ class GuardView:
         own_us = self._clock.now_us(step_us)
         now_us = 0 if own_us is None else own_us
         a, b, c, d = self._speeds(now_us)
-        engine_rad_s = self._engine_rad_s(step_us)
+        engine = self._engine_now(step_us)
+        for clutch_stamp, closed in ear.clutch:
+            self._see_clutch(clutch_stamp, closed)
         gear, error_us = ear.requested_gear, signed_us(believed_us - now_us)
         if len(ear.slow) < len(NEEDED):
             return GuardInputs(
-                now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, False, engine_rad_s, gear
+                now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, False, engine.speed_rad_s, gear
             )
         first_second_m, crawl_third_m = ear.slow[SLEEVES_MAIN].values
         splitter_m, range_m = ear.slow[SLEEVES_AUX].values
@@ -113,10 +131,21 @@ class GuardView:
             (a, b, c, d),
             self._agreeing(positions, b, c, now_us),
             ear.hears_all and oldest_us <= GUARD_FRESH_US,
-            engine_rad_s,
+            engine.speed_rad_s,
             gear,
             error_us,
+            now_us - signed_us(now_us - ear.slow[SLEEVES_MAIN].stamp),
+            ear.slow[SLEEVES_MAIN].speeds_m_s,
+            now_us - signed_us(now_us - ear.slow[SENSORS].stamp),
+            engine.torque_share,
+            self._clutch_per_s,
         )
+
+    def _see_clutch(self, stamp: int, closed: float) -> None:
+        before, self._clutch = self._clutch, (stamp, closed)
+        self._clutch_per_s = 0.0
+        if before is not None and 0 < signed_us(stamp - before[0]) <= CLUTCH_GAP_US:
+            self._clutch_per_s = (closed - before[1]) / signed_us(stamp - before[0]) * 1e6
 
     def _speeds(self, now_us: int) -> list[ShaftSpeed | None]:
         ear = self._ear
@@ -128,11 +157,11 @@ class GuardView:
             for can_id, shaft in self._shafts.items()
         ]
 
-    def _engine_rad_s(self, step_us: int) -> float | None:
-        for engine_rad_s in self._ear.engine:
-            self._engine = (step_us, engine_rad_s)
-        heard_us, newest_rad_s = self._engine
-        return newest_rad_s if step_us - heard_us <= GUARD_FRESH_US else None
+    def _engine_now(self, step_us: int) -> Engine:
+        for said in self._ear.engine:
+            self._engine = (step_us, said)
+        heard_us, newest = self._engine
+        return newest if step_us - heard_us <= GUARD_FRESH_US else NO_ENGINE
 
     def _agreeing(
         self,

@@ -52,6 +52,11 @@ class BrakeInput:
             self._delays_us, self._arrays = (off_us, on_us), None
 
     @property
+    def on_delay_us(self) -> int:
+        """From switching on to the pressure's first reaction, as learned."""
+        return self._delays_us[1]
+
+    @property
     def commands(self) -> tuple[Vector, Vector]:
         """Times at which the valve is switched, without its delay, and u from then on."""
         times = np.array([switch.time_us for switch in self._switches], dtype=np.float64)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final, NamedTuple
 
+from meshpoint.controller.sensing.clutch_track import ClutchTrack
 from meshpoint.dbc.messages import SleevesAux, SleevesMain
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN
@@ -68,8 +69,8 @@ class GearboxView:
         self.tracks: dict[Sleeve, SleeveTrack] = {}
         self._faulty = {"main": 0, "aux": 0}
         """`SensorFault` of the newest frames, a bit a sensor."""
-        self.clutch_closed: float | None = None
-        """0 open .. 1 closed."""
+        self.clutch = ClutchTrack()
+        self._clutch_open_share = sheet.clutch.surely_open_share
         self.supply_pa = math.inf
         """Absolute supply pressure; infinite before it was first seen."""
         self.main_gear: MainGear | None = None
@@ -78,6 +79,16 @@ class GearboxView:
         """The splitter step in mesh."""
         self.range_: Range | None = None
         """The range step in mesh."""
+
+    @property
+    def clutch_closed(self) -> float | None:
+        """0 open .. 1 closed; None before it was first seen."""
+        return self.clutch.closed
+
+    @property
+    def clutch_parted(self) -> bool:
+        """Whether the clutch is measured so far open that its plates are surely apart."""
+        return (self.clutch.closed or 0.0) <= self._clutch_open_share
 
     def sleeves_main(self, message: SleevesMain, time_us: int) -> None:
         """Takes the positions of the main box. What a sensor says of itself to be wrong is none."""
@@ -107,6 +118,13 @@ class GearboxView:
         level_m = self._contact_m - SHORT_M + self._rest_m[sleeve] * direction
         passed_us = self.tracks[sleeve].crossing_us(level_m, direction)
         return None if passed_us is None else passed_us + SHORT_M / self._speed_m_s * 1e6
+
+    def engaged_us(self, sleeve: Sleeve, direction: int) -> int | None:
+        """When a sleeve came within the last millimetre of its stroke; None where it did not within
+        the newest samples."""
+        level_m = self._stroke_m - ENGAGED_SHORT_M
+        passed_us = self.tracks[sleeve].crossing_us(level_m, direction)
+        return None if passed_us is None else round(passed_us)
 
     @property
     def complete(self) -> bool:

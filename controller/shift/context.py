@@ -13,14 +13,16 @@ from meshpoint.controller.planning.phase_drift import PhaseDrifts
 from meshpoint.controller.planning.sleeve_delay import SleeveDelays
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import MS_IN_US, ControllerSettings
+from meshpoint.controller.shift.kiss_point import KissPoint
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
+from meshpoint.controller.shift.torque_ramp import TorqueFall
 from meshpoint.controller.shift.valve_board import ValveBoard, ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import DriveGear, GearboxSheet, MainGear
+from meshpoint.units import SECOND_US
 
-SEQUENCE_CLUTCH_OPEN_SHARE: Final = 0.02
 SEQUENCE_CLUTCH_CLOSED_SHARE: Final = 0.98
 FALL_US: Final = 20 * MS_IN_US
 """The rate at which the slip falls is taken from two predictions this far apart."""
@@ -39,6 +41,8 @@ OPPOSITE: Final = {
 """The valve that pulls a gear out pushes toward the sleeve's other gear."""
 
 
+SENSED_SHARE: Final = 0.005
+"""Error of the clutch's measured position."""
 PredictorSource = Callable[[GearPredictor], GearPredictor]
 """Replaces the predictor made from the estimates by another one; every phase reference then counts
 as known."""
@@ -68,11 +72,15 @@ class ShiftContext:
         self.strategist = Strategist(sheet, settings)
         self.delays = SleeveDelays(sheet)
         self.drifts = PhaseDrifts()
+        self.kiss = KissPoint(sheet)
         self.state = State.STARTING
         self.since_us = 0
         self.clutch = ClutchAction.OPEN
         self.engine_rad_s: float | None = None
         """The speed the engine is asked for; None: nothing is asked."""
+        self.engine_share: float | None = None
+        """The torque the engine is asked for, as a share of its reference torque; None: none."""
+        self.torque = TorqueFall()
         self.shift: ShiftRecord | None = None
         self.finished: ShiftRecord | None = None
         """Set at the step that ends a shift, for its outcome frame."""
@@ -100,6 +108,11 @@ class ShiftContext:
         return self.shift
 
     @property
+    def tick_us(self) -> int:
+        """From one step to the next."""
+        return self.settings.timing.tick_us
+
+    @property
     def target(self) -> DriveGear | None:
         """The gear being shifted to."""
         return self.shift.target if self.shift else None
@@ -113,6 +126,36 @@ class ShiftContext:
         """Whether the present state has lasted longer than this limit."""
         return snapshot.now_us - self.since_us > limit_ms * MS_IN_US
 
+    def engine_carries(self, snapshot: StepSnapshot) -> bool:
+        """Whether the engine's torque may go through the clutch into a gear."""
+        closed = snapshot.view.clutch_closed or 0.0
+        return closed > self.kiss.share and snapshot.view.main_gear is not MainGear.NEUTRAL
+
+    def unloaded_us(self, snapshot: StepSnapshot) -> int | None:
+        """The earliest activation (sensor time, us) of the valve that pulls a gear out: the sleeve
+        begins to move as the plates part, where they were learned to, and its teeth are out no
+        sooner than they surely have. None while it is not known that they will."""
+        clutch, sleeve = snapshot.view.clutch, self.sheet.sleeve
+        parted_us = clutch.falls_to_us(self.kiss.parted_share)
+        surely_us = self._surely_parted_us(snapshot)
+        if parted_us is None or surely_us is None:
+            return None
+        moves_us = parted_us - SECOND_US * sleeve.valve_delay_s
+        out_us = surely_us - SECOND_US * sleeve.least_pull_s
+        return max(snapshot.earliest_us, round(moves_us), round(out_us))
+
+    def step_unloaded_us(self, snapshot: StepSnapshot) -> int | None:
+        """The same for splitter and range, whose teeth part as soon as the sleeve moves."""
+        surely_us = self._surely_parted_us(snapshot)
+        if surely_us is None:
+            return None
+        moves_us = round(surely_us - SECOND_US * self.sheet.sleeve.valve_delay_s)
+        return max(snapshot.earliest_us, moves_us)
+
+    def _surely_parted_us(self, snapshot: StepSnapshot) -> float | None:
+        share = self.sheet.clutch.surely_open_share - SENSED_SHARE
+        return snapshot.view.clutch.falls_to_us(max(0.0, share))
+
     def switch_brake(self, on: bool, time_us: int, snapshot: StepSnapshot) -> None:
         """Commands the brake valve at a sensor time (us), and enters the switch in the filter's
         input."""
@@ -124,13 +167,21 @@ class ShiftContext:
         self.board.all_off()
         self.brake.schedule(now_us, False, now_us)
 
-    def end(self, snapshot: StepSnapshot, result: ShiftResult, fault: FaultCode) -> None:
-        """Ends the running shift with this result; all valves go off."""
+    def end(
+        self,
+        snapshot: StepSnapshot,
+        result: ShiftResult,
+        fault: FaultCode,
+        ended_us: int | None = None,
+    ) -> None:
+        """Ends the running shift with this result; all valves go off. ended_us: when a sensor
+        showed it to be over, if not now."""
         shift = self.running
-        shift.result, shift.fault, shift.end_us = result, fault, snapshot.now_us
+        shift.result, shift.fault = result, fault
+        shift.end_us = snapshot.now_us if ended_us is None else ended_us
         self.fault = fault
         self.finished, self.shift, self.ended_us = shift, None, snapshot.now_us
-        self.engine_rad_s = None
+        self.engine_rad_s = self.engine_share = None
         self.all_off(snapshot.now_us)
 
     def give_up(self, snapshot: StepSnapshot, fault: FaultCode) -> Trigger:

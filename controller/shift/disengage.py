@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.controller.settings import MS_IN_US
-from meshpoint.controller.shift.context import OPPOSITE, SEQUENCE_CLUTCH_OPEN_SHARE, ShiftContext
+from meshpoint.controller.shift.brake_ahead import brake_ahead
+from meshpoint.controller.shift.context import OPPOSITE, ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
+from meshpoint.controller.shift.torque_ramp import ramp_down
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.gearbox import MainGear
 
@@ -17,9 +19,13 @@ meanwhile."""
 
 
 def open_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
-    """Waits until the sensor shows the clutch open."""
+    """Takes the engine's torque away, opens the clutch, and waits until it is time to command the
+    valve that moves a sleeve as the plates part."""
+    if context.clutch is not ClutchAction.OPEN and not ramp_down(context, snapshot):
+        return None
     context.clutch = ClutchAction.OPEN
-    if (snapshot.view.clutch_closed or 0.0) <= SEQUENCE_CLUTCH_OPEN_SHARE:
+    unloaded_us = context.unloaded_us(snapshot)
+    if unloaded_us is not None and unloaded_us < snapshot.earliest_us + context.tick_us:
         return Trigger.CLUTCH_OPEN
     if context.late(snapshot, context.settings.limits.clutch_ms):
         return context.give_up(snapshot, FaultCode.CLUTCH_STUCK)
@@ -42,18 +48,24 @@ def disengage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     if tried >= limits.attempts:
         return context.give_up(snapshot, FaultCode.DISENGAGE_FAILED)
     pull_out(context, snapshot, gear, within_us < limits.disengage_ms * MS_IN_US)
+    brake_ahead(context, snapshot)
     return None
 
 
 def pull_out(
     context: ShiftContext, snapshot: StepSnapshot, gear: MainGear | None, drive: bool
 ) -> None:
-    """Switches the valve that pulls this gear out on, or off; nothing if no gear is in mesh."""
+    """Switches the valve that pulls this gear out on as the plates part, or off; nothing if no gear
+    is in mesh. A time that can still be moved follows the clutch, and a clutch that stops or comes
+    back takes the command back."""
     if gear is None or gear is MainGear.NEUTRAL:
         return  # the sleeve has left its gear already
-    valve = OPPOSITE[gear]
-    if not drive:
+    valve, unloaded_us = OPPOSITE[gear], context.unloaded_us(snapshot)
+    command = context.board.command(valve)
+    if not drive or unloaded_us is None:
         context.board.off(valve)
-    elif not context.board.command(valve).on:
-        context.board.schedule(valve, True, snapshot.earliest_us, snapshot.now_us)
+    elif not command.on:
+        context.board.schedule(valve, True, unloaded_us, snapshot.now_us)
         context.references.released()
+    elif command.time_us > snapshot.earliest_us:
+        context.board.schedule(valve, True, unloaded_us, snapshot.now_us)

@@ -10,7 +10,7 @@ from meshpoint.controller.shift.context import FALL_US, OPPOSITE, SLEEVE_VALVE, 
 from meshpoint.controller.shift.disengage import pull_out
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
-from meshpoint.dbc.messages import FaultCode, ShiftDecision, ShiftResult
+from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision, ShiftResult
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
 
@@ -38,8 +38,14 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         straight = contact_us is not None and snapshot.now_us - contact_us < STRAIGHT_US
         struck_us = context.free_us if straight else snapshot.now_us - SEEN_US
         context.references.locked(gear, _flank_slip_rad_s(context, struck_us), straight)
-        context.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE)
+        side = SLEEVE_OF_MAIN[gear]
+        seen_us = snapshot.view.engaged_us(side.sleeve, side.direction)
+        context.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE, seen_us)
         return Trigger.ENGAGED
+    # The plates meet some hundredths of a second after the clutch sets off: it does so as soon as
+    # the overlap holds the sleeve.
+    holds = _entered_m(context, snapshot) > context.sheet.dog.most_overlap_m
+    context.clutch = ClutchAction.CLOSE if holds else ClutchAction.OPEN
     if _is_tooth_on_tooth(context, snapshot) or context.late(
         snapshot, context.settings.limits.engage_ms
     ):
@@ -71,11 +77,16 @@ def _is_tooth_on_tooth(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     shift = context.running
     if shift.measured_contact_us is None:
         return False
-    side = SLEEVE_OF_MAIN[shift.target.main]
-    way_m = snapshot.view.position_m(side.sleeve) * side.direction
     rested_us = snapshot.now_us - shift.measured_contact_us
-    entered = way_m > context.sheet.sleeve.to_contact_m + 2.0 * ENTERED_M
+    entered = _entered_m(context, snapshot) > 2.0 * ENTERED_M
     return not entered and rested_us > context.settings.limits.face_ms * MS_IN_US
+
+
+def _entered_m(context: ShiftContext, snapshot: StepSnapshot) -> float:
+    """How far the sleeve is past the faces of its gear's teeth (m)."""
+    side = SLEEVE_OF_MAIN[context.running.target.main]
+    way_m = snapshot.view.position_m(side.sleeve) * side.direction
+    return way_m - context.sheet.sleeve.to_contact_m
 
 
 def _flank_slip_rad_s(context: ShiftContext, struck_us: int) -> float:
@@ -100,6 +111,7 @@ def retract(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     left."""
     shift, gear = context.running, snapshot.view.main_gear
     context.board.off(SLEEVE_VALVE[shift.target.main])
+    context.clutch = ClutchAction.OPEN
     shift.plan = None
     if gear is MainGear.NEUTRAL:
         context.board.off(OPPOSITE[shift.target.main])

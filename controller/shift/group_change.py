@@ -126,8 +126,10 @@ def _stood(view: GearboxView, context: ShiftContext) -> tuple[Split | None, Rang
 
 
 def _push(context: ShiftContext, valve: ValveName, snapshot: StepSnapshot) -> None:
-    command = context.board.command(valve)
-    if not command.on:
-        context.board.schedule(valve, True, snapshot.earliest_us, snapshot.now_us)
+    command, unloaded_us = context.board.command(valve), context.step_unloaded_us(snapshot)
+    if unloaded_us is None:
+        context.board.off(valve)
+    elif not command.on or command.time_us > snapshot.earliest_us:
+        context.board.schedule(valve, True, unloaded_us, snapshot.now_us)
     elif snapshot.now_us - command.time_us > PUSH_US:
         context.board.off(valve)

@@ -70,6 +70,10 @@ class ShiftSequence(ShiftContext):
     def step(self, snapshot: StepSnapshot) -> None:
         """One decision. Passes through several states if these need not wait for anything."""
         self.finished = self.decision = self.strategy_error = None
+        self.kiss.look(snapshot.view.clutch, snapshot.engine_rad_s)
+        self.torque.take(snapshot.now_us, snapshot.engine_torque_share)
+        if self.engine_share is not None and not self.engine_carries(snapshot):
+            self.engine_share = None
         if self.shift is not None and snapshot.lost is not FaultCode.NONE:
             self._go(self.give_up(snapshot, snapshot.lost), snapshot)
         for _ in range(len(State)):

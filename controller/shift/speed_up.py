@@ -12,7 +12,6 @@ from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import FALL_US as SEEN_LATE_US
 from meshpoint.controller.shift.context import (
     SEQUENCE_CLUTCH_CLOSED_SHARE,
-    SEQUENCE_CLUTCH_OPEN_SHARE,
     ShiftContext,
 )
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
@@ -59,7 +58,7 @@ def part_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     """Opens the clutch; the engine holds its speed until the plates are apart."""
     context.clutch = ClutchAction.OPEN
     context.ask_engine(context.running.target, _raised_slip(context, snapshot), snapshot)
-    if (snapshot.view.clutch_closed or 0.0) <= SEQUENCE_CLUTCH_OPEN_SHARE:
+    if snapshot.view.clutch_parted:
         context.engine_rad_s = None
         context.board.off(ValveName.BRAKE)
         return Trigger.CLUTCH_OPEN
@@ -69,12 +68,13 @@ def part_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
 
 
 def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
-    """The slip (rad/s) to ask for: the slip wanted once the clutch is measured open, plus what drag
-    takes until then. The plates separate at half of the clutch's travel, and the measurement comes
-    up to a sensor read and a tick later."""
+    """The slip (rad/s) to ask for: the slip wanted once the plates are measured apart, plus what
+    drag takes from their parting on. The measurement comes up to a sensor read and a tick later."""
     sheet, target = context.sheet, context.running.target
     ratio = sheet.main_mesh(target.main).ratio
     layshaft = snapshot.speeds.layshaft or 0.0
     drag_rad_s2 = layshaft * sheet.shafts.friction_nms / sheet.inertia_kgm2(target.split)
-    fall_s = 0.5 * sheet.clutch.open_delay_s + SEEN_LATE_US / (1000.0 * MS_IN_US)
+    clutch = sheet.clutch
+    parted_s = (context.kiss.share - clutch.surely_open_share) * clutch.open_delay_s
+    fall_s = parted_s + SEEN_LATE_US / (1000.0 * MS_IN_US)
     return context.settings.window.raised_rad_s + ratio * drag_rad_s2 * fall_s

@@ -29,3 +29,7 @@ class StepSnapshot:
     """Whether the valve side reports the brake valve driven, or its activation pending."""
     supply_pa: float
     """Absolute supply pressure; infinite before the first frame."""
+    engine_rad_s: float | None = None
+    """The engine's speed in this step's newest frame; None without one."""
+    engine_torque_share: float | None = None
+    """Its torque there, as a share of its reference torque."""

@@ -160,6 +160,8 @@ def _plan_firing(context: ShiftContext, predictor: GearPredictor, snapshot: Step
     contact_us, plan = acting.contact(predictor, snapshot.now_us, snapshot.earliest_us), None
     if contact_us is not None:
         plan = strategist.plan_at(predictor, contact_us, ShiftDecision.FIRE)
+    if plan is not None and plan.slip_rad_s < context.settings.window.least_rad_s:
+        plan = None  # the gear would be too slow by then: it is, or will be, the engine's turn
     if plan is not None and plan.fire_us > snapshot.now_us + RELEASE_HORIZON_US:
         plan = None  # too far ahead: the valve side would refuse it
     if plan is None:

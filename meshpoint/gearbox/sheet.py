@@ -103,6 +103,15 @@ class DogTeeth:
     """Width of a gap beyond the tooth that goes into it."""
     radius_m: float = quantity("radius_mm", 30.0, 150.0, MM)
     """Middle radius of the dog teeth."""
+    overlap_m: float = quantity("overlap_mm", 0.0, 10.0, MM, default=1.0 * MM)
+    """How far a sleeve must go past the teeth's faces to be held."""
+    overlap_tolerance_m: float = quantity("overlap_tolerance_mm", 0.0, 5.0, MM, default=0.2 * MM)
+    """By how much that may differ, from gear to gear and with wear."""
+
+    @property
+    def most_overlap_m(self) -> float:
+        """An overlap that holds in any gearbox of the tolerance."""
+        return self.overlap_m + self.overlap_tolerance_m
 
     @property
     def pitch_rad(self) -> float:
@@ -207,6 +216,18 @@ class SleeveActuator:
     speed_m_s: float = quantity("speed_m_s", 0.02, 2.0)
     """Speed of a sleeve that nothing stands before."""
 
+    @property
+    def least_pull_s(self) -> float:
+        """From a pulling valve's current until a gear's teeth may be out, at the earliest: at the
+        sheet's speed all the way, less the delay's scatter."""
+        way_s = (self.stroke_m - self.to_contact_m) / self.speed_m_s
+        return self.valve_delay_s + max(0.0, way_s - self.delay_limit_s)
+
+    @property
+    def contact_speed_m_s(self) -> float:
+        """Speed of the sleeve as it meets the gear: it gets there under a constant force."""
+        return 2.0 * self.to_contact_m / (self.delay_s - self.valve_delay_s)
+
     def __post_init__(self) -> None:
         if self.to_contact_m >= self.stroke_m:
             raise TableError("to_contact_mm must be less than stroke_mm")
@@ -222,6 +243,15 @@ class Clutch:
     """From the command to fully open."""
     close_delay_s: float = quantity("close_delay_ms", 0.0, 2000.0, MS)
     """From the command to fully closed."""
+    kiss_share: float = quantity("kiss_percent", 0.0, 100.0, 0.01, default=0.1)
+    """The kiss point, at which the plates touch and part: travel from fully open."""
+    kiss_tolerance: float = quantity("kiss_tolerance_percent", 0.0, 50.0, 0.01, default=0.05)
+    """By how much the kiss point may differ from that, from clutch to clutch and with wear."""
+
+    @property
+    def surely_open_share(self) -> float:
+        """The plates are apart from here on, whichever clutch of the tolerance it is."""
+        return max(0.0, self.kiss_share - self.kiss_tolerance)
 
 
 @dataclass(frozen=True)

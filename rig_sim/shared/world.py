@@ -21,13 +21,15 @@ READ_US: Final = 10_000
 
 
 class SensorRead(NamedTuple):
-    """The slow sensors at a read: absolute pressures Pa, oil K, clutch 0..1, engine rad/s."""
+    """The slow sensors at a read: absolute pressures Pa, oil K, clutch 0..1, engine."""
 
     brake_pa: float
     supply_pa: float
     oil_k: float
     clutch: float
     engine_rad_s: float
+    torque_share: float | None = None
+    """Engine torque as a share of its highest; None in a preset without an engine."""
 
 
 class EncoderRead(NamedTuple):

@@ -203,6 +203,7 @@ class TruckWorld:
             self.plant.p.oil_k,
             min(max(y.clutch, 0.0), 1.0),
             max(y.speed_rad_s[at.ENGINE], 0.0),
+            y.engine_nm / self.plant.p.engine.most_nm,
         )
         return self.faults.slow.pass_on(read)
 

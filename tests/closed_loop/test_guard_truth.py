@@ -88,6 +88,8 @@ class Deed:
     """Asked after every step."""
     begins: State = State.IN_GEAR
     clutch: ClutchAction = ClutchAction.OPEN
+    held: ClutchAction | None = None
+    """Where the clutch is held before; None: where the deed wants it."""
     gear: int = 8
     layshaft_rpm: float = 1400.0
     before: Callable[[Loop], None] = lambda _: None
@@ -121,6 +123,13 @@ def left_the_flank(loop: Loop) -> bool:
     return truth(loop).sleeve_state(Sleeve.FIRST_SECOND) is not SleeveState.LOCKED
 
 
+def out_before_the_plates_part(loop: Loop) -> bool:
+    """Teeth that leave each other while the engine still turns the input shaft."""
+    kinds = [event.event for event in loop.of(ReferenceEngagement)]
+    parted, out = EngagementEvent.PLATES_PARTED, EngagementEvent.RELEASED
+    return out in kinds and parted not in kinds[: kinds.index(out)]
+
+
 def stands_still(loop: Loop) -> bool:
     return bool(truth(loop).speeds_rad_s[1] < 20.0 * RPM)
 
@@ -152,6 +161,11 @@ def no_air(loop: Loop) -> None:
     loop.run(loop.time.now_us + 20_000)
 
 
+def jammed(loop: Loop) -> None:
+    loop.fault(RigFault.SLEEVE_JAMMED, 0)
+    loop.run(loop.time.now_us + 20_000)
+
+
 def position_says_neutral(loop: Loop) -> None:
     loop.fault(RigFault.POSITION_OFFSET, 0, 12.0)
 
@@ -164,11 +178,14 @@ DEEDS = [
     Deed(3, (ValveName.MAIN_THIRD,), met_a_gear_at(200.0), begins=NEUTRAL),
     Deed(4, (SECOND,), moved, begins=NEUTRAL, before=dead_layshaft_sensor),
     Deed(5, (ValveName.BRAKE,), violated(Violation.BRAKE_IN_GEAR)),
+    Deed(5, (SECOND, ValveName.BRAKE), violated(Violation.BRAKE_IN_GEAR)),
+    Deed(5, (SECOND, ValveName.BRAKE), violated(Violation.BRAKE_IN_GEAR), before=jammed),
     Deed(6, (ValveName.BRAKE,), stands_still, begins=NEUTRAL, lasts_us=1_500_000),
     Deed(7, (ValveName.SPLIT_HIGH,), driven_for(1_050_000), lasts_us=1_300_000, valve_on_ms=1_000),
     Deed(8, (ValveName.RANGE_LOW,), parts_the_range),
     Deed(9, (ValveName.SPLIT_LOW,), overspeeds, gear=12, layshaft_rpm=2300.0),
     Deed(10, (SECOND,), left_the_flank, clutch=ClutchAction.CLOSE),
+    Deed(10, (SECOND,), out_before_the_plates_part, held=ClutchAction.CLOSE),
     Deed(11, (SECOND,), moved, begins=State.COASTING, before=no_air),
     Deed(13, (ValveName.BRAKE,), violated(Violation.BRAKE_IN_GEAR), before=position_says_neutral),
 ]
@@ -189,8 +206,9 @@ def run(deed: Deed, guarded: bool) -> tuple[MadCore, Loop, bool]:
     loop.run_to_state(deed.begins, LIMIT_US)
     deed.before(loop)
     if deed.begins is State.IN_GEAR:
-        mad._sequence.clutch = deed.clutch
+        meant, deed.clutch = deed.clutch, deed.held or deed.clutch
         hold_clutch(mad, loop, 500_000 if deed.row == 13 else 300_000)
+        deed.clutch = meant
         ask_for(loop, 10 if deed.gear == 8 else 11)
     mad._board.all_off()
     mad.is_mad = True
@@ -211,7 +229,9 @@ def hold_clutch(mad: MadCore, loop: Loop, for_us: int) -> None:
     mad.deed.valves = valves
 
 
-@pytest.mark.parametrize("deed", DEEDS, ids=[f"row {deed.row}" for deed in DEEDS])
+@pytest.mark.parametrize(
+    "deed", DEEDS, ids=[f"row {deed.row}, {k}" for k, deed in enumerate(DEEDS)]
+)
 def test_what_a_row_forbids_does_harm_and_under_guard_does_none(deed: Deed) -> None:
     _, _, harmed = run(deed, guarded=False)
     assert harmed

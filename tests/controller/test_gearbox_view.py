@@ -28,7 +28,7 @@ def view_at(first_second: float, crawl_third: float, splitter: float, range_: fl
         SleevesAux(sleeve_splitter_m=(splitter * 1e-3,) * 10, sleeve_range_m=(range_ * 1e-3,) * 10),
         0,
     )
-    view.clutch_closed = 1.0
+    view.clutch.take(0, 1.0)
     view.work_out()
     return view
 
@@ -97,7 +97,7 @@ def test_nothing_is_known_before_all_has_been_seen(sheet: GearboxSheet) -> None:
     view.sleeves_main(SleevesMain(), 0)
     view.sleeves_aux(SleevesAux(), 0)
     assert not view.complete
-    view.clutch_closed = 0.0
+    view.clutch.take(0, 0.0)
     assert view.complete
     with pytest.raises(KeyError):
         GearboxView(sheet).position_m(Sleeve.RANGE)

@@ -264,8 +264,8 @@ def test_row_3_knows_that_the_brakes_pressure_outlasts_its_release() -> None:
 
 
 def test_row_3_the_engine_may_bring_any_slip() -> None:
-    assert blocked_row(NEUTRAL._replace(clutch_closed=0.05), ValveName.MAIN_SECOND) is None
-    assert blocked_row(NEUTRAL._replace(clutch_closed=0.06), ValveName.MAIN_SECOND) == 3
+    assert blocked_row(NEUTRAL._replace(clutch_closed=0.30), ValveName.MAIN_SECOND) is None
+    assert blocked_row(NEUTRAL._replace(clutch_closed=0.31), ValveName.MAIN_SECOND) == 3
 
 
 @pytest.mark.parametrize("own", MAIN)
@@ -294,8 +294,58 @@ def test_row_5_the_brake_with_a_gear_in_mesh(sleeve: int, side: float) -> None:
 
 
 def test_row_5_the_brake_against_the_engine() -> None:
-    assert blocked_row(NEUTRAL._replace(clutch_closed=0.05), ValveName.BRAKE) is None
-    assert blocked_row(NEUTRAL._replace(clutch_closed=0.06), ValveName.BRAKE) == 5
+    assert blocked_row(NEUTRAL._replace(clutch_closed=0.30), ValveName.BRAKE) is None
+    assert blocked_row(NEUTRAL._replace(clutch_closed=0.31), ValveName.BRAKE) == 5
+
+
+@pytest.mark.parametrize(
+    ("closed", "per_s", "row"),
+    [
+        (0.50, -10.0, None),  # 32 ms after the sample, as the air comes in: 0.18
+        (0.63, -10.0, 5),  # 0.31
+        (0.50, 0.0, 5),
+        (0.28, 5.0, 5),  # closing: 0.44
+    ],
+)
+def test_row_5_the_clutch_as_it_will_be_when_the_air_comes_in(
+    closed: float, per_s: float, row: int | None
+) -> None:
+    seen = NEUTRAL._replace(clutch_closed=closed, clutch_per_s=per_s, clutch_us=NOW)
+    assert blocked_row(seen, ValveName.BRAKE) == row
+
+
+def leaving(position_mm: float, speed_m_s: float, side: int = 1) -> GuardInputs:
+    """The sleeve of first and second on its way out of second (side 1) or first, as of now."""
+    seen = place(NEUTRAL, 0, side * position_mm * 1e-3)
+    return seen._replace(positions_us=NOW, speeds_m_s=(-side * speed_m_s, 0.0))
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize(
+    ("position_mm", "speed_m_s", "on_us", "row"),
+    [
+        (10.3, 0.25, 5_000, None),  # clear of the teeth 13 ms on; air comes in 17 ms on
+        (10.3, 0.25, 0, 5),  # 12 ms on
+        (10.3, 0.0, 5_000, 5),
+        (10.3, -0.25, 5_000, 5),  # on its way back in
+        (11.8, 0.04, 5_000, 5),  # too slow to tell from noise
+        (4.4, 0.5, 0, None),  # clear already
+        (4.6, 0.0, 0, 5),
+    ],
+)
+def test_row_5_a_gear_on_its_way_out_by_the_time_the_air_comes_in(
+    side: int, position_mm: float, speed_m_s: float, on_us: int, row: int | None
+) -> None:
+    pull = ValveName.MAIN_FIRST if side > 0 else ValveName.MAIN_SECOND
+    guard, seen = ready(), leaving(position_mm, speed_m_s, side)
+    assert guard.passes(payload(pull, at_us=NOW - 20_000), place(NEUTRAL, 0, side * 0.012))
+    both = payload(pull, ValveName.BRAKE, at_us=NOW + on_us)
+    guard.passes(both, seen)
+    assert guard.blocked_row == row
+
+
+def test_row_5_a_gear_that_no_valve_pulls_is_not_on_its_way_out() -> None:
+    assert blocked_row(leaving(4.4, 0.5), ValveName.BRAKE) == 5
 
 
 def test_row_5_the_brake_while_a_gear_is_being_engaged() -> None:
@@ -430,10 +480,42 @@ def test_row_10_a_gear_is_not_pulled_out_under_torque(valve: ValveName) -> None:
     """From the clutch, or from the brake's pressure."""
     in_mesh = place(NEUTRAL, SLEEVE[valve], -WAY[valve] * 0.012)
     assert blocked_row(in_mesh, valve) is None
-    assert blocked_row(in_mesh._replace(clutch_closed=0.05), valve) is None
-    assert blocked_row(in_mesh._replace(clutch_closed=0.06), valve) == 10
+    assert blocked_row(in_mesh._replace(clutch_closed=0.30), valve) is None
+    assert blocked_row(in_mesh._replace(clutch_closed=0.31), valve) == 10
     assert blocked_row(in_mesh._replace(brake_pa=1.013e5 + 0.99e5), valve) is None
     assert blocked_row(in_mesh._replace(brake_pa=1.013e5 + 1.01e5), valve) == 10
+
+
+@pytest.mark.parametrize(
+    ("closed", "per_s", "row"),
+    [
+        (0.53, -10.0, None),  # the teeth are out no sooner than 24.5 ms on: 0.285 then
+        (0.55, -10.0, 10),
+        (0.53, 0.0, 10),
+        (0.28, 5.0, 10),
+    ],
+)
+def test_row_10_the_clutch_as_it_will_be_when_the_teeth_may_be_out(
+    closed: float, per_s: float, row: int | None
+) -> None:
+    in_mesh = place(NEUTRAL, 0, 0.012)._replace(
+        clutch_closed=closed, clutch_per_s=per_s, clutch_us=NOW
+    )
+    assert blocked_row(in_mesh, ValveName.MAIN_FIRST, at_us=NOW) == row
+
+
+def test_row_10_a_pull_that_goes_on_while_the_clutch_stands_still() -> None:
+    """Passed on a clutch that opens; it stops half way, and the pull is taken back."""
+    guard, on = ready(), payload(ValveName.MAIN_FIRST, at_us=NOW)
+    opening = place(NEUTRAL, 0, 0.012)._replace(
+        clutch_closed=0.53, clutch_per_s=-10.0, clutch_us=NOW
+    )
+    assert guard.passes(on, opening)
+    stuck = opening._replace(
+        now_us=NOW + 10_000, clutch_closed=0.45, clutch_per_s=0.0, clutch_us=NOW + 10_000
+    )
+    assert not guard.passes(on, stuck)
+    assert guard.blocked_row == 10
 
 
 def test_row_10_nor_is_a_splitter_step() -> None:

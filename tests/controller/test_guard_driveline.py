@@ -131,6 +131,40 @@ def test_row_14_torque_is_not_asked_for(mode: TscOverrideMode) -> None:
     assert engine_row(IN_NEUTRAL, engine(1000.0, mode)) == 14
 
 
+def torque(share: float) -> bytes:
+    request = TSC1(
+        override_control_mode=TscOverrideMode.TORQUE_CONTROL, requested_torque_fraction=share
+    )
+    return Transmitter(Node.TRANSMISSION_CONTROL).encode(request).data
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_row_14_torque_may_be_taken_away_and_nothing_else(sign: float) -> None:
+    """The engine gives 40 %: anything from there to none may be asked for, a step of the signal
+    and its rounding beside."""
+    pulls = IN_GEAR._replace(clutch_closed=1.0, engine_torque_share=0.4 * sign)
+    for share, row in ((0.0, None), (0.4, None), (0.41, None), (0.43, 14), (-0.02, 14), (1.0, 14)):
+        assert engine_row(pulls, torque(share * sign)) == row
+    assert engine_row(pulls._replace(engine_torque_share=None), torque(0.0)) == 14
+    assert engine_row(pulls._replace(valid=False), torque(0.0)) == 14
+
+
+def test_row_14_torque_is_not_taken_away_for_good() -> None:
+    """No longer than ramp and clutch may take, and anew once the plates have been apart."""
+    guard, pulls = (
+        DrivelineGuard(LIMITS),
+        IN_GEAR._replace(clutch_closed=1.0, engine_torque_share=0.4),
+    )
+    allowed = LIMITS.torque_away_us // LIMITS.tick_us
+    for _ in range(2):
+        passed = [guard.passes_engine(torque(0.0), pulls) for _ in range(allowed + 3)]
+        assert passed == [True] * (allowed + 1) + [False] * 2
+        end = Transmitter(Node.TRANSMISSION_CONTROL).encode(TSC1()).data
+        assert guard.passes_engine(end, pulls)
+        assert not guard.passes_engine(torque(0.0), pulls)
+        assert guard.passes_engine(end, pulls._replace(clutch_closed=0.3))
+
+
 def test_row_14_nothing_is_asked_for_on_lost_inputs() -> None:
     assert engine_row(IN_NEUTRAL._replace(valid=False), engine(1000.0)) == 14
 

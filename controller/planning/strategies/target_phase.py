@@ -63,7 +63,7 @@ class TargetPhase:
         self._dog = sheet.dog
         self._window, self._prices = window, settings.prices
         self._brake_nm_per_pa = sheet.brake_nm_per_pa
-        self._speed_m_s = sheet.sleeve.speed_m_s
+        self._overlap_s = sheet.dog.most_overlap_m / sheet.sleeve.contact_speed_m_s
         self._reference_variance = REFERENCE_SD_RAD**2
         self._target_rad = settings.aim.target_rad_share * (sheet.dog.backlash_rad / 2.0)
         self._settle_us = settle_time_us(sheet, window.aim_time_constants)
@@ -134,7 +134,7 @@ class TargetPhase:
             pitch_rad=dog.pitch_rad,
             half_gap_rad=dog.backlash_rad / 2.0,
             target_rad=self._target_rad,
-            overlap_s=prices.overlap_m / self._speed_m_s,
+            overlap_s=self._overlap_s,
             delay_sd_s=predictor.delay_sd_s,
             miss_s=prices.miss_s,
             block_s=prices.block_s,

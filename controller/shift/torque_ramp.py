@@ -1,0 +1,62 @@
+"""The engine's torque is taken away before the clutch opens, so that the driveline does not ring.
+
+TSC1 asks for no torque; the engine follows in its own time, and says how far it is (EEC1). The
+clutch sets off so early that its plates part when no more than `engine.torque_left_percent` of the
+engine's reference torque is left.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
+from meshpoint.units import SECOND_US
+
+if TYPE_CHECKING:
+    from meshpoint.controller.shift.context import ShiftContext
+
+
+class TorqueFall:
+    """The engine's torque as it says it to be, and what will be left of it."""
+
+    def __init__(self) -> None:
+        self._newest: tuple[int, float] | None = None
+        self._before: tuple[int, float] | None = None
+
+    def take(self, now_us: int, share: float | None) -> None:
+        """One step's torque, as a share of the engine's reference torque; None: nothing new."""
+        if share is not None:
+            self._before, self._newest = self._newest, (now_us, share)
+
+    def left_in(self, ahead_s: float) -> float | None:
+        """The torque after so long, falling toward zero exponentially as it does now; None where
+        the engine says none."""
+        if self._newest is None:
+            return None
+        now_us, share = self._newest
+        if self._before is None or share == 0.0:
+            return share
+        before_us, before = self._before
+        if now_us <= before_us or share * before <= 0.0 or abs(share) >= abs(before):
+            return share
+        rate = math.log(share / before) / ((now_us - before_us) / SECOND_US)
+        return share * math.exp(rate * ahead_s)
+
+
+def ramp_down(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Asks the engine for no torque; returns whether the clutch may set off: little enough will be
+    left when its plates part, or the ramp has taken as long as it may."""
+    limits = context.settings.engine
+    if limits.ramp_ms == 0 or not context.engine_carries(snapshot):
+        return True
+    clutch = context.sheet.clutch
+    parting_s = clutch.open_delay_s * (1.0 - context.kiss.share)
+    left = context.torque.left_in(parting_s)
+    if left is None:
+        return True  # an engine that does not say how far it is cannot be waited for
+    context.engine_share = 0.0
+    if abs(left) <= limits.torque_left_share:
+        return True
+    return snapshot.now_us - context.since_us >= limits.ramp_ms * MS_IN_US
