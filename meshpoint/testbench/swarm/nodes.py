@@ -13,7 +13,7 @@ from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Transmitter
-from meshpoint.dbc.messages import TC1, ControllerState, ValveStatus
+from meshpoint.dbc.messages import EEC1, TC1, ControllerState, ValveStatus
 from meshpoint.dbc.node import Node
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import FaultOrder
@@ -80,8 +80,8 @@ class WatchedController(ControllerCore):
         self._step_us = now_us
         return super().step(now_us)
 
-    def _snapshot(self, now_us: int) -> StepSnapshot:
-        snapshot = super()._snapshot(now_us)
+    def _snapshot(self, now_us: int, engine: EEC1 | None) -> StepSnapshot:
+        snapshot = super()._snapshot(now_us, engine)
         if self._deed is None or self._began_us is None or not self._deed.clock_error_us:
             return snapshot
         error_us = self._deed.clock_error_us
