@@ -146,12 +146,15 @@ class GuardEar:
         """Engine speeds (rad/s) of this step; None: says that it has none."""
         self.requested_gear: int | None = None
         """The gear asked for in this step; None where none was."""
+        self.has_restarted = False
+        """Whether the sensors have started anew in this step: an array of edges has got emptier."""
+        self._held = dict.fromkeys(EDGES, 0)
 
     def take(self, frames: Iterable[Frame], now_us: int) -> list[int]:
         """One step's frames at `now_us` of the controller's clock. Returns the 32-bit times (us) of
         the sensor clock that they carry."""
         self.edges = {can_id: [] for can_id in EDGES}
-        self.engine, self.requested_gear = [], None
+        self.engine, self.requested_gear, self.has_restarted = [], None, False
         stamps: list[int] = []
         for frame in frames:
             if not frame.is_extended:
@@ -195,6 +198,8 @@ class GuardEar:
             held = shape & STAMPS_MASK
             if held > STAMPS:
                 return False
+            self.has_restarted = self.has_restarted or held < self._held[can_id]
+            self._held[can_id] = held
             usable = shape == held  # neither stopped, nor an interval too long, nor a faulty sensor
             self.edges[can_id].append(Edges(stamp, index, tuple(lows[:held]) if usable else ()))
             return True
