@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: demo test installed acceptance vcan test-containers lint types reference contracts stubs bench clean
+.PHONY: swarm faults demo test installed acceptance vcan test-containers lint types reference contracts stubs bench clean
 
 $(VENV)/run.stamp: pyproject.toml setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -37,6 +37,16 @@ vcan: $(VENV)/test.stamp
 	{ tools/with-vcan --check && command -v candump; } || tools/with-vcan --install
 	NUMBA_DISABLE_JIT=1 tools/with-vcan --timeout 3600 $(CURDIR)/$(BIN)/python -u -m pytest \
 	    tests/vcan -v --durations=0
+
+# Worlds in which anything may fail, for so many seconds; says how many hours were simulated.
+SWARM_WALL_S ?= 60
+SWARM_SEED ?= 1
+swarm: $(VENV)/test.stamp
+	$(BIN)/meshpoint campaign --faults --hours 100 --wall $(SWARM_WALL_S) --seed $(SWARM_SEED)
+
+# The table of docs/faults.md, from scenarios that are run for it.
+faults: $(VENV)/test.stamp
+	$(BIN)/python -m meshpoint.testbench.swarm.named docs/faults.md
 
 test-containers:
 	tools/test-containers

@@ -164,12 +164,16 @@ class GuardEar:
         """Of this step: stamps, and how far the clutch was closed."""
         self.requested_gear: int | None = None
         """The gear asked for in this step; None where none was."""
+        self.has_restarted = False
+        """Whether the sensors have started anew in this step: an array of edges has got emptier."""
+        self._held = dict.fromkeys(EDGES, 0)
 
     def take(self, frames: Iterable[Frame], now_us: int) -> list[int]:
         """One step's frames at `now_us` of the controller's clock. Returns the 32-bit times (us) of
         the sensor clock that they carry."""
         self.edges = {can_id: [] for can_id in EDGES}
         self.engine, self.clutch, self.requested_gear = [], [], None
+        self.has_restarted = False
         stamps: list[int] = []
         for frame in frames:
             if not frame.is_extended:
@@ -219,6 +223,8 @@ class GuardEar:
             held = shape & STAMPS_MASK
             if held > STAMPS:
                 return False
+            self.has_restarted = self.has_restarted or held < self._held[can_id]
+            self._held[can_id] = held
             usable = shape == held  # neither stopped, nor an interval too long, nor a faulty sensor
             self.edges[can_id].append(Edges(stamp, index, tuple(lows[:held]) if usable else ()))
             return True

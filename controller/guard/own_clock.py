@@ -37,6 +37,10 @@ class GuardClock:
         """Each second of the controller's clock, and its least offset."""
         self._newest_us: int | None = None
 
+    def restart(self) -> None:
+        """The sensors have started anew, however near to the old clock the new one reads."""
+        self._least.clear()
+
     def hear(self, stamp: int, now_us: int) -> None:
         """A stamp of a frame that is consumed at `now_us` of the controller's clock."""
         newest_us = self._newest_us

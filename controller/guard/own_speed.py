@@ -60,12 +60,18 @@ class GuardSpeed:
             return
         read_us = now_us + signed_us(edges.stamp - now_us)
         newest_us = read_us - ((read_us - edges.lows_us[0]) & LOW)
-        before = 0 if self.counted is None else self.counted.teeth
-        self.counted = TeethCounted(newest_us, before + ((edges.newest_index - self._index) & LOW))
+        before = self.counted
+        if before is None:
+            self.counted = TeethCounted(newest_us, edges.newest_index)
+        elif edges.newest_index == self._index:
+            newest_us = before.time_us  # no new edge, however young its 16 bits make it look
+        else:
+            teeth = (edges.newest_index - self._index) & LOW
+            self.counted = TeethCounted(newest_us, before.teeth + teeth)
         self._index = edges.newest_index
         self._is_dead = read_us - newest_us > max(NO_EDGE_US, LATE_TEETH * self._tooth_us)
         took_us = teeth_us(edges.lows_us)
-        if took_us:
+        if took_us and not self._is_dead:
             span_us = sum(took_us)
             omega_rad_s = len(took_us) * self._pitch_rad * 1e6 / span_us
             self._tooth_us = span_us // len(took_us)

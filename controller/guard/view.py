@@ -104,7 +104,10 @@ class GuardView:
         """Takes one step's frames, at `step_us` of the controller's clock; believed_us: the sensor
         time that the step's commands are made for."""
         ear = self._ear
-        for stamp in ear.take(frames, step_us):
+        stamps = ear.take(frames, step_us)
+        if ear.has_restarted:
+            self._clock.restart()
+        for stamp in stamps:
             self._clock.hear(stamp, step_us)
         own_us = self._clock.now_us(step_us)
         now_us = 0 if own_us is None else own_us

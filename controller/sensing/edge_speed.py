@@ -66,7 +66,10 @@ class EdgeSpeed:
         read_us = now_us + ((frame.read_time_us - now_us + HALF) % WRAP) - HALF
         stamps = frame.timestamp_low_us
         newest_us = read_us - ((read_us - stamps[0]) & LOW)
-        self._teeth += (frame.newest_index - self._index) & LOW
+        fresh = (frame.newest_index - self._index) & LOW
+        if fresh == 0 and self._newest_us is not None:
+            newest_us = self._newest_us  # no new edge, however young its 16 bits make it look
+        self._teeth += fresh
         self._index = frame.newest_index
         self._newest_us = newest_us
         self._is_dead = read_us - newest_us > max(DEAD_US, TEETH_LATE * self._interval_us)

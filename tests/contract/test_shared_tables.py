@@ -171,7 +171,9 @@ def test_the_guard_hears_what_the_codec_says(shares: tuple[float, ...], stamp: i
         io.encode(GearboxSensors(stamp, pressures[0], pressures[1], 300.0, shares[4])),
         io.encode(ValveStatus(stamp)),
         io.encode(EdgesMainRise(stamp, 40_000, 3, False, False, False, (7, 5, 3) + (0,) * 24)),
-        engine.encode(EEC1(engine_speed_rad_s=800.0 * shares[0])),
+        engine.encode(
+            EEC1(engine_speed_rad_s=800.0 * shares[0], actual_engine_torque_fraction=shares[1])
+        ),
         bench.encode(TC1(requested_gear=11)),
     ]
     assert ear.take(frames, 0) == [stamp] * 5
@@ -184,5 +186,7 @@ def test_the_guard_hears_what_the_codec_says(shares: tuple[float, ...], stamp: i
     assert heard[2] == pytest.approx(shares[4], abs=0.51e-4)
     (edges,) = ear.edges[guard_ear.MAIN_EDGES]
     assert edges == (stamp, 40_000, (7, 5, 3))
-    assert ear.engine == [pytest.approx(800.0 * shares[0], abs=0.0066)]
+    assert ear.engine == [pytest.approx((800.0 * shares[0], shares[1]), abs=0.0066)]
+    speeds = [sleeve / 3e-3 for sleeve in sleeves[:2]]
+    assert ear.slow[guard_ear.SLEEVES_MAIN].speeds_m_s == pytest.approx(speeds, abs=0.51e-3)
     assert ear.requested_gear == 11

@@ -198,6 +198,19 @@ def all_turning() -> StepInputs:
 @pytest.mark.parametrize(("kind", "name"), [(EdgesLayshaftRise, "layshaft"),
                                             (EdgesMainRise, "main"),
                                             (EdgesPropellerRise, "propeller")])  # fmt: skip
+def test_a_frozen_payload_is_no_speed_to_the_sequence(kind: Any, name: str) -> None:
+    speeds, found = ShaftSpeeds(SHEET), []
+    for late_us in range(0, 160_000, CYCLE_US):
+        inputs = StepInputs()
+        inputs.take(edges(kind, NOW_US, NOW_US + late_us))
+        speeds.take(inputs, NOW_US + late_us)
+        found.append(getattr(speeds, name) is not None)
+    assert found == [True] * 3 + [False] * 13
+
+
+@pytest.mark.parametrize(("kind", "name"), [(EdgesLayshaftRise, "layshaft"),
+                                            (EdgesMainRise, "main"),
+                                            (EdgesPropellerRise, "propeller")])  # fmt: skip
 def test_the_speed_of_a_shaft_without_frames_is_lost_to_the_sequence(kind: Any, name: str) -> None:
     speeds = ShaftSpeeds(SHEET)
     speeds.take(all_turning(), NOW_US)
@@ -208,14 +221,15 @@ def test_the_speed_of_a_shaft_without_frames_is_lost_to_the_sequence(kind: Any, 
 
 @pytest.mark.parametrize("kind", SHAFTS, ids=lambda kind: kind.__name__)
 def test_a_frozen_payload_under_live_frames_is_no_speed(kind: Any) -> None:
-    """Frames come, their read times go on, their newest edge does not."""
+    """Frames come, their read times go on, their newest edge does not; not when its 16 bits have
+    gone round either, 65.5 ms later."""
     heard, shaft, found = Heard(), SHAFTS.index(kind), []
     last_us = heard.now_us
-    for late_us in range(CYCLE_US, 50_000, CYCLE_US):
+    for late_us in range(CYCLE_US, 160_000, CYCLE_US):
         frame = heard.sender.encode(edges(kind, last_us, last_us + late_us))
         seen = heard.view.take([frame], last_us + late_us, last_us + late_us)
         found.append(seen.speeds[shaft] is not None)
-    assert found == [True, True, False, False]
+    assert found == [True, True] + [False] * 13
 
 
 @pytest.mark.parametrize("tracker", ["crossing", "baseline"])
@@ -245,3 +259,16 @@ class _Clock:
 
     def stamp(self, stamp: int, now_us: int) -> int:
         return stamp
+
+
+def test_sensors_that_start_anew_are_known_by_an_array_that_gets_emptier() -> None:
+    """Their clock may read nearly as before: it is taken at once all the same."""
+    heard = Heard()
+    for _ in range(50):
+        heard.cycle()
+    behind_us = 63_000
+    first = edges(EdgesMainRise, heard.now_us - behind_us, heard.now_us + CYCLE_US - behind_us, 3)
+    frame = heard.sender.encode(first._replace(valid_stamps=3))
+    now_us = heard.now_us + CYCLE_US
+    seen = heard.view.take([frame], now_us, now_us)
+    assert seen.now_us % (1 << 32) == now_us - behind_us

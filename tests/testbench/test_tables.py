@@ -33,6 +33,7 @@ from meshpoint.testbench.commands import gearbox as gearbox_command
 from meshpoint.testbench.commands import study as study_command
 from meshpoint.testbench.commands.describe import faults_table, parameters_table
 from meshpoint.testbench.commands.sensor_replay import seen_table
+from meshpoint.testbench.commands.swarm import reached_table
 from meshpoint.testbench.logs.captures import CaptureRow
 from meshpoint.testbench.logs.decisions import Decision, Judged, Parting
 from meshpoint.testbench.logs.gear_track import SeenShift
@@ -44,6 +45,7 @@ from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.testbench.studies.record import Finding, Statement, ThesisVerdict
 from meshpoint.testbench.studies.registry import STUDY_NAMES, load
 from meshpoint.testbench.studies.runner import StudyRecord
+from meshpoint.testbench.swarm.swarm import Swarm
 
 WIDTH = 80
 LONGEST = "speed_window_anticipating"
@@ -136,6 +138,7 @@ TABLES: dict[str, Callable[[], Table]] = {
     "campaign.table._ratios": lambda: campaign_table._ratios(campaign_values()["ratios"]),
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
     "logs.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
+    "commands.swarm.reached_table": lambda: reached_table(Swarm().to_json(1.0)),
     "commands.captures.counts_table": lambda: captures_command.counts_table([CAPTURE]),
     "commands.captures.errors_table": lambda: captures_command.errors_table([CAPTURE]),
     "commands.sensor_replay.seen_table": lambda: seen_table(

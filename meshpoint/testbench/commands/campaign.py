@@ -47,7 +47,10 @@ DESCRIPTION: Final = """\
 Seeded Monte Carlo. A run is one draw: a gearbox as built, oil, load, slope, supply pressure and one
 gear change. The controller first makes the learning shifts; then each judged shift is made by every
 strategy on a copy of the same bench, so strategies are compared on the same draws. Every shift goes
-through encoded frames of both nodes in virtual time. Results do not depend on --jobs or --dask."""
+through encoded frames of both nodes in virtual time. Results do not depend on --jobs or --dask.
+
+With --faults it compares nothing: it draws worlds in which anything may fail, and holds every step
+against the gearbox's true state. See docs/safety.md."""
 
 
 def add_parser(commands: Any) -> None:

@@ -20,6 +20,7 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "campaign": (
         "meshpoint campaign --runs 300 --true-state --json campaign.json",
         "meshpoint campaign --runs 20 --seed 9 --sweep backlash_percent=10,20,30",
+        "meshpoint campaign --faults --hours 2 --seed 1 --jobs 2 --json -",
     ),
     "replay": (
         "meshpoint replay out/demo/target_phase.log --verify",

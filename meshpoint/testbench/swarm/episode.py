@@ -6,6 +6,7 @@ import dataclasses
 import math
 import traceback
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -127,6 +128,7 @@ class Episode:
             cores,
             [*tick_phases(world.seed), 1],
             on_frame=self._on_frame,
+            on_event=self._on_event,
             rejected=[
                 frozenset(),
                 not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
@@ -134,9 +136,12 @@ class Episode:
                 not_addressed_to(),
             ],
         )
+        self._tell: Callable[[int, int, str], None] | None = None
         self._active: Counter[str] = Counter()
         self._lately: dict[str, int] = {}
         self._shifts = self._engaged = 0
+        self._with_it: FaultOrder | None = None
+        """What goes wrong with the gearbox when the deed begins."""
         self.back_by_us: int | None = None
         """In the last phase: when the shift asked for must be made."""
         self.is_back = False
@@ -144,6 +149,14 @@ class Episode:
     def _new_controller(self) -> WatchedController:
         header = new_header(product_version(), self._sheet, self._settings)
         return WatchedController(header, self.world.seed)
+
+    def listen(self, tell: Callable[[int, int, str], None]) -> None:
+        """From now on the nodes' log lines are told: time (us), node, line."""
+        self._tell = tell
+
+    def _on_event(self, time_us: int, node: int, line: str) -> None:
+        if self._tell is not None:
+            self._tell(time_us, node, line)
 
     def run(self) -> EpisodeResult:
         """The whole of it, or up to the first broken invariant."""
@@ -179,6 +192,10 @@ class Episode:
 
     def _after_controller(self, now_us: int) -> None:
         core, reached = self._controller, self._reached
+        if self._with_it is not None and core.is_mad:
+            self._rig.inject(self._with_it, now_us)
+            self._active[RigFault(self._with_it.kind).name.lower()] += 1
+            self._with_it = None
         self._invariants.controller(core, now_us, self.active)
         if core.transitions:
             reached.transitions.update(f"{s.name}+{t.name}".lower() for s, t in core.transitions)
@@ -222,9 +239,7 @@ class Episode:
         else:
             deed = DEEDS[kind]
             self._controller.go_mad(deed)
-            if deed.fault is not None:
-                self._rig.inject(deed.fault, now_us)
-                self._active[RigFault(deed.fault.kind).name.lower()] += 1
+            self._with_it = deed.fault
 
     def _begin_on_bus(self, event: Event) -> None:
         if event.kind == "bus_off":
@@ -253,6 +268,7 @@ class Episode:
             faults.remove(BusFault(kind, Group(event.target), event.value))
         elif kind in DEEDS:
             self._controller.go_mad(None)
+            self._with_it = None
 
     def end_all(self, now_us: int) -> None:
         """Nothing is wrong any more; shifts must come back."""

@@ -23,7 +23,8 @@ OVERSPEED: Final = 1.03
 """The sheet's limit, what a sensor may be wrong by, and the guard's 1 %."""
 MEMORY_US: Final = 90_000
 """A speed that the guard uses is at most so old."""
-SPEED_ERROR: Final = 0.02
+SPEED_ERROR: Final = 0.05
+"""A gear that locks jerks its shafts for less time than there is between two looks at the truth."""
 SPEED_ERROR_RAD_S: Final = 2.0
 BLIND_STEPS: Final = 2
 LIES: Final = frozenset({"position_offset", "position_frozen", "frozen_payload"})

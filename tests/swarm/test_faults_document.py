@@ -1,0 +1,48 @@
+"""docs/faults.md: each of its scenarios is run, and held against its line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from meshpoint.testbench.swarm.events import BUS_KINDS, NODE_KINDS, RIG_KINDS
+from meshpoint.testbench.swarm.named import BEGIN, END, HEAD, NAMED, Named, run_named, table_row
+
+DOCUMENT = Path(__file__).parents[2] / "docs" / "faults.md"
+TICK_MS = 10.0
+STALE_MS = 51.0
+"""50 ms, and the microseconds between the fault and the step that it is counted from."""
+STALE = [named for named in NAMED if named.kind in ("bus_drop", "bus_bit_flip", "bus_duplicate")
+         and named.value == 1.0 and named.target in (1, 2, 3)]  # fmt: skip
+
+
+def lines() -> list[str]:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    return text.split(BEGIN + HEAD)[1].split(END)[0].strip().splitlines()
+
+
+def test_every_fault_of_the_list_has_a_scenario() -> None:
+    assert {named.kind for named in NAMED} == {*RIG_KINDS, *BUS_KINDS, *NODE_KINDS}
+
+
+@pytest.mark.parametrize(("k", "named"), enumerate(NAMED), ids=lambda v: getattr(v, "kind", None))
+def test_a_fault_is_found_and_ends_as_the_document_says(k: int, named: Named) -> None:
+    course = run_named(named)
+    assert course.broken == []
+    *there, found, by, result = (cell.strip() for cell in lines()[k].split("|")[1:-1])
+    *here, found_now, by_now, result_now = (
+        cell.strip() for cell in table_row(course).split("|")[1:-1]
+    )
+    assert (there, by, result) == (here, by_now, result_now)
+    if found == "-" or found_now == "-":
+        assert found == found_now
+    else:
+        assert abs(float(found) - float(found_now)) <= TICK_MS
+    if named in STALE:
+        assert course.found_ms is not None
+        assert course.found_ms <= STALE_MS
+
+
+def test_the_table_has_a_line_a_scenario() -> None:
+    assert len(lines()) == len(NAMED)

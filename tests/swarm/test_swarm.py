@@ -1,0 +1,169 @@
+"""The swarm: what it draws, what it sees, what it makes small; and every deed under the guard."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from meshpoint.controller.guard.rules import Guard
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox import load_sheet
+from meshpoint.testbench.cli import main
+from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.swarm.deeds import DEEDS
+from meshpoint.testbench.swarm.draw import TIGHT, draw_world
+from meshpoint.testbench.swarm.episode import Episode, EpisodeResult, declared, settings_with
+from meshpoint.testbench.swarm.events import (
+    FAULT_KINDS,
+    REQUEST,
+    Event,
+    World,
+    load_world,
+    save_world,
+)
+from meshpoint.testbench.swarm.invariants import Broken
+from meshpoint.testbench.swarm.shrink import shrink
+from meshpoint.testbench.swarm.swarm import SwarmSpec, breaks, run_seed
+
+SHEET, SETTINGS = load_sheet("truck12"), ControllerSettings()
+SPEC = SwarmSpec(SHEET, SETTINGS, 1)
+
+
+def run(world: World) -> EpisodeResult:
+    return Episode(SHEET, SETTINGS, world).run()
+
+
+def world_of(name: str) -> World:
+    """A deed alone, with a request after it."""
+    deed = DEEDS[name]
+    at_ms = 0 if deed.begins is None else 900
+    events = [Event(at_ms, name, 0, 0.0, 4_000)]
+    if deed.begins is not None and deed.begins.name in ("SYNCHRONISING", "COASTING"):
+        events.append(Event(1_000, REQUEST, 0, 10.0))
+    return World(6, deed.start_gear, deed.layshaft_rpm, {}, tuple(sorted(events)), 5_000)
+
+
+@pytest.mark.parametrize("name", DEEDS)
+def test_a_deed_meets_its_row_of_the_guard_does_no_harm_and_shifts_come_back(name: str) -> None:
+    result = run(world_of(name))
+    assert result.broken == []
+    row = DEEDS[name].row
+    assert result.reached.faults[name] == 1
+    assert not row or result.reached.guard_rows[str(row)] > 0, result.reached.guard_rows
+
+
+def test_every_row_of_the_guard_has_a_deed() -> None:
+    assert {str(deed.row) for deed in DEEDS.values() if deed.row} == set(declared()["guard_rows"])
+
+
+def test_all_that_can_be_drawn_is_drawn() -> None:
+    drawn = Counter(event.kind for seed in range(1_500) for event in draw_world(seed).events)
+    assert set(FAULT_KINDS) | {REQUEST} == set(drawn)
+
+
+def test_settings_at_their_edge_are_settings() -> None:
+    for name, value in TIGHT:
+        group, key = name.split(".")
+        assert getattr(getattr(settings_with(SETTINGS, {name: value}), group), key) == value
+
+
+def test_a_seed_is_a_world_is_a_course() -> None:
+    world = replace(draw_world(6), safety_ms=2_500)
+    assert draw_world(6) == draw_world(6) != draw_world(7)
+    first, again = run(world), run(world)
+    assert first == again
+    assert first.shifts
+
+
+def test_what_a_blind_guard_lets_through_is_seen_made_small_and_repeated_from_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Guard, "passes", lambda self, payload, seen: True)
+    noise = [Event(400 + 150 * k, "bus_duplicate", 5, 0.02, 40) for k in range(14)]
+    events = (Event(900, "mad_both_valves", 0, 0.0, 2_000), *noise)
+    world = World(6, 8, 1400.0, {}, tuple(sorted(events)), 4_000)
+    (broken,) = run(world).broken
+    assert broken.what == "both_valves"
+    small = shrink(world, broken, lambda each: breaks(SPEC, each, broken.what))
+    assert [event.kind for event in small.events] == ["mad_both_valves"]
+    path = tmp_path / "found.json"
+    save_world(path, small, {"broken": broken._asdict()})
+    assert load_world(path) == small
+    arguments = ["campaign", "--faults", "--scenario", str(path), "--json", str(tmp_path / "j")]
+    assert main(arguments) == 1
+    assert json.loads((tmp_path / "j").read_text())["broken"][0]["what"] == "both_valves"
+    monkeypatch.undo()
+    assert main(arguments) == 0
+
+
+def test_a_crash_of_a_node_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Guard, "passes", lambda self, payload, seen: 1 // 0)
+    (broken,) = run(World(6, events=(), safety_ms=500)).broken
+    assert broken.what == "crash"
+    assert "ZeroDivisionError" in broken.text
+
+
+def test_shrinking_finds_the_two_events_that_matter() -> None:
+    events = tuple(Event(100 * k, "bus_drop", 0, 0.5, k) for k in range(40))
+    needed = {events[7], events[23]}
+    tried: list[int] = []
+
+    def fails(world: World) -> Broken | None:
+        tried.append(len(world.events))
+        return Broken("crash", 2_400, "") if needed <= set(world.events) else None
+
+    small = shrink(World(1, events=events), Broken("crash", 2_400, ""), fails)
+    assert set(small.events) == needed
+    assert small.safety_ms == 2_600
+    assert len(tried) < 60
+
+
+def test_shrinking_keeps_to_its_budget() -> None:
+    events = tuple(Event(k, "bus_drop") for k in range(40))
+    fails: Any = lambda world: Broken("crash", 100, "")  # noqa: E731
+    small = shrink(World(1, events=events), Broken("crash", 100, ""), fails, budget_s=0.0)
+    assert small.events == events
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"seed": -1}, "seed"),
+        ({"start_gear": 15}, "start_gear"),
+        ({"events": [{"at_ms": 0, "kind": "magic"}]}, "magic"),
+        ({"events": [Event(0, "valve_stuck", 9)._asdict()]}, "target"),
+        ({"safety_ms": float("nan")}, "safety_ms"),
+        ({"events": 5}, "events"),
+    ],
+)
+def test_a_bad_scenario_is_refused_by_name(
+    change: dict[str, Any], said: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "bad.json"
+    path.write_text(json.dumps({"scenario": World(1).to_json() | change}))
+    with pytest.raises(CommandError, match=r"bad\.json") as refused:
+        load_world(path)
+    assert said in str(refused.value) or said == "events"
+
+
+def test_a_swarm_is_gone_on_with(tmp_path: Path) -> None:
+    """The second run simulates only what is missing, and counts both."""
+    report = tmp_path / "report.json"
+    base = ["campaign", "--faults", "--jobs", "1", "--seed", "4", "--json", str(report)]
+    assert main([*base, "--hours", "0.001", "--out", str(tmp_path / "parts")]) == 0
+    first = json.loads(report.read_text())
+    assert first["worlds"] == 1
+    again = [*base, "--hours", "0.005", "--out", str(tmp_path / "parts"), "--resume"]
+    assert main(again) == 0
+    both = json.loads(report.read_text())
+    assert both["simulated_hours"] > first["simulated_hours"]
+    assert both["violations"] == 0
+    alone = run_seed(SPEC, 4_000_000)[0]
+    assert both["faults_reached"]["declared"] == len(FAULT_KINDS)
+    assert both["shifts"] >= first["shifts"] == alone.shifts
+    assert main([*base, "--hours", "0.001", "--out", str(tmp_path / "parts")]) == 2
