@@ -16,7 +16,7 @@ from meshpoint.controller.settings import MS_IN_US, ControllerSettings
 from meshpoint.controller.shift.kiss_point import KissPoint
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
-from meshpoint.controller.shift.torque_ramp import TorqueFall
+from meshpoint.controller.shift.torque_fall import TorqueFall
 from meshpoint.controller.shift.valve_board import ValveBoard, ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State

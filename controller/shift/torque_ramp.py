@@ -7,42 +7,9 @@ engine's reference torque is left.
 
 from __future__ import annotations
 
-import math
-from typing import TYPE_CHECKING
-
 from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.units import SECOND_US
-
-if TYPE_CHECKING:
-    from meshpoint.controller.shift.context import ShiftContext
-
-
-class TorqueFall:
-    """The engine's torque as it says it to be, and what will be left of it."""
-
-    def __init__(self) -> None:
-        self._newest: tuple[int, float] | None = None
-        self._before: tuple[int, float] | None = None
-
-    def take(self, now_us: int, share: float | None) -> None:
-        """One step's torque, as a share of the engine's reference torque; None: nothing new."""
-        if share is not None:
-            self._before, self._newest = self._newest, (now_us, share)
-
-    def left_in(self, ahead_s: float) -> float | None:
-        """The torque after so long, falling toward zero exponentially as it does now; None where
-        the engine says none."""
-        if self._newest is None:
-            return None
-        now_us, share = self._newest
-        if self._before is None or share == 0.0:
-            return share
-        before_us, before = self._before
-        if now_us <= before_us or share * before <= 0.0 or abs(share) >= abs(before):
-            return share
-        rate = math.log(share / before) / ((now_us - before_us) / SECOND_US)
-        return share * math.exp(rate * ahead_s)
 
 
 def ramp_down(context: ShiftContext, snapshot: StepSnapshot) -> bool:
