@@ -1,4 +1,4 @@
-"""How the engine's torque falls, by what EEC1 says of it."""
+"""How far the engine's torque has fallen, by what the engine says (EEC1), and what will be left."""
 
 from __future__ import annotations
 

@@ -69,6 +69,14 @@ def test_a_release_that_is_heard_after_the_contact_leaves_no_time_between() -> N
     assert sum(found.values()) == 368.0
 
 
+def test_a_lock_that_is_heard_after_the_end_is_not_of_the_shift() -> None:
+    """The sleeve is measured in before the tooth has met a flank."""
+    found = phases(UP, 348.0)
+    assert "entry_ms" not in found
+    assert found["seen_ms"] == 8.0
+    assert sum(found.values()) == pytest.approx(348.0)
+
+
 def test_a_shift_without_any_moment_is_all_waiting() -> None:
     assert phases((), 500.0) == {"seen_ms": 500.0}
 

@@ -67,8 +67,8 @@ def phases_of(events: list[ReferenceEngagement], request_us: int, end_us: int) -
     """The phases of a shift from its request to its end, 32-bit times of the sensor clock (us);
     events: what the rig has told since the gear before."""
     told = [(event.event, span_us(event.event_time_us, request_us)) for event in events]
-    told = [(event, at) for event, at in told if at >= 0]
     end = span_us(end_us, request_us)
+    told = [(event, at) for event, at in told if 0 <= at <= end]
     contact = _first(told, *CONTACTS)
     released = _first(told, _E.RELEASED)
     before = [(event, at) for event, at in told if contact is None or at <= contact]
