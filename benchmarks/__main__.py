@@ -3,6 +3,7 @@
 import sys
 
 from benchmarks import (
+    bench_authentication,
     bench_campaign,
     bench_codec,
     bench_filter,
@@ -13,6 +14,7 @@ from benchmarks import (
 
 if __name__ == "__main__":
     benches = (
+        bench_authentication,
         bench_codec,
         bench_filter,
         bench_rig,

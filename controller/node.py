@@ -7,7 +7,10 @@ from collections.abc import Callable
 from datetime import UTC, datetime
 from typing import Final
 
+from meshpoint.bus.authentication.cores import ProvingCore
+from meshpoint.bus.authentication.keys import CommandKeys
 from meshpoint.bus.clock import NodeClock
+from meshpoint.bus.core import Core
 from meshpoint.bus.driver import OpenBus, run_node
 from meshpoint.bus.settle import settle
 from meshpoint.bus.statistics import NodeStatistics
@@ -27,15 +30,18 @@ async def run_controller(
     on_event: Callable[[str], None],
     stop: asyncio.Event,
     keep: Keep | None = None,
+    keys: CommandKeys | None = None,
 ) -> NodeStatistics:
     """Runs a controller until `stop` is set; its last frames switch all valves off.
 
-    `keep` gets the calibration whenever more is known, and at the end."""
+    `keep` gets the calibration whenever more is known, and at the end. With `keys` commands are
+    proven to be ours."""
     warm_up()
     core = ControllerCore(header)
+    kept: Core = core if keep is None else CalibrationKeeper(core, keep, _utc)
     settle()
     return await run_node(
-        core if keep is None else CalibrationKeeper(core, keep, _utc),
+        kept if keys is None else ProvingCore(kept, keys),
         open_bus,
         clock,
         on_event=on_event,

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from secrets import randbits
 from typing import Final
 
+from meshpoint.bus.authentication.cores import VerifyingCore
+from meshpoint.bus.authentication.keys import CommandKeys
+from meshpoint.bus.authentication.proof import CHALLENGE_BITS
 from meshpoint.bus.clock import NodeClock
 from meshpoint.bus.driver import OpenBus, run_node
 from meshpoint.bus.settle import settle
@@ -26,12 +30,14 @@ async def run_rig(
     *,
     on_event: Callable[[str], None],
     stop: asyncio.Event,
+    keys: CommandKeys | None = None,
 ) -> NodeStatistics:
-    """Runs a rig until `stop` is set; its last frame shows all valves off."""
+    """Runs a rig until `stop` is set; its last frame shows all valves off. With `keys` it takes
+    proven commands alone."""
     core = RigCore(sheet, settings)
     settle()
     return await run_node(
-        core,
+        core if keys is None else VerifyingCore(core, keys, lambda: randbits(CHALLENGE_BITS)),
         open_bus,
         clock,
         on_event=on_event,

@@ -8,6 +8,7 @@ import re
 from collections.abc import Callable
 from pathlib import Path
 
+from meshpoint.bus.authentication.keys import CommandKeys, load_keys
 from meshpoint.bus.logs.files import MIN_PART_BYTES
 from meshpoint.bus.logs.limits import MAX_LOG_BYTES
 from meshpoint.bus.options import is_local_bus
@@ -171,6 +172,22 @@ def add_calibration(parser: Arguments) -> None:
         "after every shift (`meshpoint calibration show FILE`). A file that does not hold together "
         "is put aside as FILE.refused and the controller starts cold",
     )
+
+
+def add_keys(parser: Arguments) -> None:
+    """--keys."""
+    parser.add_argument(
+        "--keys",
+        type=Path,
+        metavar="FILE",
+        help="valve, clutch and engine commands are proven to be the controller's by keys in this "
+        "file, TOML; both nodes need it (docs/wire.md; default: commands are not proven)",
+    )
+
+
+def keys_of(namespace: argparse.Namespace) -> CommandKeys | None:
+    """The keys asked for."""
+    return None if namespace.keys is None else load_keys(namespace.keys)
 
 
 def add_rig(parser: Arguments) -> None:

@@ -93,6 +93,7 @@ def add_rig_start(parser: arguments.Arguments) -> None:
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
+    arguments.add_keys(parser)
     arguments.add_speed(parser)
     parser.add_argument(
         "--pace",
@@ -112,7 +113,7 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
     """Runs the controller until a signal."""
     sheet, settings = arguments.sheet_of(namespace), arguments.settings_of(namespace)
     calibration, writer = arguments.calibration_of(namespace, sheet, threaded=True, tell=complain)
-    armed = arguments.armed_of(namespace)
+    armed, keys = arguments.armed_of(namespace), arguments.keys_of(namespace)
     header = new_header(product_version(), sheet, settings, calibration, armed)
     if namespace.header_dir is not None:
         header.save(folder_for(namespace.header_dir))
@@ -128,6 +129,7 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     on_event=_printer(namespace),
                     stop=stop,
                     keep=writer,
+                    keys=keys,
                 )
 
     run_loop(run())
@@ -149,7 +151,7 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
         as_built=built.fixed,
         faults=arguments.faults_of(namespace),
     )
-    sheet = arguments.sheet_of(namespace)
+    sheet, keys = arguments.sheet_of(namespace), arguments.keys_of(namespace)
     if namespace.describe:
         describe_rig(sheet, settings)
         return Exit.DONE
@@ -165,6 +167,7 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
                     _clock(namespace),
                     on_event=_printer(namespace),
                     stop=stop,
+                    keys=keys,
                 )
 
     run_loop(run())

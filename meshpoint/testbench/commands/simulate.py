@@ -56,6 +56,7 @@ def add_parser(commands: Any) -> None:
     arguments.add_controller(parser)
     arguments.add_calibration(parser)
     arguments.add_shifts(parser, default=20, least=1)
+    arguments.add_keys(parser)
     _add_bus(parser)
     arguments.add_log(parser)
     arguments.add_json(parser)
@@ -110,6 +111,7 @@ def run(namespace: argparse.Namespace) -> int:
         as_built=built.fixed,
         faults=arguments.faults_of(namespace),
         calibration=calibration,
+        keys=arguments.keys_of(namespace),
         bus_load=namespace.bus_load,
         bus_queue=QueueOrder(namespace.bus_queue),
     )

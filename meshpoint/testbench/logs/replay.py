@@ -16,6 +16,7 @@ from enum import Enum
 from pathlib import Path
 from typing import Final, Protocol
 
+from meshpoint.bus.authentication.frames import PROOF
 from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.header import HeaderError, RunHeader, architecture, load_header
 from meshpoint.dbc import DBC_SHA256
@@ -172,6 +173,8 @@ class LogReplay:
             if frame.is_extended and frame.can_id in KNOWN_IDS:
                 self._waiting.append(frame)
             return
+        if frame.can_id == PROOF.can_id:
+            return  # of the wrapper around the core: says nothing of a decision
         if not _is_own(frame):
             self._intruders[frame.can_id] += 1
             return

@@ -9,6 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from meshpoint.bus.authentication.cores import ProvingCore, VerifyingCore
+from meshpoint.bus.authentication.keys import CommandKeys
+from meshpoint.bus.authentication.proof import CHALLENGE_BITS
 from meshpoint.bus.core import Core
 from meshpoint.bus.settle import settle
 from meshpoint.bus.simulated.core import QueueOrder
@@ -54,6 +57,8 @@ class Setup:
     calibration: Calibration | None = None
     """What the controller starts with."""
     profile: Profile = DEFAULT_PROFILE
+    keys: CommandKeys | None = None
+    """Commands are proven with these; None: they are not."""
     bus_load: float | None = None
     """The load of the bus, other nodes' traffic included; None: a bus of our own frames, of average
     length."""
@@ -136,6 +141,12 @@ def _with_bounds(
     return found
 
 
+def _challenges(seed: int) -> Callable[[], int]:
+    """Challenges of a run that can be repeated; live ones are the operating system's."""
+    rng = np.random.Generator(np.random.PCG64([seed, 0xC4A1]))
+    return lambda: int.from_bytes(rng.bytes(CHALLENGE_BITS // 8), "little")
+
+
 def _virtual_time(now_us: int) -> str:
     return f"{now_us / 1e6:.2f} s of virtual time"
 
@@ -179,8 +190,12 @@ def simulate(
             reported = len(monitor.rows.rows)
 
     core = ControllerCore(setup.header)
-    controller = core if keep is None else CalibrationKeeper(core, keep, _virtual_time)
-    cores: list[Core] = [controller, rig, bench]
+    controller: Core = core if keep is None else CalibrationKeeper(core, keep, _virtual_time)
+    gearbox: Core = rig
+    if setup.keys is not None:
+        controller = ProvingCore(controller, setup.keys)
+        gearbox = VerifyingCore(rig, setup.keys, _challenges(setup.seed))
+    cores: list[Core] = [controller, gearbox, bench]
     filters = [
         frozenset[int](),
         not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
