@@ -28,6 +28,7 @@ from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.commands import calibration as calibration_command
 from meshpoint.testbench.commands import captures as captures_command
+from meshpoint.testbench.commands import compare as compare_command
 from meshpoint.testbench.commands import dbc as dbc_command
 from meshpoint.testbench.commands import gearbox as gearbox_command
 from meshpoint.testbench.commands import study as study_command
@@ -127,6 +128,9 @@ TABLES: dict[str, Callable[[], Table]] = {
     "campaign.table._ratios": lambda: campaign_table._ratios(campaign_values()["ratios"]),
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
     "logs.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
+    "commands.compare.compared_table": lambda: compare_command.compared_table(
+        "Shifts that differ", ("field", "A", "B"), [("shifts.0.slip_rpm", "20.1", "25.3")]
+    ),
     "commands.captures.counts_table": lambda: captures_command.counts_table([CAPTURE]),
     "commands.captures.errors_table": lambda: captures_command.errors_table([CAPTURE]),
     "commands.study.list_table": lambda: study_command.list_table(

@@ -31,6 +31,7 @@ MODULES: Final = {
     "simulate": "simulate",
     "campaign": "campaign",
     "replay": "replay",
+    "compare": "compare",
     "up": "up",
     "controller": "nodes",
     "rig": "nodes",
