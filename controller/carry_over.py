@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Protocol
+
 import numpy as np
 
 from meshpoint.controller.calibration.learned import (
@@ -18,11 +20,20 @@ from meshpoint.controller.header import RunHeader
 from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.observer import Observer
 from meshpoint.controller.phase.reference_recovery import SavedReferences
+from meshpoint.controller.planning.phase_drift import PhaseDrifts
+from meshpoint.controller.planning.sleeve_delay import SleeveDelays
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.gearbox.gears import MAIN_GEARS
 
 
-def restore(calibration: Calibration, observer: Observer, context: ShiftContext) -> None:
+class Learns(Protocol):
+    """Who learns from shifts."""
+
+    delays: SleeveDelays
+    drifts: PhaseDrifts
+
+
+def restore(calibration: Calibration, observer: Observer, context: Learns) -> None:
     """Starts with what earlier runs learned. Teeth and phase references are memories until the
     wheels show which tooth is which; the baseline estimators take delays and drifts alone."""
     context.delays.restore(calibration.sleeves)

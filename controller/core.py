@@ -18,6 +18,7 @@ from typing import Final, NamedTuple
 from meshpoint.bus.core import Step
 from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.carry_over import collect, restore
+from meshpoint.controller.follower import Follower
 from meshpoint.controller.guard.driveline import DrivelineGuard
 from meshpoint.controller.guard.limits import guard_limits
 from meshpoint.controller.guard.rules import Guard
@@ -164,6 +165,20 @@ class ControllerCore:
         """This gear was engaged, but not by this controller: its reference is learned from how
         its tooth moves alone. For replays of another controller's log."""
         self._observer.references.locked(gear, 0.0, straight=False)
+
+    def estimate_by(self, follower: Follower, *, keeps_drifts: bool) -> None:
+        """Goes on with a follower's estimates, data sheet and settings: it is this controller's
+        from here on. The guard stays the one of the own data sheet. keeps_drifts: the own learned
+        drifts of the phase hold on."""
+        self.header, sequence = follower.header, self._sequence
+        self._settings, self._speeds = follower.header.settings, follower.speeds
+        self._observer = follower.observer
+        sequence.sheet, sequence.references = follower.header.sheet, follower.observer.references
+        sequence.brake, sequence.delays = follower.brake, follower.delays
+        if not keeps_drifts:
+            sequence.drifts = follower.drifts
+        sequence.change_settings(self._settings)
+        self._reporter = Reporter(self.header, self._observer, sequence)
 
     def take_predictor_from(self, source: PredictorSource) -> None:
         """From now on decisions use this source's predictions instead of the estimates. For studies

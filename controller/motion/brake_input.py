@@ -46,6 +46,16 @@ class BrakeInput:
         other._switches = list(self._switches)
         return other
 
+    def follow(self, other: BrakeInput) -> None:
+        """Takes over another's switches; the delays stay."""
+        if self._switches != other.switches:
+            self._switches, self._arrays = other.switches, None
+
+    @property
+    def switches(self) -> list[Switch]:
+        """A copy of them."""
+        return list(self._switches)
+
     def set_delays(self, off_us: int, on_us: int) -> None:
         """From a switch to the pressure's first reaction, as learned."""
         if (off_us, on_us) != self._delays_us:

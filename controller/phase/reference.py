@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 from meshpoint.controller.motion.kinematics import raw_phase_rad, wrap_to_pitch
 from meshpoint.dbc.messages import ReferenceSource
@@ -61,6 +61,15 @@ class Floated(NamedTuple):
     gear: MainGear
     low_rad: float
     high_rad: float
+
+
+class Watched(Protocol):
+    """A gear that has locked and is watched: gear; flank, +1 or -1, to which the slip at contact
+    carried the tooth, 0 if that is not certain; whether the sleeve went straight in."""
+
+    gear: MainGear
+    flank: int
+    straight: bool
 
 
 @dataclass
@@ -187,6 +196,12 @@ class PhaseReferences:
     def watches(self, gear: MainGear) -> bool:
         """Whether this gear's reference is being learned, so that looks are wanted."""
         return self._learning is not None and self._learning.gear is gear
+
+    @property
+    def watched(self) -> Watched | None:
+        """The gear in mesh whose reference is being learned; the same object as long as it is the
+        same lock."""
+        return self._learning
 
     def watch(
         self, gear: MainGear, theta_layshaft: float, theta_main: float, pulled: bool = False

@@ -53,7 +53,9 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Pairs:
 def judge(folder: Path, settings: ControllerSettings, loop: ClosedLoop) -> list[Judged]:
     spec = small_spec(Preset.THESIS)
     new_header(product_version(), spec.sheet, settings).save(folder)
-    open_loop = OpenLoop(lambda header: header.settings.with_strategy(OTHER))
+    open_loop = OpenLoop(
+        lambda header: replace(header, settings=header.settings.with_strategy(OTHER))
+    )
     assert loop.log is not None
     replay = LogReplay(folder, verify=True, onlooker=open_loop)
     (session,) = replay.run([frame for _, frame in loop.log])

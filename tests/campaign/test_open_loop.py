@@ -19,6 +19,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.campaign.draw import draw
 from meshpoint.testbench.campaign.loop import ClosedLoop
+from meshpoint.testbench.logs import open_loop as open_loop_module
 from meshpoint.testbench.logs.decisions import Course, Judged, judge
 from meshpoint.testbench.logs.open_loop import SHIFTING, OpenLoop, said
 from meshpoint.testbench.logs.replay import STATUS, LogReplay, Verification
@@ -30,7 +31,9 @@ RECORDED, OTHER = "speed_window", "target_phase"
 
 def judge_log(folder: Path, header: RunHeader, frames: list[Frame], other: str) -> list[Judged]:
     header.save(folder)
-    open_loop = OpenLoop(lambda header: header.settings.with_strategy(other))
+    open_loop = OpenLoop(
+        lambda header: replace(header, settings=header.settings.with_strategy(other))
+    )
     (session,) = LogReplay(folder, verify=True, onlooker=open_loop).run(frames)
     assert session.verdict is Verification.IDENTICAL, str(session)
     return list(open_loop.judged.values())
@@ -125,6 +128,30 @@ def test_the_recorded_strategy_itself_never_parts_and_decides_what_was_sent(
         assert shift.strayed_at_step is None
 
 
+def test_a_follower_estimates_what_the_recorded_controller_estimated(
+    bench: tuple[list[ClosedLoop], ClosedLoop, Path],
+    header: RunHeader,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With the recorded settings its decisions are those that were sent, and another strategy's are
+    the same too, to the last digit."""
+    _, loop, folder = bench
+    plain = judge_log(folder, header, frames_of(loop), OTHER)
+    monkeypatch.setattr(open_loop_module, "estimates_differ", lambda _was, _now: True)
+    for shift in judge_log(folder, header, frames_of(loop), RECORDED):
+        assert (shift.status, shift.parted) == ("fired", None)
+        assert shift.last == shift.recorded
+    followed = judge_log(folder, header, frames_of(loop), OTHER)
+    assert [shift.decisions for shift in followed] == [shift.decisions for shift in plain]
+    for mine, its in zip(followed, plain, strict=True):
+        assert mine.counterfactual is not None
+        assert its.counterfactual is not None
+        # the follower learns the sleeve's delay from the contact rounded to 1 us
+        assert mine.counterfactual.phase_deg == pytest.approx(
+            its.counterfactual.phase_deg, abs=1e-3
+        )
+
+
 def test_a_log_without_the_frames_of_a_step_judges_what_comes_before_it(
     bench: tuple[list[ClosedLoop], ClosedLoop, Path], header: RunHeader
 ) -> None:
@@ -135,7 +162,9 @@ def test_a_log_without_the_frames_of_a_step_judges_what_comes_before_it(
     states = [STATUS.decode(frames[i].data).state.name for i in steps]
     cut = steps[len(states) - 1 - states[::-1].index("SYNCHRONISING")]
     header.save(folder)
-    open_loop = OpenLoop(lambda header: header.settings.with_strategy(OTHER))
+    open_loop = OpenLoop(
+        lambda header: replace(header, settings=header.settings.with_strategy(OTHER))
+    )
     replay = LogReplay(folder, verify=False, onlooker=open_loop)
     (session,) = replay.run(frames[:cut] + frames[cut + 1 :])
     assert session.verdict is Verification.NOT_VERIFIABLE

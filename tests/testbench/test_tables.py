@@ -28,6 +28,7 @@ from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.commands import calibration as calibration_command
 from meshpoint.testbench.commands import captures as captures_command
+from meshpoint.testbench.commands import compare as compare_command
 from meshpoint.testbench.commands import dbc as dbc_command
 from meshpoint.testbench.commands import gearbox as gearbox_command
 from meshpoint.testbench.commands import study as study_command
@@ -139,6 +140,9 @@ TABLES: dict[str, Callable[[], Table]] = {
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
     "logs.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
     "commands.swarm.reached_table": lambda: reached_table(Swarm().to_json(1.0)),
+    "commands.compare.compared_table": lambda: compare_command.compared_table(
+        "Shifts that differ", ("field", "A", "B"), [("shifts.0.slip_rpm", "20.1", "25.3")]
+    ),
     "commands.captures.counts_table": lambda: captures_command.counts_table([CAPTURE]),
     "commands.captures.errors_table": lambda: captures_command.errors_table([CAPTURE]),
     "commands.sensor_replay.seen_table": lambda: seen_table(

@@ -22,6 +22,10 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint campaign --runs 20 --seed 9 --sweep backlash_percent=10,20,30",
         "meshpoint campaign --faults --hours 2 --seed 1 --jobs 2 --json -",
     ),
+    "compare": (
+        "meshpoint compare before.json after.json --tolerance duration_ms=5",
+        "meshpoint compare a.log b.log --ignore 'Reference*' --report difference.html",
+    ),
     "replay": (
         "meshpoint replay out/demo/target_phase.log --verify",
         "meshpoint replay out/demo/target_phase.log --strategy speed_window",

@@ -14,16 +14,19 @@ from rich.progress import Progress, SpinnerColumn, TextColumn
 from meshpoint.bus.logs.files import log_files, read_logs
 from meshpoint.bus.logs.limits import LogError
 from meshpoint.controller.header import RunHeader
+from meshpoint.controller.settings import ESTIMATOR_NAMES, load_settings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import Message, ReferenceEngagement, ShiftOutcome, ShiftResult
 from meshpoint.dbc.node import Node
+from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.commands import arguments, sensor_replay
+from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.judged_rows import JudgedRow, commanded, judged_table, judged_words
 from meshpoint.testbench.logs.open_loop import OpenLoop
 from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
-from meshpoint.testbench.logs.replay_strategy import Chosen, other_settings, recorded_header
+from meshpoint.testbench.logs.replay_strategy import Chosen, other_header, recorded_header
 from meshpoint.testbench.report.collect import MADE, ReportCollector
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import aim_rad, check_report, report_provenance, write_report
@@ -68,6 +71,28 @@ def add_parser(commands: Any) -> None:
         "(docs/replay.md); a log that a strategy of your own has made is repeated with that same "
         "file",
     )
+    parser.add_argument(
+        "--settings",
+        type=Path,
+        metavar="FILE",
+        help="what other settings decide (TOML); what the file leaves out is as recorded",
+    )
+    parser.add_argument(
+        "--estimator",
+        choices=sorted(ESTIMATOR_NAMES),
+        help="what is decided by another estimator of the layshaft",
+    )
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help="what is decided by a controller that began the run with this calibration",
+    )
+    parser.add_argument(
+        "--gearbox",
+        metavar="NAME|FILE",
+        help="what is decided by a controller that believes in this data sheet",
+    )
     parser.add_argument("--header-dir", type=Path, metavar="DIR", help="where the run headers are")
     sensor_replay.add_arguments(parser)
     arguments.add_json(parser)
@@ -103,7 +128,9 @@ class _Rows:
     """Rows of the shifts: as recorded, from the repeated controller's outcomes and the logged
     truth; in open loop from the log alone, with the other strategy's decisions beside each."""
 
-    def __init__(self, for_report: bool, open_loop: OpenLoop | None) -> None:
+    def __init__(self, for_report: bool, open_loop: OpenLoop | None, asked: str) -> None:
+        """asked: what the other controller is, in words."""
+        self.asked = asked
         self._for_report = for_report
         self.open_loop = open_loop
         self._logged = Receiver(*Node)
@@ -177,16 +204,15 @@ class _Rows:
 
 def run(namespace: argparse.Namespace) -> int:
     """Replays, and verifies where asked."""
-    name, verify = namespace.strategy, namespace.verify
-    chosen = None if name is None else Chosen(name, arguments.strategy_file(name))
+    chosen, verify = _chosen(namespace), namespace.verify
     files = log_files(namespace.log)
     if not verify and sensor_replay.asked(namespace):
         return sensor_replay.run(namespace, files, "")
     check_report(namespace.report)
     open_loop = None
     if chosen is not None and not verify:
-        open_loop = OpenLoop(lambda header: other_settings(header, chosen))
-    rows = _Rows(namespace.report is not None, open_loop)
+        open_loop = OpenLoop(lambda header: other_header(header, chosen))
+    rows = _Rows(namespace.report is not None, open_loop, str(chosen or ""))
 
     def change(header: RunHeader) -> RunHeader:
         changed = recorded_header(header, chosen, verify)
@@ -218,6 +244,25 @@ def run(namespace: argparse.Namespace) -> int:
     if log.defect is not None and not verify:
         return Exit.BAD_INPUT
     return _exit_code(sessions, verify) or (Exit.FAILED if errors else Exit.DONE)
+
+
+def _chosen(namespace: argparse.Namespace) -> Chosen | None:
+    """What the other controller has otherwise; None where none is asked about. CommandError where a
+    run shall be verified with something else than recorded it."""
+    name, gearbox = namespace.strategy, namespace.gearbox
+    chosen = Chosen(
+        name,
+        None if name is None else arguments.strategy_file(name),
+        namespace.settings,
+        namespace.estimator,
+        namespace.calibration,
+        None if gearbox is None else load_sheet(gearbox),
+    )
+    if namespace.verify and chosen._replace(name=None, file=None).changes:
+        raise CommandError("--verify compares with the log: no other settings can be asked about")
+    if chosen.settings is not None:
+        load_settings(chosen.settings)
+    return chosen if chosen.changes else None
 
 
 def _replayed(replay: LogReplay, files: list[Path], rows: _Rows) -> tuple[_Log, list[Session]]:
@@ -257,12 +302,12 @@ def _show(
     rows: _Rows,
     events: list[tuple[int, str]],
 ) -> None:
-    judged = rows.judged if rows.open_loop else None
+    judged, asked = rows.judged if rows.open_loop else None, rows.asked
     if namespace.json is not None:
         shifts = (
             [row.to_json() for row in rows.rows]
             if judged is None
-            else [row.to_json(namespace.strategy) for row in judged]
+            else [row.to_json(asked) for row in judged]
         )
         values: dict[str, Any] = {
             "log": str(namespace.log[0]),
@@ -280,8 +325,8 @@ def _show(
         if judged is None:
             out.print(rows_table(f"{_name(files)} as recorded", rows.rows))
         else:
-            out.print(judged_table(f"{_name(files)} as {namespace.strategy} decides it", judged))
-            out.print(judged_words(judged, namespace.strategy), markup=False)
+            out.print(judged_table(f"{_name(files)} as {asked} decides it", judged))
+            out.print(judged_words(judged, asked), markup=False)
     for number, session in enumerate(sessions, 1):
         if namespace.verify or session.verdict is not Verification.IDENTICAL:
             out.print(f"run {number} of {len(sessions)}: {session}", markup=False)
@@ -316,17 +361,17 @@ def _report(
         judged = rows.judged
         shifts = [replace(s, replayed=j.judged) for s, j in zip(shifts, judged, strict=True)]
         subtitle = (
-            f"A recorded bus, and what {namespace.strategy} decides on the same frames: each shift "
+            f"A recorded bus, and what {rows.asked} decides on the same frames: each shift "
             "judged from the state in which it was begun. Outcomes are the log's; the other "
             "strategy has none."
         )
-        notes.append(judged_words(judged, namespace.strategy))
+        notes.append(judged_words(judged, rows.asked))
     report = Report(
         title=f"meshpoint replay: {_name(files)}",
         subtitle=subtitle,
         sheet=header.sheet,
         runs=[ReportRun(name, shifts, notes)],
-        asked=namespace.strategy if rows.open_loop else None,
+        asked=rows.asked if rows.open_loop else None,
         provenance=report_provenance(
             header.sheet,
             seed=None,

@@ -12,6 +12,8 @@ from meshpoint.bus.logs.files import read_logs
 from meshpoint.bus.logs.limits import LogError
 from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import load_settings
+from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
@@ -22,10 +24,12 @@ from meshpoint.testbench.provenance import product_version
 from meshpoint.testbench.results.output import console, write_json
 
 MOST_EVENTS: Final = 10_000
+DEFAULT_SHEET: Final = SHEET_NAMES[0]
+"""Of a log that does not say which gearbox it is of."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """--sensors, --gearbox, --dbc and --map."""
+    """--sensors, --dbc and --map."""
     group = parser.add_argument_group("a log that our controller has not made (docs/replay.md)")
     group.add_argument(
         "--sensors",
@@ -33,7 +37,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="open loop on the log's sensor frames alone, whoever controlled the gearbox; chosen "
         "by itself where no controller's run is in the log",
     )
-    arguments.add_gearbox(group)
     group.add_argument("--dbc", type=Path, metavar="FILE", help="the other bus's DBC, with --map")
     group.add_argument(
         "--map",
@@ -55,10 +58,11 @@ def run(namespace: argparse.Namespace, files: list[Path], why: str) -> int:
     asked for. A log that is torn gives all before that, and bad input."""
     if namespace.report is not None:
         raise CommandError("--report: a page needs a controller's run; --json holds all there is")
-    sheet = arguments.sheet_of(namespace)
+    gearbox = namespace.gearbox or DEFAULT_SHEET
+    sheet = load_sheet(gearbox)
     name = namespace.strategy
     file = None if name is None else arguments.strategy_file(name)
-    settings = load_settings(None, strategy_name=name, strategy_file=file)
+    settings = load_settings(namespace.settings, strategy_name=name, strategy_file=file)
     bus_map: BusMap | None = None
     if namespace.dbc is not None:
         bus_map = load_map(namespace.dbc, namespace.map)
@@ -84,7 +88,7 @@ def run(namespace: argparse.Namespace, files: list[Path], why: str) -> int:
             "logs": [str(path) for path in files],
             "mode": "sensors alone",
             "why": why,
-            "gearbox": namespace.gearbox,
+            "gearbox": gearbox,
             "frames": frames,
             "defect": None if defect is None else str(defect),
             **replay.to_json(),

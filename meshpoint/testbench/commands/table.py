@@ -32,6 +32,7 @@ MODULES: Final = {
     "campaign": "campaign",
     "replay": "replay",
     "tell": "tell",
+    "compare": "compare",
     "up": "up",
     "controller": "nodes",
     "rig": "nodes",

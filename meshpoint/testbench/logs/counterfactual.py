@@ -21,7 +21,7 @@ from typing import Final, cast
 import numpy as np
 
 from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.estimation.brake_model import PARAMETERS, BrakeModel
+from meshpoint.controller.estimation.brake_model import PARAMETERS, BrakeModel, Carried
 from meshpoint.controller.estimation.layshaft import LayshaftTracker
 from meshpoint.controller.motion.kernels import GAIN
 from meshpoint.controller.motion.kinematics import slip_rad_s, wrap_to_pitch
@@ -43,9 +43,12 @@ from meshpoint.testbench.logs.recorded_course import (
 )
 from meshpoint.units import DEG, RPM, US
 
-NORMALS: Final = 6 + PARAMETERS
+NORMALS: Final = 7 + PARAMETERS
 """What is uncertain: brake gain, sleeve delay, angles, reference, drag after the release, how much
-of it is viscous; then the brake's law and delays."""
+of it is viscous, where the pads touch; then the brake's law and delays."""
+TOUCH_SD_PA: Final = 1e4
+"""Of the pressure at which the pads touch, beside what is claimed: it is learned from the end of
+the brake's torque alone, and comes out too low as long as few shifts have shown it."""
 DELAY: Final = 1
 """The sleeve delay's place among them."""
 DRAG_SD_SHARE: Final = 0.03
@@ -196,12 +199,15 @@ class _Draw:
         newest = course.newest
         spread = 0.0 if newest.covariance is None else float(newest.covariance[GAIN, GAIN])
         gain = newest.gain + math.hypot(math.sqrt(max(spread, 0.0)), GAIN_SD) * normal[0]
-        brake = known.varied(normal[NORMALS - PARAMETERS :])
+        as_built = known.varied(normal[NORMALS - PARAMETERS :])
+        touch = known.touch_pa
+        touch_pa = touch.value + math.hypot(touch.sd, TOUCH_SD_PA) * normal[6]
+        as_built.touch_pa = Carried(abs(touch_pa), touch.sd)
         viscous = max(0.0, VISCOUS_SHARE + VISCOUS_SD * normal[5])
         self._drag_rad_s2 = viscous * course.eased_rad_s2
         self._drag_rad_s2 += DRAG_SD_SHARE * course.coasting_rad_s2 * normal[4]
-        start = course.before(float(course.steps[max(0, parting.step - 1)].now_us))
-        self.difference = BrakeDifference(start, gain, course.brake, course.model, brake)
+        start_us = float(course.steps[max(0, parting.step - 1)].now_us)
+        self.difference = BrakeDifference(course, start_us, gain, known, as_built)
         self._ratio = parting.sheet.main_mesh(parting.gear).ratio
         self._share = self.sequence.drifts.spread_share(parting.gear)
         self._drift = self.sequence.drifts.rad_s(parting.gear)
@@ -249,17 +255,13 @@ class _Draw:
 
     def _state(self, time_us: float) -> LayshaftState:
         """The layshaft with the other brake commands."""
-        was = self._course.layshaft(time_us)
         brake = self.sequence.brake
-        theta, omega, pressure = self.difference.at(time_us, brake)
+        state = self.difference.at(time_us, brake)
         release_us = last_release_us(brake, time_us)
         angle_s2, speed_s = self._course.unseen_release(release_us, time_us)
-        theta += self._drag_rad_s2 * angle_s2
-        omega += self._drag_rad_s2 * speed_s
-        return was._replace(
-            theta_rad=was.theta_rad + theta,
-            omega_rad_s=was.omega_rad_s + omega,
-            pressure_pa=pressure,
+        return state._replace(
+            theta_rad=state.theta_rad + self._drag_rad_s2 * angle_s2,
+            omega_rad_s=state.omega_rad_s + self._drag_rad_s2 * speed_s,
         )
 
     def _landing(self, fire_us: int) -> _Landing:

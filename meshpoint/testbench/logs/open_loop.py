@@ -16,6 +16,7 @@ from typing import Any, Final
 
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.estimation.brake_model import BrakeModel
+from meshpoint.controller.follower import Follower
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.shift.table import ShiftRecord
@@ -141,17 +142,19 @@ class _Branch:
 class OpenLoop:
     """Looks on while a log is repeated (`meshpoint.testbench.logs.replay.Onlooker`).
 
-    change(header): the other settings. A session in which nothing can be repeated has no shifts.
+    change(header): the header of the other controller. A session in which nothing can be repeated
+    has no shifts.
     """
 
-    def __init__(
-        self, change: Callable[[RunHeader], ControllerSettings], draws: int = DRAWS
-    ) -> None:
+    def __init__(self, change: Callable[[RunHeader], RunHeader], draws: int = DRAWS) -> None:
         """draws: of each shift's landing (`counterfactual`); 0: landings are not worked out."""
         self._change = change
         self._draws = draws
         self._core: ControllerCore | None = None
+        self._consumed: list[Frame] = []
         self._settings = ControllerSettings()
+        self._follower: Follower | None = None
+        self._keeps_drifts = True
         self._branch: _Branch | None = None
         self._session = -1
         self._strayed: int | None = None
@@ -165,7 +168,10 @@ class OpenLoop:
         """A session begins; `errors`: what is wrong with a user's own strategy is counted there."""
         self.end()
         self._session += 1
-        self._settings, self._errors, self._strayed = self._change(header), errors, None
+        other = self._change(header)
+        self._settings, self._errors, self._strayed = other.settings, errors, None
+        self._follower = Follower(other) if estimates_differ(header, other) else None
+        self._keeps_drifts = header.calibration == other.calibration
 
     def end(self) -> None:
         """The session, or what can be repeated of it, has ended."""
@@ -183,16 +189,25 @@ class OpenLoop:
         """A step is about to be repeated: `core` as recorded up to here, and what it sent."""
         was = said(status.step_time_us, sent)
         if self._branch is None and (status.state in SHIFTING or was.outcome is not None):
-            known = core.knows[1]
-            copied = copy.deepcopy(core, {id(codec): codec for codec in SHARED})
-            copied.change_settings(self._settings)
-            copied.strategy_errors = {}
-            self._branch = _Branch(copied, status.step_time_us, known)
+            copied = self._other(core)
+            self._branch = _Branch(copied, status.step_time_us, copied.knows[1])
         if self._branch is not None:
             self._branch.step(status.step_time_us, consumed)
             self._branch.recorded.take(was)
             self._branch.part()
-        self._core = core
+        self._core, self._consumed = core, consumed
+
+    def _other(self, core: ControllerCore) -> ControllerCore:
+        """The other controller, put into the recorded state."""
+        shared = {id(codec): codec for codec in SHARED}
+        copied = copy.deepcopy(core, shared)
+        if self._follower is None:
+            copied.change_settings(self._settings)
+        else:
+            follower = copy.deepcopy(self._follower, {id(codec): codec for codec in SHARED})
+            copied.estimate_by(follower, keeps_drifts=self._keeps_drifts)
+        copied.strategy_errors = {}
+        return copied
 
     def after(self, status: ControllerStatus, sent: list[Frame], made: list[Frame]) -> None:
         """The step has been repeated: `made` instead of `sent`."""
@@ -201,9 +216,16 @@ class OpenLoop:
         if self._strayed is None and was.command != is_now.command:
             self._strayed = status.step_number
         branch, core = self._branch, self._core
-        if branch is None or core is None:
+        if core is None or core.snapshot is None:
             return
-        branch.course.take(core)
+        seen, brake = core.snapshot, core.sequence.brake
+        known = core.observer.brake
+        if self._follower is not None:
+            seen = self._follower.step(self._consumed, now, core.sequence, seen)
+            brake, known = self._follower.brake, self._follower.observer.brake
+        if branch is None:
+            return
+        branch.course.take(seen, core.running_shift, brake)
         if was.outcome is None:
             return
         self._branch = None
@@ -222,6 +244,18 @@ class OpenLoop:
         )
         if self._draws:
             branch.course.close()
-            landing = branch.counterfactual(core.observer.brake, judged, self._draws)
+            landing = branch.counterfactual(known, judged, self._draws)
             judged = replace(judged, counterfactual=landing)
         self.judged[key] = judged
+
+
+def estimates_differ(recorded: RunHeader, other: RunHeader) -> bool:
+    """Whether the other controller estimates otherwise: by another estimator or tuning, from
+    another data sheet or calibration."""
+    was, now = recorded.settings, other.settings
+    tunings = (
+        (was.estimator, was.crossing_filter, was.cruise_filter, was.thesis_filter),
+        (now.estimator, now.crossing_filter, now.cruise_filter, now.thesis_filter),
+    )
+    same = recorded.sheet == other.sheet and recorded.calibration == other.calibration
+    return not same or tunings[0] != tunings[1]

@@ -11,7 +11,6 @@ import math
 from bisect import bisect_left, bisect_right
 from typing import Final, NamedTuple
 
-from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.estimation.cruise import ShaftState
 from meshpoint.controller.motion.brake_input import BrakeInput
@@ -22,8 +21,12 @@ from meshpoint.controller.motion.models import (
     predict,
     predict_spread,
 )
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
+from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.units import US
 
+LEAST_FULL_PA: Final = 2e5
+"""Above this pressure the brake's torque says more of its gain than of its touch."""
 BEFORE_CONTACT_US: Final = 3_000
 """The measured time of contact may be late by this much: estimates nearer to it are left out."""
 
@@ -53,18 +56,16 @@ class RecordedCourse:
         self._times: list[float] = []
         self._mains: list[ShaftState] = []
 
-    def take(self, core: ControllerCore) -> None:
-        """The recorded controller after one more step."""
-        snapshot = core.snapshot
-        if snapshot is None:
-            return
-        tracker, record = snapshot.layshaft, core.running_shift
+    def take(self, snapshot: StepSnapshot, record: ShiftRecord | None, brake: BrakeInput) -> None:
+        """One more step: what was known in it, and the recorded shift and brake commands after
+        it."""
+        tracker = snapshot.layshaft
         state = tracker.latest() if tracker.free else None
         if state is not None and not state.is_finite:
             state = None
         if state is not None and self.contact_us is None:
             self._model = tracker.model
-            self._brake = copy.deepcopy(core.sequence.brake)
+            self._brake = copy.deepcopy(brake)
         lead_us = snapshot.earliest_us - snapshot.now_us
         self.steps.append(Seen(snapshot.now_us, lead_us, state, snapshot.main, snapshot.supply_pa))
         if record is None or record.attempts == 0 or self.contact_us is not None:
@@ -184,36 +185,53 @@ def last_release_us(brake: BrakeInput, until_us: float = math.inf) -> float | No
 
 
 class BrakeDifference:
-    """What other brake switches than the recorded ones do to the layshaft, by one brake.
+    """The recorded course by one brake, and with other brake switches than the recorded ones.
 
-    Drag and torques that both have cancel; what remains is the brake's gain, law and delays."""
+    Drag and torques that both have cancel; what remains is the brake's gain, law, touch and delays.
+    known: the brake by which the recorded pressure was estimated; as_built: the one that is taken
+    for true, with `gain` over that of the data sheet.
+    """
 
     def __init__(
         self,
-        start: LayshaftState,
+        course: RecordedCourse,
+        start_us: float,
         gain: float,
-        recorded: BrakeInput,
-        model: MotionModel,
-        brake: BrakeModel,
+        known: BrakeModel,
+        as_built: BrakeModel,
     ) -> None:
-        self._start = start._replace(gain=gain)
-        self._model = model.with_law(brake.law())
-        self._off_us, self._on_us = brake.off_delay_us, brake.on_delay_us
-        self._recorded = self._delayed(recorded)
+        self._course = course
+        self._later_touch_pa = as_built.touch_pa.value - known.touch_pa.value
+        self._model = course.model.with_law(as_built.law())
+        self._off_us, self._on_us = as_built.off_delay_us, as_built.on_delay_us
+        self._recorded = self._delayed(course.brake)
+        full_pa = max(state.pressure_pa for state in (course.before(start_us), course.newest))
+        if full_pa > LEAST_FULL_PA:
+            # The torque at full pressure has been measured: a later touch means a higher gain.
+            gain *= full_pa / (full_pa - self._later_touch_pa)
+        self._gain = gain
+        self._start = self._touching(course.before(start_us))
 
     def _delayed(self, switches: BrakeInput) -> Vector:
         own = switches.seen_through(0)
         own.set_delays(self._off_us, self._on_us)
         return own.arrays()
 
-    def at(self, time_us: float, other: BrakeInput) -> tuple[float, float, float]:
-        """Angle (rad) and speed (rad/s) beyond the recorded ones, and the pressure (Pa)."""
+    def _touching(self, state: LayshaftState) -> LayshaftState:
+        """A recorded estimate, its pressure above the touch of this brake."""
+        above_pa = max(0.0, state.pressure_pa - self._later_touch_pa)
+        return state._replace(gain=self._gain, pressure_pa=above_pa)
+
+    def at(self, time_us: float, other: BrakeInput) -> LayshaftState:
+        """The layshaft at a time with these switches."""
         if time_us <= self._start.time_us:
-            return 0.0, 0.0, self._start.pressure_pa
+            return self._course.layshaft(time_us)
+        base = self._touching(self._course.before(time_us))
+        base = predict(base, time_us, self._recorded, self._model)
         was = predict(self._start, time_us, self._recorded, self._model)
         would = predict(self._start, time_us, self._delayed(other), self._model)
-        return (
-            would.theta_rad - was.theta_rad,
-            would.omega_rad_s - was.omega_rad_s,
-            would.pressure_pa,
+        return base._replace(
+            theta_rad=base.theta_rad + would.theta_rad - was.theta_rad,
+            omega_rad_s=base.omega_rad_s + would.omega_rad_s - was.omega_rad_s,
+            pressure_pa=would.pressure_pa,
         )

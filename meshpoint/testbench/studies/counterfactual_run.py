@@ -88,7 +88,9 @@ class CounterfactualRun:
         ]
 
     def _replayed(self, settings: ControllerSettings, frames: list[Frame]) -> list[Judged]:
-        open_loop = OpenLoop(lambda header: header.settings.with_strategy(self.asked))
+        open_loop = OpenLoop(
+            lambda header: replace(header, settings=header.settings.with_strategy(self.asked))
+        )
         with tempfile.TemporaryDirectory() as folder:
             new_header(product_version(), self.sheet, settings).save(Path(folder))
             (session,) = LogReplay(Path(folder), verify=True, onlooker=open_loop).run(frames)

@@ -1,0 +1,106 @@
+"""Another controller's estimates along a course that a first one commands.
+
+A replay with other settings, calibration, estimator or data sheet needs estimates that know the
+recorded course from the start of the run. The follower consumes the frames that the first
+controller consumes, with that one's brake commands for its filters; it decides nothing. What a
+sequence learns from its own shifts (delays, the flank on which a gear locks) it learns from the
+first one's.
+"""
+
+from __future__ import annotations
+
+from meshpoint.controller.carry_over import restore
+from meshpoint.controller.header import RunHeader
+from meshpoint.controller.motion.brake_input import BrakeInput
+from meshpoint.controller.observer import Observer
+from meshpoint.controller.planning.phase_drift import PhaseDrifts
+from meshpoint.controller.planning.sleeve_delay import SleeveDelays
+from meshpoint.controller.sensing.clock_probe import ClockProbe
+from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
+from meshpoint.controller.sensing.step_inputs import StepInputs
+from meshpoint.controller.shift.sequence import ShiftSequence
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
+from meshpoint.controller.shift.table import ShiftRecord
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.link import Receiver
+from meshpoint.dbc.node import Node
+
+
+class Follower:
+    """Estimates by `header`, along another controller's course."""
+
+    def __init__(self, header: RunHeader) -> None:
+        sheet, settings = header.sheet, header.settings
+        self.header = header
+        self.brake = BrakeInput(round(sheet.brake.valve_delay_s * 1e6))
+        self.observer = Observer(sheet, settings, self.brake, settings.estimator)
+        self.speeds = ShaftSpeeds(sheet)
+        self.delays = SleeveDelays(sheet)
+        self.drifts = PhaseDrifts()
+        """As the calibration has them: they are learned from predictions of its own firings."""
+        self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
+        self._probe = ClockProbe()
+        self._watched: object = None
+        self._learned: tuple[int, int] | None = None
+        if header.calibration is not None:
+            restore(header.calibration, self.observer, self)
+
+    def step(
+        self, frames: list[Frame], now_us: int, first: ShiftSequence, seen: StepSnapshot
+    ) -> StepSnapshot:
+        """One step: the frames that the first controller has consumed in it, its sequence after it,
+        and what it knew. Returns what this one knows."""
+        self._receiver.tick(now_us)
+        inputs, events = StepInputs(), list[str]()
+        for frame in sorted(frames, key=lambda frame: frame.can_id):
+            if self._probe.is_armed:
+                self._probe.receive(frame)
+            message = self._receiver.receive(frame).message
+            if message is not None:
+                inputs.take(message)
+        observer = self.observer
+        read_us = self._probe.stamp(inputs, now_us)
+        if read_us is not None:
+            observer.clock.stamp(read_us, now_us)
+        observer.take(inputs, now_us, events)
+        self.speeds.take(inputs, observer.clock.now_us(now_us))
+        snapshot = self._snapshot(now_us, seen)
+        self._learn_from(first)
+        observer.learn(events)
+        self._probe.plan(now_us, None)
+        return snapshot
+
+    def _snapshot(self, now_us: int, seen: StepSnapshot) -> StepSnapshot:
+        observer = self.observer
+        sensor_us = observer.clock.now_us(now_us)
+        return StepSnapshot(
+            sensor_us,
+            sensor_us + seen.earliest_us - seen.now_us,
+            observer.view,
+            observer.layshaft,
+            observer.main_at(sensor_us),
+            self.speeds,
+            seen.lost,
+            seen.brake_driven,
+            observer.view.supply_pa,
+        )
+
+    def _learn_from(self, first: ShiftSequence) -> None:
+        """The first controller's brake commands, its contact, and its lock."""
+        self.brake.follow(first.brake)
+        record = first.shift or first.finished
+        if record is not None:
+            self._learn_delay(record)
+        watched = first.references.watched
+        if watched is not None and watched is not self._watched:
+            self.observer.references.locked(watched.gear, float(watched.flank), watched.straight)
+        self._watched = watched
+
+    def _learn_delay(self, record: ShiftRecord) -> None:
+        contact_us, plan = record.measured_contact_us, record.plan
+        if contact_us is None or plan is None:
+            return
+        key = record.request_us, record.attempts
+        if key != self._learned:
+            self._learned = key
+            self.delays.learn(record.target.main, contact_us - plan.fire_us)
