@@ -7,6 +7,7 @@ is damaged is missing then, and nothing is said.
 import re
 from typing import BinaryIO
 
+from meshpoint.bus.logs.buses import Buses
 from meshpoint.bus.logs.entry import DefectError, Entries, Skipped, Unfinished, checked
 from meshpoint.bus.logs.text import lines_of
 from meshpoint.dbc.frame import Frame
@@ -19,12 +20,12 @@ _HEADER = re.compile(
     re.I,
 )
 _CLASSIC = re.compile(
-    r"\d+\s+(?P<id>[0-9A-Fa-f]+)(?P<extended>[xX]?)\s+(?:Rx|Tx|TxRq)\s+"
+    r"(?P<bus>\d+)\s+(?P<id>[0-9A-Fa-f]+)(?P<extended>[xX]?)\s+(?:Rx|Tx|TxRq)\s+"
     r"(?:(?P<remote>r(?:\s+[0-9A-Fa-f]+)?)|d\s+(?P<dlc>[0-9A-Fa-f]+)(?P<data>(?:\s+[0-9A-Fa-f]+)*))"
     r"(?:\s+(?:Length|BitCount|ID)\s*=\s*[0-9A-Fa-f]+x?)*"
 )
 _FD = re.compile(
-    r"CANFD\s+\d+\s+(?:Rx|Tx|TxRq)\s+(?P<id>[0-9A-Fa-f]+)(?P<extended>[xX]?)\s+(?:(?![01]\s)\S+\s+)?"
+    r"CANFD\s+(?P<bus>\d+)\s+(?:Rx|Tx|TxRq)\s+(?P<id>[0-9A-Fa-f]+)(?P<extended>[xX]?)\s+(?:(?![01]\s)\S+\s+)?"
     r"[01]\s+[01]\s+(?P<dlc>[0-9A-Fa-f])\s+(?P<length>\d+)(?P<rest>(?:\s+[0-9A-Fa-f]+)*)"
 )
 _ERROR = re.compile(r"(?:\d+|CANFD\s+\d+\s+(?:Rx|Tx|TxRq))\s+ErrorFrame(?:\s.*)?", re.I)
@@ -40,7 +41,7 @@ _LENGTH_OF_DLC = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 _MAX_CLASSIC_LENGTH = 8
 
 
-def asc_entries(file: BinaryIO) -> Entries:
+def asc_entries(file: BinaryIO, buses: Buses) -> Entries:
     """Every frame of an ASC log, time in seconds from its start; raises DefectError.
 
     A line is a frame, one of the known events that are none, or a defect."""
@@ -56,7 +57,7 @@ def asc_entries(file: BinaryIO) -> Entries:
                 base = 10 if header["base"].lower() == "dec" else 16
             is_open = bool(header["begin"]) or (is_open and not header["end"])
             continue
-        entry = _entry(event["event"], base, position)
+        entry = _entry(event["event"], base, position, buses)
         if isinstance(entry, Frame):
             yield float(event["time"]), entry
         elif entry is not None:
@@ -65,13 +66,17 @@ def asc_entries(file: BinaryIO) -> Entries:
         yield Unfinished("the log has no End TriggerBlock (interrupted or cut off)")
 
 
-def _entry(event: str, base: int, position: str) -> Frame | Skipped | None:
+def _entry(event: str, base: int, position: str, buses: Buses) -> Frame | Skipped | None:
     """The frame of an event; None for one that has to do with something else."""
     try:
         if match := _FD.fullmatch(event):
-            return _fd_frame(match, base, position)
+            frame: Frame | Skipped = _fd_frame(match, base, position)
+            return frame if buses.keeps(match["bus"]) else None
         if match := _CLASSIC.fullmatch(event):
-            return _classic_frame(match, base, position)
+            frame = _classic_frame(match, base, position)
+            if frame is Skipped.REMOTE:
+                return frame
+            return frame if buses.keeps(match["bus"]) else None
     except ValueError as error:
         raise DefectError(position, f"no ASC line: {error}") from error
     if _ERROR.fullmatch(event):

@@ -10,6 +10,7 @@ from datetime import UTC, datetime
 from struct import Struct
 from typing import BinaryIO, NamedTuple
 
+from meshpoint.bus.logs.buses import Buses
 from meshpoint.bus.logs.entry import DefectError, Entries, Skipped, Unfinished, checked
 from meshpoint.dbc.frame import Frame
 
@@ -60,7 +61,7 @@ class _Object(NamedTuple):
     position: str
 
 
-def blf_entries(file: BinaryIO, file_bytes: int) -> Entries:
+def blf_entries(file: BinaryIO, file_bytes: int, buses: Buses) -> Entries:
     """Every frame of a BLF log of `file_bytes` bytes; time in seconds since the epoch, or since
     the start when the log does not tell its start. Raises DefectError.
     """
@@ -75,7 +76,7 @@ def blf_entries(file: BinaryIO, file_bytes: int) -> Entries:
     objects = 0
     for item in _objects(file, file_bytes):
         objects += 1
-        entry = _entry(item, start_s)
+        entry = _entry(item, start_s, buses)
         if entry is not None:
             yield entry
     end = f"offset {file_bytes}"
@@ -170,7 +171,7 @@ def _unpacked(container: bytes, position: str) -> bytes:
     return content
 
 
-def _entry(item: _Object, start_s: float) -> tuple[float, Frame] | Skipped | None:
+def _entry(item: _Object, start_s: float, buses: Buses) -> tuple[float, Frame] | Skipped | None:
     """The frame in an object; None for one that has to do with something else."""
     if item.kind in _ERROR_TYPES:
         return Skipped.ERROR
@@ -205,7 +206,9 @@ def _entry(item: _Object, start_s: float) -> tuple[float, Frame] | Skipped | Non
         is_fd,
         bool(can_id & _EXTENDED_BIT),
     )
-    return start_s + _time_s(item), checked(frame, item.position)
+    time_s, frame = start_s + _time_s(item), checked(frame, item.position)
+    bus = item.body[0] if layout is _FD_MESSAGE_64 else int.from_bytes(item.body[:2], "little")
+    return (time_s, frame) if buses.keeps(str(bus)) else None
 
 
 def _time_s(item: _Object) -> float:

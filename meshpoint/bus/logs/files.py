@@ -7,6 +7,7 @@ In a folder a log is named as `candump -l` does it, by the local time of its beg
 
 import os
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -14,7 +15,14 @@ from pathlib import Path
 import can
 
 from meshpoint.bus.local.closing import Closing
-from meshpoint.bus.logs.limits import FORMATS, EmptyLogError, LogError, UnfinishedLogError, read_log
+from meshpoint.bus.logs.limits import (
+    PACKED,
+    READ_FORMATS,
+    EmptyLogError,
+    LogError,
+    UnfinishedLogError,
+    read_log,
+)
 from meshpoint.bus.logs.recorder import FLUSH_EVERY_S, LogWriter
 from meshpoint.dbc.frame import Frame
 
@@ -22,6 +30,8 @@ MIN_PART_BYTES = 64 * 1024
 DATED_NAME = "candump-%Y-%m-%d_%H%M%S"
 _DATED_ENDING = ".log"
 _PART_DIGITS = 3
+FOLDER_FORMATS = tuple(ending for ending in READ_FORMATS if ending != ".csv")
+"""What is taken for a log in a folder; a csv may be anything, so it must be named."""
 
 
 class RotatingLog(Closing):
@@ -156,33 +166,44 @@ def log_files(paths: Iterable[Path]) -> list[Path]:
         if not path.is_dir():
             files.append(path)
             continue
-        found = _in_order(
-            other for other in _entries(path) if other.suffix.lower() in FORMATS and other.is_file()
-        )
+        found = _in_order(other for other in _entries(path) if _is_log(other) and other.is_file())
         if not found:
-            raise LogError(path, "", f"a folder without a log ({', '.join(FORMATS)})")
+            raise LogError(path, "", f"a folder without a log ({', '.join(FOLDER_FORMATS)})")
         files += found
     return files
 
 
-def read_logs(files: Iterable[Path]) -> Iterator[tuple[float, Frame]]:
+def read_logs(
+    files: Iterable[Path], bus: str | None = None, counts: Counter[str] | None = None
+) -> Iterator[tuple[float, Frame]]:
     """The frames of several logs, one file after the other. Raises LogError as LogReader does, and
     does not go on behind a defect: what follows would not fit. The last of several may hold
     nothing: a process may be killed just after it has begun it. A log that its writer has not
-    completed is a defect at its end, as frames may be missing there."""
+    completed is a defect at its end, as frames may be missing there.
+
+    bus: of logs of several, the one that is wanted; counts: frames of each bus are added there."""
     *before, last = files
+    counts = Counter() if counts is None else counts
     for path in before:
-        yield from _whole(path)
+        yield from _whole(path, bus, counts)
     try:
-        yield from _whole(last)
+        yield from _whole(last, bus, counts)
     except EmptyLogError:
         if not before:
             raise
 
 
-def _whole(path: Path) -> Iterator[tuple[float, Frame]]:
-    reader = read_log(path)
-    yield from reader
+def _is_log(path: Path) -> bool:
+    name = path.with_suffix("") if path.suffix.lower() == PACKED else path
+    return name.suffix.lower() in FOLDER_FORMATS
+
+
+def _whole(path: Path, bus: str | None, counts: Counter[str]) -> Iterator[tuple[float, Frame]]:
+    reader = read_log(path, bus=bus)
+    try:
+        yield from reader
+    finally:
+        counts += reader.buses.frames
     if reader.unfinished:
         raise UnfinishedLogError(path, "", reader.unfinished)
 

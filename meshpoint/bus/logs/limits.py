@@ -1,19 +1,32 @@
-"""Reads recorded buses: candump text logs (`.log`), Vector's `.blf` and `.asc`."""
+"""Reads recorded buses: candump text logs (`.log`), Vector's `.blf` and `.asc`, PEAK's `.trc`,
+python-can's `.csv`, ASAM's `.mf4`; each also packed by gzip (`.gz` behind it)."""
 
+import gzip
 import os
+import tempfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
 from meshpoint.bus.logs.asc import asc_entries
 from meshpoint.bus.logs.blf import blf_entries
+from meshpoint.bus.logs.buses import Buses
+from meshpoint.bus.logs.csv_log import csv_entries
 from meshpoint.bus.logs.entry import DefectError, Entries, Skipped, Unfinished
+from meshpoint.bus.logs.mf4 import mf4_entries
 from meshpoint.bus.logs.text import candump_entries
+from meshpoint.bus.logs.trc import trc_entries
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox.reading import UnreadableError, open_regular
 
 FORMATS = (".log", ".blf", ".asc")
+"""What is written; all of these keep what a replay needs."""
+READ_FORMATS = (*FORMATS, ".trc", ".csv", ".mf4")
+PACKED = ".gz"
+MAX_UNPACKED_BYTES = 16 * 1024**3
 MAX_LOG_BYTES = 4 * 1024**3
+_BLOCK_BYTES = 1024 * 1024
 
 
 class LogError(Exception):
@@ -48,8 +61,10 @@ class LogReader:
     log that was interrupted can be used as far as it goes.
     """
 
-    def __init__(self, path: Path, max_bytes: int = MAX_LOG_BYTES) -> None:
+    def __init__(self, path: Path, max_bytes: int = MAX_LOG_BYTES, bus: str | None = None) -> None:
         self.path = path
+        self.buses = Buses(bus)
+        """How many frames each bus has; `bus`: the one that is wanted, None: all."""
         self.frames = 0
         self.remote_frames = 0
         self.error_frames = 0
@@ -64,15 +79,35 @@ class LogReader:
             with open_regular(self.path) as file:
                 if os.fstat(file.fileno()).st_size == 0:
                     raise EmptyLogError(self.path, "", "is empty")
-                yield from self._frames_of(_entries(file, self.path, self._max_bytes))
+                yield from self._frames_of(self._entries(file))
         except UnreadableError as error:
             raise LogError(self.path, "", error.cause) from error
         except OSError as error:
             raise LogError(self.path, "", error.strerror or str(error)) from error
         except DefectError as defect:
             raise LogError(self.path, defect.position, defect.cause) from defect
+        if self.buses.only is not None and self.buses.frames and not self.frames:
+            found = ", ".join(sorted(self.buses.frames))
+            raise LogError(self.path, "", f"no frame of bus {self.buses.only!r}, there are {found}")
         if self.frames + self.remote_frames + self.error_frames == 0:
             raise EmptyLogError(self.path, "", "holds no frames")
+
+    def _entries(self, file: BinaryIO) -> Entries:
+        if self.path.suffix.lower() != PACKED:
+            return _entries(file, self.path, self._max_bytes, self.buses)
+        return self._unpacked(file)
+
+    def _unpacked(self, file: BinaryIO) -> Entries:
+        """The entries of a packed log; one that is cut off gives all before that."""
+        inner = self.path.with_suffix("")
+        if inner.suffix.lower() not in READ_FORMATS:
+            raise DefectError("", _unknown(inner))
+        with tempfile.TemporaryFile() as unpacked:
+            cause = unpack(file, unpacked, self._max_bytes)
+            unpacked.seek(0)
+            yield from _entries(unpacked, inner, MAX_UNPACKED_BYTES, self.buses)
+            if cause:
+                raise DefectError("", cause)
 
     def _frames_of(self, entries: Entries) -> Iterator[tuple[float, Frame]]:
         for entry in entries:
@@ -87,21 +122,56 @@ class LogReader:
                 yield entry
 
 
-def read_log(path: str | os.PathLike[str], max_bytes: int = MAX_LOG_BYTES) -> LogReader:
-    """Reads a log, its format told by its ending (`FORMATS`); one larger than `max_bytes` is
-    refused. Errors are raised as LogError, when the reader is iterated."""
-    return LogReader(Path(path), max_bytes)
+def read_log(
+    path: str | os.PathLike[str], max_bytes: int = MAX_LOG_BYTES, bus: str | None = None
+) -> LogReader:
+    """Reads a log, its format told by its ending (`READ_FORMATS`, and `.gz` behind it); one larger
+    than `max_bytes` is refused. bus: of a log of several, the one that is wanted. Errors are raised
+    as LogError, when the reader is iterated."""
+    return LogReader(Path(path), max_bytes, bus)
 
 
-def _entries(file: BinaryIO, path: Path, max_bytes: int) -> Entries:
+def unpack(packed: BinaryIO, to: BinaryIO, max_bytes: int) -> str:
+    """Unpacks a gzip file; returns why it could not be unpacked to its end, empty where it could.
+    DefectError for one that is none, or is too large."""
+    if os.fstat(packed.fileno()).st_size > max_bytes:
+        raise DefectError("", f"has over {max_bytes} bytes")
+    count = 0
+    with gzip.GzipFile(fileobj=packed) as content:
+        try:
+            while block := content.read1(_BLOCK_BYTES):
+                count += len(block)
+                if count > MAX_UNPACKED_BYTES:
+                    raise DefectError("", f"unpacked over {MAX_UNPACKED_BYTES} bytes")
+                to.write(block)
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            if not count:
+                raise DefectError("", f"not a gzip file: {error}") from error
+            return (
+                f"the packed log ends early or is damaged behind {count} bytes (cut off): {error}"
+            )
+    return ""
+
+
+def _entries(file: BinaryIO, path: Path, max_bytes: int, buses: Buses) -> Entries:
     file_bytes = os.fstat(file.fileno()).st_size
     if file_bytes > max_bytes:
         raise DefectError("", f"has {file_bytes} bytes, the limit is {max_bytes}")
     match path.suffix.lower():
         case ".log":
-            return candump_entries(file)
+            return candump_entries(file, buses)
         case ".asc":
-            return asc_entries(file)
+            return asc_entries(file, buses)
         case ".blf":
-            return blf_entries(file, file_bytes)
-    raise DefectError("", f"unknown ending {path.suffix!r}; known are {', '.join(FORMATS)}")
+            return blf_entries(file, file_bytes, buses)
+        case ".trc":
+            return trc_entries(file, buses)
+        case ".csv":
+            return csv_entries(file)
+        case ".mf4":
+            return mf4_entries(file, buses)
+    raise DefectError("", _unknown(path))
+
+
+def _unknown(path: Path) -> str:
+    return f"unknown ending {path.suffix!r}; known are {', '.join(READ_FORMATS)}, each also .gz"

@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterator
 from typing import BinaryIO
 
+from meshpoint.bus.logs.buses import Buses
 from meshpoint.bus.logs.entry import DefectError, Entries, Skipped, checked
 from meshpoint.dbc.frame import Frame
 
@@ -23,7 +24,7 @@ _ERROR_DIGITS = (0, 16)  # CAN_ERR_DLC is eight; python-can's writer leaves the 
 _EXTENDED_DIGITS = 8
 
 
-def candump_entries(file: BinaryIO) -> Entries:
+def candump_entries(file: BinaryIO, buses: Buses) -> Entries:
     """Every frame of a candump log, time in seconds as written; raises DefectError."""
     for number, line in lines_of(file):
         position = f"line {number}"
@@ -41,7 +42,7 @@ def candump_entries(file: BinaryIO) -> Entries:
             yield Skipped.ERROR
         elif match["remote"]:
             yield Skipped.REMOTE
-        else:
+        elif buses.keeps(match["channel"]):
             is_fd = match["fd_flags"] is not None
             digits = match["fd"] if is_fd else match["data"]
             if len(digits) % 2:

@@ -23,6 +23,7 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.commands import arguments, sensor_replay
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.logs.account import Account
 from meshpoint.testbench.logs.judged_rows import JudgedRow, commanded, judged_table, judged_words
 from meshpoint.testbench.logs.open_loop import OpenLoop
 from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
@@ -55,7 +56,8 @@ def add_parser(commands: Any) -> None:
         type=Path,
         nargs="+",
         metavar="LOG",
-        help=".log (candump), .blf or .asc; several in order, or a folder of logs, are one bus",
+        help=".log (candump), .blf, .asc, .trc, .csv or .mf4, each also .gz; several in order, or "
+        "a folder of logs, are one bus",
     )
     parser.add_argument(
         "--verify",
@@ -94,6 +96,9 @@ def add_parser(commands: Any) -> None:
         help="what is decided by a controller that believes in this data sheet",
     )
     parser.add_argument("--header-dir", type=Path, metavar="DIR", help="where the run headers are")
+    parser.add_argument(
+        "--bus", metavar="NAME", help="of a log of several buses: can0, or its number"
+    )
     sensor_replay.add_arguments(parser)
     arguments.add_json(parser)
     arguments.add_report(parser)
@@ -103,16 +108,23 @@ def add_parser(commands: Any) -> None:
 class _Log:
     """The log's frames; remembers the defect that ended it early."""
 
-    def __init__(self, files: list[Path], rows: _Rows, tell: Callable[[int], None]) -> None:
+    def __init__(
+        self, files: list[Path], bus: str | None, rows: _Rows, tell: Callable[[int], None]
+    ) -> None:
         self._files = files
+        self._bus = bus
+        self.buses: Counter[str] = Counter()
+        """Frames of each bus."""
         self._rows = rows
         self._tell = tell
+        self.account = Account()
         self.defect: LogError | None = None
         self.frames = 0
 
     def __iter__(self) -> Iterator[Frame]:
         try:
-            for _, frame in read_logs(self._files):
+            for time_s, frame in read_logs(self._files, self._bus, self.buses):
+                self.account.take(time_s, frame)
                 self.frames += 1
                 self._rows.logged(frame)
                 if self.frames % TELL_FRAMES == 0:
@@ -229,12 +241,13 @@ def run(namespace: argparse.Namespace) -> int:
         lambda time_us, line: events.append((time_us, line)),
         open_loop,
     )
-    log, sessions = _replayed(replay, files, rows)
+    log, sessions = _replayed(replay, files, namespace.bus, rows)
+    tell_buses(out, log.buses, namespace.bus)
     if not verify and namespace.report is None and not any(s.steps for s in sessions):
         return sensor_replay.run(namespace, files, str(sessions[0]))
     if log.defect is not None:
         _end_early(sessions[-1], log.defect)
-    _show(namespace, out, files, sessions, rows, events)
+    _show(namespace, out, files, sessions, rows, events, log.account)
     if namespace.report is not None:
         _report(namespace, out, files, sessions, rows)
     errors: Counter[str] = Counter()
@@ -265,7 +278,9 @@ def _chosen(namespace: argparse.Namespace) -> Chosen | None:
     return chosen if chosen.changes else None
 
 
-def _replayed(replay: LogReplay, files: list[Path], rows: _Rows) -> tuple[_Log, list[Session]]:
+def _replayed(
+    replay: LogReplay, files: list[Path], bus: str | None, rows: _Rows
+) -> tuple[_Log, list[Session]]:
     """The whole log through it, with progress told."""
     with Progress(
         SpinnerColumn(),
@@ -274,7 +289,7 @@ def _replayed(replay: LogReplay, files: list[Path], rows: _Rows) -> tuple[_Log, 
         transient=True,
     ) as progress:
         task = progress.add_task("frames", total=None)
-        log = _Log(files, rows, lambda frames: progress.update(task, completed=frames))
+        log = _Log(files, bus, rows, lambda frames: progress.update(task, completed=frames))
         return log, replay.run(log)
 
 
@@ -301,6 +316,7 @@ def _show(
     sessions: list[Session],
     rows: _Rows,
     events: list[tuple[int, str]],
+    account: Account,
 ) -> None:
     judged, asked = rows.judged if rows.open_loop else None, rows.asked
     if namespace.json is not None:
@@ -314,6 +330,7 @@ def _show(
             "logs": [str(path) for path in files],
             "mode": "as recorded" if judged is None else "open loop",
             "sessions": [_session_json(session) for session in sessions],
+            "account": account.to_json(),
             "shifts": shifts,
             "events": [{"time_us": time_us, "event": line} for time_us, line in events],
         }
@@ -335,6 +352,8 @@ def _show(
                 f"run {number} of {len(sessions)}: {session.steps} steps replayed"
                 f"{session.intruders_text}"
             )
+    for line in account.words():
+        out.print(f"log: {line}", markup=False)
 
 
 def _report(
@@ -384,6 +403,14 @@ def _report(
         ),
     )
     write_report(namespace.report, report)
+
+
+def tell_buses(out: Any, buses: Counter[str], bus: str | None) -> None:
+    """A log of several buses: which, and which of them was used."""
+    if len(buses) > 1:
+        each = ", ".join(f"{name} ({n} frames)" for name, n in sorted(buses.items()))
+        used = "all are used as one (--bus picks one)" if bus is None else f"used is {bus}"
+        out.print(f"buses in the log: {each}; {used}", markup=False)
 
 
 def _name(files: list[Path]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +18,7 @@ from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.logs.account import Account
 from meshpoint.testbench.logs.bus_map import BusMap, load_map
 from meshpoint.testbench.logs.gear_track import SeenShift
 from meshpoint.testbench.logs.sensor_replay import SensorReplay
@@ -73,10 +75,12 @@ def run(namespace: argparse.Namespace, files: list[Path], why: str) -> int:
             events.append({"s": round(since_s, 3), "event": line})
 
     replay = SensorReplay(new_header(product_version(), sheet, settings), bus_map, on_event)
-    frames, defect = 0, None
+    account = Account()
+    frames, defect, buses = 0, None, Counter[str]()
     try:
-        for time_s, frame in read_logs(files):
+        for time_s, frame in read_logs(files, namespace.bus, buses):
             frames += 1
+            account.take(time_s, frame)
             replay.take(time_s, frame)
     except LogError as error:
         if not frames:
@@ -90,6 +94,8 @@ def run(namespace: argparse.Namespace, files: list[Path], why: str) -> int:
             "why": why,
             "gearbox": gearbox,
             "frames": frames,
+            "buses": dict(buses),
+            "account": account.to_json(),
             "defect": None if defect is None else str(defect),
             **replay.to_json(),
             "decisions": replay.decided(),
@@ -97,11 +103,13 @@ def run(namespace: argparse.Namespace, files: list[Path], why: str) -> int:
         }
         write_json(namespace.json, values)
     if namespace.json != "-":
-        _show(console(namespace.json), replay, why, defect)
+        _show(console(namespace.json), replay, account, why, defect)
     return Exit.DONE if defect is None else Exit.BAD_INPUT
 
 
-def _show(out: Any, replay: SensorReplay, why: str, defect: LogError | None) -> None:
+def _show(
+    out: Any, replay: SensorReplay, account: Account, why: str, defect: LogError | None
+) -> None:
     values = replay.to_json()
     lines = [f"open loop on sensor frames alone{': ' + why if why else ''}"]
     lines.append(f"{values['seconds']} s, {replay.steps} steps")
@@ -117,10 +125,7 @@ def _show(out: Any, replay: SensorReplay, why: str, defect: LogError | None) -> 
             lines.append(f"  {title}, not used: {each}{more}")
     for shaft, (least, most) in values["speeds_rpm"].items():
         lines.append(f"{shaft} shaft: {least:g} to {most:g} rpm")
-    for since_s, by_s in replay.time.set_back:
-        lines.append(f"at {since_s:.3f} s the log's clock is set back by {by_s:.3f} s")
-    for since_s, for_s in replay.time.silent:
-        lines.append(f"at {since_s:.3f} s the log is silent for {for_s:.3f} s")
+    lines += [f"log: {line}" for line in account.words()]
     lines += [f"cannot be said: {line}" for line in replay.cannot]
     for line in lines:
         out.print(line, markup=False)

@@ -122,6 +122,8 @@ class BusMap:
         try:
             values = message.decode(frame.data, decode_choices=False, allow_truncated=True)
         except Exception:  # noqa: BLE001  cantools leaks errors of many kinds on short frames
+            values = None
+        if not isinstance(values, dict):
             self.undecoded += 1
             return True
         for one in mapped:
@@ -219,6 +221,8 @@ def load_map(dbc: Path, path: Path) -> BusMap:
         database = cantools.database.load_string(text, "dbc", strict=False)
     except Exception as error:  # the parser leaks errors of many kinds
         raise CommandError(f"{dbc}: not a DBC file: {error}") from error
+    if not isinstance(database, Database):
+        raise CommandError(f"{dbc}: not a DBC file")
     entries = table.get("signal")
     if set(table) != {"signal"} or not isinstance(entries, list) or not entries:
         raise CommandError(f"{path}: allowed is a list of [[signal]]")
