@@ -47,7 +47,7 @@ def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
         return Trigger.BRAKE_RELEASED
     command = context.board.command(ValveName.BRAKE)
     if not command.on and not command.before:
-        if predictor.slip_rad_s(now) < context.settings.window.contact_low_rad_s:
+        if predictor.steady_slip_rad_s(now) < context.settings.window.contact_low_rad_s:
             return too_slow(context, snapshot)
         if not _brake_helps(context, predictor, snapshot):
             shift.release_us = now
@@ -72,7 +72,7 @@ def coast(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     fired = _fire_if_due(context, predictor, snapshot)
     if fired is not None:
         return fired
-    if predictor.slip_rad_s(snapshot.now_us) < context.settings.window.least_rad_s:
+    if predictor.steady_slip_rad_s(snapshot.now_us) < context.settings.window.least_rad_s:
         return too_slow(context, snapshot)
     if not _braked_lately(context, snapshot) and _brake_helps(context, predictor, snapshot):
         shift.plan = shift.release_us = None
@@ -103,8 +103,8 @@ def _brake_helps(context: ShiftContext, predictor: GearPredictor, snapshot: Step
     if context.running.pulses >= limits.pulses:
         return False
     wanted = _acting(context, predictor.gear).fire_slip_rad_s
-    slip = predictor.slip_rad_s(snapshot.now_us)
-    fall = slip - predictor.slip_rad_s(snapshot.now_us + FALL_US)
+    slip = predictor.steady_slip_rad_s(snapshot.now_us)
+    fall = slip - predictor.steady_slip_rad_s(snapshot.now_us + FALL_US)
     return slip - wanted > fall * (limits.coast_ms * MS_IN_US / FALL_US)
 
 

@@ -33,8 +33,6 @@ degree at 20 rpm."""
 FINE_CONTACT_US: Final = 100.0
 FINE_STEPS: Final = 41
 """Contacts looked at around the best of the coarse ones."""
-GROWTH_US: Final = 100_000.0
-"""The growth of the phase's variance is computed over this time."""
 NEAR_US: Final = 50_000
 """A release further ahead is not aimed yet, since it is planned again at every tick."""
 EARLIER_US: Final = 6_000
@@ -46,8 +44,6 @@ RELEASE_FINE_US: Final = 200
 EARLIEST_US: Final = -35_000
 """The earliest firing, after the release: the sleeve is on its way for longer than that, and meets
 the gear when the brake has been let go."""
-SETTLED_SHARE: Final = 0.1
-"""Share of the phase's variance at the release that is left at firing."""
 REFERENCE_SD_RAD: Final = math.radians(0.1)
 """Standard deviation of a learned phase reference."""
 
@@ -102,10 +98,14 @@ class TargetPhase:
             first_us = float(fire_us + predictor.delay_us)
             trajectory = predictor.trajectory(first_us, COARSE_US, COARSE_STEPS, release_us)
             if release_us == releases_us[0]:
-                variance, growth = self._variance(predictor, trajectory)
-            contacts = _contacts(trajectory, now_us, SETTLED_SHARE * variance, growth)
+                spread, settled = self._spread_at_release(predictor, trajectory, now_us)
             index, cost = expected_least(
-                trajectory.phase_rad, trajectory.slip_rad_s, contacts, terms, math.sqrt(variance)
+                trajectory.phase_rad,
+                trajectory.slip_rad_s,
+                settled,
+                _contacts(trajectory, now_us),
+                terms,
+                spread,
             )
             if cost < least:
                 least = cost
@@ -114,16 +114,26 @@ class TargetPhase:
 
     def _cheapest(self, predictor: GearPredictor, now_us: int, trajectory: Trajectory) -> float:
         """Time of a trajectory's cheapest contact."""
-        contacts = _contacts(trajectory, now_us, *self._variance(predictor, trajectory))
+        variances = self._variances(predictor, trajectory)
         phase, slip = trajectory.phase_rad, trajectory.slip_rad_s
-        best, _ = cheapest(phase, slip, contacts, self._terms(predictor), 0.0)
+        contacts, terms = _contacts(trajectory, now_us), self._terms(predictor)
+        best, _ = cheapest(phase, slip, variances, contacts, terms, 0.0)
         return trajectory.first_us + best * trajectory.step_us
 
-    def _variance(self, predictor: GearPredictor, trajectory: Trajectory) -> tuple[float, float]:
-        """Variance of the phase at the trajectory's first time, and its growth a second."""
-        now = predictor.estimate_variance(trajectory.first_us)
-        later = predictor.estimate_variance(trajectory.first_us + GROWTH_US)
-        return now + self._reference_variance, (later - now) / GROWTH_US * SECOND_US
+    def _variances(self, predictor: GearPredictor, trajectory: Trajectory) -> Vector:
+        """Variance of the phase at each contact when its firing has to be decided."""
+        first_us, step_us, phase, _ = trajectory
+        return predictor.variances(first_us, step_us, phase.size) + self._reference_variance
+
+    def _spread_at_release(
+        self, predictor: GearPredictor, trajectory: Trajectory, now_us: int
+    ) -> tuple[float, Vector]:
+        """Standard deviation of the phase at the first contact as it is predicted now, and the
+        variances that are left at firing."""
+        firing_us = float(now_us + predictor.delay_us)
+        settled = predictor.variances(firing_us, trajectory.step_us, trajectory.phase_rad.size)
+        now = predictor.estimate_variance(trajectory.first_us) + self._reference_variance
+        return math.sqrt(now), settled + self._reference_variance
 
     def _terms(self, predictor: GearPredictor) -> Vector:
         """The terms of `plan_kernels` for this gear."""
@@ -146,14 +156,10 @@ class TargetPhase:
         )
 
 
-def _contacts(
-    trajectory: Trajectory, now_us: int, variance_rad2: float, growth_rad2_s: float
-) -> Vector:
+def _contacts(trajectory: Trajectory, now_us: int) -> Vector:
     """The contacts of a trajectory for `plan_kernels`."""
     return filled(
         CONTACT_SERIES,
         wait_s=(trajectory.first_us - now_us) / SECOND_US,
         step_s=trajectory.step_us / SECOND_US,
-        variance_rad2=variance_rad2,
-        growth_rad2_s=growth_rad2_s,
     )
