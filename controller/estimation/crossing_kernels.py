@@ -174,7 +174,7 @@ def take_pressure(f: Filter, pressure_pa: float, teeth: Vector) -> None:
     """One sample of the measured pressure into the filter."""
     r = f.pressure_sd_pa * f.pressure_sd_pa
     innovation = pressure_pa - f.state.pressure_pa
-    s = measure(f.x, f.p, PRESSURE, innovation, r, f.gain, STATES)
+    s = measure(f.x, f.p, PRESSURE, innovation, r, f.gain)
     for c in range(teeth.shape[1]):
         teeth[ROW, c] = -teeth[PRESSURE, c]
     follow(teeth, f.gain, STATES)
@@ -206,7 +206,7 @@ def take_edge(f: Filter, innovation: float, states: int, led: int) -> float:
         f.count += 1.0
         f.log_variance += math.log(p[THETA, THETA] + r)
     f.gated_in_a_row = 0
-    s = measure(f.x, p, THETA, innovation, r, f.gain, states)
+    s = measure(f.x, p, THETA, innovation, r, f.gain)
     if f.offset_rad2 > 0.0:
         follow_offset(f, THETA, innovation, s, states)
     return s

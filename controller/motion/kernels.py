@@ -236,12 +236,10 @@ def spread_over(
 
 
 @inlined
-def measure(
-    x: Vector, p: Vector, i: int, innovation: float, r: float, gain: Vector, states: int
-) -> float:
-    """Measurement update with the i-th of the states measured, in place; p its upper half. Returns
-    the innovation's variance; gain (states,) is written: the Kalman gain used."""
-    s = p[i, i] + r
+def measure(x: Vector, p: Vector, i: int, innovation: float, r: float, gain: Vector) -> float:
+    """Measurement update with the i-th state measured, in place; p its upper half. Returns the
+    innovation's variance; gain (a number a state) is written: the Kalman gain used."""
+    s, states = p[i, i] + r, gain.shape[0]
     for j in range(states):
         gain[j] = (p[j, i] if j < i else p[i, j]) / s
     for j in range(states):

@@ -249,4 +249,4 @@ def swing_outlook(
         swing_spread(then, horizon_s, ahead, motion, 1.0)
         found[k] = then[0, 0]
         swing_spread(now, tick_s, tick, motion, 1.0)
-        measure(nothing, now, 0, 0.0, r, gain, SWING_STATES)
+        measure(nothing, now, 0, 0.0, r, gain)
