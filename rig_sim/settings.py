@@ -30,6 +30,20 @@ class Preset(StrEnum):
     TRUCK = "truck"
 
 
+class Profile(StrEnum):
+    """From which ranges the preset truck draws what is as built (docs/gearbox.md, Profiles).
+
+    CLEAN: a rigid driveline and good sensors. TYPICAL: a driveline that swings, shakes and scatters
+    as those of trucks do. HARSH: every range of it at its upper end."""
+
+    CLEAN = "clean"
+    TYPICAL = "typical"
+    HARSH = "harsh"
+
+
+DEFAULT_PROFILE: Final = Profile.CLEAN
+
+
 @dataclass(frozen=True)
 class RigSettings:
     """Everything a run of the rig depends on, besides the data sheet and the frames it receives.
@@ -39,6 +53,7 @@ class RigSettings:
     main_speed_rpm  main shaft speed at the start; the default gives 1,400 rpm at the layshaft in
                     gear 8 of the sheet `thesis`
     clock_start_us  sensor clock at power-up, 0..2^32-1; None draws one 0.5-5 s before the wrap
+    profile         ranges of the truck's as-built values
     as_built        values of the truck that are fixed, not drawn, by name (`as_built`)
     return_ramp_s   how long the bench script takes to change the speeds (`bench_script`)
     faults          what goes wrong with the truck, and when
@@ -52,6 +67,7 @@ class RigSettings:
     as_built: Mapping[str, float] = field(default_factory=dict)
     faults: tuple[ScheduledFault, ...] = ()
     return_ramp_s: float = RETURN_RAMP_S
+    profile: Profile = DEFAULT_PROFILE
 
     def __post_init__(self) -> None:
         if self.seed < 0:

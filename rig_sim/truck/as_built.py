@@ -1,8 +1,10 @@
 """The gearbox as built: the data sheet plus a deviation of everything, drawn from the seed.
 
-`truck.toml` lists every parameter with default, deviation and range. A file given as `--as-built`
-fixes what it names (`[group]` tables of numbers, or the JSON a run has put out); the rest is drawn
-as ever, so the same seed and file give the same gearbox.
+`truck.toml` lists every parameter with default, deviation and range; a profile changes defaults and
+deviations (`typical.toml`, `harsh.toml`). `--as-built` takes a profile's name, or a file that fixes
+what it names (`[group]` tables of numbers, or the JSON a run has put out) and may name the profile
+of the rest: `profile = "typical"`. The rest is drawn as ever, so the same seed, profile and file
+give the same gearbox.
 """
 
 from __future__ import annotations
@@ -21,14 +23,33 @@ import numpy as np
 from meshpoint.gearbox.reading import read_text
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.gearbox.tables import TableError, load_toml
+from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Profile
 
 AS_BUILT_STREAM: Final = 0xA5B
 """Keeps the draws of the gearbox apart from those of the start and of the delays."""
 
 
-LATER: Final = ("driveline.",)
-"""Groups added later. They are drawn last, so that a seed still gives the same gearbox as
-before."""
+LATER: Final = (
+    ("driveline.stiffness_nm_rad", "driveline.damping_nms"),
+    (
+        "driveline.backlash_deg",
+        "driveline.wheels_kgm2",
+        "driveline.tyre_nm_rad",
+        "driveline.tyre_nms",
+        "engine.first_order",
+        "engine.main_order",
+        "clutch.drag_nm",
+        "air.valve_scatter_ms",
+        "disc.judder_",
+        "sleeve.correlation",
+        "sleeve.stiction_",
+        "hall.load_runout_mm",
+        "pressure.",
+        "disturbance.",
+    ),
+)
+"""What was added later, in the order of its coming: all names that begin so. It is drawn last, so
+that a seed still gives the same gearbox as before."""
 
 RUN_LIMIT_BYTES: Final = 64 * 1024 * 1024
 """Of a run's JSON, all its shifts included."""
@@ -49,18 +70,39 @@ class Parameter(NamedTuple):
     note: str
 
 
+class AsBuiltChoice(NamedTuple):
+    """What `--as-built` says: the profile, and the values that are fixed."""
+
+    profile: Profile
+    fixed: dict[str, float]
+
+
 @cache
-def parameters() -> dict[str, Parameter]:
-    """All parameters by name, `group.key`, in the order of `truck.toml`."""
-    source = resources.files("meshpoint.rig_sim.truck") / "truck.toml"
-    with resources.as_file(source) as path:
-        tables = load_toml(path)
+def parameters(profile: Profile = Profile.CLEAN) -> dict[str, Parameter]:
+    """All parameters of a profile by name, `group.key`, in the order of `truck.toml`."""
+    changed = {} if profile is Profile.CLEAN else dict(_lines(f"{profile}.toml"))
     found = {}
-    for group, table in tables.items():
-        for key, (default, deviation, low, high, note) in table.items():
-            name = f"{group}.{key}"
-            found[name] = Parameter(name, default, deviation, low, high, note)
+    for name, (default, deviation, low, high, note) in _lines("truck.toml"):
+        default, deviation = changed.pop(name, (default, deviation))
+        found[name] = Parameter(name, default, deviation, low, high, note)
     return found
+
+
+def _lines(file: str) -> list[tuple[str, list[Any]]]:
+    with resources.as_file(resources.files("meshpoint.rig_sim.truck") / file) as path:
+        tables = load_toml(path)
+    return [
+        (f"{group}.{key}", line) for group, table in tables.items() for key, line in table.items()
+    ]
+
+
+@cache
+def _in_order_of_drawing(profile: Profile) -> tuple[tuple[Parameter, ...], tuple[Parameter, ...]]:
+    """What is drawn before the teeth's seed, and what after it."""
+    known = parameters(profile)
+    later = [p for names in LATER for name, p in known.items() if name.startswith(names)]
+    first = [p for p in known.values() if p not in later]
+    return tuple(first), tuple(later)
 
 
 @dataclass(frozen=True)
@@ -69,31 +111,34 @@ class AsBuilt:
 
     values: Mapping[str, float]
     teeth_seed: int
+    profile: Profile = DEFAULT_PROFILE
 
     def __getitem__(self, name: str) -> float:
         """The value of a parameter. KeyError where there is none of that name."""
         return self.values[name]
 
     def to_json(self) -> dict[str, Any]:
-        """Groups of numbers, as in a run's JSON and as `--as-built` reads them."""
-        tables: dict[str, Any] = {"teeth": {"seed": self.teeth_seed}}
+        """The profile and groups of numbers, as in a run's JSON and as `--as-built` reads them."""
+        tables: dict[str, Any] = {"profile": self.profile, "teeth": {"seed": self.teeth_seed}}
         for name, value in self.values.items():
             group, _, key = name.partition(".")
             tables.setdefault(group, {})[key] = value
         return tables
 
 
-def draw_as_built(seed: int, fixed: Mapping[str, float] | None = None) -> AsBuilt:
+def draw_as_built(
+    seed: int, fixed: Mapping[str, float] | None = None, profile: Profile = DEFAULT_PROFILE
+) -> AsBuilt:
     """The gearbox of a seed. Everything is drawn, whatever is fixed, so runs stay comparable."""
     rng = np.random.Generator(np.random.PCG64([seed, AS_BUILT_STREAM]))
-    known = parameters()
-    values = {name: _drawn(rng, known[name]) for name in known if not name.startswith(LATER)}
+    first, later = _in_order_of_drawing(profile)
+    values = {parameter.name: _drawn(rng, parameter) for parameter in first}
     teeth_seed = int(rng.integers(1 << 31))
-    values |= {name: _drawn(rng, known[name]) for name in known if name.startswith(LATER)}
-    values = {name: values[name] for name in known}
+    values |= {parameter.name: _drawn(rng, parameter) for parameter in later}
+    values = {name: values[name] for name in parameters(profile)}
     fixed = dict(fixed or {})
     teeth_seed = int(fixed.pop("teeth.seed", teeth_seed))
-    return AsBuilt(values | fixed, teeth_seed)
+    return AsBuilt(values | fixed, teeth_seed, profile)
 
 
 def _drawn(rng: np.random.Generator, parameter: Parameter) -> float:
@@ -101,14 +146,23 @@ def _drawn(rng: np.random.Generator, parameter: Parameter) -> float:
     return float(f"{min(max(drawn, parameter.low), parameter.high):.6g}")
 
 
-def nominal() -> dict[str, float]:
-    """Every parameter at its default: a gearbox without deviations."""
-    return {name: float(parameter.default) for name, parameter in parameters().items()}
+def nominal(profile: Profile = Profile.CLEAN) -> dict[str, float]:
+    """Every parameter at its default: a gearbox of the profile without deviations."""
+    return {name: float(parameter.default) for name, parameter in parameters(profile).items()}
 
 
-def load_as_built(path: Path) -> dict[str, float]:
-    """The values a file fixes, TOML or a run's JSON. AsBuiltError names file, key and allowed."""
+def read_as_built(given: Path) -> AsBuiltChoice:
+    """What `--as-built` says: the name of a profile or a file. AsBuiltError names what is wrong."""
+    if str(given) in tuple(Profile):
+        return AsBuiltChoice(Profile(str(given)), {})
+    return load_as_built(given)
+
+
+def load_as_built(path: Path) -> AsBuiltChoice:
+    """The profile and the values a file fixes, TOML or a run's JSON. AsBuiltError names file, key
+    and allowed."""
     tables = _read(path)
+    profile = _profile(path, tables.pop("profile", None))
     fixed: dict[str, float] = {}
     for group, table in tables.items():
         if not isinstance(table, dict):
@@ -118,13 +172,23 @@ def load_as_built(path: Path) -> dict[str, float]:
         for key, value in table.items():
             name = f"{group}.{key}"
             fixed[name] = _checked(path, name, value)
-    return fixed
+    return AsBuiltChoice(profile, fixed)
+
+
+def _profile(path: Path, name: Any) -> Profile:
+    """A run's JSON of before there were profiles has none: it is a clean gearbox."""
+    if name is None:
+        return Profile.CLEAN if path.suffix == ".json" else DEFAULT_PROFILE
+    if name not in tuple(Profile):
+        allowed = ", ".join(Profile)
+        raise AsBuiltError(f"{path}: profile = {name!r}, allowed are {allowed}")
+    return Profile(name)
 
 
 def linear() -> dict[str, float]:
     """The as-built values that switch every non-linearity off (`linear.toml`)."""
     with resources.as_file(resources.files("meshpoint.rig_sim.truck") / "linear.toml") as path:
-        return load_as_built(path)
+        return load_as_built(path).fixed
 
 
 def _read(path: Path) -> dict[str, Any]:

@@ -117,6 +117,7 @@ def _sweep(way: Way, wheel: int, t_us: float, lap: int, rig: Rig) -> None:
                 if tooth < 0:
                     tooth, turn = hall.teeth - 1, turn - 1
             angle = hall.edges_rad[tooth] + TAU * (turn - lap)
+            angle += rig.shaking.load * hall.drift_rad[tooth]
             angle += _error_rad(written, way.start_rad_s, rig)
             if (angle > end) if forward else (angle < end):
                 break

@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.driveline import longest_step_us
 from meshpoint.rig_sim.truck.layout import Rig
 
 UNLIMITED: Final = float("inf")
@@ -114,6 +115,9 @@ class BodyChain:
             body = members.stop
         for link, ratio in enumerate(self._ratios):
             self._g.links[link].carried = ratio or 0.0
+        propeller = self._g.bodies[at.PROPELLER]
+        gearbox_kgm2 = self._g.bodies[propeller.lead].group_kgm2 / propeller.rate**2
+        self._g.swing_us = longest_step_us(self._p.step_us, self._p.twisting, gearbox_kgm2)
 
     def rates(self, members: range, lead: int) -> dict[int, float]:
         """Speed of each body of a group over that of its leader."""

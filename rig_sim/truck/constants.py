@@ -5,20 +5,26 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import numpy as np
+
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.rig_sim.parts.disturbance import SAMPLE_S
 from meshpoint.rig_sim.parts.drag import thickening
 from meshpoint.rig_sim.parts.pneumatics import choked_rate
 from meshpoint.rig_sim.parts.vehicle import GRAVITY_M_S2
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.layout import PlantParameters
-from meshpoint.units import BAR, RPM
+from meshpoint.units import BAR, RPM, TURN
 
 CELSIUS: Final = 273.15
 LITRE: Final = 1e-3
 AIR_KG_M3: Final = 1.2
 FADE_FROM_C: Final = 40.0
+JUDDER_STREAM: Final = 0x10D
+SHAKEN: Final = ("engine", "input", "layshaft", "main", "propeller", "road")
+"""The sources of chance, in the order of `disturbance`."""
 
 
 def load_parameters(p: PlantParameters, sheet: GearboxSheet, built: AsBuilt) -> None:
@@ -32,6 +38,9 @@ def load_parameters(p: PlantParameters, sheet: GearboxSheet, built: AsBuilt) -> 
     _load_air(p, sheet, built)
     _load_brake(p, sheet, built)
     _load_engine(p, built)
+    _load_disturbance(p, built)
+    lag_ms = built["pressure.lag_ms"]
+    p.feeling_rate = 1e3 / lag_ms if lag_ms > 0.0 else 0.0
 
 
 def _load_shafts(p: PlantParameters, sheet: GearboxSheet, built: AsBuilt) -> None:
@@ -63,10 +72,18 @@ def _load_vehicle(p: PlantParameters, built: AsBuilt) -> None:
     road.grade_n = weight_n * math.sin(slope)
     road.air_ns2_m2 = 0.5 * AIR_KG_M3 * built["vehicle.drag_area_m2"]
     twisting.vehicle_kgm2 = built["vehicle.mass_kg"] * road.wheel_m**2
+    twisting.wheels_kgm2 = built["driveline.wheels_kgm2"]
     twisting.stiff_nm_rad = built["driveline.stiffness_nm_rad"]
     twisting.damping_nms = built["driveline.damping_nms"]
     if twisting.stiff_nm_rad == 0.0:
-        p.inertia_kgm2[at.PROPELLER] += twisting.vehicle_kgm2
+        p.inertia_kgm2[at.PROPELLER] += twisting.wheels_kgm2 + twisting.vehicle_kgm2
+        return
+    twisting.half_lash_rad = math.radians(built["driveline.backlash_deg"]) / 2.0
+    if built["driveline.tyre_nm_rad"] == 0.0 or twisting.wheels_kgm2 == 0.0:
+        twisting.wheels_kgm2 += twisting.vehicle_kgm2
+        return
+    twisting.tyre_nm_rad = built["driveline.tyre_nm_rad"]
+    twisting.tyre_nms = built["driveline.tyre_nms"]
 
 
 def _load_air(p: PlantParameters, sheet: GearboxSheet, built: AsBuilt) -> None:
@@ -105,3 +122,21 @@ def _load_engine(p: PlantParameters, built: AsBuilt) -> None:
     engine.idle_rad_s = built["engine.idle_rpm"] * RPM
     p.plates.most_nm = built["clutch.capacity_nm"]
     p.plates.kiss = built["clutch.kiss"]
+
+
+def _load_disturbance(p: PlantParameters, built: AsBuilt) -> None:
+    found = p.disturbance
+    for k, name in enumerate(SHAKEN):
+        tau_ms = built["disturbance.road_ms" if name == "road" else "disturbance.correlation_ms"]
+        found.keep[k] = math.exp(-SAMPLE_S * 1e3 / tau_ms)
+        found.spread_nm[k] = built[f"disturbance.{name}_nm"] * math.sqrt(1.0 - found.keep[k] ** 2)
+    found.first_order = built["engine.first_order"]
+    found.main_order = built["engine.main_order"]
+    found.clutch_drag_nm = built["clutch.drag_nm"] if p.plates.kiss < 1.0 else 0.0
+    found.judder_once = built["disc.judder_once"]
+    found.judder_twice = built["disc.judder_twice"]
+    rng = np.random.Generator(np.random.PCG64([built.teeth_seed, JUDDER_STREAM]))
+    found.once_rad, found.twice_rad = rng.uniform(0.0, TURN, 2).tolist()
+    amounts = (*found.spread_nm, found.first_order, found.main_order, found.clutch_drag_nm)
+    amounts += (found.judder_once, found.judder_twice, built["hall.load_runout_mm"])
+    found.is_on = int(any(amount > 0.0 for amount in amounts))

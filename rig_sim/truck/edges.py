@@ -35,6 +35,7 @@ from meshpoint.rig_sim.truck.constants import CELSIUS
 from meshpoint.rig_sim.truck.layout import Rig
 
 WEAKEST: Final = 0.05
+LOAD_DIRECTION: Final = 7.3
 CROSSING_LIMIT: Final = 0.98
 """Largest threshold over amplitude: above it the edge would be lost, which the sensor's own
 threshold control prevents."""
@@ -60,6 +61,15 @@ class WheelAsMade:
         weaker = max(1.0 - built["hall.weaker_per_k"] * warmer_k, WEAKEST)
         self.amplitude: Floats = weaker * np.exp(-built["hall.weaker_per_mm"] * self.gap_mm)
         self.threshold = built["hall.threshold_share"]
+        self._load_ripple = built["hall.load_runout_mm"] / built["hall.wheel_radius_mm"]
+        # not drawn by itself, which would move the draws after it
+        self._load_rad = self.eccentric_rad * LOAD_DIRECTION
+
+    def drifts_rad(self) -> Floats:
+        """How far full load moves the edges of each tooth that is not missing: the shaft bends
+        aside, which adds an eccentricity of its own direction."""
+        angles = TAU / self.pitches * np.arange(self.pitches)
+        return (self._load_ripple * np.sin(angles + self._load_rad))[self.present]
 
     def edges_rad(self) -> tuple[Floats, Floats]:
         """Wheel angles (rad) of the rising and the falling edge of each tooth that is not
@@ -86,6 +96,7 @@ class TruckEdges:
                 hall = rig.hall[2 * shaft + row]
                 hall.teeth = made.teeth
                 hall.edges_rad[: made.teeth] = edges_rad.tolist()
+                hall.drift_rad[: made.teeth] = made.drifts_rad().tolist()
         wrong = int(built["hall.first_wrong_edges"])
         largest = math.radians(built["hall.first_wrong_deg"])
         errors_rad = largest * rng.uniform(-1.0, 1.0, (CHANNELS, wrong))

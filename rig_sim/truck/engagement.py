@@ -160,7 +160,7 @@ class TruckEngagement(Engagement[TruckSleeve]):
         gear = GEAR_AT[name, side or direction]
         self._tallies[name] = Tally()
         share = self._delays.air_share()
-        delay_s = self._delays.draw_gear_s(gear, self._truck.supply_gauge_pa)
+        delay_s = self._delays.draw_gear_s(gear, self._truck.supply_gauge_pa, self._truck.time_us)
         self.sleeves[name].force_n = self._delays.force_n(self._truck.supply_gauge_pa)
         self._truck.take_air(share)
         return delay_s

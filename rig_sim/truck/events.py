@@ -7,9 +7,11 @@ torque that leaves its limits, found by bisection.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from meshpoint.rig_sim.jit import inlined, part
+from meshpoint.rig_sim.parts.disturbance import orders
 from meshpoint.rig_sim.parts.engine import capacity_nm
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.layout import PhaseWatch, Rig, RigState
@@ -20,6 +22,8 @@ EVENT_ROOT_S: Final = 1e-11
 EVENT_ITERATIONS: Final = 60
 TORQUE_MARGIN_NM: Final = 0.2
 TORQUE_S: Final = 1e-9
+AT_FLANK_RAD: Final = 1e-12
+RETURN_HALVINGS: Final = 12
 
 
 @inlined
@@ -34,7 +38,14 @@ def _watched(y: RigState, watch: PhaseWatch) -> float:
 def _beyond(y: RigState, event: int, rig: Rig) -> float:
     """How far a state is beyond an event's limit: positive once the event has happened."""
     beyond: float
-    if event >= at.STOPPED:
+    if event >= at.MEETS_FLANK:
+        flank = rig.p.twisting.half_lash_rad * (2.0 * (event - at.MEETS_FLANK) - 1.0)
+        since = rig.y.twist_rad - flank
+        if abs(since) < AT_FLANK_RAD:  # begins there, and may go either way
+            beyond = -1.0
+        else:
+            beyond = (flank - y.twist_rad) * math.copysign(1.0, since)
+    elif event >= at.STOPPED:
         beyond = -rig.g.brake_sign * y.speed_rad_s[at.LAYSHAFT]
     elif event >= at.NO_SLIP:
         contact = rig.contacts[event - at.NO_SLIP]
@@ -58,12 +69,38 @@ def _happened(event: int, rig: Rig) -> bool:
     return end > 0.0 and end > _beyond(rig.y, event, rig)
 
 
+@inlined
+def _is_shaken(rig: Rig) -> bool:
+    """Whether torques may turn twice in a step. In the profile `clean` they hardly do; there a
+    return counts from the beginning of its step, as it always has."""
+    return rig.p.disturbance.is_on != 0 or rig.p.twisting.stiff_nm_rad > 0.0
+
+
+@inlined
+def _return(
+    event: int, h: float, f_low: float, f_high: float, rig: Rig
+) -> tuple[float, float, float, float]:
+    """A step that begins at the limit and ends beyond it may lie within it in between: a tooth that
+    leaves its flank and comes back to it. The bracket of its return, else of its beginning."""
+    high, s = h, h
+    for _ in range(RETURN_HALVINGS):
+        s *= 0.5
+        step(rig, s)
+        f = _beyond(rig.after, event, rig)
+        if f < 0.0:
+            return s, high, f, f_high
+        high, f_high = s, f
+    return 0.0, h, f_low, f_high
+
+
 @part
 def _root(event: int, h: float, rig: Rig) -> float:
     """When in the step the event happens; `after` is then the state there (Illinois method)."""
     low, high = 0.0, h
     f_low = _beyond(rig.y, event, rig)
     f_high = _beyond(rig.after, event, rig)
+    if f_low >= 0.0 and _is_shaken(rig):
+        low, high, f_low, f_high = _return(event, h, f_low, f_high, rig)
     side = 0
     for iteration in range(EVENT_ITERATIONS):
         last = f_low >= 0.0 or high - low < EVENT_ROOT_S or iteration == EVENT_ITERATIONS - 1
@@ -97,7 +134,8 @@ def first_event(h: float, rig: Rig) -> tuple[int, float]:
     found = at.REACHED
     layshaft = rig.g.bodies[at.LAYSHAFT]
     stoppable = rig.g.brake_sign != 0.0 and rig.g.bodies[layshaft.lead].forced == 0
-    for candidate in range(2 * at.WATCHES + at.CONTACTS + 1):
+    flanked = rig.p.twisting.half_lash_rad > 0.0
+    for candidate in range(2 * at.WATCHES + at.CONTACTS + 3):
         if candidate < at.WATCHES:
             event, asked = at.LEFT_TOP + candidate, rig.watches[candidate].gear >= 0
         elif candidate < 2 * at.WATCHES:
@@ -106,8 +144,11 @@ def first_event(h: float, rig: Rig) -> tuple[int, float]:
         elif candidate < 2 * at.WATCHES + at.CONTACTS:
             contact = candidate - 2 * at.WATCHES
             event, asked = at.NO_SLIP + contact, rig.contacts[contact].sign != 0.0
-        else:
+        elif candidate == 2 * at.WATCHES + at.CONTACTS:
             event, asked = at.STOPPED, stoppable
+        else:
+            side = candidate - 2 * at.WATCHES - at.CONTACTS - 1
+            event, asked = at.MEETS_FLANK + side, flanked
         if asked and _happened(event, rig):
             found = event
             h = _root(event, h, rig)
@@ -126,6 +167,8 @@ def _torque_event(rig: Rig) -> int:
         low, high = link.low_nm, link.high_nm
         if i == at.CLUTCH:
             high = capacity_nm(rig.after.clutch, rig.p.plates)
+            if rig.p.disturbance.is_on != 0:  # as uneven as when the plates slip
+                high *= 1.0 + orders(rig.after.angle_rad[at.ENGINE], rig.p.disturbance)
             low = -high
         if torque < low - TORQUE_MARGIN_NM or torque > high + TORQUE_MARGIN_NM:
             return at.LINK_SLIPS + i

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from meshpoint.rig_sim.jit import entry, inlined
+from meshpoint.rig_sim.parts.disturbance import LOAD_LAG, LOAD_NM, SAMPLE_US, renew
 from meshpoint.rig_sim.records import Floats
 from meshpoint.rig_sim.shared.angle_kernels import TAU, wrapped
 from meshpoint.rig_sim.truck import layout as at
@@ -49,11 +50,21 @@ def _settle(rig: Rig) -> None:
 @inlined
 def _next_grid_us(t_us: float, rig: Rig) -> float:
     """The next grid point (us). The grid is finer while air moves, because the pressure's rate has
-    kinks, and for shafts that twist, because they oscillate fast."""
-    grid_us = rig.p.step_us
-    if abs(rig.stages[0].brake_pa) > QUIET_PA_S or rig.p.twisting.stiff_nm_rad > 0.0:
+    kinks, and for shafts that swing fast."""
+    grid_us = rig.g.swing_us
+    if abs(rig.stages[0].brake_pa) > QUIET_PA_S:
         grid_us = min(grid_us, FINE_GRID_US)
     return (math.floor(t_us / grid_us) + 1.0) * grid_us
+
+
+@inlined
+def _shake(t_us: float, rig: Rig) -> None:
+    """At a sample of chance that has been reached: draws the next."""
+    shaking, count = rig.shaking, math.floor(t_us / SAMPLE_US)
+    if rig.p.disturbance.is_on != 0 and count > shaking.count:
+        renew(shaking, int(count), rig.p.disturbance, rig.chance)
+        load = min(abs(rig.torques.link_nm[at.MAIN_BOX]) / LOAD_NM, 1.0)
+        shaking.load += LOAD_LAG * (load - shaking.load)
 
 
 @inlined
@@ -87,6 +98,8 @@ def advance(rigs: Sequence[Rig], t_us: float, until_us: float, stop_us: float) -
             if end_us > until_us:
                 return t_us, at.REACHED
         h = (end_us - t_us) / SECOND_US
+        rig.shaking.since_s = (t_us - rig.shaking.count * SAMPLE_US) / SECOND_US
+        rig.shaking.at_s = rig.shaking.since_s
         event = at.REACHED
         _copy(rig.y.vector, rig.after.vector)
         if h > 0.0:
@@ -106,7 +119,8 @@ def advance(rigs: Sequence[Rig], t_us: float, until_us: float, stop_us: float) -
         _copy(rig.ahead.vector, rig.stages[0].vector)
         t_us = end_us
         _remember(t_us, rig)
-        if event != at.REACHED:
+        _shake(t_us, rig)
+        if event != at.REACHED and event < at.MEETS_FLANK:
             return t_us, event
         if t_us == stop_us:
             return t_us, at.DUE

@@ -13,6 +13,7 @@ from __future__ import annotations
 from typing import Annotated, Any, Final, cast
 
 from meshpoint.rig_sim.parts.brake_disc import DiscBrake
+from meshpoint.rig_sim.parts.disturbance import ChanceNumbers, Disturbance, Shaking
 from meshpoint.rig_sim.parts.engine import ClutchPlates, EngineLimits
 from meshpoint.rig_sim.parts.lash import Backlash
 from meshpoint.rig_sim.parts.pneumatics import BrakeAir
@@ -39,6 +40,7 @@ STOPPED: Final = 40  # the layshaft has come to rest
 LINK_SLIPS: Final = 50  # + link: its torque has left low_nm..high_nm
 CAN_RELEASE: Final = 60
 LET_GO: Final = 61  # the brake cannot hold the layshaft any more
+MEETS_FLANK: Final = 70  # + side: a flank of the final drive is met or left; not told to the caller
 
 # --- sensor wheels ------------------------------------------------------------------------------
 WHEELS: Final = 4
@@ -61,6 +63,7 @@ class RigState(Vector):
     lash_rad: Annotated[Row[float], GEARS]  # and each gear
     brake_pa: float  # absolute pressure in the brake
     supply_pa: float  # absolute pressure of the tank
+    felt_pa: float  # brake pressure as its sensor follows it
     disc_k: float  # temperature of the brake disc
     engine_nm: float  # engine torque at the crankshaft
     clutch: float  # position, 0 open to 1 closed
@@ -70,17 +73,23 @@ class RigState(Vector):
     road_j: float  # by tyres and air
     grade_j: float  # stored by climbing
     rub_j: float  # by clutch, tooth faces and synchroniser cones
-    wheels_rad_s: float  # vehicle's speed, at the propeller shaft; only with a compliant one
-    twist_rad: float  # how far the propeller shaft is ahead of the vehicle
-    twist_j: float  # turned into heat by the twisted shafts
+    wheels_rad_s: float  # driven wheels, at the propeller shaft; only where shafts twist
+    twist_rad: float  # how far the propeller shaft is ahead of the wheels
+    vehicle_rad_s: float  # vehicle's speed, at the propeller shaft; only where tyres twist too
+    tyre_rad: float  # how far the wheels are ahead of the vehicle
+    twist_j: float  # turned into heat by shafts and tyres
 
 
 class TwistingShafts(Record):
-    """Propeller and axle shafts as built (`driveline`)."""
+    """Propeller shaft, half-shafts and tyres as built (`driveline`); all at the propeller shaft."""
 
-    stiff_nm_rad: float  # 0: rigid, the vehicle is part of body P
+    stiff_nm_rad: float  # 0: rigid, wheels and vehicle are part of body P
     damping_nms: float
-    vehicle_kgm2: float  # at the propeller shaft
+    half_lash_rad: float  # half the backlash of the final drive
+    wheels_kgm2: float  # with rigid tyres the vehicle as well
+    tyre_nm_rad: float  # 0: rigid tyres
+    tyre_nms: float
+    vehicle_kgm2: float
 
 
 class PlantParameters(Record):
@@ -105,6 +114,8 @@ class PlantParameters(Record):
     plates: ClutchPlates
     road: RoadLoad
     twisting: TwistingShafts
+    disturbance: Disturbance
+    feeling_rate: float  # 1 / lag of the brake pressure sensor, 1/s; 0: none
 
 
 class Body(Record):
@@ -139,6 +150,7 @@ class Connections(Record):
     meshed: int  # index of the gear in mesh, or -1
     release_nm: float  # main-box torque at which a waiting release can go, or -1
     held: int  # 1 where the brake holds a stopped layshaft
+    swing_us: float  # longest step for what swings now
 
 
 class Contact(Record):
@@ -176,6 +188,7 @@ class Hall(Record):
 
     teeth: int
     edges_rad: Annotated[Row[float], MOST_TEETH]  # angle of each edge
+    drift_rad: Annotated[Row[float], MOST_TEETH]  # and how far full load moves it
     first_rad: Annotated[Row[float], FIRST_EDGES]  # error of the first edges after power-up
     silent: int
     missing: int  # number of the tooth that gives no edge, plus one; 0: none
@@ -198,10 +211,12 @@ class Rig(Record):
     contacts: Annotated[Row[Contact], CONTACTS]
     laps: Annotated[Row[int], BODIES]  # whole turns
     captured: Captured
+    shaking: Shaking
     p: PlantParameters
     watches: Annotated[Row[PhaseWatch], WATCHES]
     hall: Annotated[Row[Hall], CHANNELS]
     jitter_s: Annotated[Row[float], JITTERS]  # turned into angle at the present speed
+    chance: ChanceNumbers
     history: Annotated[Row[Past], HISTORY]
     stages: Annotated[Row[RigState], 4]  # rates at the stages of a step
     after: RigState  # at its end

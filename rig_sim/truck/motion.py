@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from meshpoint.rig_sim.jit import inlined
 from meshpoint.rig_sim.parts.brake_disc import brake_nm, friction_share, heating_k_s
+from meshpoint.rig_sim.parts.disturbance import chance_nm, judder, orders
 from meshpoint.rig_sim.parts.drag import drag_nm
 from meshpoint.rig_sim.parts.engine import capacity_nm, demand_nm, torque_nm_s
 from meshpoint.rig_sim.parts.lash import lash_rad_s
@@ -30,6 +31,9 @@ def _load_bodies(y: RigState, rate: RigState, rig: Rig) -> float:
     gauge = y.brake_pa - p.air.atmosphere_pa
     share = friction_share(speed[at.LAYSHAFT], y.disc_k, p.brake)
     brake = brake_nm(gauge, share, p.brake)
+    built = p.disturbance
+    if built.is_on != 0 and brake > 0.0:
+        brake *= judder(y.angle_rad[at.LAYSHAFT], built)
     drag_input = p.drag_input_nms * speed[at.INPUT]
     drag = drag_nm(speed[at.LAYSHAFT], p.drag_nm, p.drag_nms)
     drag_main = p.drag_main_nms * speed[at.MAIN]
@@ -47,17 +51,49 @@ def _load_bodies(y: RigState, rate: RigState, rig: Rig) -> float:
 
 
 @inlined
+def _shake(y: RigState, rate: RigState, rig: Rig) -> None:
+    """Torque of chance on every body, and its work."""
+    torques, speed, shaking = rig.torques, y.speed_rad_s, rig.shaking
+    for k in range(at.BODIES):
+        torque = chance_nm(shaking, k, speed[k])
+        torques.body_nm[k] += torque
+        rate.work_j += torque * speed[k]
+
+
+@inlined
+def _drag_plates(y: RigState, rate: RigState, rig: Rig) -> float:
+    """What the engine's orders put on it, and the drag of open clutch plates. Returns how uneven
+    the engine makes the torque of plates that slip."""
+    torques, built, speed = rig.torques, rig.p.disturbance, y.speed_rad_s
+    share = orders(y.angle_rad[at.ENGINE], built)
+    engine = abs(y.engine_nm) * share
+    torques.body_nm[at.ENGINE] += engine
+    rate.work_j += engine * speed[at.ENGINE]
+    if rig.g.links[at.CLUTCH].carried == 0.0 and rig.contacts[at.PLATE].sign == 0.0:
+        slip = speed[at.ENGINE] - speed[at.INPUT]
+        drag = (1.0 + share) * drag_nm(slip, built.clutch_drag_nm, 0.0)
+        torques.body_nm[at.ENGINE] -= drag
+        torques.body_nm[at.INPUT] += drag
+        rate.rub_j += drag * slip
+    return 1.0 + share
+
+
+@inlined
 def _rub(y: RigState, rate: RigState, rig: Rig) -> None:
     """Friction of all surfaces that rub, and its power."""
     torques = rig.torques
     rate.rub_j = 0.0
+    uneven = 1.0
+    built = rig.p.disturbance
+    if built.is_on != 0:
+        uneven = _drag_plates(y, rate, rig)
     for i in range(at.CONTACTS):
         contact = rig.contacts[i]
         if contact.sign != 0.0:
             before, behind = contact.before, contact.behind
             torque = contact.friction_nm
             if i == at.PLATE:
-                torque = capacity_nm(y.clutch, rig.p.plates)
+                torque = uneven * capacity_nm(y.clutch, rig.p.plates)
             torque *= contact.sign
             torques.body_nm[before] -= contact.ratio * torque
             torques.body_nm[behind] += torque
@@ -120,6 +156,8 @@ def rates(y: RigState, rate: RigState, rig: Rig) -> None:
     """dy/dt at state y into `rate`; torques into those of the rig."""
     p, g = rig.p, rig.g
     brake = _load_bodies(y, rate, rig)
+    if p.disturbance.is_on != 0:
+        _shake(y, rate, rig)
     _rub(y, rate, rig)
     _accelerate(y, rate, rig)
     rig.torques.pull_nm += g.brake_sign * brake
@@ -128,6 +166,7 @@ def rates(y: RigState, rate: RigState, rig: Rig) -> None:
     rate.brake_pa = chamber_pa_s(y.brake_pa, y.supply_pa, g.valve, p.air)
     filling = rate.brake_pa if g.valve > 0.0 else 0.0
     rate.supply_pa = tank_pa_s(y.supply_pa, g.governed_pa, filling, p.air)
+    rate.felt_pa = p.feeling_rate * (y.brake_pa - y.felt_pa)
     rate.disc_k = heating_k_s(rate.brake_j, y.disc_k, p.oil_k, p.brake)
     wanted = demand_nm(g.engine_mode, g.engine_target, y.speed_rad_s[at.ENGINE], p.engine)
     rate.engine_nm = torque_nm_s(wanted, y.engine_nm, p.engine)

@@ -14,6 +14,7 @@ import numpy as np
 
 from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.rig_sim.parts.disturbance import FIRST_NUMBERS, SECOND_NUMBERS, SOURCES
 from meshpoint.rig_sim.records import Floats, RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import settled, wrapped
 from meshpoint.rig_sim.shared.angles import Angle, Shafts
@@ -21,11 +22,12 @@ from meshpoint.rig_sim.shared.rotation import Drive
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.chain import UNLIMITED, BodyChain
-from meshpoint.rig_sim.truck.constants import load_parameters
+from meshpoint.rig_sim.truck.constants import SHAKEN, load_parameters
 from meshpoint.rig_sim.truck.edges import TruckEdges
 from meshpoint.rig_sim.truck.kernels import advance, sample
 from meshpoint.rig_sim.truck.layout import Contact, PhaseWatch, Rig
 
+CHANCE_STREAM: Final = 0xC4A
 INDEX: Final = {gear: index for index, gear in enumerate(MAIN_GEARS)}
 
 
@@ -119,6 +121,7 @@ class TruckPlant:
         self._load_angles(start)
         self.edges = TruckEdges(sheet, built, rig)
         self._load_speeds(gear, main_rad_s, built)
+        self._load_chance(built)
         self._stored_at_start_j = self._stored_j()
 
     @property
@@ -135,8 +138,9 @@ class TruckPlant:
     def road_speed_m_s(self) -> float:
         """Speed of the vehicle."""
         y, p = self.y, self.p
-        is_rigid = p.twisting.stiff_nm_rad == 0.0
-        omega = y.speed_rad_s[at.PROPELLER] if is_rigid else y.wheels_rad_s
+        omega = y.speed_rad_s[at.PROPELLER]
+        if p.twisting.stiff_nm_rad > 0.0:
+            omega = y.vehicle_rad_s if p.twisting.tyre_nm_rad > 0.0 else y.wheels_rad_s
         return omega * p.road.wheel_m
 
     @property
@@ -384,16 +388,20 @@ class TruckPlant:
         """Where the bench drives the propeller shaft the vehicle goes with it; its work as well."""
         if self.p.twisting.stiff_nm_rad > 0.0 and self.chain.is_driven(at.PROPELLER):
             before = self._stored_j()
-            self.y.wheels_rad_s = self.y.speed_rad_s[at.PROPELLER]
-            self.y.twist_rad = 0.0
+            self.y.wheels_rad_s = self.y.vehicle_rad_s = self.y.speed_rad_s[at.PROPELLER]
+            self.y.twist_rad = self.y.tyre_rad = 0.0
             self.y.work_j += self._stored_j() - before
 
     def _stored_j(self) -> float:
-        y, p = self.y, self.p
+        y, shafts = self.y, self.p.twisting
         stored_j = self.chain.kinetic_j()
-        if p.twisting.stiff_nm_rad > 0.0:
-            stored_j += 0.5 * p.twisting.vehicle_kgm2 * y.wheels_rad_s**2
-            stored_j += 0.5 * p.twisting.stiff_nm_rad * y.twist_rad**2
+        if shafts.stiff_nm_rad > 0.0:
+            twist_rad = max(abs(y.twist_rad) - shafts.half_lash_rad, 0.0)
+            stored_j += 0.5 * shafts.wheels_kgm2 * y.wheels_rad_s**2
+            stored_j += 0.5 * shafts.stiff_nm_rad * twist_rad**2
+        if shafts.tyre_nm_rad > 0.0:
+            stored_j += 0.5 * shafts.vehicle_kgm2 * y.vehicle_rad_s**2
+            stored_j += 0.5 * shafts.tyre_nm_rad * y.tyre_rad**2
         return stored_j
 
     def set_brake(self, valve: float) -> None:
@@ -403,6 +411,22 @@ class TruckPlant:
     def take_air(self, share: float) -> None:
         """A sleeve's stroke has taken this share of the tank's air."""
         self.y.supply_pa *= 1.0 - share
+
+    def without_chance(self) -> None:
+        """From now on chance brings nothing new: what there is of it dies out, as is expected."""
+        self.p.disturbance.spread_nm[:] = [0.0] * SOURCES
+
+    def _load_chance(self, built: AsBuilt) -> None:
+        """The numbers of chance, and its torques at power-up."""
+        self.rig.shaking.count = -1
+        if not self.p.disturbance.is_on:
+            return
+        rng = np.random.Generator(np.random.PCG64([built.teeth_seed, CHANCE_STREAM]))
+        self.rig.chance.first[:] = rng.standard_normal(FIRST_NUMBERS).tolist()
+        self.rig.chance.second[:] = rng.standard_normal(SECOND_NUMBERS).tolist()
+        begin = rng.standard_normal(SOURCES).tolist()
+        sd_nm = [built[f"disturbance.{name}_nm"] for name in SHAKEN]
+        self.rig.shaking.now_nm[:] = [z * sd for z, sd in zip(begin, sd_nm, strict=True)]
 
     def _load_angles(self, start: Shafts) -> None:
         wheels = (start.input, start.layshaft, start.main, start.propeller)
@@ -425,7 +449,7 @@ class TruckPlant:
         g.release_nm = -1.0
         g.governed_pa = governed_pa + air.atmosphere_pa
         y.supply_pa = g.governed_pa
-        y.brake_pa = air.atmosphere_pa
+        y.brake_pa = y.felt_pa = air.atmosphere_pa
         y.disc_k = self.p.oil_k
         y.clutch = 1.0
         layshaft = main_rad_s / self.ratio(gear)
@@ -441,6 +465,6 @@ class TruckPlant:
             self.chain.place(at.CLUTCH, 1.0)
         self.chain.place(at.SPLITTER, shafts.split_ratio)
         self.chain.place(at.RANGE, shafts.range_ratio)
-        y.wheels_rad_s = y.speed_rad_s[at.PROPELLER]
+        y.wheels_rad_s = y.vehicle_rad_s = y.speed_rad_s[at.PROPELLER]
         if self.constant_speed:
             self.chain.force(at.MAIN, 0.0)

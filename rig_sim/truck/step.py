@@ -14,6 +14,7 @@ def step(rig: Rig, h: float) -> None:
     y, after, stages = rig.y.vector, rig.after.vector, rig.stages
     for stage in range(3):
         part_way = h if stage == 2 else 0.5 * h
+        rig.shaking.at_s = rig.shaking.since_s + part_way
         slope = stages[stage].vector
         for i in range(len(y)):
             after[i] = y[i] + part_way * slope[i]

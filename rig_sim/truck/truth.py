@@ -61,8 +61,8 @@ class TruckTruth(CommonTruth):
     def delay_s(self, gear: MainGear) -> tuple[float, float]:
         """From a sleeve valve's activation now to contact: mean and standard deviation."""
         world = self._world
-        mean_s = world.delays.mean_gear_s(gear, world.plant.supply_gauge_pa)
-        return mean_s, world.delays.sd_s
+        plant = world.plant
+        return world.delays.expected_s(gear, plant.supply_gauge_pa, plant.time_us)
 
     @property
     def brake_valve_delay_s(self) -> float:

@@ -36,6 +36,7 @@ from meshpoint.rig_sim.truck.engagement import TruckEngagement
 from meshpoint.rig_sim.truck.faults import FaultInjector
 from meshpoint.rig_sim.truck.plant import TruckPlant
 from meshpoint.rig_sim.truck.position_sensors import PositionSensors
+from meshpoint.rig_sim.truck.pressure_sensors import PressureSensors
 from meshpoint.rig_sim.truck.truth import TruckTruth
 from meshpoint.units import RPM, SECOND_US
 
@@ -60,7 +61,7 @@ class TruckWorld:
         rng: np.random.Generator = seeded(settings.seed)
         start = draw_start(rng, sheet, settings)
         gear = drive_gear(settings.start_gear)
-        self.built: AsBuilt = draw_as_built(settings.seed, settings.as_built)
+        self.built: AsBuilt = draw_as_built(settings.seed, settings.as_built, settings.profile)
         self.sheet = as_built_sheet(sheet, self.built)
         self.clock_start_us = start.clock_us
         self.clock = SensorClock(start.clock_us)
@@ -81,6 +82,7 @@ class TruckWorld:
         self.clutch = TruckClutch(self.plant, self.sheet.clutch)
         self.engine = TruckEngine(self.plant)
         self.positions = PositionSensors(self.built)
+        self.pressures = PressureSensors(self.built, self.sheet.air.atmosphere_pa)
         self.faults = FaultInjector(self)
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._asked = 0
@@ -191,12 +193,13 @@ class TruckWorld:
         read = self.plant.edges.read(now_us, self.clock)
         return self.faults.edges.pass_on(read)
 
-    def sensors(self, now_us: int) -> SensorRead:  # noqa: ARG002
+    def sensors(self, now_us: int) -> SensorRead:
         """The slow sensors now."""
         y = self.plant.y
+        felt_pa = y.felt_pa if self.plant.p.feeling_rate > 0.0 else y.brake_pa
         read = SensorRead(
-            y.brake_pa,
-            y.supply_pa,
+            self.pressures.brake_pa(felt_pa, now_us),
+            self.pressures.supply_pa(y.supply_pa, now_us),
             self.plant.p.oil_k,
             min(max(y.clutch, 0.0), 1.0),
             max(y.speed_rad_s[at.ENGINE], 0.0),
@@ -301,7 +304,7 @@ class TruckWorld:
     def _open(self, valve: Valve, on: bool) -> None:
         time_us = self.plant.time_us
         if valve is Valve.BRAKE:
-            delay_us = self.sheet.brake.valve_delay_s * SECOND_US
+            delay_us = self.delays.brake_valve_s() * SECOND_US
             self.later(delay_us, partial(self.plant.set_brake, float(on)))
             self.engagement.switch(valve, on, time_us)
         elif valve in GEAR_OF_VALVE:

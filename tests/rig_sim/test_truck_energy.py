@@ -11,6 +11,7 @@ from truck_bench import run, world
 
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.rig_sim.orders import EngineRequest
+from meshpoint.rig_sim.settings import Profile
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.plant import Energy
@@ -55,11 +56,20 @@ def act(truck: TruckWorld, now_us: int, what: str, which: int, on: bool) -> None
 
 
 @settings(max_examples=20, deadline=None, phases=[Phase.explicit, Phase.generate])
-@given(seed=st.integers(0, 10_000), scenario=acts, stiff=st.sampled_from([0.0, 5e3, 5e4]))
+@given(
+    seed=st.integers(0, 10_000),
+    scenario=acts,
+    profile=st.sampled_from(Profile),
+    stiff=st.sampled_from([None, 0.0, 5e3, 5e4]),
+)
 def test_work_put_in_is_lost_or_stored(
-    seed: int, scenario: list[tuple[int, str, int, bool]], stiff: float
+    seed: int,
+    scenario: list[tuple[int, str, int, bool]],
+    profile: Profile,
+    stiff: float | None,
 ) -> None:
-    truck = world({"driveline.stiffness_nm_rad": stiff}, seed=seed)
+    fixed = {} if stiff is None else {"driveline.stiffness_nm_rad": stiff}
+    truck = world(fixed, seed=seed, profile=profile)
     now_us = 0
     for wait_us, what, which, on in scenario:
         now_us += wait_us

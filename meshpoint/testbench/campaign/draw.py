@@ -10,7 +10,7 @@ import numpy as np
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS, main_box_only
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
 from meshpoint.testbench.loop.bench import PlannedShift, plan_shifts
 from meshpoint.units import RPM
 
@@ -44,6 +44,7 @@ class Draw:
     seed: int
     plan: tuple[PlannedShift, ...]
     as_built: Mapping[str, float] = field(default_factory=dict)
+    profile: Profile = DEFAULT_PROFILE
 
 
 def draw(
@@ -53,6 +54,7 @@ def draw(
     pairs: tuple[tuple[int, int], ...],
     shifts: int,
     fixed: Mapping[str, float],
+    profile: Profile = DEFAULT_PROFILE,
 ) -> Draw:
     """The run of a seed: one gear change, made `shifts` times at different shaft speeds.
 
@@ -66,4 +68,4 @@ def draw(
         conditions = {
             name: float(f"{rng.uniform(low, high):.6g}") for name, (low, high) in SPREAD.items()
         }
-    return Draw(seed, plan, conditions | dict(fixed))
+    return Draw(seed, plan, conditions | dict(fixed), profile)

@@ -10,7 +10,7 @@ import copy
 import math
 from collections import Counter
 from collections.abc import Callable
-from typing import Final
+from typing import Any, Final
 
 from meshpoint.bus.core import Core
 from meshpoint.controller.core import ControllerCore
@@ -69,6 +69,7 @@ class ClosedLoop:
                 seed=drawn.seed,
                 start_gear=first.from_,
                 main_speed_rpm=first.main_rad_s * 30.0 / math.pi,
+                profile=drawn.profile,
                 as_built=drawn.as_built,
                 return_ramp_s=FAST_RETURN_RAMP_S,
             ),
@@ -98,7 +99,7 @@ class ClosedLoop:
         return self._driver.now_us / 1e6
 
     @property
-    def as_built(self) -> dict[str, dict[str, float]]:
+    def as_built(self) -> dict[str, Any]:
         """What was drawn for the rig; nothing for the preset thesis."""
         return self._rig.as_built or {}
 

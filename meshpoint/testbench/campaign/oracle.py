@@ -128,6 +128,7 @@ class Oracle:
         live = truth.plant
         if self._ahead is None:
             self._ahead = copy.deepcopy(live)
+            self._ahead.without_chance()
         pitch_rad, start_us = self._sheet.dog.pitch_rad, truth.clock_start_us
         self._forecast = Forecast(self._ahead, live.snapshot(), gear, pitch_rad, start_us)
 

@@ -65,7 +65,7 @@ class JudgedShift:
 class Conditions:
     """What all shifts of a run have in common."""
 
-    def __init__(self, sheet: GearboxSheet, as_built: dict[str, dict[str, float]]) -> None:
+    def __init__(self, sheet: GearboxSheet, as_built: dict[str, Any]) -> None:
         def built(group: str, key: str) -> float | None:
             return as_built[group][key] if group in as_built else None
 

@@ -59,9 +59,8 @@ def _settle_once() -> None:
 
 
 def _shifts(spec: CampaignSpec, job: Job) -> RunResult:
-    drawn = draw(
-        job.seed, spec.sheet, spec.preset, spec.pairs, spec.learn + spec.judged, spec.as_built
-    )
+    shifts = spec.learn + spec.judged
+    drawn = draw(job.seed, spec.sheet, spec.preset, spec.pairs, shifts, spec.as_built, spec.profile)
     bench = ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn)
     for _ in range(spec.learn):
         bench.shift()

@@ -13,7 +13,7 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
 from meshpoint.testbench.campaign.sweep import BASE_POINT, SweepPoint, at_point
 from meshpoint.testbench.provenance import product_version, provenance
 
@@ -49,6 +49,7 @@ class CampaignSpec:
     sweep: tuple[SweepPoint, ...] = ()
     strategy_files: Mapping[str, StrategyFile] = field(default_factory=dict)
     """The users' own among `strategies`, by name."""
+    profile: Profile = DEFAULT_PROFILE
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -85,6 +86,7 @@ class CampaignSpec:
             "learning_shifts": self.learn,
             "judged_shifts": self.judged,
             "settings": self.settings.values(),
+            "profile": self.profile,
             "as_built": dict(self.as_built),
             "sweep": [str(point) for point in self.sweep],
             "provenance": provenance(self.sheet, self.seed, self.preset.value),

@@ -26,8 +26,8 @@ from meshpoint.controller.strategy_file import FORM, StrategyFile, is_file_name
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.orders import ScheduledFault
-from meshpoint.rig_sim.settings import Preset
-from meshpoint.rig_sim.truck.as_built import load_as_built
+from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
+from meshpoint.rig_sim.truck.as_built import AsBuiltChoice, read_as_built
 from meshpoint.rig_sim.truck.scenario import load_scenario
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.loop.schedules import SCHEDULES, UPSHIFTS, Pairs, check_preset, pairs
@@ -187,8 +187,11 @@ def add_as_built(parser: Arguments) -> None:
     parser.add_argument(
         "--as-built",
         type=Path,
-        metavar="FILE",
-        help="preset truck: fix these as-built values, TOML or a run's JSON; the rest is drawn",
+        default=Path(DEFAULT_PROFILE),
+        metavar="PROFILE|FILE",
+        help=f"preset truck: {', '.join(Profile)}, the ranges that its parts are drawn from, or a "
+        "file of values that are fixed, TOML or a run's JSON, which may name the profile of the "
+        "rest (default: %(default)s)",
     )
 
 
@@ -312,9 +315,9 @@ def calibration_of(
     return loaded.calibration, writer
 
 
-def as_built_of(namespace: argparse.Namespace) -> dict[str, float]:
-    """The as-built values that are fixed."""
-    return {} if namespace.as_built is None else load_as_built(namespace.as_built)
+def as_built_of(namespace: argparse.Namespace) -> AsBuiltChoice:
+    """The profile, and the as-built values that are fixed."""
+    return read_as_built(namespace.as_built)
 
 
 def faults_of(namespace: argparse.Namespace) -> tuple[ScheduledFault, ...]:

@@ -112,6 +112,7 @@ def _add_execution(parser: argparse.ArgumentParser) -> None:
 
 def run(namespace: argparse.Namespace) -> int:
     """Runs it."""
+    built = arguments.as_built_of(namespace)
     spec = CampaignSpec(
         sheet=arguments.sheet_of(namespace),
         settings=arguments.settings_of(namespace),
@@ -122,7 +123,8 @@ def run(namespace: argparse.Namespace) -> int:
         learn=namespace.learn,
         judged=namespace.judged,
         seed=namespace.seed,
-        as_built=arguments.as_built_of(namespace),
+        profile=built.profile,
+        as_built=built.fixed,
         sweep=tuple(point for points in namespace.sweep for point in points),
         strategy_files=_strategy_files(namespace.strategies),
     )

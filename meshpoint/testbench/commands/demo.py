@@ -153,13 +153,14 @@ def _plan(namespace: argparse.Namespace, sheet: GearboxSheet) -> list[PlannedShi
 
 
 def _rig(namespace: argparse.Namespace, sheet: GearboxSheet) -> RigSettings:
-    first = _plan(namespace, sheet)[0]
+    first, built = _plan(namespace, sheet)[0], arguments.as_built_of(namespace)
     return RigSettings(
         preset=Preset(namespace.preset),
         seed=namespace.seed,
         start_gear=first.from_,
         main_speed_rpm=first.main_rad_s * 30.0 / math.pi,
-        as_built=arguments.as_built_of(namespace),
+        profile=built.profile,
+        as_built=built.fixed,
         faults=arguments.faults_of(namespace),
     )
 

@@ -24,8 +24,11 @@ def describe_rig(sheet: GearboxSheet, settings: RigSettings) -> None:
     if settings.preset is Preset.THESIS:
         out.print("\npreset thesis: the gearbox is as its sheet says, and has no faults")
         return
-    built = draw_as_built(settings.seed, settings.as_built)
-    out.print(f"\nas built, seed {settings.seed}, teeth {built.teeth_seed}", markup=False)
+    built = draw_as_built(settings.seed, settings.as_built, settings.profile)
+    out.print(
+        f"\nas built, profile {settings.profile}, seed {settings.seed}, teeth {built.teeth_seed}",
+        markup=False,
+    )
     out.print(parameters_table(built, settings.as_built))
     out.print("\nfaults, by --faults FILE or the bench's frame BenchFault")
     out.print(faults_table())
@@ -36,7 +39,7 @@ def parameters_table(built: AsBuilt, fixed_values: Mapping[str, float]) -> Table
     table = Table("parameter, and what it is", box=None)
     for column in ("default", "as built", "range"):
         table.add_column(column, no_wrap=True)
-    for name, parameter in parameters().items():
+    for name, parameter in parameters(built.profile).items():
         fixed = " fixed" if name in fixed_values else ""
         table.add_row(
             f"{name}\n[dim]{parameter.note}[/]",

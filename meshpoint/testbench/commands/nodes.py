@@ -139,12 +139,14 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
 
 def run_rig_command(namespace: argparse.Namespace) -> int:
     """Runs the rig until a signal."""
+    built = arguments.as_built_of(namespace)
     settings = RigSettings(
         preset=Preset(namespace.preset),
         seed=namespace.seed,
         start_gear=namespace.gear,
         main_speed_rpm=namespace.main_speed,
-        as_built=arguments.as_built_of(namespace),
+        profile=built.profile,
+        as_built=built.fixed,
         faults=arguments.faults_of(namespace),
     )
     sheet = arguments.sheet_of(namespace)

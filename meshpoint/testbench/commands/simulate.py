@@ -64,6 +64,7 @@ def run(namespace: argparse.Namespace) -> int:
     sheet, preset = arguments.sheet_of(namespace), Preset(namespace.preset)
     calibration, writer = arguments.calibration_of(namespace, sheet, threaded=False, tell=complain)
     unwritten: list[str] = []
+    built = arguments.as_built_of(namespace)
     setup = Setup(
         sheet=sheet,
         settings=arguments.settings_of(namespace),
@@ -71,7 +72,8 @@ def run(namespace: argparse.Namespace) -> int:
         seed=namespace.seed,
         shifts=namespace.shifts,
         pairs=arguments.pairs_of(namespace, sheet, preset),
-        as_built=arguments.as_built_of(namespace),
+        profile=built.profile,
+        as_built=built.fixed,
         faults=arguments.faults_of(namespace),
         calibration=calibration,
     )

@@ -23,7 +23,7 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import ScheduledFault
-from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile, RigSettings
 from meshpoint.testbench.loop.bench import TICK_US, BenchCore, plan_shifts
 from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs
 from meshpoint.testbench.loop.virtual_time import VirtualTime
@@ -50,6 +50,7 @@ class Setup:
     faults: tuple[ScheduledFault, ...] = ()
     calibration: Calibration | None = None
     """What the controller starts with."""
+    profile: Profile = DEFAULT_PROFILE
 
     @property
     def header(self) -> RunHeader:
@@ -130,6 +131,7 @@ def simulate(
         seed=setup.seed,
         start_gear=plan[0].from_ if plan else UPSHIFTS[0][0],
         main_speed_rpm=plan[0].main_rad_s * 30.0 / math.pi if plan else 600.0,
+        profile=setup.profile,
         as_built=setup.as_built,
         faults=setup.faults,
     )

@@ -52,6 +52,7 @@ def _runs(given: Given[Settings]) -> tuple[LoopJob, ...]:
             given.common.seed + truck,
             given.own.shifts,
             DELAY_PAIRS,
+            profile=given.profile,
         )
         for truck in range(given.own.trucks)
     )

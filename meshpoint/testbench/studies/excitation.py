@@ -116,6 +116,7 @@ def _run(given: Given[Settings], brake_nm: float, truck: int) -> LoopJob:
         own.learning_shifts + own.shifts,
         as_built=as_built,
         keep=keep,
+        profile=given.profile,
     )
 
 

@@ -59,7 +59,12 @@ class Settings:
 def _run(given: Given[Settings], as_built: AsBuilt, truck: int) -> FusionRun:
     own = given.own
     return FusionRun(
-        given.sheet, given.common.seed + truck, own.learning_shifts, own.shifts, as_built
+        given.sheet,
+        given.common.seed + truck,
+        own.learning_shifts,
+        own.shifts,
+        as_built,
+        given.profile,
     )
 
 

@@ -30,7 +30,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.testbench.results.estimation import EstimationScore, Sample
 from meshpoint.testbench.results.rows import ShiftRow
@@ -57,6 +57,7 @@ class FusionRun:
     learning_shifts: int
     shifts: int
     as_built: AsBuilt
+    profile: Profile
 
     def run(self) -> Fused:
         """Simulates, and scores every variant."""
@@ -83,7 +84,13 @@ class FusionRun:
 
         shifts = self.learning_shifts + self.shifts
         setup = Setup(
-            self.sheet, settings, Preset.TRUCK, self.seed, shifts, as_built=dict(self.as_built)
+            self.sheet,
+            settings,
+            Preset.TRUCK,
+            self.seed,
+            shifts,
+            as_built=dict(self.as_built),
+            profile=self.profile,
         )
         simulate(setup, take, count)
         return listeners[0].squares | listeners[1].squares

@@ -116,6 +116,7 @@ def _run(given: Given[Settings], variant: Variant, number: int) -> LoopJob:
         given.common.seed + number,
         own.learning_shifts + own.shifts,
         as_built=variant.as_built,
+        profile=given.profile,
     )
 
 

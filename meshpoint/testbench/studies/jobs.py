@@ -14,7 +14,7 @@ from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import GearboxSensors, Message, ShiftOutcome, ShiftResult
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
 from meshpoint.rig_sim.truck.as_built import linear, nominal
 from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs
 from meshpoint.testbench.loop.simulate import Setup, simulate
@@ -111,6 +111,7 @@ class LoopJob:
     pairs: Pairs = UPSHIFTS
     as_built: AsBuilt = ()
     keep: int = 0
+    profile: Profile = DEFAULT_PROFILE
 
     def run(self) -> LoopResult:
         """Simulates it."""
@@ -122,6 +123,7 @@ class LoopJob:
             shifts=self.shifts,
             pairs=self.pairs,
             as_built=dict(self.as_built),
+            profile=self.profile,
         )
         collector = _Collector(self)
         monitor = Monitor(self.sheet, self.settings, on_sample=collector.sample)

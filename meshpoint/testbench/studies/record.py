@@ -12,6 +12,7 @@ import numpy as np
 from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import TableError, count, group, quantity, text
+from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.errors import CommandError
 from meshpoint.units import RPM
 
@@ -146,6 +147,7 @@ class Common:
 
     seed: int = count("seed", 0, 2**31 - 1)
     gearbox: str = text("gearbox")
+    profile: str = text("profile", *Profile)
     shift: Braking = group(Braking)
 
 
@@ -160,6 +162,11 @@ class Given(Generic[S]):
     own: S
     sheet: GearboxSheet
     results: Mapping[StudyJob, Any] = field(default_factory=dict)
+
+    @property
+    def profile(self) -> Profile:
+        """From which ranges the gearboxes of the preset truck are drawn."""
+        return Profile(self.common.profile)
 
 
 def no_jobs(_given: Given[Any]) -> tuple[StudyJob, ...]:

@@ -82,6 +82,7 @@ def _loop_jobs(given: Given[Settings], target: float) -> list[LoopJob]:
             Preset.TRUCK,
             given.common.seed + truck,
             given.own.shifts,
+            profile=given.profile,
         )
         for truck in range(given.own.trucks)
     ]

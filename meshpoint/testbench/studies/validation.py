@@ -57,7 +57,10 @@ def truck_run(given: Given[Settings]) -> tuple[LoopJob, ...]:
     """One run, the same for all studies that ask for as many shifts."""
     shifts = given.own.shifts
     settings = ControllerSettings()
-    return (LoopJob(given.sheet, settings, Preset.TRUCK, given.common.seed, shifts, keep=shifts),)
+    seed, profile = given.common.seed, given.profile
+    return (
+        LoopJob(given.sheet, settings, Preset.TRUCK, seed, shifts, keep=shifts, profile=profile),
+    )
 
 
 def traces(given: Given[Settings]) -> list[ShiftTrace]:
