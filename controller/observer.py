@@ -7,7 +7,7 @@ from collections import deque
 
 import numpy as np
 
-from meshpoint.controller.calibration.learned import BrakeRecord
+from meshpoint.controller.calibration.learned import BrakeRecord, NoiseRecord, SwingRecords
 from meshpoint.controller.estimation.baseline_tracker import BaselineTracker
 from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.estimation.crossing_filter import Pressures
@@ -43,7 +43,7 @@ from meshpoint.dbc.messages import (
     GearboxSensors,
     ValveStatus,
 )
-from meshpoint.gearbox import GearboxSheet, MainGear, Split
+from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
 from meshpoint.units import US
 
 OBSERVER_CLUTCH_OPEN_SHARE = 0.05
@@ -126,6 +126,48 @@ class Observer:
         """Sets the brake's model as learned in earlier runs."""
         self.brake.restore(record)
         self._model_layshaft()
+
+    def noise(self) -> NoiseRecord | None:
+        """What a calibration file keeps of scatter and disturbance; None before they were
+        learned."""
+        layshaft, main = self._crossing, self._main
+        if layshaft is None or not isinstance(main, MainTracker) or layshaft.noise_shifts == 0:
+            return None
+        edge, torque, memory = layshaft.noise
+        own = main.edge_time
+        return NoiseRecord(
+            layshaft.noise_shifts, edge.value, edge.sd, own.value, own.sd, torque.value,
+            torque.sd, memory.value, memory.sd,
+        )  # fmt: skip
+
+    def take_noise(self, record: NoiseRecord) -> None:
+        """Sets scatter and disturbance as learned in earlier runs."""
+        layshaft, main = self._crossing, self._main
+        if layshaft is None or not isinstance(main, MainTracker):
+            return
+        layshaft.take_noise(
+            record.shifts,
+            (record.layshaft_edge_s, record.layshaft_edge_sd),
+            (record.torque_nm, record.torque_sd),
+            (record.memory_s, record.memory_sd),
+        )
+        main.take_edge_time(record.main_edge_s, record.main_edge_sd)
+        self._model_layshaft()
+
+    def swings(self) -> SwingRecords:
+        """What a calibration file keeps of the driveline's swing."""
+        if not isinstance(self._main, MainTracker):
+            return SwingRecords()
+        swings = self._main.swings
+        return SwingRecords(swings[Range.LOW].record(), swings[Range.HIGH].record())
+
+    def take_swings(self, records: SwingRecords) -> None:
+        """Sets the driveline's swing as learned in earlier runs."""
+        if not isinstance(self._main, MainTracker):
+            return
+        for step, record in ((Range.LOW, records.low), (Range.HIGH, records.high)):
+            if record is not None:
+                self._main.swings[step].restore(record)
 
     def _model_layshaft(self) -> None:
         sheet, split = self._sheet, self._split

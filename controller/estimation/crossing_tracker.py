@@ -17,7 +17,7 @@ from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES, Pressu
 from meshpoint.controller.estimation.free_run import EDGE_TIME, MEMORY, TORQUE, FreeRun
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels
-from meshpoint.controller.estimation.likelihood import prior
+from meshpoint.controller.estimation.likelihood import prior, restored
 from meshpoint.controller.estimation.wheel_tracker import HEED, STRUCK_RAD_S, WheelTracker
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kernels import (
@@ -70,6 +70,8 @@ class CrossingTracker(WheelTracker):
             prior(tuning.disturbance_s, 2.0, (2e-3, 0.5), 0.1),
         ]
         """What is known of an edge's time (s), the disturbance's torque (Nm) and memory (s)."""
+        self.noise_shifts = 0
+        """From how many shifts that was learned."""
         self._one_pattern = True
         """Whether the tooth errors in use have stayed the same since the layshaft became free."""
 
@@ -95,6 +97,12 @@ class CrossingTracker(WheelTracker):
     def disturbance(self) -> Disturbance:
         """The torques that the model leaves out, as learned."""
         return Disturbance(self.noise[TORQUE].value, self.noise[MEMORY].value)
+
+    def take_noise(self, shifts: int, *known: tuple[float, float]) -> None:
+        """Sets what earlier runs learned of `noise`: value and standard deviation of each."""
+        self.noise_shifts = shifts
+        self.noise = [restored(one, *given) for one, given in zip(self.noise, known, strict=True)]
+        self._filter.set_edge_time(self.noise[EDGE_TIME].value)
 
     def set_models(self, models: LayshaftModels) -> None:
         """The splitter's step or the brake's law is new."""
@@ -202,4 +210,5 @@ class CrossingTracker(WheelTracker):
             self.noise, self._known, teeth.sd_rad, switches, self.model, self._inertia_kgm2,
             teeth.learned,
         )  # fmt: skip
+        self.noise_shifts += 1
         self._filter.set_edge_time(self.noise[EDGE_TIME].value)

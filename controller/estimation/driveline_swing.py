@@ -13,8 +13,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.controller.calibration.learned import SwingRecord
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
-from meshpoint.controller.estimation.likelihood import Learned, learn, prior
+from meshpoint.controller.estimation.likelihood import Learned, learn, prior, restored
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.swing import ModeRates, SwingMotion
 from meshpoint.controller.motion.swing_kernels import FIRST_MODE, MODES, STEADY, SWING_STATES
@@ -80,6 +81,37 @@ class DrivelineSwing:
         """From how many shifts it was learned."""
         self.motion = self._doubting()
 
+    def record(self) -> SwingRecord | None:
+        """What a calibration file keeps; None before the first shift it was learned from."""
+        if self.shifts == 0:
+            return None
+        modes = [self._figures[4 * m : 4 * m + 4] for m in range(MODES)]
+        by_kind = [tuple(mode[kind] for mode in modes) for kind in range(OF_A_MODE)]
+        natural, damping, speed, noise = by_kind
+        noise = (*noise, self._figures[WHITE])
+        hill = self._figures[HILL]
+        pairs = [figures for kind in (natural, damping, speed, noise) for figures in _parts(kind)]
+        return SwingRecord(self.shifts, *pairs, hill.value, hill.sd)
+
+    def restore(self, record: SwingRecord) -> None:
+        """Starts from a record."""
+        self.shifts = record.shifts
+        given = [
+            (record.natural_rad_s, record.natural_sd),
+            (record.damping, record.damping_sd),
+            (record.speed_rad_s, record.speed_sd),
+            (record.noise_rad2_s3, record.noise_sd),
+        ]
+        figures = list(self._figures)
+        for kind, (values, sds) in enumerate(given):
+            for m in range(MODES):
+                k = OF_A_MODE * m + kind
+                figures[k] = restored(figures[k], values[m], sds[m])
+        figures[WHITE] = restored(figures[WHITE], record.noise_rad2_s3[-1], record.noise_sd[-1])
+        figures[HILL] = restored(figures[HILL], record.hill_rad_s2, record.hill_sd)
+        self._figures = figures
+        self.motion = self._doubting()
+
     def _doubting(self) -> SwingMotion:
         """The model with what is not known of its figures as noise. A mode that is off by a share e
         of its frequency, or by d of its decay, accelerates otherwise than was thought by 2 e w or
@@ -136,6 +168,10 @@ class DrivelineSwing:
         self.motion = self._doubting()
         self.shifts += 1
         return found[EDGE_TIME] if teeth_known else edge_time
+
+
+def _parts(figures: tuple[Learned, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    return tuple(one.value for one in figures), tuple(one.sd for one in figures)
 
 
 class EdgeRun:

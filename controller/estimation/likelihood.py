@@ -59,6 +59,12 @@ def prior(
     )
 
 
+def restored(known: Learned, value: float, sd: float) -> Learned:
+    """A figure as an earlier run learned it; within its range, and no surer than it may be."""
+    log = min(max(math.log(value), known.least_log), known.most_log)
+    return replace(known, log=log, sd=min(max(sd, known.least_sd), known.prior_sd))
+
+
 def learn(known: Sequence[Learned], misfit: Misfit, scanned: int | None = None) -> list[Learned]:
     """The figures after one more shift. `scanned`: one of them whose misfit may have several
     minima; while it is not well known its whole range is looked at first."""

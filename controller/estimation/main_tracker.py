@@ -15,7 +15,7 @@ import numpy as np
 from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
 from meshpoint.controller.estimation.driveline_swing import DrivelineSwing, EdgeRun, MainWindow
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
-from meshpoint.controller.estimation.likelihood import prior
+from meshpoint.controller.estimation.likelihood import prior, restored
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.estimation.wheel_tracker import HEED, STRUCK_RAD_S, WheelTracker
 from meshpoint.controller.motion.kernels import OMEGA, THETA
@@ -64,6 +64,11 @@ class MainTracker(WheelTracker):
         if self.teeth.learner.running and batch.time_us.size:
             self._run.add(batch.time_us, batch.theta_rad, self.teeth.place(batch))
         self._take(batch, NO_PRESSURES, NO_SWITCHES, self._motion)
+
+    def take_edge_time(self, value_s: float, sd: float) -> None:
+        """Sets what an earlier run learned of an edge's time."""
+        self.edge_time = restored(self.edge_time, value_s, sd)
+        self._filter.set_edge_time(self.edge_time.value)
 
     @property
     def _motion(self) -> SwingMotion:
