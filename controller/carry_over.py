@@ -12,6 +12,7 @@ from meshpoint.controller.calibration.learned import (
     End,
     Provenance,
     ReferenceRecords,
+    SwingRecords,
     WheelRecord,
     WheelRecords,
 )
@@ -43,6 +44,9 @@ def restore(calibration: Calibration, observer: Observer, context: Learns) -> No
         return
     if calibration.brake is not None:
         observer.take_brake(calibration.brake)
+    if calibration.noise is not None:
+        observer.take_noise(calibration.noise)
+    observer.take_swings(calibration.swings)
     wheels = calibration.wheels
     recovery.restore(
         SavedReferences(
@@ -69,17 +73,22 @@ def collect(
         wheels = before.wheels if before is not None else WheelRecords()
         references = before.references if before is not None else ReferenceRecords()
         brake = before.brake if before is not None else None
+        noise = before.noise if before is not None else None
+        swings = before.swings if before is not None else SwingRecords()
     else:
         saved = recovery.saved()
         wheels = WheelRecords(_record(saved.layshaft), _record(saved.main))
         references = _references(saved, header.sheet.dog.pitch_rad)
         brake = observer.brake.record()
+        noise, swings = observer.noise(), observer.swings()
     return Calibration(
         format_=CALIBRATION_FORMAT,
         provenance=provenance,
         wheels=wheels,
         references=references,
         brake=brake,
+        noise=noise,
+        swings=swings,
         sleeves=context.delays.records(),
         drifts=context.drifts.records(),
         end=End(complete=True),

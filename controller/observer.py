@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 
-from meshpoint.controller.calibration.learned import BrakeRecord
+from meshpoint.controller.calibration.learned import BrakeRecord, NoiseRecord, SwingRecords
 from meshpoint.controller.estimation.baseline_tracker import BaselineTracker
 from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.estimation.crossing_filter import Pressures
-from meshpoint.controller.estimation.crossing_tracker import CrossingTracker, MainTracker
-from meshpoint.controller.estimation.cruise import CruiseTracker, ShaftState
+from meshpoint.controller.estimation.crossing_tracker import CrossingTracker
+from meshpoint.controller.estimation.cruise import CruiseTracker
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels, LayshaftTracker
+from meshpoint.controller.estimation.main_tracker import MainTracker
+from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kinematics import are_finite
 from meshpoint.controller.motion.linear import layshaft_model
 from meshpoint.controller.motion.models import LayshaftState, first_order_law, free_motion
+from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.phase.reference_recovery import ReferenceRecovery
 from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.sensing.pressure_zero import PressureZero
 from meshpoint.controller.sensing.sensor_clock import JUMP_US, SensorClockEstimate
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.sensing.wheel_edges import BRAKED_RAD_S2, EdgeBatch, EdgeFrame, WheelEdges
@@ -38,13 +43,17 @@ from meshpoint.dbc.messages import (
     GearboxSensors,
     ValveStatus,
 )
-from meshpoint.gearbox import GearboxSheet, MainGear, Split
+from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
+from meshpoint.units import US
 
 DRAGGED_US = 30_000
 """For this long after a change of splitter or range, edges from during the change still arrive."""
 CLUTCH_BITES_SHARE = 0.2
 PULL_RAD_S2 = 5.0
 """Deceleration by drag above which it pulls a tooth across a gap of 1.5 deg within 0.1 s."""
+LOOK_US = 10_000
+LOOKS_PULLED = 8
+"""The looks in which the main shaft's acceleration is watched, and the time from one to the next."""
 LOOK_SHARE = 0.15
 """Largest standard deviation of a look at a gear in mesh, in backlashes, for which the two flanks
 can be told apart."""
@@ -67,6 +76,7 @@ class Observer:
         self.clock = SensorClockEstimate()
         self.view = GearboxView(sheet)
         self.references = PhaseReferences(sheet)
+        self._zero = PressureZero(sheet.brake.time_constant_s, tuning.pressure_sd_pa)
         self._split = Split.HIGH
         self._layshaft_wheel = WheelEdges.of(wheels.layshaft)
         self._main_wheel = WheelEdges.of(wheels.main, BRAKED_RAD_S2)
@@ -77,6 +87,8 @@ class Observer:
         """The baselines know the data sheet and nothing more."""
         self.layshaft: LayshaftTracker
         self._main: CruiseTracker | MainTracker
+        self._crossing: CrossingTracker | None = None
+        """The layshaft's tracker, where it learns."""
         self.recovery: ReferenceRecovery | None = None
         """What outlives lost tooth numbers; the baselines know no teeth by which to find them."""
         if self._learns:
@@ -84,9 +96,9 @@ class Observer:
                 self._input_wheel = GearedWheel("input shaft", wheels.input_, tuning)
             if tuning.fuse_propeller:
                 self._propeller_wheel = GearedWheel(
-                    "propeller shaft", wheels.propeller, tuning, BRAKED_RAD_S2
+                    "propeller shaft", wheels.propeller, tuning, BRAKED_RAD_S2, MAIN_FILTER
                 )
-            layshaft = self.layshaft = CrossingTracker(
+            layshaft = self.layshaft = self._crossing = CrossingTracker(
                 tuning, brake, self.brake, wheels.layshaft.teeth, wheels.layshaft.missing,
                 self._input_wheel,
             )  # fmt: skip
@@ -104,6 +116,8 @@ class Observer:
         self._split_us = self._range_us = -DRAGGED_US
         """When splitter and range were last between their steps."""
         self._dragged = self._main_dragged = False
+        self._main_speeds: deque[tuple[float, float]] = deque(maxlen=LOOKS_PULLED)
+        """Times (us) and speeds (rad/s) of the main shaft at the latest looks."""
         self._looked_us = 0.0
         """The newest edge when a gear in mesh was last looked at."""
 
@@ -112,6 +126,48 @@ class Observer:
         self.brake.restore(record)
         self._model_layshaft()
 
+    def noise(self) -> NoiseRecord | None:
+        """What a calibration file keeps of scatter and disturbance; None before they were
+        learned."""
+        layshaft, main = self._crossing, self._main
+        if layshaft is None or not isinstance(main, MainTracker) or layshaft.noise_shifts == 0:
+            return None
+        edge, torque, memory = layshaft.noise
+        own = main.edge_time
+        return NoiseRecord(
+            layshaft.noise_shifts, edge.value, edge.sd, own.value, own.sd, torque.value,
+            torque.sd, memory.value, memory.sd,
+        )  # fmt: skip
+
+    def take_noise(self, record: NoiseRecord) -> None:
+        """Sets scatter and disturbance as learned in earlier runs."""
+        layshaft, main = self._crossing, self._main
+        if layshaft is None or not isinstance(main, MainTracker):
+            return
+        layshaft.take_noise(
+            record.shifts,
+            (record.layshaft_edge_s, record.layshaft_edge_sd),
+            (record.torque_nm, record.torque_sd),
+            (record.memory_s, record.memory_sd),
+        )
+        main.take_edge_time(record.main_edge_s, record.main_edge_sd)
+        self._model_layshaft()
+
+    def swings(self) -> SwingRecords:
+        """What a calibration file keeps of the driveline's swing."""
+        if not isinstance(self._main, MainTracker):
+            return SwingRecords()
+        swings = self._main.swings
+        return SwingRecords(swings[Range.LOW].record(), swings[Range.HIGH].record())
+
+    def take_swings(self, records: SwingRecords) -> None:
+        """Sets the driveline's swing as learned in earlier runs."""
+        if not isinstance(self._main, MainTracker):
+            return
+        for step, record in ((Range.LOW, records.low), (Range.HIGH, records.high)):
+            if record is not None:
+                self._main.swings[step].restore(record)
+
     def _model_layshaft(self) -> None:
         sheet, split = self._sheet, self._split
         thesis = layshaft_model(sheet, split)
@@ -119,7 +175,8 @@ class Observer:
         if self._learns:
             law = self.brake.law()
             self._brake_input.set_delays(self.brake.off_delay_us, self.brake.on_delay_us)
-        motion = free_motion(sheet, split, law, self._tuning)
+        disturbance = None if self._crossing is None else self._crossing.disturbance
+        motion = free_motion(sheet, split, law, self._tuning, disturbance)
         self.layshaft.set_models(LayshaftModels(motion, thesis, sheet.inertia_kgm2(split)))
 
     def take(self, inputs: StepInputs, now_us: int, events: list[str]) -> None:
@@ -185,10 +242,17 @@ class Observer:
             sampled_us = self.clock.stamp(sample.sample_time_us, now_us)
             time_us[k] = sampled_us
             self.view.clutch.take(sampled_us, sample.clutch_position_fraction)
-            pressure_pa[k] = sample.brake_pressure_pa - atmosphere_pa
+            gauge_pa = sample.brake_pressure_pa - atmosphere_pa
+            pressure_pa[k] = self._zero.take(sampled_us, gauge_pa, self._brake_driven)
             self.view.supply_pa = sample.supply_pressure_pa
             self.brake.supply_pa = sample.supply_pressure_pa - atmosphere_pa
         return Pressures(time_us, pressure_pa)
+
+    @property
+    def _brake_driven(self) -> bool:
+        """Whether the brake's valve is on, or will be: what is not known counts as on."""
+        valves = self.valves
+        return valves is None or bool(valves.brake_energised or valves.brake_pending)
 
     def _read(
         self, wheel: WheelEdges, inputs: StepInputs, rise: type, fall: type, now_us: int
@@ -244,14 +308,14 @@ class Observer:
         was_free = self.layshaft.free
         self.layshaft.set_free(free, newest.time_us, events)
         if isinstance(self._main, MainTracker):
-            self._main.set_free(free, events)
+            self._main.set_free(free, view.range_, events)
         if was_free and not free:
             self._model_layshaft()
 
     def main_at(self, time_us: float) -> ShaftState | None:
         """The main shaft at a sensor time."""
         state = self._main.at(time_us)
-        return state if state is not None and are_finite(state) else None
+        return state if state is not None and are_finite(state[:6]) else None
 
     def layshaft_at(self, time_us: float) -> LayshaftState | None:
         """The layshaft at a sensor time."""
@@ -295,8 +359,23 @@ class Observer:
 
     def _drag_pulls(self, gear: MainGear, main: ShaftState) -> bool:
         """Whether drag alone turns the layshaft, and holds the gear's tooth at its lower flank."""
+        self._main_speeds.append((main.time_us, main.omega_rad_s))
         if (self.view.clutch_closed or 0.0) >= CLUTCH_BITES_SHARE:
             return False
         drag_rad_s2 = self.brake.drag_nm.value / self._sheet.inertia_kgm2(self._split)
-        ahead = self._sheet.main_mesh(gear).ratio * drag_rad_s2 - main.acceleration_rad_s2
+        ahead = self._sheet.main_mesh(gear).ratio * drag_rad_s2 - self._slowest_rad_s2(main)
         return ahead < -PULL_RAD_S2
+
+    def _slowest_rad_s2(self, main: ShaftState) -> float:
+        """The lowest acceleration of the main shaft during the latest looks, over two looks each.
+        On a driveline that swings it is far below that of the vehicle: then drag does not hold the
+        tooth at one flank."""
+        looks = [
+            look for look in self._main_speeds if main.time_us - look[0] < LOOKS_PULLED * LOOK_US
+        ]
+        rates = [
+            (after[1] - before[1]) / ((after[0] - before[0]) * US)
+            for before, after in zip(looks, looks[2:], strict=False)
+            if after[0] > before[0]
+        ]
+        return min([main.acceleration_rad_s2, *rates])

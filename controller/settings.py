@@ -262,12 +262,30 @@ class CrossingFilterTuning:
     """Standard deviation of the acceleration of a layshaft that turns with a gear in mesh."""
     follow_s: float = quantity("follow_ms", 0.5, 5000.0, 1e-3, default=0.01)
     """How long such an acceleration lasts."""
-    main_rad_s2: float = quantity("main_rad_s2", 0.01, 1e4, default=2.0)
-    """Standard deviation of the main shaft's acceleration."""
-    main_s: float = quantity("main_ms", 0.5, 5000.0, 1e-3, default=0.1)
-    """How long such an acceleration of the main shaft lasts."""
+    main_start_rad_s2: float = quantity("main_start_rad_s2", 0.01, 1e4, default=20.0)
+    """Standard deviation of the main shaft's steady acceleration when a gear comes out: the vehicle
+    on a slope."""
     main_walk_rad_s2: float = quantity("main_walk_rad_s2", 0.0, 1e4, default=5.0)
-    """By how much the main shaft's acceleration wanders in a second."""
+    """By how much the main shaft's steady acceleration wanders in a second."""
+    near_hz: float = quantity("near_hz", 1.0, 200.0, default=20.0)
+    """Typical frequency at which the main shaft swings against the wheels; the real one is
+    learned."""
+    near_factor: float = quantity("near_factor", 1.01, 4.0, default=1.5)
+    """The real one is higher or lower by this factor, one standard deviation."""
+    far_hz: float = quantity("far_hz", 0.1, 50.0, default=4.0)
+    """Typical frequency at which the driveline swings on tyres and half shafts."""
+    far_factor: float = quantity("far_factor", 1.01, 4.0, default=1.4)
+    """The real one is higher or lower by this factor, one standard deviation."""
+    swing_damping: float = quantity("swing_damping_percent", 0.1, 90.0, 0.01, default=0.05)
+    """Typical damping of a swing, over the critical one."""
+    near_rad_s: float = quantity("near_rpm", 0.01, 500.0, RPM, default=10.0 * RPM)
+    """Typical speed by which the main shaft swings against the wheels after a gear has come out,
+    before any shift has shown it."""
+    far_rad_s: float = quantity("far_rpm", 0.01, 500.0, RPM, default=3.0 * RPM)
+    """The same on tyres and half shafts."""
+    swing_noise_rad2_s3: float = quantity("swing_noise_rad2_s3", 0.0, 1e6, default=0.1)
+    """Typical density of the noise that accelerates the main shaft, before any shift has shown
+    it."""
     fuse_input: bool = flag("fuse_input", default=False)
     """The input shaft's edges count for the layshaft while it is free."""
     fuse_propeller: bool = flag("fuse_propeller", default=False)

@@ -7,6 +7,7 @@ import numpy as np
 from meshpoint.controller.estimation.brake_kernels import pressure_course
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.estimation.crossing_kernels import inverse_of_positive
+from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.kernels import STATES
 from meshpoint.controller.motion.linear_kernels import (
     CRUISE_FILTER,
@@ -17,6 +18,8 @@ from meshpoint.controller.motion.linear_kernels import (
     thesis_filter,
 )
 from meshpoint.controller.motion.models import first_order_law, following_motion, predict
+from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
+from meshpoint.controller.motion.swing_kernels import MODES, SWING_STATES
 from meshpoint.controller.planning import plan_kernels
 from meshpoint.controller.records import RecordMemory, filled
 from meshpoint.controller.sensing import chain_kernels as edge_kernels
@@ -31,6 +34,7 @@ def warm_up() -> None:
     plan_kernels.warm_up()
     _warm_up_baselines()
     _warm_up_crossing()
+    _warm_up_swing()
     inverse_of_positive(np.eye(2))
 
 
@@ -56,3 +60,15 @@ def _warm_up_crossing() -> None:
     state = shaft.at(2e3, switches, model)
     predict(state, 3e3, switches, model)
     pressure_course(np.ones(STATES), np.array([1e3]), switches, model.flat, np.empty(1))
+
+
+def _warm_up_swing() -> None:
+    none, switches = np.empty(0), np.empty((2, 0))
+    model = SwingMotion(1.0, 1.0, [ModeRates(10.0, 1.0, 1.0)] * MODES)
+    shaft = CrossingFilter(CrossingFilterTuning(), MAIN_FILTER)
+    shaft.begin(0.0, np.ones(SWING_STATES), np.eye(SWING_STATES))
+    shaft.take(np.array([[1e3], [0.1]]), 0.1, Pressures(none, none), switches, model)
+    swing = Swing(shaft.x, shaft.p, model)
+    swing.theta_sd_ahead(0.1)
+    swing.outlook(0.1, 0.01, 1)
+    swing.course(0.1, 0.1, np.empty((2, 1)))

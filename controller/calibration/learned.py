@@ -23,7 +23,7 @@ from meshpoint.gearbox.tables import (
     read_group,
     text,
 )
-from meshpoint.units import BAR, DEG, MS, RPM
+from meshpoint.units import BAR, DEG, MS, RPM, TURN, US
 
 Record = TypeVar("Record")
 
@@ -129,6 +129,71 @@ class BrakeRecord:
                 raise TableError(f"{key} holds {found} numbers, allowed are {self.KNOTS}")
 
 
+@dataclass(frozen=True)
+class NoiseRecord:
+    """What the layshaft's model leaves out, and the edges' own scatter. Each sd is that of a
+    figure's logarithm."""
+
+    shifts: int = count("learned_from_shifts", 0, MOST_SHIFTS)
+    layshaft_edge_s: float = quantity("layshaft_edge_us", 0.05, 500.0, US)
+    """Standard deviation of the time of a layshaft edge,"""
+    layshaft_edge_sd: float = quantity("layshaft_edge_sd", 0.0, 5.0)
+    main_edge_s: float = quantity("main_edge_us", 0.05, 500.0, US)
+    """and of one of the main shaft."""
+    main_edge_sd: float = quantity("main_edge_sd", 0.0, 5.0)
+    torque_nm: float = quantity("torque_nm", 1e-3, 1e3)
+    """Standard deviation of torques at the layshaft,"""
+    torque_sd: float = quantity("torque_sd", 0.0, 5.0)
+    memory_s: float = quantity("memory_ms", 0.1, 5e3, MS)
+    """and how long they last."""
+    memory_sd: float = quantity("memory_sd", 0.0, 5.0)
+
+
+@dataclass(frozen=True)
+class SwingRecord:
+    """How the driveline swings in one step of the range (`controller/estimation/driveline_swing.py`).
+    Of two figures the first is of the mode against the wheels, the second of that on the tyres.
+    Each sd is that of a figure's logarithm."""
+
+    shifts: int = count("learned_from_shifts", 1, MOST_SHIFTS)
+    natural_rad_s: tuple[float, ...] = quantities("frequency_hz", 0.01, 1e3, TURN)
+    natural_sd: tuple[float, ...] = quantities("frequency_sd", 0.0, 5.0)
+    damping: tuple[float, ...] = quantities("damping", 1e-4, 1.0)
+    """Over the critical one."""
+    damping_sd: tuple[float, ...] = quantities("damping_sd", 0.0, 5.0)
+    speed_rad_s: tuple[float, ...] = quantities("speed_rpm", 1e-4, 1e4, RPM)
+    """Standard deviation of the speed when a gear comes out."""
+    speed_sd: tuple[float, ...] = quantities("speed_sd", 0.0, 5.0)
+    noise_rad2_s3: tuple[float, ...] = quantities("noise_rad2_s3", 1e-9, 1e9)
+    """Densities of the noises: of both modes, and of the shaft itself."""
+    noise_sd: tuple[float, ...] = quantities("noise_sd", 0.0, 5.0)
+    hill_rad_s2: float = quantity("hill_rad_s2", 1e-4, 1e5)
+    """Standard deviation of the steady acceleration when a gear comes out."""
+    hill_sd: float = quantity("hill_sd", 0.0, 5.0)
+
+    MODES = 2
+
+    def __post_init__(self) -> None:
+        for key in ("natural_rad_s", "natural_sd", "damping", "damping_sd", "speed_rad_s"):
+            self._check(key, self.MODES)
+        self._check("speed_sd", self.MODES)
+        self._check("noise_rad2_s3", self.MODES + 1)
+        self._check("noise_sd", self.MODES + 1)
+
+    def _check(self, key: str, allowed: int) -> None:
+        found = len(getattr(self, key))
+        if found != allowed:
+            raise TableError(f"{key} holds {found} numbers, allowed are {allowed}")
+
+
+@dataclass(frozen=True)
+class SwingRecords:
+    """By the step of the range."""
+
+    low: SwingRecord | None = group(SwingRecord, default=None)
+    high: SwingRecord | None = group(SwingRecord, default=None)
+
+
 class ByGear(Generic[Record]):
     """What is kept of each main gear, in a field of its name."""
 
@@ -200,6 +265,8 @@ class Calibration:
     wheels: WheelRecords = group(WheelRecords, default=WheelRecords())
     references: ReferenceRecords = group(ReferenceRecords, default=ReferenceRecords())
     brake: BrakeRecord | None = group(BrakeRecord, default=None)
+    noise: NoiseRecord | None = group(NoiseRecord, default=None)
+    swings: SwingRecords = group(SwingRecords, default=SwingRecords())
     sleeves: SleeveRecords = group(SleeveRecords, default=SleeveRecords())
     drifts: DriftRecords = group(DriftRecords, default=DriftRecords())
     end: End = group(End)

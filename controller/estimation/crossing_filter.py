@@ -13,17 +13,18 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimation.crossing_kernels import crossing_filter
 from meshpoint.controller.estimation.crossing_layout import (
     BATCHES_KEPT,
     LATE,
-    FilterMemory,
     TeethArrays,
 )
+from meshpoint.controller.estimation.swing_filter import LAYSHAFT_FILTER, FilterKind
 from meshpoint.controller.motion.models import LayshaftState, MotionModel, ahead, state_of
-from meshpoint.controller.records import Vector
+from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.settings import CrossingFilterTuning
 
+MOST_REFUSED: Final = 0.1
+"""Where a larger share of the edges was refused they show something else than the model."""
 NO_TEETH: Final = TeethArrays(0).flat
 
 
@@ -55,22 +56,35 @@ _Batch = tuple[Vector, int, Pressures]
 class CrossingFilter:
     """State and covariance of one shaft at its newest edge."""
 
-    def __init__(self, tuning: CrossingFilterTuning) -> None:
+    def __init__(self, tuning: CrossingFilterTuning, kind: FilterKind = LAYSHAFT_FILTER) -> None:
         self._tuning = tuning
-        self._memory = FilterMemory()
+        self._run = kind.run
+        self._memory = kind.memory()
         self._memory.set_sensor(
             tuning.edge_time_s, tuning.tooth_error_rad, tuning.pressure_sd_pa, tuning.gate_sd
         )
         self._sd_rad = tuning.tooth_error_rad
-        self._model: MotionModel | None = None
+        self._model: RecordMemory | None = None
         self._taken: deque[_Batch] = deque(maxlen=BATCHES_KEPT)
         """The batches that belong to the snapshots in the memory."""
 
+    def set_edge_time(self, edge_time_s: float) -> None:
+        """Standard deviation of an edge's time from now on."""
+        self._memory.part("edge_time_s")[0] = edge_time_s
+
+    def heed(self, share: float) -> None:
+        """How fast the process noise follows the innovations from now on, a share an edge; with 0
+        it is the model's."""
+        memory = self._memory
+        memory.part("heed")[0], memory.part("restless")[0] = share, 1.0
+
     def begin(self, time_us: float, x: Vector, p: Vector) -> None:
-        """Starts from a new state (6,) and covariance (6, 6) at a sensor time (us)."""
+        """Starts from a new state and covariance at a sensor time (us)."""
         memory = self._memory
         memory.time_us[0] = time_us
         memory.x[:], memory.p[:] = x, p
+        memory.log_variance[0] = 0.0
+        memory.nis[:] = 0.0
         self.lose_offset()
 
     def set_mesh(self, at_flank_rad2_s: float, loose_rad2_s: float, loose_us: float) -> None:
@@ -101,12 +115,12 @@ class CrossingFilter:
 
     @property
     def x(self) -> Vector:
-        """The state (6,), a view."""
+        """The state, a view."""
         return self._memory.x
 
     @property
     def p(self) -> Vector:
-        """Its covariance (6, 6), a view."""
+        """Its covariance, a view."""
         return self._memory.p
 
     @property
@@ -114,13 +128,24 @@ class CrossingFilter:
         """Sum and number of normalised squared innovations (NIS) since it was last cleared."""
         return self._memory.nis
 
+    def misfit(self, edges: int) -> float:
+        """Twice the negative logarithm of the likelihood of what was taken, but for a constant:
+        the innovations' squares over their variances, and the variances' logarithms. Of so many
+        edges one that the gate refused counts as if it were at the gate."""
+        squares, count = self.nis.tolist()
+        if count < (1.0 - MOST_REFUSED) * edges:
+            return math.inf
+        log_variance = self._memory.log_variance.item()
+        at_gate = self._tuning.gate_sd**2 + log_variance / count
+        return float(squares + log_variance + (edges - count) * at_gate)
+
     def take(
         self,
         edges: Vector,
         sd_rad: float,
         pressures: Pressures,
         switches: Vector,
-        model: MotionModel,
+        model: RecordMemory,
         geared: GearedEdges | None = None,
     ) -> None:
         """New edges (2, n): times (us) and the angles they stand for (rad), with standard deviation
@@ -137,7 +162,7 @@ class CrossingFilter:
             edges = np.concatenate((edges, geared.edges), axis=1)
             memory.part("geared_tooth_rad")[0] = geared.sd_rad
         flat = memory.flat
-        while crossing_filter(flat, edges, *pressures, switches, NO_TEETH) == LATE:
+        while self._run(flat, edges, *pressures, switches, NO_TEETH) == LATE:
             edges, extra, pressures = _merged(self._taken.pop(), (edges, extra, pressures))
             memory.go_back()
             memory.geared[0] = extra

@@ -58,6 +58,13 @@ LEAST_GAIN: Final = 0.2
 SHORT_S: Final = 2e-3
 """In a shorter step a change of the pressure law's segment is ignored: its fit has larger
 errors."""
+MOST_RESTLESS: Final = 1e4
+"""A hundred times the model's accelerations."""
+MOST_SWINGING: Final = 3
+"""Edges refused in a row by which a shaft swings further than was thought; its modes are known, and
+each edge that is refused costs more of a swing than of a steady course."""
+WIDER: Final = 10.0
+"""A covariance is multiplied by this then."""
 LED_SHARE: Final = 0.2
 LED_RAD_S2: Final = 100.0
 """Standard deviations added when the filter was wrong: to the speed, as a share of it, and to the
@@ -84,7 +91,7 @@ def crossing_filter(
     count, n, m = edge_us.shape[0], edge_us.shape[0] - f.geared, pressure_us.shape[0]
     if f.held > 0 and begins_before(f.time_us, edge_us, n):
         return LATE
-    keep(f)
+    keep(f, SNAPSHOT_WORDS)
     i, j, k, geared = input_at(f.time_us, switches[0]), 0, 0, n
     while k < n or geared < count or j < m:
         own = k < n and not (geared < count and edge_us[geared] < edge_us[k])
@@ -101,17 +108,17 @@ def crossing_filter(
         elif own:
             if not late:
                 innovation = edge_rad[k] - f.state.theta_rad
-                s = take_edge(f, innovation)
+                s = take_edge(f, innovation, STATES, DRAG)
                 if teeth.shape[1] > 0 and s > 0.0:
                     learn(teeth, int(edges[2, k]), f.scale, innovation, s)
-                    follow(teeth, f.gain)
+                    follow(teeth, f.gain, STATES)
             k += 1
         else:
             if not late:
-                take_geared(f, edge_rad[geared])
+                take_geared(f, edge_rad[geared], STATES)
             geared += 1
         f.state.gain = max(f.state.gain, LEAST_GAIN)
-    mirror(f.p)
+    mirror(f.p, STATES)
     return DONE
 
 
@@ -124,9 +131,9 @@ def begins_before(t_us: float, edge_us: Vector, n: int) -> bool:
 
 
 @inlined
-def keep(f: Filter) -> None:
-    """Copies the present state into the ring of snapshots."""
-    for k in range(SNAPSHOT_WORDS):
+def keep(f: Filter, words: int) -> None:
+    """Copies the present state, of so many words, into the ring of snapshots."""
+    for k in range(words):
         f.snapshots[f.next, k] = f.snapshot[k]
     f.next = (f.next + 1) % BATCHES_KEPT
     f.held = min(f.held + 1, BATCHES_KEPT)
@@ -147,7 +154,7 @@ def move(f: Filter, to_us: float, i: int, switches: Vector, teeth: Vector) -> in
         if dt > SHORT_S:
             part = min(longest_in_segment(model, u, state.pressure_pa, dt), LONGEST_S)
         transition(state, part, u, model, step)
-        spread_over(f.p, part, step, model, state.gain)
+        spread_over(f.p, part, step, model, state.gain, f.restless)
         if teeth.shape[1] > 0:
             carry(teeth, step)
         if f.offset_rad2 > 0.0:
@@ -170,34 +177,53 @@ def take_pressure(f: Filter, pressure_pa: float, teeth: Vector) -> None:
     s = measure(f.x, f.p, PRESSURE, innovation, r, f.gain)
     for c in range(teeth.shape[1]):
         teeth[ROW, c] = -teeth[PRESSURE, c]
-    follow(teeth, f.gain)
+    follow(teeth, f.gain, STATES)
     if f.offset_rad2 > 0.0:
-        follow_offset(f, PRESSURE, innovation, s)
+        follow_offset(f, PRESSURE, innovation, s, STATES)
 
 
 @inlined
-def take_edge(f: Filter, innovation: float) -> float:
-    """One edge into the filter; returns the innovation's variance, 0 where the gate refused it."""
+def take_edge(f: Filter, innovation: float, states: int, led: int) -> float:
+    """One edge into the filter of so many states; returns the innovation's variance, 0 where the
+    gate refused it. led: row of the steady acceleration that an unseen torque changes, or -1:
+    there the whole covariance is widened instead."""
     p, omega = f.p, f.state.omega_rad_s
     sigma = omega * f.edge_time_s
     r = sigma * sigma + f.tooth_rad * f.tooth_rad
     square = innovation * innovation / (p[THETA, THETA] + r)
+    if f.heed > 0.0:
+        surprise = min(square, f.gate_sd * f.gate_sd) - 1.0
+        restless = f.restless * (1.0 + f.heed * surprise)
+        f.restless = min(max(restless, 1.0), MOST_RESTLESS)
     if square > f.gate_sd * f.gate_sd:
         f.gated_in_a_row += 1
-        if f.gated_in_a_row < MOST_IN_A_ROW:
+        if f.gated_in_a_row < (MOST_IN_A_ROW if led >= 0 else MOST_SWINGING):
             return 0.0
-        # Eight refused in a row: the state is wrong, so its covariance is widened.
-        p[THETA, THETA] += innovation * innovation
-        p[OMEGA, OMEGA] += (LED_SHARE * omega) ** 2
-        p[DRAG, DRAG] += LED_RAD_S2 * LED_RAD_S2
+        # So many refused in a row: the state is wrong, so its covariance is widened.
+        widen(f, innovation, states, led)
     else:
         f.squares += square
         f.count += 1.0
+        f.log_variance += math.log(p[THETA, THETA] + r)
     f.gated_in_a_row = 0
     s = measure(f.x, p, THETA, innovation, r, f.gain)
     if f.offset_rad2 > 0.0:
-        follow_offset(f, THETA, innovation, s)
+        follow_offset(f, THETA, innovation, s, states)
     return s
+
+
+@inlined
+def widen(f: Filter, innovation: float, states: int, led: int) -> None:
+    """Widens the covariance of a state that has been found wrong."""
+    p, omega = f.p, f.state.omega_rad_s
+    p[THETA, THETA] += innovation * innovation
+    if led >= 0:
+        p[OMEGA, OMEGA] += (LED_SHARE * omega) ** 2
+        p[led, led] += LED_RAD_S2 * LED_RAD_S2
+        return
+    for j in range(states):
+        for k in range(j, states):
+            p[j, k] *= WIDER
 
 
 @inlined
@@ -215,9 +241,9 @@ def learn(teeth: Vector, place: int, scale: float, innovation: float, s: float) 
 
 
 @inlined
-def follow(teeth: Vector, gain: Vector) -> None:
+def follow(teeth: Vector, gain: Vector, states: int) -> None:
     """The derivatives by the tooth errors after an update."""
-    for state in range(STATES):
+    for state in range(states):
         for c in range(teeth.shape[1]):
             teeth[state, c] += gain[state] * teeth[ROW, c]
 

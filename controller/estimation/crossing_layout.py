@@ -7,7 +7,16 @@ from typing import Annotated, Final
 import numpy as np
 
 from meshpoint.controller.motion.kernels import STATES, Model, MotionState, MotionStep
-from meshpoint.controller.records import WORD_BYTES, Over, RecordMemory, Records, Vector, layout_of
+from meshpoint.controller.motion.swing_kernels import SWING_STATES
+from meshpoint.controller.records import (
+    WORD_BYTES,
+    Layout,
+    Over,
+    RecordMemory,
+    Records,
+    Vector,
+    layout_of,
+)
 
 BATCHES_KEPT: Final = 4
 """Number of batches that can be undone: 40 ms, more than two lost frames."""
@@ -27,6 +36,8 @@ class FilterSnapshot:
     """Its variance; 0 while it is not known."""
     offset_by: Annotated[Vector, STATES]
     """Its covariances with the state."""
+    restless: float
+    """Process noise over that of the model, by the innovations lately."""
 
 
 SNAPSHOT_WORDS: Final = layout_of(FilterSnapshot).itemsize // WORD_BYTES
@@ -41,8 +52,11 @@ class Filter:
     offset_rad: float
     offset_rad2: float
     offset_by: Annotated[Vector, STATES]
+    restless: float
 
     # Parameters.
+    heed: float
+    """How fast `restless` follows the innovations, a share an edge; 0: the model's noise holds."""
     edge_time_s: float
     tooth_rad: float
     pressure_sd_pa: float
@@ -67,6 +81,9 @@ class Filter:
     """Sum of normalised squared innovations (NIS)."""
     count: float
     """Their number."""
+    log_variance: float
+    """Sum of the logarithms of the innovations' variances: with the squares, twice the negative
+    logarithm of the likelihood of what was taken."""
     gated_in_a_row: int
     """Edges refused in a row."""
     astray_in_a_row: int
@@ -92,9 +109,9 @@ class Filter:
 FILTER: Final = layout_of(Filter)
 
 # --- rows of what teeth are learned by, of N columns ------------------------------------------
-RIGHT: Final = STATES
-"""Before it the state's derivatives by the tooth errors (6, N); it is the right side of the normal
-equations."""
+RIGHT: Final = max(STATES, SWING_STATES)
+"""Before it the state's derivatives by the tooth errors, a row a state; it is the right side of the
+normal equations."""
 ROW: Final = RIGHT + 1
 """What the kernel works with."""
 NORMAL: Final = ROW + 1
@@ -109,15 +126,16 @@ LATE: Final = 1
 class FilterMemory(RecordMemory):
     """A filter's record, with views of the fields that are used often."""
 
-    def __init__(self) -> None:
-        super().__init__(FILTER)
-        self.part("scale")[0] = 1.0
+    def __init__(self, layout: Layout = FILTER) -> None:
+        super().__init__(layout)
+        self.part("scale")[0] = self.part("restless")[0] = 1.0
 
     def _name_parts(self) -> None:
         self.time_us, self.x, self.p = self.part("time_us"), self.part("x"), self.part("p")
         self.offset_rad, self.offset_rad2 = self.part("offset_rad"), self.part("offset_rad2")
         self.tooth_rad, self.model = self.part("tooth_rad"), self.part("motion")
         self.geared, self.nis = self.part("geared"), self.part("nis")
+        self.log_variance = self.part("log_variance")
         self.held = self.part("held")
 
     def set_sensor(

@@ -4,11 +4,10 @@ layshaft's model does not apply at the time."""
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
-
 import numpy as np
 
 from meshpoint.controller.motion.linear_kernels import CRUISE_FILTER, cruise_filter
+from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.records import RecordMemory
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CruiseFilterTuning
@@ -18,27 +17,6 @@ SPEED_WINDOW_US = 10_000
 """The production speed's window: one read of the arrays (thesis 2.5)."""
 ESTIMATE_STALE_US = 60_000
 """An angle extrapolated for longer than this may be off by more than a tooth gap allows."""
-
-
-class ShaftState(NamedTuple):
-    """Angle and speed at a time, with standard deviations."""
-
-    time_us: float
-    theta_rad: float
-    omega_rad_s: float
-    theta_sd_rad: float
-    omega_sd_rad_s: float
-    acceleration_rad_s2: float = 0.0
-    """Zero where it is not estimated: speed held (4.16)."""
-
-    def theta_at(self, time_us: float) -> float:
-        """The angle at another time, acceleration held."""
-        dt = (time_us - self.time_us) * US
-        return self.theta_rad + dt * (self.omega_rad_s + 0.5 * dt * self.acceleration_rad_s2)
-
-    def omega_at(self, time_us: float) -> float:
-        """The speed at another time, acceleration held."""
-        return self.omega_rad_s + (time_us - self.time_us) * US * self.acceleration_rad_s2
 
 
 class WindowSpeed:

@@ -6,14 +6,21 @@ give a parabola, whose minimum is the estimate and whose curvature gives its var
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 
 from meshpoint.controller.estimation.brake_model import MOST_TOUCH_PA, BrakeModel, Carried
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.estimation.likelihood import Learned, learn
+from meshpoint.controller.motion.kernels import DISTURBANCE
 from meshpoint.controller.motion.linear_kernels import Vector
-from meshpoint.controller.motion.models import MotionModel
+from meshpoint.controller.motion.models import Disturbance, MotionModel
 from meshpoint.controller.settings import CrossingFilterTuning
 
+EDGE_TIME, TORQUE, MEMORY = range(3)
+"""Figures of the noise, in their order."""
 PROBE_PA = 0.1e5
 MOST_PA = 0.25e5
 """Largest change of the touch pressure by one run."""
@@ -71,6 +78,40 @@ class FreeRun:
         value = known.value + gain * float(np.clip(found - known.value, -MOST_PA, MOST_PA))
         value = min(max(value, 0.0), MOST_TOUCH_PA)
         brake.touch_pa = Carried(value, float(np.sqrt((1.0 - gain) * prior)))
+
+    def learn_noise(
+        self,
+        known: list[Learned],
+        brake: BrakeModel,
+        sd_rad: float,
+        switches: Vector,
+        model: MotionModel,
+        inertia_kgm2: float,
+        teeth_known: bool,
+    ) -> list[Learned]:
+        """What is known of an edge's time and of the disturbance's torque and memory after this
+        run. An edge's time cannot be told from tooth errors that are not known."""
+        edges = np.concatenate(self._edges, axis=1)
+        touch_pa = brake.touch_pa.value
+        measured = self.pressures
+        above = Pressures(measured.time_us, np.maximum(measured.pressure_pa - touch_pa, 0.0))
+        law = model.with_law(brake.law(touch_pa))
+        given = known[0].log
+
+        def misfit(logs: Sequence[float]) -> float:
+            time_s = math.exp(logs[EDGE_TIME] if teeth_known else given)
+            disturbance = Disturbance(math.exp(logs[TORQUE]), math.exp(logs[MEMORY]))
+            rate, density = disturbance.density(inertia_kgm2)
+            run = CrossingFilter(self._tuning)
+            run.set_edge_time(time_s)
+            p = self._p.copy()
+            p[DISTURBANCE, DISTURBANCE] = (disturbance.torque_nm / inertia_kgm2) ** 2
+            run.begin(self._time_us, self._x, p)
+            run.take(edges, sd_rad, above, switches, law.with_disturbance(rate, density))
+            return run.misfit(edges.shape[1])
+
+        found = learn(known, misfit)
+        return found if teeth_known else [known[0], *found[1:]]
 
     def _misfit(
         self,

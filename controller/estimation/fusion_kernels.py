@@ -42,26 +42,26 @@ def carry_offset(f: Filter, dt: float, loose: bool) -> None:
 
 
 @inlined
-def follow_offset(f: Filter, i: int, innovation: float, s: float) -> None:
-    """The offset after the i-th state was measured: innovation and its variance."""
+def follow_offset(f: Filter, i: int, innovation: float, s: float, states: int) -> None:
+    """The offset after the i-th of the states was measured: innovation and its variance."""
     by = f.offset_by
     shared = by[i]
     f.offset_rad += shared / s * innovation
     f.offset_rad2 -= shared / s * shared
-    for k in range(STATES):
+    for k in range(states):
         by[k] -= f.gain[k] * shared
 
 
 @inlined
-def take_geared(f: Filter, angle_rad: float) -> None:
-    """One edge of the geared wheel, as an angle of the shaft, into the filter."""
+def take_geared(f: Filter, angle_rad: float, states: int) -> None:
+    """One edge of the geared wheel, as an angle of the shaft, into the filter of so many states."""
     p, by, x, gain = f.p, f.offset_by, f.x, f.gain
     sigma, tooth = f.state.omega_rad_s * f.edge_time_s, f.geared_tooth_rad
     r = sigma * sigma + tooth * tooth
     if f.offset_rad2 <= 0.0:
         f.offset_rad = angle_rad - f.state.theta_rad
         f.offset_rad2 = p[THETA, THETA] + r
-        for k in range(STATES):
+        for k in range(states):
             by[k] = -p[THETA, k]
         return
     innovation = angle_rad - f.state.theta_rad - f.offset_rad
@@ -77,11 +77,11 @@ def take_geared(f: Filter, angle_rad: float) -> None:
     f.astray_in_a_row = 0
     f.squares += square
     f.count += 1.0
-    for k in range(STATES):
+    for k in range(states):
         gain[k] = (p[THETA, k] + by[k]) / s
-    for j in range(STATES):
+    for j in range(states):
         x[j] += gain[j] * innovation
-        for k in range(j, STATES):
+        for k in range(j, states):
             p[j, k] -= gain[j] * s * gain[k]
         by[j] -= gain[j] * own
     f.offset_rad += own / s * innovation

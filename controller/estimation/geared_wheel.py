@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, GearedEdges, Pressures
+from meshpoint.controller.estimation.swing_filter import LAYSHAFT_FILTER, FilterKind
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.motion.kernels import THETA
-from meshpoint.controller.motion.models import MotionModel
-from meshpoint.controller.records import Vector
+from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import MOST_RAD_S2, NO_EDGES, EdgeFrame, WheelEdges
 from meshpoint.controller.settings import CrossingFilterTuning
@@ -30,10 +30,11 @@ class GearedWheel:
         wheel: Wheel,
         tuning: CrossingFilterTuning,
         most_rad_s2: float = MOST_RAD_S2,
+        kind: FilterKind = LAYSHAFT_FILTER,
     ) -> None:
         self.name = name
         self._edges = WheelEdges.of(wheel, most_rad_s2)
-        self.teeth = WheelTeeth(wheel.teeth, tuning, wheel.missing)
+        self.teeth = WheelTeeth(wheel.teeth, tuning, wheel.missing, kind)
         self._batch = NO_EDGES
         self._scale: float | None = None
         self._moved = True
@@ -82,10 +83,10 @@ class GearedWheel:
         start_p: Vector,
         pressures: Pressures,
         switches: Vector,
-        model: MotionModel,
+        model: RecordMemory,
     ) -> None:
         """Adds new edges to the window in which the wheel's teeth are learned. A window begins once
-        the offset is known; start_p: covariance of the shaft's state (6, 6) at its beginning."""
+        the offset is known; start_p: covariance of the shaft's state at its beginning."""
         batch, scale, learner, offset = self._batch, self._scale, self.teeth.learner, shaft.offset
         if scale is None:
             return

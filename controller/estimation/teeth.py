@@ -12,9 +12,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimation.crossing_filter import Pressures
-from meshpoint.controller.estimation.crossing_kernels import crossing_filter, inverse_of_positive
-from meshpoint.controller.estimation.crossing_layout import FilterMemory, TeethArrays
+from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES, Pressures
+from meshpoint.controller.estimation.crossing_kernels import inverse_of_positive
+from meshpoint.controller.estimation.crossing_layout import TeethArrays
+from meshpoint.controller.estimation.swing_filter import LAYSHAFT_FILTER, FilterKind
 from meshpoint.controller.estimation.tooth_match import (
     PatternEquations,
     PatternMatch,
@@ -22,12 +23,12 @@ from meshpoint.controller.estimation.tooth_match import (
     compare,
     turned,
 )
-from meshpoint.controller.motion.models import MotionModel
-from meshpoint.controller.records import Integers, Vector
+from meshpoint.controller.records import Integers, RecordMemory, Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 
 NEVER_GATED: Final = 1e9
+NO_SWITCHES: Final = np.empty((2, 0))
 FORGET: Final = 0.99
 """Weight of older windows relative to each newer one: the errors change as a sensor warms up."""
 LEAST_SD_RAD: Final = math.radians(0.003)
@@ -47,10 +48,13 @@ LEAST_EDGES: Final = 40
 class TeethLearner:
     """The normal equations of one wheel over one window of free motion."""
 
-    def __init__(self, tuning: CrossingFilterTuning, edges: int) -> None:
-        self._memory, self._teeth = FilterMemory(), TeethArrays(edges)
+    def __init__(
+        self, tuning: CrossingFilterTuning, edges: int, kind: FilterKind = LAYSHAFT_FILTER
+    ) -> None:
+        self._run = kind.run
+        self._memory, self._teeth = kind.memory(), TeethArrays(edges)
         self._memory.set_sensor(tuning.edge_time_s, 1e-9, tuning.pressure_sd_pa, NEVER_GATED)
-        self._model: MotionModel | None = None
+        self._model: RecordMemory | None = None
         self.running = False
 
     def begin(self, time_us: float, x: Vector, p: Vector) -> None:
@@ -67,7 +71,7 @@ class TeethLearner:
         place: Integers,
         pressures: Pressures,
         switches: Vector,
-        model: MotionModel,
+        model: RecordMemory,
         scale: float = 1.0,
     ) -> None:
         """Adds new edges to the window, with their nominal angles. place: which of the wheel's
@@ -81,7 +85,20 @@ class TeethLearner:
         edges = np.empty((3, place.size))
         edges[0], edges[2] = batch.time_us, place
         np.multiply(scale, batch.theta_rad, out=edges[1])
-        crossing_filter(memory.flat, edges, *pressures, switches, self._teeth.flat)
+        self._run(memory.flat, edges, *pressures, switches, self._teeth.flat)
+
+    def set_edge_time(self, edge_time_s: float) -> None:
+        """Standard deviation of an edge's time from now on."""
+        self._memory.part("edge_time_s")[0] = edge_time_s
+
+    def take_all(self, edges: Vector, place: Integers, model: RecordMemory) -> None:
+        """Edges (2, n), times and nominal angles, of a shaft on which nothing else is measured."""
+        self._model = model
+        memory = self._memory
+        memory.model[:] = model.flat
+        memory.forget_past()
+        both = np.concatenate((edges, place[np.newaxis].astype(np.float64)))
+        self._run(memory.flat, both, *NO_PRESSURES, NO_SWITCHES, self._teeth.flat)
 
     @property
     def edges(self) -> float:
@@ -118,7 +135,11 @@ class WheelTeeth:
     it is compared with the errors seen now, and used once it is certain which tooth is which."""
 
     def __init__(
-        self, teeth: int, tuning: CrossingFilterTuning, missing: tuple[int, ...] = ()
+        self,
+        teeth: int,
+        tuning: CrossingFilterTuning,
+        missing: tuple[int, ...] = (),
+        kind: FilterKind = LAYSHAFT_FILTER,
     ) -> None:
         edges = 2 * teeth
         self._edges = edges
@@ -140,7 +161,7 @@ class WheelTeeth:
         self.sd_rad = tuning.tooth_error_rad
         """Standard deviation of an edge's angle (rad), tooth errors taken out as far as known."""
         self.learned = False
-        self.learner = TeethLearner(tuning, edges)
+        self.learner = TeethLearner(tuning, edges, kind)
 
     @property
     def count(self) -> int:
@@ -168,7 +189,7 @@ class WheelTeeth:
         window = self.learner.end()
         if window is None:
             return None
-        if self.learned and self._misfit(window) > DISAGREES:
+        if self.learned and self._is_a_stranger_s(window):
             self._strangers += 1
             if self._strangers < WINDOWS_TO_FORGET:
                 return "teeth do not agree with what was learned"
@@ -262,6 +283,12 @@ class WheelTeeth:
             return None
         self.memory = None
         return "teeth cannot be told apart: their old numbers stay unknown"
+
+    def _is_a_stranger_s(self, window: PatternEquations) -> bool:
+        """Whether a window was made by another wheel: the learned errors explain it badly, and no
+        better than a wheel without errors would."""
+        misfit = self._misfit(window)
+        return misfit > DISAGREES and misfit > window.squares / window.edges
 
     def _misfit(self, window: PatternEquations) -> float:
         e = self.error_rad

@@ -179,9 +179,12 @@ def transition(state: MotionState, dt: float, u: int, model: Model, step: Motion
 
 
 @inlined
-def spread_over(p: Vector, dt: float, step: MotionStep, model: Model, gain: float) -> None:
+def spread_over(
+    p: Vector, dt: float, step: MotionStep, model: Model, gain: float, restless: float
+) -> None:
     """Covariance prediction P = F P F' + Q, in place; p (6, 6), its upper half; step: that of
-    `transition` over the same time; gain: that of the brake.
+    `transition` over the same time; gain: that of the brake; restless: what the noises of the
+    accelerations are multiplied by.
 
     Q is Van Loan's integral with the fading of pressure and disturbance in it: with e = e^(-b dt)
     and phi = (1 - e) / b the variance phi (1 + e) / 2, that with omega phi^2 / 2, that of omega
@@ -207,7 +210,8 @@ def spread_over(p: Vector, dt: float, step: MotionStep, model: Model, gain: floa
     v3 = b1 * p13 + b2 * p23 + b3 * p33 + b4 * p34 + b5 * p35
     v4 = b1 * p14 + b2 * p24 + b3 * p34 + b4 * p44 + b5 * p45
     v5 = b1 * p15 + b2 * p25 + b3 * p35 + b4 * p45 + b5 * p55
-    q_d, q_p, q_s = model.disturbance_rad2_s5, model.pressure_pa2_s, model.drag_rad2_s5
+    q_d, q_s = restless * model.disturbance_rad2_s5, restless * model.drag_rad2_s5
+    q_p = model.pressure_pa2_s
     # What a kick at the step's start has made of theta (a2, a3, a5) and omega (b2, b3, b5) by its
     # end, integrated over the step; a kick of pressure fades to e_p, one of disturbance to e_d.
     theta = q_d * a3 * a3 + q_p * a2 * a2 + q_s * a5 * a5
@@ -234,22 +238,22 @@ def spread_over(p: Vector, dt: float, step: MotionStep, model: Model, gain: floa
 @inlined
 def measure(x: Vector, p: Vector, i: int, innovation: float, r: float, gain: Vector) -> float:
     """Measurement update with the i-th state measured, in place; p its upper half. Returns the
-    innovation's variance; gain (6,) is written: the Kalman gain used."""
-    s = p[i, i] + r
-    for j in range(STATES):
+    innovation's variance; gain (a number a state) is written: the Kalman gain used."""
+    s, states = p[i, i] + r, gain.shape[0]
+    for j in range(states):
         gain[j] = (p[j, i] if j < i else p[i, j]) / s
-    for j in range(STATES):
+    for j in range(states):
         x[j] += gain[j] * innovation
         g = gain[j] * s
-        for k in range(j, STATES):
+        for k in range(j, states):
             p[j, k] -= g * gain[k]
     return float(s)
 
 
 @inlined
-def mirror(p: Vector) -> None:
+def mirror(p: Vector, states: int) -> None:
     """The lower half from the upper one, in place."""
-    for j in range(1, STATES):
+    for j in range(1, states):
         for k in range(j):
             p[j, k] = p[k, j]
 
@@ -309,10 +313,10 @@ def forecast(
         dt = (until_us - t_us) * US
         part = min(longest_in_segment(motion, u, state.pressure_pa, dt), LONGEST_S)
         transition(state, part, u, motion, step)
-        spread_over(p, part, step, motion, state.gain)
+        spread_over(p, part, step, motion, state.gain, 1.0)
         if part < dt:
             t_us += part / US
         else:
             t_us = until_us
             i += 1
-    mirror(p)
+    mirror(p, STATES)

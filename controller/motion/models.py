@@ -70,6 +70,13 @@ class MotionModel(RecordMemory):
         """Deceleration by the brake's pressure."""
         return float(self.part("brake_rad_s2_pa")[0])
 
+    def with_disturbance(self, rate_per_s: float, density_rad2_s5: float) -> MotionModel:
+        """The same motion with another disturbance."""
+        other = copy.deepcopy(self)
+        other.part("fading_per_s")[0] = rate_per_s
+        other.part("disturbance_rad2_s5")[0] = density_rad2_s5
+        return other
+
     def with_law(self, law: Vector) -> MotionModel:
         """The same motion with another pressure law."""
         other = copy.deepcopy(self)
@@ -86,17 +93,36 @@ def first_order_law(rate: float, supply_pa: float) -> Vector:
     return law
 
 
+class Disturbance(NamedTuple):
+    """The torques at the layshaft that its model leaves out."""
+
+    torque_nm: float
+    """Their standard deviation,"""
+    memory_s: float
+    """and how long such a torque lasts."""
+
+    def density(self, inertia_kgm2: float) -> tuple[float, float]:
+        """Rate at which its acceleration is forgotten, and density of the noise that drives it."""
+        rate, sigma = 1.0 / self.memory_s, self.torque_nm / inertia_kgm2
+        return rate, 2.0 * sigma * sigma * rate
+
+
 def free_motion(
-    sheet: GearboxSheet, split: Split, law: Vector, tuning: CrossingFilterTuning
+    sheet: GearboxSheet,
+    split: Split,
+    law: Vector,
+    tuning: CrossingFilterTuning,
+    disturbance: Disturbance | None = None,
 ) -> MotionModel:
-    """The layshaft with clutch open and main box in neutral (4.13, 4.15)."""
+    """The layshaft with clutch open and main box in neutral (4.13, 4.15); without `disturbance`,
+    that of the settings."""
     inertia = sheet.inertia_kgm2(split)
-    rate = 1.0 / tuning.disturbance_s
-    sigma = tuning.torque_disturbance_nm / inertia
+    given = Disturbance(tuning.torque_disturbance_nm, tuning.disturbance_s)
+    rate, density = (disturbance or given).density(inertia)
     rates = np.array([sheet.shafts.friction_nms / inertia, sheet.brake_nm_per_pa / inertia, rate])
     noise = np.array(
         [
-            2.0 * sigma * sigma * rate,
+            density,
             tuning.pressure_walk_pa**2,
             tuning.gain_walk**2,
             (tuning.drag_walk_nm / inertia) ** 2,

@@ -51,6 +51,11 @@ FLOATED_SHARE = 0.2
 LEAST_SPAN, MOST_SPAN = 0.8, 1.1
 """Range of a floating tooth's positions, in backlashes, from which the gap is determined: its
 middle is then wrong by a tenth of the backlash at most."""
+OTHER_SHARE = 0.3
+"""A constant this far, in backlashes, from the middle of what was seen of the whole gap is wrong: it
+took one flank for the other."""
+MOST_LOOKS = 60
+"""A gear in mesh is looked at no further: 0.6 s, in which a driveline swings several times."""
 FLANK_SLIP_RAD_S = 0.2
 """Below this slip (2 rpm) at contact it is not certain which flank the tooth was carried to."""
 
@@ -85,6 +90,8 @@ class _Learning:
     pulled: int = 0
     """Number of newest consecutive looks during which drag alone pulled the tooth to the lower
     flank."""
+    done: bool = False
+    """Its constant has been found; looks go on, to see the whole gap."""
 
     def add(self, raw_rad: float, pitch_rad: float, pulled: bool) -> None:
         """Adds a look: raw phase (rad), unwrapped to lie within half a pitch of the first."""
@@ -195,7 +202,8 @@ class PhaseReferences:
 
     def watches(self, gear: MainGear) -> bool:
         """Whether this gear's reference is being learned, so that looks are wanted."""
-        return self._learning is not None and self._learning.gear is gear
+        learning = self._learning
+        return learning is not None and learning.gear is gear and len(learning.seen) < MOST_LOOKS
 
     @property
     def watched(self) -> Watched | None:
@@ -214,6 +222,8 @@ class PhaseReferences:
         mesh, dog = self._sheet.main_mesh(gear), self._sheet.dog
         raw = raw_phase_rad(mesh.ratio, theta_layshaft, theta_main)
         learning.add(raw, dog.pitch_rad, pulled)
+        if learning.done:
+            return False
         lies = learning.lies(dog.backlash_rad, self._moves, self._stays)
         if lies is None:
             return False
@@ -230,7 +240,7 @@ class PhaseReferences:
         self._likely_rad.clear()
         self._offset_rad[gear] = mean - flank * dog.backlash_rad / 2.0
         self._adopted.pop(gear, None)
-        self._learning = None
+        learning.done = True
         return True
 
     def released(self) -> Floated | None:
@@ -241,8 +251,10 @@ class PhaseReferences:
         if learning is None:
             return None
         floated = learning.floated(backlash_rad)
-        if floated is not None and not self.known(learning.gear):
+        if floated is not None:
             self._bound(learning.gear, *floated)
+        if learning.done:
+            return None
         if learning.stayed(backlash_rad):
             self._stays = True
             if learning.flank != 0:
@@ -251,8 +263,9 @@ class PhaseReferences:
         return None if floated is None else Floated(learning.gear, *floated)
 
     def _bound(self, gear: MainGear, low: float, high: float) -> None:
-        """Determines the reference of a gear that left the mesh before its flank was known, from
-        the range of phases of this and earlier times, if that range is about a backlash."""
+        """Determines the reference of a gear that leaves the mesh from the range of phases of this
+        and earlier times, if that range is about a backlash: where it was not known, or where it
+        took one flank for the other."""
         dog = self._sheet.dog
         if gear in self._floated_rad:
             before_low, before_high = self._floated_rad[gear]
@@ -263,7 +276,11 @@ class PhaseReferences:
         if span > MOST_SPAN:
             del self._floated_rad[gear]
         elif span > LEAST_SPAN:
-            self._offset_rad[gear] = 0.5 * (low + high)
+            middle = 0.5 * (low + high)
+            off = wrap_to_pitch(self._offset_rad.get(gear, middle) - middle, dog.pitch_rad)
+            if not self.known(gear) or abs(off) > OTHER_SHARE * dog.backlash_rad:
+                self._offset_rad[gear] = middle
+                self._adopted.pop(gear, None)
 
     @property
     def offsets_rad(self) -> dict[MainGear, float]:

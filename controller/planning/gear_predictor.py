@@ -1,7 +1,7 @@
 """Slip and phase of the target gear at times to come, predicted from the estimates of one step.
 
-The layshaft is predicted by zero-order hold over the brake commands, the main shaft with constant
-acceleration.
+The layshaft is predicted by zero-order hold over the brake commands, the main shaft with the swing
+of its driveline, or with constant acceleration where that is not estimated.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimation.cruise import ShaftState
+from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kinematics import slip_rad_s
 from meshpoint.controller.motion.linear_kernels import Vector
@@ -62,6 +62,12 @@ class GearPredictor:
         """Slip at a time with the brake as commanded, or released at `release_us`."""
         return self._slip(self.layshaft_at(time_us, release_us))
 
+    def steady_slip_rad_s(self, time_us: float, release_us: int | None = None) -> float:
+        """As `slip_rad_s`, of a main shaft that does not swing: what brake and drag still have to
+        bring down."""
+        omega = self.layshaft_at(time_us, release_us).omega_rad_s
+        return slip_rad_s(self.i_gear, omega, self.main.steady_omega_at(time_us)) + self.drift_rad_s
+
     def _slip(self, state: LayshaftState) -> float:
         omega_main = self.main.omega_at(state.time_us)
         return slip_rad_s(self.i_gear, state.omega_rad_s, omega_main) + self.drift_rad_s
@@ -100,9 +106,16 @@ class GearPredictor:
         sd = math.hypot(self.i_gear * self._layshaft_sd_rad(time_us), self._main_sd_rad(time_us))
         return (self.spread_share * sd) ** 2
 
+    def variances(self, first_us: float, step_us: float, count: int) -> Vector:
+        """Variances (rad2) of the phase at equal steps of time, without the part from the sleeve's
+        delay: each as predicted by what will be known when its firing has to be decided."""
+        layshaft = (self.i_gear * self._layshaft_sd_rad(first_us)) ** 2
+        main = self.main.variances(first_us, step_us, count)
+        scaled: Vector = self.spread_share**2 * (layshaft + main)
+        return scaled
+
     def _main_sd_rad(self, time_us: float) -> float:
-        horizon_s = (time_us - self.main.time_us) * US
-        return math.hypot(self.main.theta_sd_rad, self.main.omega_sd_rad_s * horizon_s)
+        return self.main.theta_sd_at(time_us)
 
     def trajectory(
         self, first_us: float, step_us: float, count: int, release_us: float | None = None
@@ -112,8 +125,6 @@ class GearPredictor:
         main, state, brake = self.main, self.layshaft, self.brake
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
         offset = -self.references.phase_rad(self.gear, 0.0, 0.0)
-        # The learned drift of the slip is applied as a slower main shaft.
-        omega = main.omega_rad_s - self.drift_rad_s
         meeting = filled(
             MEETING,
             layshaft_us=state.time_us,
@@ -122,11 +133,9 @@ class GearPredictor:
             i_gear=self.i_gear,
             reference_rad=offset,
             main_us=main.time_us,
-            main_rad=main.theta_rad,
-            main_rad_s=omega,
-            main_rad_s2=main.acceleration_rad_s2,
+            drift_rad_s=self.drift_rad_s,
         )
-        found = np.empty((2, count))
+        found = main.course(first_us, step_us, count)
         course(state.vector, switches, self.model.flat, meeting, found)
         return Trajectory(first_us, step_us, found[0], found[1])
 
@@ -139,7 +148,7 @@ class GearPredictor:
         `latest_us` if even that leaves more."""
 
         def over(release_us: int) -> float:
-            return self.slip_rad_s(release_us + settle_us, release_us) - slip_left_rad_s
+            return self.steady_slip_rad_s(release_us + settle_us, release_us) - slip_left_rad_s
 
         return _falling_root(over, earliest_us, latest_us)
 
@@ -147,7 +156,7 @@ class GearPredictor:
         """When the slip has fallen to a value with the brake as commanded; `earliest_us` if it is
         lower already, `latest_us` if it is still higher then."""
         return _falling_root(
-            lambda time_us: self.slip_rad_s(time_us) - slip_rad_s, earliest_us, latest_us
+            lambda time_us: self.steady_slip_rad_s(time_us) - slip_rad_s, earliest_us, latest_us
         )
 
 

@@ -35,22 +35,17 @@ class Meeting:
     reference_rad: float
     """Phase reference."""
     main_us: float
-    main_rad: float
-    main_rad_s: float
-    main_rad_s2: float
-    """The main shaft's time, and its angle, speed and acceleration then."""
+    """Time of the main shaft's state,"""
+    drift_rad_s: float
+    """from which on the slip drifts from the model's, as was learned."""
 
 
 class ContactSeries:
-    """Contacts at equal steps of time, and the variance of their phase."""
+    """Contacts at equal steps of time."""
 
     wait_s: float
     """From now to the first."""
     step_s: float
-    variance_rad2: float
-    """Of the first one's phase, without what the delay adds."""
-    growth_rad2_s: float
-    """Growth of that variance a second."""
 
 
 class Terms:
@@ -81,16 +76,18 @@ CONTACT_SERIES: Final = layout_of(ContactSeries)
 TERMS: Final = layout_of(Terms)
 
 LEAST_VARIANCE: Final = 1e-10
-OUTSIDE: Final = 10.0
-"""Added cost, in s for each rad/s outside the allowed slips: such a contact is chosen only if there
-is no other."""
+OUTSIDE_S: Final = 0.05
+OUTSIDE: Final = 0.1
+"""Added cost of a contact outside the allowed slips, in s, and in s for each rad/s: it is chosen
+only if the gaps within reach are all outside, and then the nearest."""
 NODE: Final = 1.7320508075688772
 """Three-point Gauss-Hermite: nodes 0 and +-sqrt(3), weights 2/3 and 1/6."""
 
 
 @compiled
 def course(x: Vector, switches: Vector, model: Vector, meeting: Vector, found: Vector) -> None:
-    """Phase (unwrapped) and slip at equal steps of time; written to the rows of found (2, n).
+    """Phase (unwrapped) and slip at equal steps of time; written to the rows of found (2, n), in
+    which the main shaft's angle and speed at these times are given.
 
     x: the layshaft's `State`; switches and model as for `travel`; meeting: a `Meeting`."""
     ahead = x.copy()
@@ -101,11 +98,9 @@ def course(x: Vector, switches: Vector, model: Vector, meeting: Vector, found: V
         time_us = mesh.first_us + k * mesh.step_us
         travel(ahead, at_us, time_us, switches, model)
         at_us = time_us
-        span = (time_us - mesh.main_us) * US
-        gained = span * mesh.main_rad_s2
-        main = mesh.main_rad + span * (mesh.main_rad_s + 0.5 * gained)
-        phase[k] = mesh.i_gear * state.theta_rad - main - mesh.reference_rad
-        slip[k] = mesh.i_gear * state.omega_rad_s - mesh.main_rad_s - gained
+        drifted = mesh.drift_rad_s * (time_us - mesh.main_us) * US
+        phase[k] = mesh.i_gear * state.theta_rad - phase[k] - mesh.reference_rad + drifted
+        slip[k] = mesh.i_gear * state.omega_rad_s - slip[k] + mesh.drift_rad_s
 
 
 @inlined
@@ -129,43 +124,43 @@ def contact_cost(wait_s: float, phase: float, slip: float, variance: float, term
     cost = wait_s + (1.0 - hit) * miss + terms.energy_s3_rad2 * slip * slip
     cost += terms.aim_s * (off / half) ** 2
     if slip > terms.slip_high_rad_s:
-        cost += OUTSIDE * (1.0 + slip - terms.slip_high_rad_s)
+        cost += OUTSIDE_S + OUTSIDE * (slip - terms.slip_high_rad_s)
     elif slip < terms.slip_low_rad_s:
-        cost += OUTSIDE * (1.0 + terms.slip_low_rad_s - slip)
+        cost += OUTSIDE_S + OUTSIDE * (terms.slip_low_rad_s - slip)
     return float(cost)
 
 
 @compiled
 def cheapest(
-    phase: Vector, slip: Vector, contacts: Vector, terms: Vector, shift_rad: float
-) -> tuple[int, float]:
-    """Index and cost of the cheapest contact of a course: phase and slip at each contact.
+    phase: Vector, slip: Vector, variance: Vector, contacts: Vector, terms: Vector,
+    shift_rad: float,
+) -> tuple[int, float]:  # fmt: skip
+    """Index and cost of the cheapest contact of a course: phase and slip at each contact, and the
+    phase's variance without what the delay adds.
 
-    contacts: a `ContactSeries`; terms: `Terms`; shift_rad is added to the phase. The search ends at
-    the first contact whose slip is below the allowed ones."""
+    contacts: a `ContactSeries`; terms: `Terms`; shift_rad is added to the phase."""
     series, price = contacts.view(CONTACT_SERIES)[0], terms.view(TERMS)[0]
     best, least = 0, math.inf
     for k in range(phase.shape[0]):
         later = k * series.step_s
-        variance = series.variance_rad2 + series.growth_rad2_s * later
-        cost = contact_cost(series.wait_s + later, phase[k] + shift_rad, slip[k], variance, price)
+        shifted = phase[k] + shift_rad
+        cost = contact_cost(series.wait_s + later, shifted, slip[k], variance[k], price)
         if cost < least:
             best, least = k, cost
-        if slip[k] < price.slip_low_rad_s:
-            break
     return best, least
 
 
 @compiled
 def expected_least(
-    phase: Vector, slip: Vector, contacts: Vector, terms: Vector, spread_rad: float
-) -> tuple[int, float]:
+    phase: Vector, slip: Vector, variance: Vector, contacts: Vector, terms: Vector,
+    spread_rad: float,
+) -> tuple[int, float]:  # fmt: skip
     """Index of the contact that would be chosen now, and the expected cost if it is chosen later,
     when part of the phase's present uncertainty (`spread_rad`, standard deviation) is resolved."""
-    best, least = cheapest(phase, slip, contacts, terms, 0.0)
+    best, least = cheapest(phase, slip, variance, contacts, terms, 0.0)
     total = least * 2.0 / 3.0
     for sign in (-1.0, 1.0):
-        _, cost = cheapest(phase, slip, contacts, terms, sign * NODE * spread_rad)
+        _, cost = cheapest(phase, slip, variance, contacts, terms, sign * NODE * spread_rad)
         total += cost / 6.0
     return best, total
 
@@ -175,7 +170,7 @@ def warm_up() -> None:
     model = np.ones(MODEL.itemsize // WORD_BYTES)
     law = model.view(MODEL)["segments"]
     law[..., 0], law[0, :, 0, 0] = np.inf, -np.inf
-    meeting = np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
-    course(np.ones(STATES), np.empty((2, 0)), model, meeting, np.empty((2, 1)))
-    contacts = filled(CONTACT_SERIES, wait_s=0.0, step_s=1.0, variance_rad2=0.1, growth_rad2_s=0.1)
-    expected_least(np.ones(1), np.ones(1), contacts, np.ones(TERMS.itemsize // WORD_BYTES), 0.1)
+    meeting = np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+    course(np.ones(STATES), np.empty((2, 0)), model, meeting, np.ones((2, 1)))
+    contacts = filled(CONTACT_SERIES, wait_s=0.0, step_s=1.0)
+    expected_least(np.ones(1), np.ones(1), np.ones(1), contacts, np.ones(TERMS.itemsize // WORD_BYTES), 0.1)

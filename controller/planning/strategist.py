@@ -24,6 +24,9 @@ class Plan(NamedTuple):
     phase_rad: float
     phase_sd_rad: float
     slip_rad_s: float
+    misses: bool = False
+    """The predicted phase lies outside the gap: an aimed contact like that is planned only where no
+    better one is within reach."""
 
 
 class Strategist:
@@ -31,6 +34,7 @@ class Strategist:
 
     def __init__(self, sheet: GearboxSheet, settings: ControllerSettings) -> None:
         self._pitch_rad = sheet.dog.pitch_rad
+        self._half_gap_rad = sheet.dog.backlash_rad / 2.0
         self._asked = make_strategy(sheet, settings)
         self._asked_wire = settings.strategy
         self._unaimed = SpeedWindow(sheet, settings)
@@ -53,4 +57,5 @@ class Strategist:
         else:
             phase, phase_sd, slip = 0.0, 0.0, predictor.slip_rad_s(contact_us)
         fire_us = contact_us - predictor.delay_us
-        return Plan(decision, fire_us, contact_us, phase, phase_sd, slip)
+        misses = abs(phase) > self._half_gap_rad
+        return Plan(decision, fire_us, contact_us, phase, phase_sd, slip, misses)

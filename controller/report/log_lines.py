@@ -29,6 +29,8 @@ def decision_line(plan: Plan, now_us: int) -> str | None:
     where = (
         f"phase {plan.phase_rad / DEG:+.2f} +- {plan.phase_sd_rad / DEG:.2f} deg, {slip:.1f} rpm"
     )
+    if plan.misses:
+        where += ", outside the gap: no better contact within reach"
     if plan.phase_sd_rad == 0.0:
         where = f"phase unknown or not asked for, {slip:.1f} rpm"
     return line.format(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.controller.estimation.cruise import ShaftState
+from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.motion.kinematics import slip_rad_s, wrap_to_pitch
 from meshpoint.controller.motion.models import LayshaftState

@@ -22,6 +22,8 @@ valve side: the activation is sent again."""
 KEEP_US: Final = 3 * MS_IN_US
 """A firing this close to the earliest possible activation is not planned again: the new time could
 come out slightly too early to be sent, and the sleeve would have to wait for the next gap."""
+WITHDRAW_US: Final = 4 * MS_IN_US
+"""A firing nearer than this is not taken back: its valve could have opened before."""
 RELEASE_HORIZON_US: Final = 90 * MS_IN_US
 """A release further ahead than this is not sent yet: the valve side accepts at most 100 ms."""
 
@@ -47,7 +49,7 @@ def synchronise(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
         return Trigger.BRAKE_RELEASED
     command = context.board.command(ValveName.BRAKE)
     if not command.on and not command.before:
-        if predictor.slip_rad_s(now) < context.settings.window.contact_low_rad_s:
+        if predictor.steady_slip_rad_s(now) < context.settings.window.contact_low_rad_s:
             return too_slow(context, snapshot)
         if not _brake_helps(context, predictor, snapshot):
             shift.release_us = now
@@ -72,7 +74,7 @@ def coast(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     fired = _fire_if_due(context, predictor, snapshot)
     if fired is not None:
         return fired
-    if predictor.slip_rad_s(snapshot.now_us) < context.settings.window.least_rad_s:
+    if predictor.steady_slip_rad_s(snapshot.now_us) < context.settings.window.least_rad_s:
         return too_slow(context, snapshot)
     if not _braked_lately(context, snapshot) and _brake_helps(context, predictor, snapshot):
         shift.plan = shift.release_us = None
@@ -89,11 +91,34 @@ def _fire_if_due(
     shift, plan = context.running, context.running.plan
     if plan is None or plan.fire_us >= snapshot.earliest_us + KEEP_US:
         return None
+    if _better_withdrawn(context, predictor, plan, snapshot):
+        context.board.off(SLEEVE_VALVE[shift.target.main])
+        shift.plan = None
+        return None
     shift.attempts += 1
     shift.measured_contact_us = None
     context.free_predictor, context.firing_predictor = None, predictor
     context.decision = plan._replace(decision=ShiftDecision.COMMITTED)
     return Trigger.FIRED
+
+
+def _better_withdrawn(
+    context: ShiftContext, predictor: GearPredictor, plan: Plan, snapshot: StepSnapshot
+) -> bool:
+    """Whether a firing that was planned for the gap is now predicted to meet a tooth, and there is
+    still time to take it back: a command that switches off needs no lead but the bus's."""
+    if not shift_aims(context) or plan.misses:
+        return False
+    if plan.fire_us < snapshot.now_us + WITHDRAW_US:
+        return False
+    now = context.strategist.plan_at(predictor, plan.contact_us, plan.decision)
+    return abs(now.phase_rad) > context.sheet.dog.backlash_rad / 2.0 + now.phase_sd_rad
+
+
+def shift_aims(context: ShiftContext) -> bool:
+    """Whether the running shift's strategy aims, and knows where."""
+    shift = context.running
+    return shift.aimed and context.reference_known(shift.target.main)
 
 
 def _brake_helps(context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot) -> bool:
@@ -103,8 +128,8 @@ def _brake_helps(context: ShiftContext, predictor: GearPredictor, snapshot: Step
     if context.running.pulses >= limits.pulses:
         return False
     wanted = _acting(context, predictor.gear).fire_slip_rad_s
-    slip = predictor.slip_rad_s(snapshot.now_us)
-    fall = slip - predictor.slip_rad_s(snapshot.now_us + FALL_US)
+    slip = predictor.steady_slip_rad_s(snapshot.now_us)
+    fall = slip - predictor.steady_slip_rad_s(snapshot.now_us + FALL_US)
     return slip - wanted > fall * (limits.coast_ms * MS_IN_US / FALL_US)
 
 

@@ -17,13 +17,14 @@ from scipy.stats import chi2
 from wheel import READ_US, Wheel
 
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, GearedEdges, Pressures
-from meshpoint.controller.estimation.crossing_tracker import MainTracker
+from meshpoint.controller.estimation.main_tracker import MainTracker
+from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.motion.models import MotionModel, diagonal, free_motion
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
-from meshpoint.gearbox import GearboxSheet, Split
+from meshpoint.gearbox import GearboxSheet, Range, Split
 from meshpoint.gearbox.sheet import Wheel as SheetWheel
 from meshpoint.units import US
 
@@ -266,7 +267,8 @@ def test_a_geared_wheel_does_not_stand_in_for_a_dead_sensor() -> None:
     since_us = np.arange(1, 2000) * half_pitch / omega / ratio / US
     times_us = START_US + np.round(since_us).astype(int)
     wheel = Wheel(1, times_us[0::2].tolist(), times_us[1::2].tolist())
-    geared, clock = GearedWheel("propeller shaft", sheet_wheel, TUNING), SensorClockEstimate()
+    geared = GearedWheel("propeller shaft", sheet_wheel, TUNING, kind=MAIN_FILTER)
+    clock = SensorClockEstimate()
     main = MainTracker(TUNING, 45, (), geared)
     geared.set_ratio(1.0 / ratio, dragged=False)
     own_us = START_US + np.arange(1.0, 430.0) * half_pitch / omega / US
@@ -276,7 +278,7 @@ def test_a_geared_wheel_does_not_stand_in_for_a_dead_sensor() -> None:
     for now_us in range(START_US + READ_US, START_US + 500_000, READ_US):
         new = (own_us > now_us - READ_US) & (own_us <= now_us)
         batch = EdgeBatch(own_us[new], half_pitch * number[new], number[new] // 2, number[new] % 2)
-        main.set_free(True, events)
+        main.set_free(True, Range.HIGH, events)
         geared.read([wheel.rise(now_us)], [wheel.fall(now_us)], clock, now_us)
         main.edges(batch)
         states[now_us] = main.at(now_us)

@@ -87,6 +87,8 @@ from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Gear
 from meshpoint.controller.sensing.gate_kernels import gate_edges
 from meshpoint.controller.sensing.gate_layout import new_gate, teeth_of
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
+from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
+from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
 from meshpoint.controller.motion.models import diagonal, first_order_law, following_motion
 from meshpoint.controller.planning.plan_kernels import CONTACT_SERIES, MEETING, TERMS
 from meshpoint.controller.planning.plan_kernels import course, expected_least
@@ -118,17 +120,24 @@ falls = rises + np.array([[0], [250]])
 gate.given[:] = rises.shape[1]
 found, numbers = np.zeros((2, 800)), np.zeros((3, 800), np.int64)
 n = gate_edges(gate.flat, wheel, rises, falls, found, numbers)
+motion = SwingMotion(0.5, 20.0, [ModeRates(70.0, 3.0, 2.0), ModeRates(25.0, 1.0, 0.5)])
+main = CrossingFilter(tuning, MAIN_FILTER)
+main.begin(0.0, np.array([1.0, 63.0, 0.0, 0.01, 1.0, 0.0, 0.0]), np.diag(np.linspace(0.1, 2.0, 7)))
+main.take(edges * [[1.0], [0.9]], 1e-3, Pressures(np.empty(0), np.empty(0)), switches, motion)
+swing = Swing(main.x, main.p, motion)
 ahead = np.empty((2, 20))
+swing.course(1e-3, 2e-3, ahead)
 meeting = filled(MEETING, layshaft_us=0.0, first_us=1e3, step_us=2e3, i_gear=0.775,
-    reference_rad=0.1, main_us=0.0, main_rad=1.0, main_rad_s=100.0, main_rad_s2=-3.0)
+    reference_rad=0.1, main_us=0.0, drift_rad_s=0.02)
 course(x.copy(), switches, model.flat, meeting, ahead)
-contacts = filled(CONTACT_SERIES, wait_s=0.02, step_s=2e-3, variance_rad2=1e-6, growth_rad2_s=1e-5)
+contacts = filled(CONTACT_SERIES, wait_s=0.02, step_s=2e-3)
+variance = np.interp(np.arange(20.0), np.arange(5) * 4.0, swing.outlook(0.05, 0.01, 5))
 terms = filled(TERMS, pitch_rad=0.13, half_gap_rad=0.013, target_rad=0.0, overlap_s=2e-3,
     delay_sd_s=1e-3, miss_s=0.2, block_s=0.1, block_slip_rad_s=1.0, energy_s3_rad2=1e-3,
     aim_s=1e-3, slip_low_rad_s=-1.0, slip_high_rad_s=50.0)
-least = expected_least(ahead[0], ahead[1], contacts, terms, 0.01)
+least = expected_least(ahead[0], ahead[1], variance, contacts, terms, 0.01)
 print(json.dumps([shaft.x.tolist(), shaft.p.tolist(), list(shaft.offset),
-    shaft.nis.tolist(), window.normal.tolist(), window.right.tolist(), n,
+    shaft.nis.tolist(), main.x.tolist(), main.p.tolist(), swing.theta_sd_ahead(0.03), window.normal.tolist(), window.right.tolist(), n,
     found[:, :n].tolist(), numbers[:2, :n].tolist(), ahead.tolist(), least]))
 """
 
@@ -143,7 +152,7 @@ def test_compiled_and_plain_python_agree() -> None:
         return [np.array(part, dtype=float) for part in json.loads(done.stdout)]
 
     compiled, plain = run("0"), run("1")
-    assert compiled[6] > 300
+    assert compiled[9] > 300
     assert compiled[3][1] > 100
     for ours, theirs in zip(compiled, plain, strict=True):
         assert np.allclose(ours, theirs, rtol=1e-9, atol=1e-12 * np.abs(theirs).max())

@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from meshpoint.controller.estimation.crossing_tracker import MainTracker
+from meshpoint.controller.estimation.main_tracker import MainTracker
 from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US, CruiseTracker
 from meshpoint.controller.guard.limits import guard_limits
 from meshpoint.controller.guard.listening import GOOD_TO_BEGIN

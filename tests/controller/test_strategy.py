@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from meshpoint.controller.estimation.cruise import ShaftState
+from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.linear import layshaft_model
 from meshpoint.controller.motion.models import LayshaftState, first_order_law, free_motion

@@ -23,7 +23,7 @@ KERNELS = {
     "controller": "from meshpoint.controller.planning import plan_kernels as plan\n"
     "import numpy as np\n"
     "terms, contacts = np.ones(len(plan.TERMS.names)), np.ones(len(plan.CONTACT_SERIES.names))\n"
-    "print(plan.cheapest(np.ones(1), np.ones(1), contacts, terms, 0.1)[0])",
+    "print(plan.cheapest(np.ones(1), np.ones(1), np.ones(1), contacts, terms, 0.1)[0])",
     "rig_sim": "from meshpoint.rig_sim.shared.angle_kernels import wrapped\n"
     "print(wrapped(0.75, 1.0))",
 }

@@ -26,28 +26,39 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import SECOND_US
 
+LOOK_AHEAD_US: Final = 300_000.0
+"""Contacts are looked at so far ahead: in that time the slip falls out of its window."""
 COARSE_US: Final = 2_000.0
-COARSE_STEPS: Final = 150
-"""Contacts looked at: 0.3 s, in which the slip falls out of its window; 2 ms are a quarter of a
-degree at 20 rpm."""
-FINE_CONTACT_US: Final = 100.0
-FINE_STEPS: Final = 41
-"""Contacts looked at around the best of the coarse ones."""
-GROWTH_US: Final = 100_000.0
-"""The growth of the phase's variance is computed over this time."""
+LEAST_COARSE_US: Final = 200.0
+"""Contacts are looked at in steps of at most, and at least, this;"""
+STEP_OF_PITCH: Final = 0.04
+STEP_OF_WINDOW: Final = 0.07
+"""in one of them the phase moves by no more than this share of a pitch, and the slip by no more
+than this share of the slips allowed."""
+FINE_SHARE: Final = 20
+"""A coarse step has so many fine ones, which are looked at around the best of the coarse ones."""
+FALL_US: Final = 20_000
+"""The rate at which slip falls without the brake is taken over this time."""
 NEAR_US: Final = 50_000
 """A release further ahead is not aimed yet, since it is planned again at every tick."""
-EARLIER_US: Final = 6_000
-LATER_US: Final = 8_000
-RELEASE_STEP_US: Final = 1_000
-RELEASE_FINE_US: Final = 200
-"""Releases looked at around the unaimed one: 14 ms move the phase at contact by more than a pitch.
-"""
-EARLIEST_US: Final = -35_000
-"""The earliest firing, after the release: the sleeve is on its way for longer than that, and meets
-the gear when the brake has been let go."""
-SETTLED_SHARE: Final = 0.1
-"""Share of the phase's variance at the release that is left at firing."""
+EARLIER_SHARE: Final = 0.5
+LATER_SHARE: Final = 0.7
+"""Releases are looked at so much earlier and later than the unaimed one that they move the phase at
+contact by these shares of a pitch: together by more than a pitch;"""
+RELEASES: Final = 14
+"""so many of them, and then more closely around the best;"""
+CLOSE_SHARE: Final = 5
+"""in steps smaller by this,"""
+CLOSE_OF_GAP: Final = 0.15
+"""or smaller, so that one moves the phase by no more than this share of a backlash."""
+MOST_REACH_US: Final = 40_000.0
+LEAST_REACH_US: Final = 500.0
+"""The span of the releases looked at is kept within these."""
+PROBE_US: Final = 500
+"""How far a release moves the phase is found by moving it so much."""
+CLEAR_US: Final = 10_000
+"""The earliest firing is so much less before the release than the sleeve takes to its gear: it
+meets the gear when the brake has been let go."""
 REFERENCE_SD_RAD: Final = math.radians(0.1)
 """Standard deviation of a learned phase reference."""
 
@@ -71,10 +82,34 @@ class TargetPhase:
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
         """The contact of least expected cost that a sleeve not yet fired can still make."""
         first_us = float(earliest_us + predictor.delay_us)
-        coarse = predictor.trajectory(first_us, COARSE_US, COARSE_STEPS)
-        around_us = max(first_us, self._cheapest(predictor, now_us, coarse) - COARSE_US)
-        fine = predictor.trajectory(around_us, FINE_CONTACT_US, FINE_STEPS)
+        step_us, count = self._steps(predictor, earliest_us)
+        coarse = predictor.trajectory(first_us, step_us, count)
+        around_us = max(first_us, self._cheapest(predictor, now_us, coarse) - step_us)
+        fine = predictor.trajectory(around_us, step_us / FINE_SHARE, 2 * FINE_SHARE + 1)
         return round(self._cheapest(predictor, now_us, fine))
+
+    def _steps(self, predictor: GearPredictor, release_us: int) -> tuple[float, int]:
+        """Length and number of the coarse steps of contacts: small where teeth are small, or where
+        drag soon takes the slip away."""
+        window = self._window
+        after_us = release_us + self._settle_us
+        fall = predictor.steady_slip_rad_s(after_us, release_us) - predictor.steady_slip_rad_s(
+            after_us + FALL_US, release_us
+        )
+        allowed = window.contact_high_rad_s - window.contact_low_rad_s
+        by_slip_us = STEP_OF_WINDOW * allowed * FALL_US / max(fall, 1e-6)
+        by_phase_us = STEP_OF_PITCH * self._dog.pitch_rad / window.contact_high_rad_s * SECOND_US
+        step_us = max(LEAST_COARSE_US, min(COARSE_US, by_slip_us, by_phase_us))
+        return step_us, math.ceil(LOOK_AHEAD_US / step_us)
+
+    def _reach_us(self, predictor: GearPredictor, release_us: int) -> float:
+        """By how much later a release moves the phase at contact by a pitch."""
+        contact_us = float(release_us + round(self._settle_us) + FALL_US)
+        sooner = predictor.trajectory(contact_us, COARSE_US, 1, release_us)
+        later = predictor.trajectory(contact_us, COARSE_US, 1, release_us + PROBE_US)
+        moved = abs(float(later.phase_rad[0] - sooner.phase_rad[0]))
+        reach_us = PROBE_US * self._dog.pitch_rad / max(moved, 1e-9)
+        return min(max(reach_us, LEAST_REACH_US), MOST_REACH_US)
 
     def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> ReleasePlan:
         """Release and contact planned together: of the releases around the one that leaves
@@ -83,12 +118,15 @@ class TargetPhase:
         release_us = release_for_slip(predictor, earliest_us, slip, settle_us)
         if release_us > earliest_us + NEAR_US:
             return ReleasePlan(release_us, release_us + round(settle_us))
-        first_us = max(earliest_us, release_us - EARLIER_US)
-        steps = range(first_us, release_us + LATER_US + 1, RELEASE_STEP_US)
+        reach_us = self._reach_us(predictor, release_us)
+        first_us = max(earliest_us, release_us - round(EARLIER_SHARE * reach_us))
+        last_us = release_us + round(LATER_SHARE * reach_us)
+        step_us = max(1, round((EARLIER_SHARE + LATER_SHARE) * reach_us / RELEASES))
+        steps = range(first_us, last_us + 1, step_us)
         best = self._best_release(predictor, now_us, earliest_us, steps).release_us
-        around = range(
-            max(earliest_us, best - RELEASE_STEP_US), best + RELEASE_STEP_US + 1, RELEASE_FINE_US
-        )
+        gap_us = CLOSE_OF_GAP * self._dog.backlash_rad / self._dog.pitch_rad * reach_us
+        close_us = max(1, round(min(step_us / CLOSE_SHARE, gap_us)))
+        around = range(max(earliest_us, best - step_us), best + step_us + 1, close_us)
         return self._best_release(predictor, now_us, earliest_us, around)
 
     def _best_release(
@@ -96,34 +134,49 @@ class TargetPhase:
     ) -> ReleasePlan:
         """The release of least expected cost, and the contact that goes with it."""
         terms = self._terms(predictor)
+        step_us, count = self._steps(predictor, releases_us[0])
         least, best = math.inf, ReleasePlan(releases_us[0], releases_us[0])
         for release_us in releases_us:
-            fire_us = max(release_us + EARLIEST_US, earliest_us)
+            fire_us = max(release_us - predictor.delay_us + CLEAR_US, earliest_us)
             first_us = float(fire_us + predictor.delay_us)
-            trajectory = predictor.trajectory(first_us, COARSE_US, COARSE_STEPS, release_us)
+            trajectory = predictor.trajectory(first_us, step_us, count, release_us)
             if release_us == releases_us[0]:
-                variance, growth = self._variance(predictor, trajectory)
-            contacts = _contacts(trajectory, now_us, SETTLED_SHARE * variance, growth)
+                spread, settled = self._spread_at_release(predictor, trajectory, now_us)
             index, cost = expected_least(
-                trajectory.phase_rad, trajectory.slip_rad_s, contacts, terms, math.sqrt(variance)
+                trajectory.phase_rad,
+                trajectory.slip_rad_s,
+                settled,
+                _contacts(trajectory, now_us),
+                terms,
+                spread,
             )
             if cost < least:
                 least = cost
-                best = ReleasePlan(release_us, round(first_us + index * COARSE_US))
+                best = ReleasePlan(release_us, round(first_us + index * step_us))
         return best
 
     def _cheapest(self, predictor: GearPredictor, now_us: int, trajectory: Trajectory) -> float:
         """Time of a trajectory's cheapest contact."""
-        contacts = _contacts(trajectory, now_us, *self._variance(predictor, trajectory))
+        variances = self._variances(predictor, trajectory)
         phase, slip = trajectory.phase_rad, trajectory.slip_rad_s
-        best, _ = cheapest(phase, slip, contacts, self._terms(predictor), 0.0)
+        contacts, terms = _contacts(trajectory, now_us), self._terms(predictor)
+        best, _ = cheapest(phase, slip, variances, contacts, terms, 0.0)
         return trajectory.first_us + best * trajectory.step_us
 
-    def _variance(self, predictor: GearPredictor, trajectory: Trajectory) -> tuple[float, float]:
-        """Variance of the phase at the trajectory's first time, and its growth a second."""
-        now = predictor.estimate_variance(trajectory.first_us)
-        later = predictor.estimate_variance(trajectory.first_us + GROWTH_US)
-        return now + self._reference_variance, (later - now) / GROWTH_US * SECOND_US
+    def _variances(self, predictor: GearPredictor, trajectory: Trajectory) -> Vector:
+        """Variance of the phase at each contact when its firing has to be decided."""
+        first_us, step_us, phase, _ = trajectory
+        return predictor.variances(first_us, step_us, phase.size) + self._reference_variance
+
+    def _spread_at_release(
+        self, predictor: GearPredictor, trajectory: Trajectory, now_us: int
+    ) -> tuple[float, Vector]:
+        """Standard deviation of the phase at the first contact as it is predicted now, and the
+        variances that are left at firing."""
+        firing_us = float(now_us + predictor.delay_us)
+        settled = predictor.variances(firing_us, trajectory.step_us, trajectory.phase_rad.size)
+        now = predictor.estimate_variance(trajectory.first_us) + self._reference_variance
+        return math.sqrt(now), settled + self._reference_variance
 
     def _terms(self, predictor: GearPredictor) -> Vector:
         """The terms of `plan_kernels` for this gear."""
@@ -146,14 +199,10 @@ class TargetPhase:
         )
 
 
-def _contacts(
-    trajectory: Trajectory, now_us: int, variance_rad2: float, growth_rad2_s: float
-) -> Vector:
+def _contacts(trajectory: Trajectory, now_us: int) -> Vector:
     """The contacts of a trajectory for `plan_kernels`."""
     return filled(
         CONTACT_SERIES,
         wait_s=(trajectory.first_us - now_us) / SECOND_US,
         step_s=trajectory.step_us / SECOND_US,
-        variance_rad2=variance_rad2,
-        growth_rad2_s=growth_rad2_s,
     )

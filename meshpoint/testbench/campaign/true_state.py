@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from meshpoint.controller.estimation.cruise import ShaftState
+from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.motion.kinematics import raw_phase_rad
 from meshpoint.controller.motion.models import LayshaftState, first_order_law
 from meshpoint.controller.phase.reference import PhaseReferences

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
-from meshpoint.controller.estimation.cruise import ShaftState
+from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.motion.models import LayshaftState, predict

@@ -1,0 +1,202 @@
+"""How a driveline swings while the gearbox is in neutral, learned from the ringing of every shift.
+
+Two modes (`motion/swing_kernels`): the main shaft against the wheels, and both on the tyres. Their
+frequencies, damping, and how far they swing when a gear comes out, differ between the steps of the
+range. The figures are learned by the likelihood of a shift's edges (`likelihood`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.calibration.learned import SwingRecord
+from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.estimation.likelihood import Learned, learn, prior, restored
+from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
+from meshpoint.controller.motion.swing import ModeRates, SwingMotion
+from meshpoint.controller.motion.swing_kernels import FIRST_MODE, MODES, STEADY, SWING_STATES
+from meshpoint.controller.records import Integers, Vector
+from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.units import TURN
+
+NATURAL, DAMPING, SPEED, NOISE = range(4)
+"""Figures of a mode: natural frequency (rad/s), damping over critical damping, standard deviation
+of its speed when a gear comes out (rad/s), density of the noise that drives it (rad2/s3)."""
+OF_A_MODE: Final = 4
+NEAR: Final = 0
+"""The mode of the main shaft against the wheels."""
+WHITE: Final = OF_A_MODE * MODES
+HILL: Final = WHITE + 1
+EDGE_TIME: Final = HILL + 1
+"""Density of the white noise of the shaft's acceleration, standard deviation of the steady
+acceleration when a gear comes out (rad/s2), standard deviation of an edge's time."""
+LEAST_EDGES: Final = 60
+"""A window with fewer edges is not learned from."""
+MOST_SD: Final = 2.5
+"""A frequency is looked for within so many standard deviations."""
+START_SHARE: Final = 1.5
+"""A gear comes out under another torque each time: how far the shaft swings then is taken to be so
+much more than what was learned."""
+DAMPED_BY: Final = 0.9
+"""Most damping over critical: a mode beyond that does not swing."""
+
+
+class MainWindow(NamedTuple):
+    """The edges of one interval in neutral: times (us), angles (rad), and the state it began in."""
+
+    edges: Vector
+    time_us: float
+    x: Vector
+    p: Vector
+    tooth_rad: float
+    """Standard deviation of an edge's angle."""
+
+
+class DrivelineSwing:
+    """What is known of the swing in one step of the range."""
+
+    def __init__(self, tuning: CrossingFilterTuning) -> None:
+        self._tuning = tuning
+        noise = prior(tuning.swing_noise_rad2_s3, 8.0, (1e-6, 1e5), 0.2)
+        modes = [
+            figure
+            for hertz, factor, reach, speed in (
+                (tuning.near_hz, tuning.near_factor, tuning.near_factor**MOST_SD, tuning.near_rad_s),
+                (tuning.far_hz, tuning.far_factor, tuning.far_factor**MOST_SD, tuning.far_rad_s),
+            )
+            for figure in (
+                prior(TURN * hertz, factor, (TURN * hertz / reach, TURN * hertz * reach), 0.005),
+                prior(tuning.swing_damping, 2.0, (1e-3, DAMPED_BY), 0.05),
+                prior(speed, 4.0, (1e-3, 50.0), 0.3),
+                noise,
+            )
+        ]
+        hill = prior(tuning.main_start_rad_s2, 4.0, (1e-2, 1e3), 0.3)
+        self._figures = [*modes, noise, hill]
+        self.shifts = 0
+        """From how many shifts it was learned."""
+        self.motion = self._doubting()
+
+    def record(self) -> SwingRecord | None:
+        """What a calibration file keeps; None before the first shift it was learned from."""
+        if self.shifts == 0:
+            return None
+        modes = [self._figures[4 * m : 4 * m + 4] for m in range(MODES)]
+        by_kind = [tuple(mode[kind] for mode in modes) for kind in range(OF_A_MODE)]
+        natural, damping, speed, noise = by_kind
+        noise = (*noise, self._figures[WHITE])
+        hill = self._figures[HILL]
+        pairs = [figures for kind in (natural, damping, speed, noise) for figures in _parts(kind)]
+        return SwingRecord(self.shifts, *pairs, hill.value, hill.sd)
+
+    def restore(self, record: SwingRecord) -> None:
+        """Starts from a record."""
+        self.shifts = record.shifts
+        given = [
+            (record.natural_rad_s, record.natural_sd),
+            (record.damping, record.damping_sd),
+            (record.speed_rad_s, record.speed_sd),
+            (record.noise_rad2_s3, record.noise_sd),
+        ]
+        figures = list(self._figures)
+        for kind, (values, sds) in enumerate(given):
+            for m in range(MODES):
+                k = OF_A_MODE * m + kind
+                figures[k] = restored(figures[k], values[m], sds[m])
+        figures[WHITE] = restored(figures[WHITE], record.noise_rad2_s3[-1], record.noise_sd[-1])
+        figures[HILL] = restored(figures[HILL], record.hill_rad_s2, record.hill_sd)
+        self._figures = figures
+        self.motion = self._doubting()
+
+    def _doubting(self) -> SwingMotion:
+        """The model with what is not known of its figures as noise. A mode that is off by a share e
+        of its frequency, or by d of its decay, accelerates otherwise than was thought by 2 e w or
+        2 d times its speed, for about 1 / w at a time."""
+        motion = self._motion([one.log for one in self._figures])
+        modes = motion.part("modes")
+        for m in range(MODES):
+            natural, damping, speed = self._figures[4 * m : 4 * m + 3]
+            rate = damping.value * natural.value * damping.sd
+            doubt = natural.sd**2 * natural.value + rate * rate / natural.value
+            modes["noise_rad2_s3"][m] += 4.0 * doubt * speed.value**2
+        return motion
+
+    def _motion(self, logs: Sequence[float]) -> SwingMotion:
+        modes = []
+        for m in range(MODES):
+            natural, damping, _, noise = (math.exp(log) for log in logs[m * 4 : m * 4 + 4])
+            modes.append(ModeRates(natural, min(damping, DAMPED_BY) * natural, noise))
+        walk = self._tuning.main_walk_rad_s2**2
+        return SwingMotion(math.exp(logs[WHITE]), walk, modes)
+
+    def start(self, x: Vector, p: Vector, logs: Sequence[float] | None = None) -> None:
+        """A gear has come out: what is known of angle and speed is kept, the rest of state and
+        covariance is what it may be then."""
+        share = START_SHARE if logs is None else 1.0
+        logs = [one.log for one in self._figures] if logs is None else logs
+        x[2:], p[2:, :], p[:, 2:] = 0.0, 0.0, 0.0
+        p[STEADY, STEADY] = (share * math.exp(logs[HILL])) ** 2
+        for m in range(MODES):
+            natural = math.exp(logs[4 * m + NATURAL])
+            speed = share * math.exp(logs[4 * m + SPEED])
+            i = FIRST_MODE + 2 * m
+            p[i, i], p[i + 1, i + 1] = (speed / natural) ** 2, speed * speed
+
+    def learn(self, window: MainWindow, edge_time: Learned, teeth_known: bool) -> Learned:
+        """Learns from a window. An edge's time is learned with it where the teeth are known;
+        returns what is known of that."""
+        if window.edges.shape[1] < LEAST_EDGES:
+            return edge_time
+        known = [*self._figures, edge_time] if teeth_known else self._figures
+        none, switches = Pressures(np.empty(0), np.empty(0)), np.empty((2, 0))
+        run, count = CrossingFilter(self._tuning, MAIN_FILTER), window.edges.shape[1]
+
+        def misfit(logs: Sequence[float]) -> float:
+            run.set_edge_time(math.exp(logs[EDGE_TIME]) if teeth_known else edge_time.value)
+            x, p = window.x.copy(), window.p.copy()
+            self.start(x, p, logs)
+            run.begin(window.time_us, x, p)
+            run.take(window.edges, window.tooth_rad, none, switches, self._motion(logs))
+            return run.misfit(count)
+
+        found = learn(known, misfit, NATURAL)
+        self._figures = found[:EDGE_TIME]
+        self.motion = self._doubting()
+        self.shifts += 1
+        return found[EDGE_TIME] if teeth_known else edge_time
+
+
+def _parts(figures: tuple[Learned, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    return tuple(one.value for one in figures), tuple(one.sd for one in figures)
+
+
+class EdgeRun:
+    """The edges of a wheel since its shaft became free, to go through them again."""
+
+    def __init__(self) -> None:
+        self._edges: list[Vector] = []
+        self._places: list[Integers] = []
+
+    def begin(self) -> None:
+        """A window begins."""
+        self._edges.clear()
+        self._places.clear()
+
+    def add(self, time_us: Vector, theta_rad: Vector, places: Integers) -> None:
+        """New edges: times, nominal angles, and which of the wheel's edges each is."""
+        self._edges.append(np.array((time_us, theta_rad)))
+        self._places.append(places)
+
+    @property
+    def edges(self) -> Vector:
+        """Times (us) and nominal angles (rad), (2, n)."""
+        return np.concatenate(self._edges, axis=1) if self._edges else np.empty((2, 0))
+
+    @property
+    def places(self) -> Integers:
+        """Which of the wheel's edges each is."""
+        return np.concatenate(self._places) if self._places else np.empty(0, dtype=np.int64)

@@ -1,0 +1,142 @@
+"""Figures of a model learned by their likelihood, from one shift's edges at a time.
+
+A filter whose model is right has innovations e of variance s, independent of each other: the
+probability of what it has seen falls with sum(e^2 / s + log s). What is known of each figure from
+earlier shifts is its prior, a normal law of the figure's logarithm. Each figure in turn goes to the
+minimum of the parabola through three runs of the filter; the parabola's curvature gives the
+standard deviation.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+Misfit = Callable[[Sequence[float]], float]
+"""Sum of squared innovations over their variances and of their logarithms, with these figures'
+logarithms."""
+
+REACH: Final = 0.5
+"""Distance of the probes from the present value, in standard deviations;"""
+LEAST_REACH: Final = 0.01
+"""in the logarithm, at least, so that the difference is one of the model and not of digits."""
+MOST_STEP: Final = 2.0
+"""Longest step to a minimum, in distances of the probes."""
+SWEEPS: Final = 2
+GROWTH: Final = 1.1
+"""Variances grow by this from shift to shift: temperatures, loads and roads change."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A positive figure: the mean and standard deviation of its logarithm, and of that what was
+    known before anything was learned."""
+
+    log: float
+    sd: float
+    least_log: float
+    most_log: float
+    prior_sd: float
+    least_sd: float
+    """It is never known better than this: a few shifts do not tell what the next will be like."""
+
+    @property
+    def value(self) -> float:
+        """The figure itself."""
+        return math.exp(self.log)
+
+
+def prior(
+    typical: float, factor: float, range_: tuple[float, float], least_sd: float
+) -> Learned:
+    """A figure that lies within `factor` of a typical one, one standard deviation, and always in
+    its range."""
+    sd = math.log(factor)
+    return Learned(
+        math.log(typical), sd, math.log(range_[0]), math.log(range_[1]), sd, least_sd
+    )
+
+
+def restored(known: Learned, value: float, sd: float) -> Learned:
+    """A figure as an earlier run learned it; within its range, and no surer than it may be."""
+    log = min(max(math.log(value), known.least_log), known.most_log)
+    return replace(known, log=log, sd=min(max(sd, known.least_sd), known.prior_sd))
+
+
+def learn(known: Sequence[Learned], misfit: Misfit, scanned: int | None = None) -> list[Learned]:
+    """The figures after one more shift. `scanned`: one of them whose misfit may have several
+    minima; while it is not well known its whole range is looked at first."""
+    grown = [
+        replace(one, sd=min(one.prior_sd, one.sd * math.sqrt(GROWTH)))
+        for one in known
+    ]
+    at = [one.log for one in grown]
+    sds = [one.sd for one in grown]
+
+    def total(logs: Sequence[float]) -> float:
+        off = sum(((log - one.log) / one.sd) ** 2 for log, one in zip(logs, grown, strict=True))
+        found = misfit(logs) + off
+        return found if math.isfinite(found) else math.inf
+
+    least = total(at)
+    if not math.isfinite(least):
+        return list(known)
+    if scanned is not None:
+        at, least = _scan(at, least, scanned, grown[scanned], total)
+    for _ in range(SWEEPS):
+        for k, one in enumerate(grown):
+            at, least, sds[k] = _step(at, least, k, one, total)
+    return [
+        replace(one, log=log, sd=max(sd, one.least_sd))
+        for one, log, sd in zip(grown, at, sds, strict=True)
+    ]
+
+
+SCAN_SD: Final = 0.12
+"""A figure known better than this is not scanned for;"""
+SCAN_STEP: Final = 0.12
+"""and this is the distance of two values looked at: 12 %."""
+
+
+def _scan(
+    at: list[float], least: float, k: int, one: Learned, total: Misfit
+) -> tuple[list[float], float]:
+    if one.sd < SCAN_SD:
+        return at, least
+    best = at
+    count = math.ceil((one.most_log - one.least_log) / SCAN_STEP)
+    for i in range(count + 1):
+        tried = _with(at, k, one.least_log + i * (one.most_log - one.least_log) / count)
+        found = total(tried)
+        if found < least:
+            best, least = tried, found
+    return best, least
+
+
+def _step(
+    at: list[float], least: float, k: int, one: Learned, total: Misfit
+) -> tuple[list[float], float, float]:
+    """The k-th figure to the minimum of the parabola: the figures, their misfit, and the k-th one's
+    standard deviation."""
+    reach = max(REACH * one.sd, LEAST_REACH)
+    low, high = _with(at, k, at[k] - reach), _with(at, k, at[k] + reach)
+    below, above = total(low), total(high)
+    curvature = (below - 2.0 * least + above) / (reach * reach)
+    if not math.isfinite(curvature):
+        return at, least, one.sd
+    best, found = min(((low, below), (at, least), (high, above)), key=lambda tried: tried[1])
+    if curvature <= 0.0:
+        return best, found, one.sd
+    step = -(above - below) / (2.0 * reach) / curvature
+    step = min(max(step, -MOST_STEP * reach), MOST_STEP * reach)
+    tried = _with(at, k, min(max(at[k] + step, one.least_log), one.most_log))
+    now = total(tried)
+    if now < found:
+        best, found = tried, now
+    return best, found, min(one.sd, math.sqrt(2.0 / curvature))
+
+
+def _with(at: list[float], k: int, log: float) -> list[float]:
+    return [*at[:k], log, *at[k + 1 :]]

@@ -1,0 +1,129 @@
+"""The crossing-time filter of a main shaft whose driveline swings: `crossing_kernels` with the
+states of `motion/swing_kernels`, and what it and the layshaft's filter are chosen by."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+from meshpoint.controller.estimation.crossing_kernels import (
+    begins_before,
+    crossing_filter,
+    follow,
+    keep,
+    learn,
+    take_edge,
+)
+from meshpoint.controller.estimation.crossing_layout import DONE, LATE, FilterMemory
+from meshpoint.controller.estimation.fusion_kernels import take_geared
+from meshpoint.controller.estimation.swing_layout import (
+    SWING_FILTER,
+    SWING_SNAPSHOT_WORDS,
+    SwingFilter,
+    swing_memory,
+)
+from meshpoint.controller.jit import bare, inlined
+from meshpoint.controller.motion.kernels import mirror
+from meshpoint.controller.motion.swing_kernels import (
+    FIRST_MODE,
+    MODES,
+    SWING_STATES,
+    SwingStep,
+    swing_on,
+    swing_spread,
+    swing_step,
+)
+from meshpoint.controller.records import Vector
+from meshpoint.units import US
+
+
+@bare
+def swing_filter(
+    memory: Vector, edges: Vector, pressure_us: Vector, pressure_pa: Vector, switches: Vector,
+    teeth: Vector,
+) -> int:  # fmt: skip
+    """As `crossing_filter`, on a `SwingFilter`. A main shaft has no brake: pressures and switches
+    are not read."""
+    f = memory.view(SWING_FILTER)[0]
+    edge_us, edge_rad = edges[0], edges[1]
+    count, n = edge_us.shape[0], edge_us.shape[0] - f.geared
+    if f.held > 0 and begins_before(f.time_us, edge_us, n):
+        return LATE
+    keep(f, SWING_SNAPSHOT_WORDS)
+    k, geared = 0, n
+    while k < n or geared < count:
+        own = k < n and not (geared < count and edge_us[geared] < edge_us[k])
+        edge = k if own else geared
+        late = edge_us[edge] <= f.time_us
+        if not late:
+            swing_to(f, edge_us[edge], teeth)
+            if own:
+                innovation = edge_rad[k] - f.state.theta_rad
+                s = take_edge(f, innovation, SWING_STATES, -1)
+                if teeth.shape[1] > 0 and s > 0.0:
+                    learn(teeth, int(edges[2, k]), f.scale, innovation, s)
+                    follow(teeth, f.gain, SWING_STATES)
+            else:
+                take_geared(f, edge_rad[geared], SWING_STATES)
+        if own:
+            k += 1
+        else:
+            geared += 1
+    mirror(f.p, SWING_STATES)
+    return DONE
+
+
+@inlined
+def swing_to(f: SwingFilter, to_us: float, teeth: Vector) -> None:
+    """State, covariance, and what depends on them to a time."""
+    dt, step = (to_us - f.time_us) * US, f.step
+    swing_step(dt, f.model, step)
+    swing_on(f.state, step)
+    swing_spread(f.p, dt, step, f.model, f.restless)
+    for c in range(teeth.shape[1]):
+        carry_swing(teeth, c, step)
+    if f.offset_rad2 > 0.0:
+        carry_swing_offset(f, step)
+        f.offset_rad2 += dt * f.at_flank_rad2_s
+    f.time_us = to_us
+
+
+@inlined
+def carry_swing(teeth: Vector, c: int, step: SwingStep) -> None:
+    """The derivatives of the state by the c-th tooth error after a step."""
+    theta, omega = 0.0, 0.0
+    for k in range(SWING_STATES):
+        theta += step.theta_by[k] * teeth[k, c]
+        omega += step.omega_by[k] * teeth[k, c]
+    teeth[0, c], teeth[1, c] = theta, omega
+    for m in range(MODES):
+        i = FIRST_MODE + 2 * m
+        q, r = teeth[i, c], teeth[i + 1, c]
+        teeth[i, c] = step.blocks[m, 0] * q + step.blocks[m, 1] * r
+        teeth[i + 1, c] = step.blocks[m, 2] * q + step.blocks[m, 3] * r
+
+
+@inlined
+def carry_swing_offset(f: SwingFilter, step: SwingStep) -> None:
+    """The offset's covariances with the state after a step."""
+    by, theta, omega = f.offset_by, 0.0, 0.0
+    for k in range(SWING_STATES):
+        theta += step.theta_by[k] * by[k]
+        omega += step.omega_by[k] * by[k]
+    by[0], by[1] = theta, omega
+    for m in range(MODES):
+        i = FIRST_MODE + 2 * m
+        q, r = by[i], by[i + 1]
+        by[i] = step.blocks[m, 0] * q + step.blocks[m, 1] * r
+        by[i + 1] = step.blocks[m, 2] * q + step.blocks[m, 3] * r
+
+
+class FilterKind(NamedTuple):
+    """A filter's kernel with what makes its memory."""
+
+    memory: Callable[[], FilterMemory]
+    run: Callable[[Vector, Vector, Vector, Vector, Vector, Vector], int]
+
+
+LAYSHAFT_FILTER: Final = FilterKind(FilterMemory, crossing_filter)
+MAIN_FILTER: Final = FilterKind(swing_memory, swing_filter)

@@ -1,0 +1,130 @@
+"""A filter over a wheel's edges with its teeth: what layshaft and main shaft have in common."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US, WindowSpeed
+from meshpoint.controller.estimation.geared_wheel import GearedWheel
+from meshpoint.controller.estimation.swing_filter import LAYSHAFT_FILTER, FilterKind
+from meshpoint.controller.estimation.teeth import WheelTeeth
+from meshpoint.controller.motion.kernels import OMEGA, THETA
+from meshpoint.controller.records import RecordMemory, Vector
+from meshpoint.controller.sensing.wheel_edges import EdgeBatch
+from meshpoint.controller.settings import CrossingFilterTuning
+
+STRUCK_RAD_S: Final = 5.0
+"""Standard deviation of the step that a flank's impact makes in a shaft's speed (48 rpm)."""
+
+HEED: Final = 0.1
+"""How fast the process noise of a shaft with a gear in mesh follows the innovations, a share an
+edge: what drives it then is not known, and an impact is over within some edges."""
+
+
+class WheelTracker:
+    """A filter over a wheel's edges with its teeth: what layshaft and main shaft have in common."""
+
+    def __init__(
+        self,
+        tuning: CrossingFilterTuning,
+        teeth: int,
+        missing: tuple[int, ...],
+        geared: GearedWheel | None,
+        kind: FilterKind = LAYSHAFT_FILTER,
+    ) -> None:
+        self._tuning = tuning
+        self._filter = CrossingFilter(tuning, kind)
+        self.teeth = WheelTeeth(teeth, tuning, missing, kind)
+        self._half_pitch_rad = math.pi / teeth
+        self._seed = WindowSpeed()
+        self._running = False
+        self._geared = geared
+        self._own_us = 0.0
+        self._start_p = np.zeros((0, 0))
+        """Covariance of the shaft's state at the start of a window in which teeth are learned."""
+        side = tuning.mesh_side_rad**2 / tuning.mesh_side_s
+        at_flank = tuning.mesh_walk_rad**2
+        self._filter.set_mesh(at_flank, max(at_flank, side), tuning.mesh_side_s * 1e6)
+        self._fuses = False
+
+    def _fuse(self, free: bool) -> None:
+        """The shaft becomes free, or ceases to be: the mesh of a geared wheel then lies at another
+        flank. While a gear is in mesh it may change flanks at any time, and its edges would make
+        the estimate worse (docs/estimation.md), so it is fused only while the shaft is free."""
+        self._fuses = free and self._geared is not None
+        if self._geared is not None:
+            self._filter.lose_offset()
+
+    def lose_speed(self) -> None:
+        """Starts again with the next edges; teeth keep their numbers."""
+        self._running = self._fuses = False
+        self._seed.restart()
+        self.teeth.learner.running = False
+        if self._geared is not None:
+            self._geared.teeth.learner.running = False
+
+    def restart(self) -> None:
+        """Tooth numbers were lost: starts again, and which tooth is which is no longer known."""
+        self.lose_speed()
+        self.teeth.lose_numbers()
+
+    @property
+    def newest_us(self) -> float:
+        """Time of the newest edge used; 0 before there was one."""
+        return self._filter.time_us
+
+    def _take(
+        self,
+        batch: EdgeBatch,
+        pressures: Pressures,
+        switches: Vector,
+        model: RecordMemory,
+    ) -> None:
+        if not self._running:
+            self._start(batch)
+            return
+        wheel, geared = self._geared, None
+        if wheel is not None:
+            geared = wheel.edges_for(self._filter) if self._fuses else None
+            self._own_us = batch.time_us[-1] if batch.time_us.size else self._own_us
+        if not batch.time_us.size and not pressures.time_us.size and geared is None:
+            return
+        teeth, place = self.teeth, self.teeth.place(batch)
+        edges = teeth.edges(batch, place)
+        self._filter.take(edges, teeth.sd_rad, pressures, switches, model, geared)
+        if teeth.learner.running:
+            if wheel is not None:
+                wheel.learn(self._filter, self._start_p, pressures, switches, model)
+            teeth.learner.take(batch, place, pressures, switches, model)
+            if teeth.look():
+                self._teeth_found()
+
+    def _teeth_found(self) -> None:
+        """The tooth errors have just become known, so the angles of edges change by up to the error
+        of an unlearned tooth: the covariance is widened by it."""
+        self._filter.forget_past()
+        self._filter.p[THETA, THETA] += self._tuning.tooth_error_rad**2
+
+    def _start(self, batch: EdgeBatch) -> None:
+        self._seed.edges(batch)
+        newest, omega = self._seed.newest, self._seed.omega_rad_s
+        if omega is None or newest is None:
+            return
+        x, p = self._first_state(0.05 * abs(omega) + 1.0)
+        x[THETA], x[OMEGA] = newest[1], omega
+        self._filter.begin(newest[0], x, p)
+        self._filter.heed(HEED)
+        self._running, self._own_us = True, newest[0]
+
+    def _first_state(self, omega_sd_rad_s: float) -> tuple[Vector, Vector]:
+        """State and covariance of a shaft of which only angle and speed have been seen."""
+        raise NotImplementedError
+
+    def _fresh(self, time_us: float) -> bool:
+        # Edges of a geared wheel must not hide that the shaft's own sensor has failed.
+        newest_us = self._filter.time_us if self._geared is None else self._own_us
+        return self._running and time_us - newest_us <= ESTIMATE_STALE_US
