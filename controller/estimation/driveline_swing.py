@@ -65,7 +65,12 @@ class DrivelineSwing:
         modes = [
             figure
             for hertz, factor, reach, speed in (
-                (tuning.near_hz, tuning.near_factor, tuning.near_factor**MOST_SD, tuning.near_rad_s),
+                (
+                    tuning.near_hz,
+                    tuning.near_factor,
+                    tuning.near_factor**MOST_SD,
+                    tuning.near_rad_s,
+                ),
                 (tuning.far_hz, tuning.far_factor, tuning.far_factor**MOST_SD, tuning.far_rad_s),
             )
             for figure in (

@@ -48,15 +48,11 @@ class Learned:
         return math.exp(self.log)
 
 
-def prior(
-    typical: float, factor: float, range_: tuple[float, float], least_sd: float
-) -> Learned:
+def prior(typical: float, factor: float, range_: tuple[float, float], least_sd: float) -> Learned:
     """A figure that lies within `factor` of a typical one, one standard deviation, and always in
     its range."""
     sd = math.log(factor)
-    return Learned(
-        math.log(typical), sd, math.log(range_[0]), math.log(range_[1]), sd, least_sd
-    )
+    return Learned(math.log(typical), sd, math.log(range_[0]), math.log(range_[1]), sd, least_sd)
 
 
 def restored(known: Learned, value: float, sd: float) -> Learned:
@@ -68,10 +64,7 @@ def restored(known: Learned, value: float, sd: float) -> Learned:
 def learn(known: Sequence[Learned], misfit: Misfit, scanned: int | None = None) -> list[Learned]:
     """The figures after one more shift. `scanned`: one of them whose misfit may have several
     minima; while it is not well known its whole range is looked at first."""
-    grown = [
-        replace(one, sd=min(one.prior_sd, one.sd * math.sqrt(GROWTH)))
-        for one in known
-    ]
+    grown = [replace(one, sd=min(one.prior_sd, one.sd * math.sqrt(GROWTH))) for one in known]
     at = [one.log for one in grown]
     sds = [one.sd for one in grown]
 

@@ -144,7 +144,5 @@ class ShaftState(NamedTuple):
             return found
         dt = (first_us - self.time_us + step_us * np.arange(count)) * US
         found[1] = self.omega_rad_s + dt * self.acceleration_rad_s2
-        found[0] = self.theta_rad + dt * (
-            self.omega_rad_s + 0.5 * dt * self.acceleration_rad_s2
-        )
+        found[0] = self.theta_rad + dt * (self.omega_rad_s + 0.5 * dt * self.acceleration_rad_s2)
         return found

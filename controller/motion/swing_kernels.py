@@ -129,9 +129,7 @@ def swing_on(state: SwingState, step: SwingStep) -> None:
 
 
 @inlined
-def swing_spread(
-    p: Vector, dt: float, step: SwingStep, model: SwingModel, restless: float
-) -> None:
+def swing_spread(p: Vector, dt: float, step: SwingStep, model: SwingModel, restless: float) -> None:
     """Covariance prediction P = F P F' + Q, in place; p (7, 7), its upper half; restless: what the
     noise of the shaft's acceleration is multiplied by."""
     work = step.work
@@ -168,9 +166,7 @@ def swing_spread(
 
 
 @inlined
-def swing_noise(
-    p: Vector, dt: float, step: SwingStep, model: SwingModel, restless: float
-) -> None:
+def swing_noise(p: Vector, dt: float, step: SwingStep, model: SwingModel, restless: float) -> None:
     """Adds to the covariance what the noises have made over a step: a mode's angle and speed are
     part of those of the shaft."""
     white, walk = restless * model.white_rad2_s3, model.walk_rad2_s5
@@ -212,9 +208,7 @@ def swing_ahead(x: Vector, p: Vector, dt: float, model: Vector) -> None:
 
 
 @compiled
-def swing_course(
-    x: Vector, model: Vector, wait_s: float, step_s: float, found: Vector
-) -> None:
+def swing_course(x: Vector, model: Vector, wait_s: float, step_s: float, found: Vector) -> None:
     """Angle and speed at equal steps of time, the first after `wait_s`, to the rows of found
     (2, n)."""
     ahead = x.copy()
