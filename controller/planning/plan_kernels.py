@@ -173,4 +173,6 @@ def warm_up() -> None:
     meeting = np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     course(np.ones(STATES), np.empty((2, 0)), model, meeting, np.ones((2, 1)))
     contacts = filled(CONTACT_SERIES, wait_s=0.0, step_s=1.0)
-    expected_least(np.ones(1), np.ones(1), np.ones(1), contacts, np.ones(TERMS.itemsize // WORD_BYTES), 0.1)
+    expected_least(
+        np.ones(1), np.ones(1), np.ones(1), contacts, np.ones(TERMS.itemsize // WORD_BYTES), 0.1
+    )

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from meshpoint.controller.estimation.main_tracker import MainTracker
 from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US, CruiseTracker
+from meshpoint.controller.estimation.main_tracker import MainTracker
 from meshpoint.controller.guard.limits import guard_limits
 from meshpoint.controller.guard.view import GUARD_FRESH_US, SLOW, GuardView
 from meshpoint.controller.sensing.edge_speed import SPEED_STALE_US
