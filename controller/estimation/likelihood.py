@@ -100,8 +100,8 @@ SCAN_SD: Final = 0.12
 SCAN_STEP: Final = 0.12
 MOST_SCANNED: Final = 17
 REFINED: Final = 3
-"""and this is the distance of two values looked at, 12 %, or so many values of it are; then so often
-more closely around the best."""
+"""and this is the distance of two values looked at, 12 %, or so many values of it are; then so
+often more closely around the best."""
 
 
 def _scan(

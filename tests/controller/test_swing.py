@@ -69,7 +69,7 @@ class TwoMasses:
 
 
 def edges_of(angle: Any, until_s: float, rng: np.random.Generator | None) -> Vector:
-    """Times (us) and angles at which a shaft passes its edges; found by bisection on a fine grid."""
+    """Times (us) and angles at which a shaft passes its edges, interpolated on a fine grid."""
     t = np.linspace(0.0, until_s, 200_001)
     theta = angle(t)
     pitch = 2.0 * math.pi / EDGES
