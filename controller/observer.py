@@ -53,7 +53,8 @@ PULL_RAD_S2 = 5.0
 """Deceleration by drag above which it pulls a tooth across a gap of 1.5 deg within 0.1 s."""
 LOOK_US = 10_000
 LOOKS_PULLED = 8
-"""The looks in which the main shaft's acceleration is watched, and the time from one to the next."""
+"""The looks in which the main shaft's acceleration is watched, and the time from each to the
+next."""
 LOOK_SHARE = 0.15
 """Largest standard deviation of a look at a gear in mesh, in backlashes, for which the two flanks
 can be told apart."""
@@ -103,7 +104,11 @@ class Observer:
                 self._input_wheel,
             )  # fmt: skip
             main = self._main = MainTracker(
-                tuning, wheels.main.teeth, wheels.main.missing, self._propeller_wheel
+                tuning,
+                wheels.main.teeth,
+                wheels.main.missing,
+                self._propeller_wheel,
+                (sheet.range_.low.ratio, sheet.range_.high.ratio),
             )
             self.recovery = ReferenceRecovery(sheet, self.references, layshaft.teeth, main.teeth)
         else:

@@ -151,8 +151,9 @@ class NoiseRecord:
 
 @dataclass(frozen=True)
 class SwingRecord:
-    """How the driveline swings in one step of the range (`controller/estimation/driveline_swing.py`).
-    Of two figures the first is of the mode against the wheels, the second of that on the tyres.
+    """How the driveline swings in one step of the range
+    (`controller/estimation/driveline_swing.py`). Of two figures the first is of the mode against
+    the wheels, the second of that on the tyres.
     Each sd is that of a figure's logarithm."""
 
     shifts: int = count("learned_from_shifts", 1, MOST_SHIFTS)
@@ -170,6 +171,11 @@ class SwingRecord:
     hill_rad_s2: float = quantity("hill_rad_s2", 1e-4, 1e5)
     """Standard deviation of the steady acceleration when a gear comes out."""
     hill_sd: float = quantity("hill_sd", 0.0, 5.0)
+    has_lash: bool = flag("has_lash")
+    """Whether the driveline has shown its backlash."""
+    half_lash_rad: float = quantity("half_lash_deg", 1e-5, 90.0, DEG)
+    """Half of the driveline's backlash, at the main shaft."""
+    half_lash_sd: float = quantity("half_lash_sd", 0.0, 5.0)
 
     MODES = 2
 

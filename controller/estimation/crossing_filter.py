@@ -136,8 +136,10 @@ class CrossingFilter:
         if count < (1.0 - MOST_REFUSED) * edges:
             return math.inf
         log_variance = self._memory.log_variance.item()
+        if count == 0.0:
+            return 0.0
         at_gate = self._tuning.gate_sd**2 + log_variance / count
-        return float(squares + log_variance + (edges - count) * at_gate)
+        return float(squares + log_variance + max(0.0, edges - count) * at_gate)
 
     def take(
         self,

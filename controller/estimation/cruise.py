@@ -4,6 +4,7 @@ layshaft's model does not apply at the time."""
 from __future__ import annotations
 
 import math
+
 import numpy as np
 
 from meshpoint.controller.motion.linear_kernels import CRUISE_FILTER, cruise_filter

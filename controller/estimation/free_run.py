@@ -110,7 +110,7 @@ class FreeRun:
             run.take(edges, sd_rad, above, switches, law.with_disturbance(rate, density))
             return run.misfit(edges.shape[1])
 
-        found = learn(known, misfit)
+        found = learn(known, misfit).figures
         return found if teeth_known else [known[0], *found[1:]]
 
     def _misfit(

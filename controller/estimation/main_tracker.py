@@ -12,8 +12,13 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
-from meshpoint.controller.estimation.driveline_swing import DrivelineSwing, EdgeRun, MainWindow
+from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES, CrossingFilter
+from meshpoint.controller.estimation.driveline_swing import (
+    SIDES,
+    DrivelineSwing,
+    EdgeRun,
+    MainWindow,
+)
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.likelihood import prior, restored
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
@@ -31,6 +36,10 @@ NO_SWITCHES: Final = np.empty((2, 0))
 STILL: Final = ModeRates(1.0, 0.5, 0.0)
 """A mode that does not swing."""
 
+CLEAR: Final = 20.0
+"""Of two flanks one is certain when its likelihood is greater by e to half of this;"""
+MOST_COMPARED: Final = 120
+"""and after so many edges both tell the same."""
 RELEASED_SHARE: Final = 0.1
 """Standard deviation of the speed when a gear comes out, as a share of it."""
 
@@ -47,16 +56,26 @@ class MainTracker(WheelTracker):
         teeth: int,
         missing: tuple[int, ...] = (),
         geared: GearedWheel | None = None,
+        range_ratios: tuple[float, float] = (1.0, 1.0),
     ) -> None:
+        """range_ratios: i_range of low and high."""
         super().__init__(tuning, teeth, missing, geared, MAIN_FILTER)
         white = 2.0 * tuning.follow_rad_s2**2 * tuning.follow_s
         self._following = SwingMotion(white, tuning.main_walk_rad_s2**2, [STILL] * MODES)
-        self.swings = {step: DrivelineSwing(tuning) for step in Range}
+        self.swings = {
+            step: DrivelineSwing(tuning, ratio)
+            for step, ratio in zip((Range.LOW, Range.HIGH), range_ratios, strict=True)
+        }
         self.edge_time = prior(tuning.edge_time_s, 2.0, (1e-7, 2e-4), 0.03)
         """Standard deviation (s) of an edge's time."""
         self._swing = self.swings[Range.HIGH]
         self._free = False
         self._run = EdgeRun()
+        self._other: CrossingFilter | None = None
+        """The same shaft with its driveline at the other flank of the backlash when the gear came
+        out, until the edges have told which."""
+        self._side = SIDES[0]
+        self._compared = 0
         self._began = (0.0, np.zeros(0), np.zeros((0, 0)))
 
     def edges(self, batch: EdgeBatch) -> None:
@@ -64,6 +83,21 @@ class MainTracker(WheelTracker):
         if self.teeth.learner.running and batch.time_us.size:
             self._run.add(batch.time_us, batch.theta_rad, self.teeth.place(batch))
         self._take(batch, NO_PRESSURES, NO_SWITCHES, self._motion)
+        if self._other is not None:
+            teeth = self.teeth
+            known = teeth.edges(batch, teeth.place(batch))
+            self._other.take(known, teeth.sd_rad, NO_PRESSURES, NO_SWITCHES, self._motion)
+            self._compare(self._other, batch.time_us.size)
+
+    def _compare(self, other: CrossingFilter, edges: int) -> None:
+        """Goes on with the flank that explains the edges better; with that alone once it is
+        clear."""
+        self._compared += edges
+        ahead = self._filter.misfit(0) - other.misfit(0)
+        if math.isfinite(ahead) and ahead > 0.0:
+            self._filter, self._other, self._side = other, self._filter, -self._side
+        if abs(ahead) > CLEAR or self._compared > MOST_COMPARED:
+            self._other = None
 
     def take_edge_time(self, value_s: float, sd: float) -> None:
         """Sets what an earlier run learned of an edge's time."""
@@ -72,12 +106,12 @@ class MainTracker(WheelTracker):
 
     @property
     def _motion(self) -> SwingMotion:
-        return self._swing.motion if self._free else self._following
+        return self._swing.used.motion if self._free else self._following
 
     def lose_speed(self) -> None:
         """Starts again with the next edges; teeth keep their numbers."""
         super().lose_speed()
-        self._free = False
+        self._free, self._other = False, None
 
     def set_free(self, free: bool, range_: Range | None, events: list[str]) -> None:
         """Whether it turns with the vehicle alone; its teeth and its swing are learned then."""
@@ -96,8 +130,16 @@ class MainTracker(WheelTracker):
         state.p[:2, :2] = 0.0
         state.p[THETA, THETA] = self._half_pitch_rad**2
         state.p[OMEGA, OMEGA] = (RELEASED_SHARE * state.x[OMEGA]) ** 2 + STRUCK_RAD_S**2
-        swing.start(state.x, state.p)
         x, p = state.x.copy(), state.p.copy()
+        self._side, self._compared = SIDES[0], 0
+        other = CrossingFilter(self._tuning, MAIN_FILTER)
+        other.set_edge_time(self.edge_time.value)
+        time_us = state.time_us
+        sides = swing.used.sides
+        for side, run in zip(sides, (state, other), strict=False):
+            swing.used.start(x, p, side)
+            run.begin(time_us, x, p)
+        self._other = other if self._geared is None and len(sides) > 1 else None
         self._began = (state.time_us, x.copy(), p.copy())
         self._start_p = p
         self._run.begin()
@@ -105,7 +147,7 @@ class MainTracker(WheelTracker):
         self._fuse(True)
 
     def _end_free(self, events: list[str]) -> None:
-        self._free = False
+        self._free, self._other = False, None
         self._learn_swing()
         line = self.teeth.end_window()
         if line is not None:
@@ -135,10 +177,10 @@ class MainTracker(WheelTracker):
         self._filter.set_edge_time(self.edge_time.value)
         if teeth.learner.running:
             start_p = self._start_p.copy()
-            self._swing.start(x, start_p)
+            self._swing.used.start(x, start_p, self._side)
             teeth.learner.begin(time_us, x, start_p)
             teeth.learner.set_edge_time(self.edge_time.value)
-            teeth.learner.take_all(edges, places, self._swing.motion)
+            teeth.learner.take_all(edges, places, self._swing.used.motion)
 
     def at(self, time_us: float) -> ShaftState | None:
         """The state at a time; None before enough edges, or without any for 60 ms."""

@@ -34,11 +34,15 @@ class SwingMotion(RecordMemory):
     """A `swing_kernels.SwingModel`. It is not changed once it is made."""
 
     def __init__(
-        self, white_rad2_s3: float, walk_rad2_s5: float, modes: Sequence[ModeRates]
+        self,
+        white_rad2_s3: float,
+        walk_rad2_s5: float,
+        modes: Sequence[ModeRates],
+        half_lash_rad: float = 0.0,
     ) -> None:
         super().__init__(SWING_MODEL)
         rates = [value for mode in modes for value in mode]
-        self.flat[:] = [white_rad2_s3, walk_rad2_s5, *rates]
+        self.flat[:] = [white_rad2_s3, walk_rad2_s5, half_lash_rad, *rates]
 
 
 class Swing(NamedTuple):
@@ -53,7 +57,7 @@ class Swing(NamedTuple):
     @property
     def speed_rad_s(self) -> float:
         """The part of the shaft's speed with which it swings."""
-        return sum(self.x[FIRST_MODE + 1 :: 2].tolist())
+        return float(self.x[FIRST_MODE + 1 :: 2].sum())
 
     def ahead(self, wait_s: float) -> tuple[float, float]:
         """Angle and speed after a time."""
@@ -76,7 +80,8 @@ class Swing(NamedTuple):
         """Variances (rad2) of the angle predicted `horizon_s` ahead, now and after each further
         tick of edges."""
         found = np.empty(count)
-        swing_outlook(self.p, self.model.flat, horizon_s, self.edge_rad2_s, tick_s, found)
+        edges = np.array([horizon_s, tick_s, self.edge_rad2_s])
+        swing_outlook(self.x, self.p, self.model.flat, edges, found)
         return found
 
     def course(self, wait_s: float, step_s: float, found: Vector) -> None:
@@ -134,7 +139,10 @@ class ShaftState(NamedTuple):
         span_us = step_us * max(1, count - 1)
         ticks = 2 + int(span_us // OUTLOOK_US)
         found = self.swing.outlook(horizon_s, OUTLOOK_US * US, ticks)
-        return np.interp(step_us * np.arange(count), OUTLOOK_US * np.arange(ticks), found)
+        variances: Vector = np.interp(
+            step_us * np.arange(count), OUTLOOK_US * np.arange(ticks), found
+        )
+        return variances
 
     def course(self, first_us: float, step_us: float, count: int) -> Vector:
         """Angle and speed (2, count) at equal steps of time."""

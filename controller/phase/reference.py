@@ -52,8 +52,8 @@ LEAST_SPAN, MOST_SPAN = 0.8, 1.1
 """Range of a floating tooth's positions, in backlashes, from which the gap is determined: its
 middle is then wrong by a tenth of the backlash at most."""
 OTHER_SHARE = 0.3
-"""A constant this far, in backlashes, from the middle of what was seen of the whole gap is wrong: it
-took one flank for the other."""
+"""A constant this far, in backlashes, from the middle of what was seen of the whole gap is wrong:
+it took one flank for the other."""
 MOST_LOOKS = 60
 """A gear in mesh is looked at no further: 0.6 s, in which a driveline swings several times."""
 FLANK_SLIP_RAD_S = 0.2

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.estimation.layshaft import LayshaftTracker
 from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.motion.models import LayshaftState
+from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.planning.strategist import Plan
 from meshpoint.controller.sensing.sensor_clock import wrap
 from meshpoint.controller.shift.table import ShiftRecord

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.motion.kinematics import slip_rad_s, wrap_to_pitch
 from meshpoint.controller.motion.models import LayshaftState
+from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.observer import Observer
 from meshpoint.controller.report.messages import estimates, etc1, etc2, outcome, prediction
 from meshpoint.controller.shift.sequence import ShiftSequence

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.estimation.layshaft import LayshaftTracker
+from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.dbc.messages import FaultCode

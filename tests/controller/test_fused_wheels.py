@@ -17,9 +17,9 @@ from scipy.stats import chi2
 from wheel import READ_US, Wheel
 
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, GearedEdges, Pressures
+from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.main_tracker import MainTracker
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
-from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.motion.models import MotionModel, diagonal, free_motion
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch

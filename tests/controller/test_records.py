@@ -120,7 +120,7 @@ falls = rises + np.array([[0], [250]])
 gate.given[:] = rises.shape[1]
 found, numbers = np.zeros((2, 800)), np.zeros((3, 800), np.int64)
 n = gate_edges(gate.flat, wheel, rises, falls, found, numbers)
-motion = SwingMotion(0.5, 20.0, [ModeRates(70.0, 3.0, 2.0), ModeRates(25.0, 1.0, 0.5)])
+motion = SwingMotion(0.5, 20.0, [ModeRates(70.0, 3.0, 2.0), ModeRates(25.0, 1.0, 0.5)], 0.01)
 main = CrossingFilter(tuning, MAIN_FILTER)
 main.begin(0.0, np.array([1.0, 63.0, 0.0, 0.01, 1.0, 0.0, 0.0]), np.diag(np.linspace(0.1, 2.0, 7)))
 main.take(edges * [[1.0], [0.9]], 1e-3, Pressures(np.empty(0), np.empty(0)), switches, motion)
@@ -137,7 +137,8 @@ terms = filled(TERMS, pitch_rad=0.13, half_gap_rad=0.013, target_rad=0.0, overla
     aim_s=1e-3, slip_low_rad_s=-1.0, slip_high_rad_s=50.0)
 least = expected_least(ahead[0], ahead[1], variance, contacts, terms, 0.01)
 print(json.dumps([shaft.x.tolist(), shaft.p.tolist(), list(shaft.offset),
-    shaft.nis.tolist(), main.x.tolist(), main.p.tolist(), swing.theta_sd_ahead(0.03), window.normal.tolist(), window.right.tolist(), n,
+    shaft.nis.tolist(), main.x.tolist(), main.p.tolist(),
+    swing.theta_sd_ahead(0.03), window.normal.tolist(), window.right.tolist(), n,
     found[:, :n].tolist(), numbers[:2, :n].tolist(), ahead.tolist(), least]))
 """
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from meshpoint.controller.estimation.main_tracker import MainTracker
 from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US, CruiseTracker
+from meshpoint.controller.estimation.main_tracker import MainTracker
 from meshpoint.controller.guard.limits import guard_limits
 from meshpoint.controller.guard.listening import GOOD_TO_BEGIN
 from meshpoint.controller.guard.own_speed import NO_FRAME_US

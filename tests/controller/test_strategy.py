@@ -11,10 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.linear import layshaft_model
 from meshpoint.controller.motion.models import LayshaftState, first_order_law, free_motion
+from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.table import STRATEGIES, make_strategy

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.motion.kinematics import raw_phase_rad
 from meshpoint.controller.motion.models import LayshaftState, first_order_law
+from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.gear_predictor import GearPredictor, Trajectory
 from meshpoint.gearbox import GearboxSheet, MainGear

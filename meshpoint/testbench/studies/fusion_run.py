@@ -13,10 +13,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
-from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.motion.models import LayshaftState, predict
+from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.sensing.sensor_clock import unwrap
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame

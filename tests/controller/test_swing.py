@@ -1,0 +1,273 @@
+"""The main shaft on a driveline that swings: closed form, estimator against its bound, learning."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.estimation.driveline_swing import (
+    LASH,
+    NATURAL,
+    DrivelineSwing,
+    MainWindow,
+)
+from meshpoint.controller.estimation.likelihood import prior
+from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
+from meshpoint.controller.motion.swing import ModeRates, ShaftState, Swing, SwingMotion
+from meshpoint.controller.motion.swing_kernels import SWING_STATES
+from meshpoint.controller.records import Vector
+from meshpoint.controller.settings import CrossingFilterTuning
+
+TUNING = CrossingFilterTuning()
+NO_PRESSURES = Pressures(np.empty(0), np.empty(0))
+NO_SWITCHES = np.empty((2, 0))
+EDGES = 90
+JITTER_S = 10e-6
+OMEGA = 60.0
+QUIET = ModeRates(1.0, 0.5, 0.0)
+
+
+@dataclass(frozen=True)
+class TwoMasses:
+    """A shaft on a spring and a damper against a much heavier one, both turning; no noise. Nothing
+    of this is the controller's: the textbook's free response of the relative motion."""
+
+    light_kgm2: float = 4.0
+    heavy_kgm2: float = 900.0
+    spring_nm_rad: float = 20_000.0
+    damper_nms: float = 20.0
+
+    @property
+    def natural_rad_s(self) -> float:
+        """Of the relative motion."""
+        return math.sqrt(self.spring_nm_rad * self._together)
+
+    @property
+    def decay_per_s(self) -> float:
+        """Of the relative motion."""
+        return 0.5 * self.damper_nms * self._together
+
+    @property
+    def _together(self) -> float:
+        return 1.0 / self.light_kgm2 + 1.0 / self.heavy_kgm2
+
+    def angle(self, twist: float, slip: float, t: Vector) -> Vector:
+        """Angle of the light mass, whose share of the relative motion is the heavy one's inertia
+        over both; their common centre turns at OMEGA."""
+        w, d = self.natural_rad_s, self.decay_per_s
+        v = math.sqrt(w * w - d * d)
+        relative = np.exp(-d * t) * (twist * np.cos(v * t) + (slip + d * twist) / v * np.sin(v * t))
+        share = self.heavy_kgm2 / (self.light_kgm2 + self.heavy_kgm2)
+        return np.asarray(OMEGA * t + share * relative)
+
+
+def edges_of(angle: Any, until_s: float, rng: np.random.Generator | None) -> Vector:
+    """Times (us) and angles at which a shaft passes its edges, interpolated on a fine grid."""
+    t = np.linspace(0.0, until_s, 200_001)
+    theta = angle(t)
+    pitch = 2.0 * math.pi / EDGES
+    wanted = pitch * np.arange(math.ceil(theta[0] / pitch) + 1, math.floor(theta[-1] / pitch))
+    times = np.interp(wanted, theta, t)
+    if rng is not None:
+        times = times + rng.normal(0.0, JITTER_S, times.size)
+    return np.array((times * 1e6, wanted))
+
+
+def state_of(masses: TwoMasses, twist: float, slip: float) -> Vector:
+    share = masses.heavy_kgm2 / (masses.light_kgm2 + masses.heavy_kgm2)
+    q, r = share * twist, share * slip
+    return np.array([q, OMEGA + r, 0.0, q, r, 0.0, 0.0])
+
+
+def model_of(masses: TwoMasses, noise: float = 0.0, lash: float = 0.0) -> SwingMotion:
+    near = ModeRates(masses.natural_rad_s, masses.decay_per_s, noise)
+    return SwingMotion(0.0, 0.0, [near, QUIET], lash)
+
+
+def test_two_masses_on_a_spring_are_followed_exactly_however_long_the_step() -> None:
+    masses, twist, slip = TwoMasses(), 0.03, -4.0
+    swing = Swing(state_of(masses, twist, slip), np.zeros((7, 7)), model_of(masses))
+    for t in (1e-4, 0.01, 0.05, 0.4):
+        assert swing.ahead(t)[0] == pytest.approx(
+            masses.angle(twist, slip, np.array([t]))[0], abs=1e-12
+        )
+
+
+def test_backlash_is_passed_at_its_flanks() -> None:
+    """Against SciPy's integrator of the same dead zone, through a dozen meetings."""
+    masses, half = TwoMasses(), 0.02
+    w2, d = masses.natural_rad_s**2, masses.decay_per_s
+
+    def rate(_t: float, y: Vector) -> list[float]:
+        beyond = math.copysign(max(abs(y[2]) - half, 0.0), y[2])
+        a = -w2 * beyond - (2.0 * d * y[3] if abs(y[2]) > half else 0.0)
+        return [y[1], a, y[3], a]
+
+    x = np.array([0.0, OMEGA, 0.0, 0.035, -3.0, 0.0, 0.0])
+    swing = Swing(x, np.zeros((7, 7)), model_of(masses, lash=half))
+    times = np.linspace(0.01, 0.5, 50)
+    truth = solve_ivp(
+        rate, (0.0, 0.5), [0.0, OMEGA, 0.035, -3.0], t_eval=times, rtol=1e-10, atol=1e-12,
+        max_step=1e-4,
+    ).y  # fmt: skip
+    found = np.empty((2, 50))
+    swing.course(0.01, 0.01, found)
+    assert np.abs(found[0] - truth[0]).max() < 2e-4
+    assert np.abs(truth[2]).min() < half < np.abs(truth[2]).max()
+
+
+def test_the_covariance_is_that_of_the_matrix_exponential() -> None:
+    """Van Loan's integral of the continuous model, for one step of 30 ms."""
+    masses = TwoMasses()
+    near, far = ModeRates(masses.natural_rad_s, masses.decay_per_s, 3.0), ModeRates(25.0, 2.0, 0.7)
+    motion = SwingMotion(0.4, 9.0, [near, far])
+    a, q = np.zeros((7, 7)), np.zeros((7, 7))
+    a[0, 1] = a[1, 2] = 1.0
+    q[1, 1], q[2, 2] = 0.4, 9.0
+    for i, mode in ((3, near), (5, far)):
+        a[i, i + 1] = 1.0
+        for row in (i + 1, 1):
+            a[row, i], a[row, i + 1] = -(mode.natural_rad_s**2), -2.0 * mode.decay_per_s
+        q[1, 1] += mode.noise_rad2_s3
+        q[i + 1, i + 1] = q[1, i + 1] = q[i + 1, 1] = mode.noise_rad2_s3
+    dt = 0.03
+    block = np.zeros((14, 14))
+    block[:7, :7], block[:7, 7:], block[7:, 7:] = -a, q, a.T
+    end = expm(block * dt)
+    f = end[7:, 7:].T
+    p = np.diag([1e-4, 0.1, 4.0, 1e-3, 2.0, 1e-3, 0.5])
+    wanted = f @ p @ f.T + f @ end[:7, 7:]
+    _, found = Swing(np.zeros(7), p, motion).spread_ahead(dt)
+    scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
+    assert np.abs((found - wanted) / scale).max() < 1e-6
+
+
+def started(masses: TwoMasses) -> tuple[Vector, Vector]:
+    """What is known at the start of a window: nothing but rough angle and speed."""
+    p = np.diag([0.03**2, 5.0**2, 1.0, 0.05**2, 4.0**2, 1e-12, 1e-12])
+    return np.array([0.0, OMEGA, 0.0, 0.0, 0.0, 0.0, 0.0]), p
+
+
+def test_45_ms_ahead_the_error_is_that_of_the_bound() -> None:
+    """The model is linear and its noises are normal, so the least variance that any estimator can
+    have (the Cramer-Rao bound for the window) is (P0^-1 + H' R^-1 H)^-1, worked out here with the
+    free response of each start, apart from the filter."""
+    masses, horizon_s, until_s = TwoMasses(), 0.045, 0.2
+    rng = np.random.default_rng(5)
+    x0, p0 = started(masses)
+    errors, bounds = [], []
+    for _ in range(40):
+        x = rng.multivariate_normal(x0, p0)
+        x[5:] = 0.0
+
+        def angle(t: Vector, x: Vector = x) -> Vector:
+            return np.asarray(
+                (x[0] - x[3]) + (x[1] - x[4]) * t + 0.5 * x[2] * t * t
+                + masses.angle(x[3], x[4], t) * 1.0
+                - OMEGA * t
+                + (1.0 / share(masses) - 1.0) * (masses.angle(x[3], x[4], t) - OMEGA * t)
+            )  # fmt: skip
+
+        edges = edges_of(angle, until_s, rng)
+        run = CrossingFilter(TUNING, MAIN_FILTER)
+        run.set_edge_time(JITTER_S)
+        run.begin(0.0, x0, p0)
+        run.take(edges, 1e-6, NO_PRESSURES, NO_SWITCHES, model_of(masses))
+        ahead_s = edges[0, -1] * 1e-6 + horizon_s
+        found = Swing(run.x, run.p, model_of(masses)).ahead(ahead_s - run.time_us * 1e-6)[0]
+        errors.append(found - angle(np.array([ahead_s]))[0])
+        rows = responses(masses, edges[0] * 1e-6)
+        r = (OMEGA * JITTER_S) ** 2 + 1e-12
+        information = np.linalg.inv(p0[:5, :5]) + rows.T @ rows / r
+        last = responses(masses, np.array([ahead_s]))[0]
+        bounds.append(last @ np.linalg.solve(information, last))
+    ratio = np.sqrt(np.mean(np.square(errors)) / np.mean(bounds))
+    assert 0.75 < ratio < 1.3, ratio
+    assert math.degrees(math.sqrt(np.mean(bounds))) < 0.1
+
+
+def share(masses: TwoMasses) -> float:
+    return masses.heavy_kgm2 / (masses.light_kgm2 + masses.heavy_kgm2)
+
+
+def responses(masses: TwoMasses, t: Vector) -> Vector:
+    """Angle at times by each of the first five states at the start."""
+    unit = (masses.angle(1.0, 0.0, t) - OMEGA * t) / share(masses)
+    push = (masses.angle(0.0, 1.0, t) - OMEGA * t) / share(masses)
+    return np.column_stack((np.ones_like(t), t, 0.5 * t * t, unit - 1.0, push - t))
+
+
+def window_of(angle: Any, seed: int) -> MainWindow:
+    edges = edges_of(angle, 0.3, np.random.default_rng(seed))
+    p = np.zeros((SWING_STATES, SWING_STATES))
+    p[0, 0], p[1, 1] = 0.05**2, 8.0**2
+    x = np.zeros(SWING_STATES)
+    x[1] = OMEGA
+    return MainWindow(edges, 0.0, x, p, 3e-4)
+
+
+def test_frequency_and_damping_are_learned_from_the_ringing_of_three_shifts() -> None:
+    masses, swing = TwoMasses(spring_nm_rad=26_000.0), DrivelineSwing(TUNING, 1.0)
+    edge_time, rng = prior(JITTER_S, 2.0, (1e-7, 2e-4), 0.03), np.random.default_rng(1)
+    for k in range(3):
+        twist, slip = rng.normal(0.0, 0.03), rng.normal(0.0, 3.0)
+        window = window_of(lambda t, a=twist, b=slip: masses.angle(a, b, t), k)
+        edge_time = swing.learn(window, edge_time, teeth_known=True)
+    natural = swing.used._figures[NATURAL].value
+    assert natural == pytest.approx(masses.natural_rad_s, rel=0.02)
+    record = swing.record()
+    assert record is not None and not record.has_lash
+    again = DrivelineSwing(TUNING, 1.0)
+    again.restore(record)
+    assert again.used.motion.flat == pytest.approx(swing.used.motion.flat, rel=1e-6)
+
+
+def test_a_driveline_that_does_not_swing_is_not_given_one() -> None:
+    swing = DrivelineSwing(TUNING, 1.0)
+    edge_time = prior(JITTER_S, 2.0, (1e-7, 2e-4), 0.03)
+    for k in range(6):
+        edge_time = swing.learn(window_of(lambda t: OMEGA * t, k), edge_time, teeth_known=True)
+    x, p = np.zeros(SWING_STATES), np.zeros((SWING_STATES, SWING_STATES))
+    swing.used.start(x, p, 1.0)
+    assert math.sqrt(p[4, 4]) < 0.5 * TUNING.near_rad_s
+    assert edge_time.value == pytest.approx(JITTER_S, rel=0.3)
+
+
+def test_backlash_is_believed_where_it_is_seen_and_its_width_is_learned() -> None:
+    masses, half = TwoMasses(spring_nm_rad=12_000.0), math.radians(2.0)
+    motion = model_of(masses, lash=half)
+    swing = DrivelineSwing(TUNING, 1.0)
+    edge_time = prior(JITTER_S, 2.0, (1e-7, 2e-4), 0.03)
+    rng = np.random.default_rng(2)
+    for k in range(3):
+        x = np.array([0.0, OMEGA, 0.0, half + 0.1, rng.normal(0.0, 0.5), 0.0, 0.0])
+        x[1] += x[4]
+
+        def angle(t: Vector, x: Vector = x) -> Vector:
+            found = np.empty((2, t.size))
+            Swing(x, np.zeros((7, 7)), motion).course(0.0, t[1] - t[0], found)
+            return found[0]
+
+        edge_time = swing.learn(window_of(angle, k), edge_time, teeth_known=True)
+    record = swing.record()
+    assert record is not None and record.has_lash
+    assert swing.used._figures[LASH].value == pytest.approx(half, rel=0.1)
+    assert swing.used._figures[NATURAL].value == pytest.approx(masses.natural_rad_s, rel=0.03)
+
+
+def test_what_will_be_known_makes_a_later_contact_surer() -> None:
+    masses = TwoMasses()
+    x0, p0 = started(masses)
+    edge_rad2_s = ((OMEGA * JITTER_S) ** 2 + 1e-7) * 2.0 * math.pi / EDGES / OMEGA
+    swing = Swing(x0, p0, model_of(masses, 0.1), edge_rad2_s)
+    state = ShaftState(0.0, 0.0, OMEGA, 0.03, 5.0, 0.0, swing)
+    found = state.variances(50_000.0, 2_000.0, 100)
+    assert found[0] == pytest.approx(state.theta_sd_at(50_000.0) ** 2)
+    assert np.all(np.diff(found) <= 1e-12) and found[-1] < 0.02 * found[0]
