@@ -54,7 +54,7 @@ NAMED: Final = (
     _N("position_frozen", 0, state=State.COASTING), _N("frozen_payload", 0),
     _N("frozen_payload", 1), _N("brake_fade", 0, 0.0),
     _N("clutch_stuck", state=State.CLUTCH_OPENING),
-    _N("engine_deaf", state=State.CLUTCH_OPENING, from_=10, to=8),
+    _N("engine_deaf", for_ms=4_000, state=State.CLUTCH_OPENING, from_=10, to=8),
     _N("clock_drift", 0, 200.0),
     _N("clock_step", 0, 1_000_000.0), _N("clock_step", 0, -1_000_000.0),
     _N("node_restart", for_ms=200), _N("node_stalled", for_ms=200),
