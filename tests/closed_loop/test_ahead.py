@@ -1,0 +1,129 @@
+"""Commands that go out before their event: at the right moment, taken back if it stays away."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from loop_bench import Loop
+
+from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.settings import ControllerSettings, EngineRequests
+from meshpoint.dbc.messages import (
+    ClutchAction,
+    ClutchCommand,
+    ControllerState,
+    EngagementEvent,
+    FaultCode,
+    ReferenceEngagement,
+    RigFault,
+    ShiftResult,
+    ValveAction,
+    ValveCommand,
+)
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.shared.sleeves import NEVER_US
+
+TRUCK12 = load_sheet("truck12")
+E = EngagementEvent
+DRIVEN = (ValveAction.ON_NOW, ValveAction.ON_AT)
+
+
+def truck(requests: list[tuple[int, int]], **changes: Any) -> Loop:
+    return Loop(requests, sheet=TRUCK12, preset=Preset.TRUCK, seed=6, **changes)
+
+
+def told(loop: Loop) -> dict[EngagementEvent, int]:
+    """When each thing first happened after the request, as the rig tells, us."""
+    (outcome,) = loop.outcomes
+    found: dict[EngagementEvent, int] = {}
+    for message in loop.of(ReferenceEngagement):
+        after_us = (message.event_time_us - outcome.request_time_us) % (1 << 32)
+        if after_us < 1 << 31:
+            found.setdefault(message.event, after_us)
+    return found
+
+
+def test_each_thing_happens_as_the_one_before_is_over() -> None:
+    loop = truck([(1_500_000, 10)]).run(3_000_000)
+    (outcome,) = loop.outcomes
+    assert (outcome.result, loop.violations) == (ShiftResult.ENGAGED, 0)
+    at = told(loop)
+    assert 0 < at[E.RELEASED] - at[E.PLATES_PARTED] < 35_000
+    assert 0 < at[E.BRAKE_FILLS] - at[E.RELEASED] < 20_000
+    assert 0 < at[E.PLATES_MET] - at[E.LOCKED] < 100_000
+
+
+def torque_at_parting(ramp_ms: int) -> tuple[float, float]:
+    """Engine torque (Nm) at the request and as the plates part."""
+    settings = ControllerSettings(engine=EngineRequests(ramp_ms=ramp_ms))
+    loop = truck([(1_500_000, 10)], settings=settings, as_built={"vehicle.slope_percent": 3.0})
+    rig = loop.rig.core
+    assert isinstance(rig, RigCore)
+    plant = rig._world.plant  # type: ignore[attr-defined]
+    loop.run_to_state(ControllerState.CLUTCH_OPENING, 3_000_000)
+    before: float = plant.y.engine_nm
+    opens = lambda: any(m.event is E.PLATES_PARTED for m in loop.of(ReferenceEngagement))  # noqa: E731
+    assert loop.until(opens, 3_000_000)
+    return before, plant.y.engine_nm
+
+
+def test_the_torque_is_gone_before_the_plates_part_and_without_ramp_it_is_not() -> None:
+    pulled, left = torque_at_parting(250)
+    assert pulled > 500.0
+    assert abs(left) < 0.07 * 2500.0
+    pulled, left = torque_at_parting(0)
+    assert left > 0.25 * pulled
+
+
+def stop_the_clutch(loop: Loop) -> None:
+    """Where it is, for good."""
+    rig = loop.rig.core
+    assert isinstance(rig, RigCore)
+    world: Any = rig._world
+    world.plant.g.clutch_rate = 0.0
+    world.clutch._kiss_us = world.clutch._end_us = NEVER_US
+    world.clutch.stuck = True
+    world._due_us = world._next_due()
+
+
+def test_a_clutch_that_stops_half_way_takes_the_pull_back() -> None:
+    """The pull goes out for a parting that does not come: off again before the teeth are out."""
+    loop = truck([(1_500_000, 10)])
+    opening = lambda: loop.seen(ClutchCommand, action=ClutchAction.OPEN)  # noqa: E731
+    loop.run_to_state(ControllerState.CLUTCH_OPENING, 3_000_000)
+    assert loop.until(opening, 3_000_000)
+    loop.run(loop.time.now_us + 40_000)
+    stop_the_clutch(loop)
+    loop.run(loop.time.now_us + 1_500_000)
+    assert any(command.main_second_action in DRIVEN for command in loop.of(ValveCommand))
+    (outcome,) = loop.outcomes
+    assert outcome.result is ShiftResult.ENDED_IN_OLD_GEAR
+    assert outcome.fault in (FaultCode.CLUTCH_STUCK, FaultCode.DISENGAGE_FAILED)
+    assert E.RELEASED not in told(loop)
+    assert loop.valves_driven == ()
+    assert loop.violations == 0
+
+
+def test_a_jammed_sleeve_lets_no_air_into_the_brake() -> None:
+    loop = truck([(1_500_000, 10)])
+    loop.run_to_state(ControllerState.CLUTCH_OPENING, 3_000_000)
+    loop.fault(RigFault.SLEEVE_JAMMED)
+    loop.run(loop.time.now_us + 3_000_000)
+    (outcome,) = loop.outcomes
+    assert outcome.result is ShiftResult.ENDED_IN_OLD_GEAR
+    assert E.BRAKE_FILLS not in told(loop)
+    assert not any(command.brake_action in DRIVEN for command in loop.of(ValveCommand))
+
+
+@pytest.mark.parametrize("seed", [3, 8])
+def test_the_kiss_point_of_this_gearbox_is_found(seed: int) -> None:
+    loop = Loop(shifts=6, sheet=TRUCK12, preset=Preset.TRUCK, seed=seed).run(20_000_000)
+    controller, rig = loop.controller.core, loop.rig.core
+    assert isinstance(controller, ControllerCore)
+    assert isinstance(rig, RigCore)
+    kiss = controller._sequence.kiss
+    assert kiss.sd < 0.013
+    assert kiss.share == pytest.approx(rig.as_built["clutch"]["kiss"], abs=0.015)  # type: ignore[index]
