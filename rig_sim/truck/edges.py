@@ -66,7 +66,8 @@ class WheelAsMade:
     def _amplitude(self, built: AsBuilt) -> Floats:
         warmer_k = built["oil.temperature_c"] + CELSIUS - WARM_K
         weaker = max(1.0 - built["hall.weaker_per_k"] * warmer_k, WEAKEST)
-        return weaker * np.exp(-built["hall.weaker_per_mm"] * self.gap_mm)
+        amplitude: Floats = weaker * np.exp(-built["hall.weaker_per_mm"] * self.gap_mm)
+        return amplitude
 
     def warm(self, built: AsBuilt) -> None:
         """Another oil temperature."""

@@ -83,5 +83,5 @@ def draw(
 
 def _day(rng: np.random.Generator) -> dict[str, float]:
     """Conditions of a day's work, with a trailer coupled or without."""
-    spread = SPREAD | {"vehicle.mass_kg": MASS_KG[int(rng.integers(2))]}
+    spread = dict(SPREAD) | {"vehicle.mass_kg": MASS_KG[int(rng.integers(2))]}
     return {name: float(f"{rng.uniform(low, high):.6g}") for name, (low, high) in spread.items()}
