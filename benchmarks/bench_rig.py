@@ -1,7 +1,8 @@
 """The truck rig alone: simulated seconds a second of processor time, beside SciPy and sampling.
 
     rig     preset truck, profile clean, in gear, layshaft at 1,000 rpm, 40-tooth wheels on four
-            shafts, both edges in their capture rings; stops at every 10 ms read, puts none into messages; warm
+            shafts, both edges in their capture rings; stops at every 10 ms read, puts none into
+            messages; warm
     reads   the same, and reads the eight edge channels every 10 ms
     scipy   `solve_ivp` (DOP853, rtol 1e-9) of the same right-hand side, compiled, with an event
             function for every channel

@@ -77,7 +77,8 @@ class WheelAsMade:
         """How far full load moves the edges of each tooth that is not missing: the shaft bends
         aside, which adds an eccentricity of its own direction."""
         angles = TAU / self.pitches * np.arange(self.pitches)
-        return (self._load_ripple * np.sin(angles + self._load_rad))[self.present]
+        drifts: Floats = (self._load_ripple * np.sin(angles + self._load_rad))[self.present]
+        return drifts
 
     def edges_rad(self) -> tuple[Floats, Floats]:
         """Wheel angles (rad) of the rising and the falling edge of each tooth that is not
