@@ -18,7 +18,7 @@ from collections.abc import Sequence
 
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import upshifts
 from meshpoint.testbench.campaign.run import RunResult, run_many, run_one
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
@@ -40,6 +40,7 @@ def campaign() -> CampaignSpec:
         learn=6,
         judged=2,
         seed=SEED,
+        profile=Profile.CLEAN,
     )
 
 

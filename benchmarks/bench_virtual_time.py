@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.loop.simulate import Setup, simulate
 
 WARM_SHIFTS, SHIFTS = 1, 6
@@ -56,8 +57,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--repeats", type=int, default=8)
     namespace = parser.parse_args(argv)
-    setup = Setup(load_sheet("thesis"), ControllerSettings(), seed=2, shifts=SHIFTS)
-    simulate(Setup(setup.sheet, setup.settings, shifts=WARM_SHIFTS))
+    setup = Setup(
+        load_sheet("thesis"), ControllerSettings(), profile=Profile.CLEAN, seed=2, shifts=SHIFTS
+    )
+    simulate(Setup(setup.sheet, setup.settings, profile=Profile.CLEAN, shifts=WARM_SHIFTS))
     loops = [loop_s() for _ in range(5)]
     runs = [timed_run(setup) for _ in range(namespace.repeats)]
     simulated_s = runs[0][0]

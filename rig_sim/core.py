@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Final
+from collections.abc import Mapping
+from typing import Any, Final
 
 from meshpoint.bus.core import Step
 from meshpoint.dbc.frame import Frame
@@ -67,7 +68,15 @@ class RigCore:
         self._suspect: Counter[int] = Counter()
         self._suspect_told_us: int | None = None
         self.truth = self._world.truth
-        self.as_built = self._world.as_built
+
+    @property
+    def as_built(self) -> dict[str, Any] | None:
+        """What was drawn for the rig, and the conditions it works in; None in preset thesis."""
+        return self._world.as_built
+
+    def change_conditions(self, values: Mapping[str, float]) -> None:
+        """Other oil, load, slope or supply from now on, by their as-built names; preset truck."""
+        self._world.change_conditions(values)
 
     @property
     def next_step_us(self) -> int:

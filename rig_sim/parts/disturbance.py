@@ -6,9 +6,8 @@ Chance is an Ornstein-Uhlenbeck torque a body, sampled every 2 ms and linear in 
     x_n+1 = a x_n + sd sqrt(1 - a^2) z          a = exp(-dt / tau)
 
 Below 5 rad/s the body's torque fades with its speed, so that a shaft at rest stays at rest. z is
-normal, (A[n + a_k] + B[n + b_k]) / sqrt(2) from two drawn tables of 4096 and 4093 numbers, a
-place of its own in each for each body: the same instant has the same chance however the rig got
-there, and repeats after nine hours.
+normal, (A[i] + B[j]) / sqrt(2) from two drawn tables of 4,096 numbers; i and j are bits of a Lehmer
+sequence s = 48271 s mod (2^31 - 1) of each body's own, which comes round after 50 days.
 """
 
 from __future__ import annotations
@@ -22,11 +21,9 @@ from meshpoint.rig_sim.records import Record, Row
 SOURCES: Final = 6
 """Five bodies (`layout`) and the driven wheels, which the road shakes."""
 WHEELS_SOURCE: Final = 5
-FIRST_NUMBERS: Final = 4096
-SECOND_NUMBERS: Final = 4093
-FIRST_APART: Final = 683
-SECOND_APART: Final = 1021
-"""Between the places of two bodies in the tables."""
+NUMBERS: Final = 4096
+LEHMER: Final = 48271
+MERSENNE: Final = (1 << 31) - 1
 SAMPLE_US: Final = 2000
 SAMPLE_S: Final = SAMPLE_US * 1e-6
 TURNING_RAD_S: Final = 5.0
@@ -54,8 +51,8 @@ class Disturbance(Record):
 class ChanceNumbers(Record):
     """The drawn tables."""
 
-    first: Annotated[Row[float], FIRST_NUMBERS]
-    second: Annotated[Row[float], SECOND_NUMBERS]
+    first: Annotated[Row[float], NUMBERS]
+    second: Annotated[Row[float], NUMBERS]
 
 
 class Shaking(Record):
@@ -64,6 +61,7 @@ class Shaking(Record):
     count: int  # number of that sample, -1: none yet
     since_s: float  # from it to the beginning of the step
     at_s: float  # from it to the instant of the present rates
+    seeds: Annotated[Row[int], SOURCES]  # s
     chance_nm: Annotated[Row[float], SOURCES]  # x at the next sample
     now_nm: Annotated[Row[float], SOURCES]
     slope_nm_s: Annotated[Row[float], SOURCES]
@@ -73,30 +71,31 @@ class Shaking(Record):
 @inlined
 def renew(shaking: Shaking, count: int, built: Disturbance, numbers: ChanceNumbers) -> None:
     """Takes sample `count` as reached and draws the next. Once a sample, in order."""
-    first, second = count % FIRST_NUMBERS, count % SECOND_NUMBERS
     for k in range(SOURCES):
-        z = numbers.first[first] + numbers.second[second]
-        first, second = first + FIRST_APART, second + SECOND_APART
-        first -= FIRST_NUMBERS if first >= FIRST_NUMBERS else 0
-        second -= SECOND_NUMBERS if second >= SECOND_NUMBERS else 0
+        product = LEHMER * shaking.seeds[k]
+        seed = (product & MERSENNE) + (product >> 31)
+        if seed >= MERSENNE:
+            seed -= MERSENNE
+        shaking.seeds[k] = seed
+        z = numbers.first[seed & (NUMBERS - 1)] + numbers.second[(seed >> 12) & (NUMBERS - 1)]
         shaking.chance_nm[k] = built.keep[k] * shaking.chance_nm[k] + built.spread_nm[k] * z
     shaking.count = count
-
-
-@inlined
-def lead_to_next(shaking: Shaking, source: int, speed_rad_s: float) -> None:
-    """From this sample on the torque on a body goes to that of the next sample, faded by the
-    body's speed."""
-    now = shaking.now_nm[source] + shaking.slope_nm_s[source] * SAMPLE_S
-    following = shaking.chance_nm[source] * min(abs(speed_rad_s) / TURNING_RAD_S, 1.0)
-    shaking.now_nm[source] = now
-    shaking.slope_nm_s[source] = (following - now) / SAMPLE_S
 
 
 @inlined
 def chance_nm(shaking: Shaking, source: int) -> float:
     """The torque of chance on a body now."""
     return shaking.now_nm[source] + shaking.slope_nm_s[source] * shaking.at_s
+
+
+@inlined
+def lead_to_next(shaking: Shaking, source: int, speed_rad_s: float) -> None:
+    """From this sample on the torque on a body goes to that of the next sample, faded by the
+    body's speed."""
+    now = chance_nm(shaking, source)
+    following = shaking.chance_nm[source] * min(abs(speed_rad_s) / TURNING_RAD_S, 1.0)
+    shaking.now_nm[source] = now
+    shaking.slope_nm_s[source] = (following - now) / SAMPLE_S
 
 
 @inlined

@@ -128,6 +128,10 @@ class RigWorld(Protocol):
     def as_built(self) -> dict[str, Any] | None:
         """What was drawn for this gearbox, for the run's output; None: it is as its sheet says."""
 
+    def change_conditions(self, values: Mapping[str, float]) -> None:
+        """Other oil, load, slope or supply from now on, by their as-built names. SettingsError
+        where the preset has no such thing."""
+
     def run_to(self, until_us: int) -> bool:
         """Go on to this instant, or to the next 10 ms read if that comes first: then True."""
 

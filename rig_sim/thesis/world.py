@@ -8,6 +8,7 @@ search for the next event always looks as far as the next scheduled one.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +16,7 @@ import numpy as np
 from meshpoint.gearbox.gears import MAIN_GEARS, Sleeve, drive_gear
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
-from meshpoint.rig_sim.settings import RigSettings
+from meshpoint.rig_sim.settings import RigSettings, SettingsError
 from meshpoint.rig_sim.shared.angles import Shafts
 from meshpoint.rig_sim.shared.edge_ring import EdgeRead
 from meshpoint.rig_sim.shared.engagement import GEAR_OF_VALVE, Engaged
@@ -166,6 +167,10 @@ class World:
     def as_built(self) -> dict[str, Any] | None:
         """This gearbox is as its sheet says."""
         return None
+
+    def change_conditions(self, values: Mapping[str, float]) -> None:
+        """The thesis's gearbox knows no conditions of work."""
+        raise SettingsError(f"conditions: found {sorted(values)}, allowed with preset truck alone")
 
     @property
     def next_read_us(self) -> int:

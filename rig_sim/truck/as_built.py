@@ -117,6 +117,10 @@ class AsBuilt:
         """The value of a parameter. KeyError where there is none of that name."""
         return self.values[name]
 
+    def changed(self, values: Mapping[str, float]) -> AsBuilt:
+        """The same gearbox at work in other conditions: these values by name."""
+        return replace(self, values={**self.values, **values})
+
     def to_json(self) -> dict[str, Any]:
         """The profile and groups of numbers, as in a run's JSON and as `--as-built` reads them."""
         tables: dict[str, Any] = {"profile": self.profile, "teeth": {"seed": self.teeth_seed}}

@@ -60,6 +60,10 @@ class TruckDelays:
         """A delay at nominal pressure, for the splitter and range sleeves."""
         return self._sheet.sleeve.delay_s + self._noise_s() + self.extra_s
 
+    def change_conditions(self, built: AsBuilt) -> None:
+        """Another oil temperature."""
+        self._built = built
+
     def brake_valve_s(self) -> float:
         """From a switch of the brake valve to the first change of pressure."""
         mean_s, sd_s = self._sheet.brake.valve_delay_s, self._built["air.valve_scatter_ms"] * MS

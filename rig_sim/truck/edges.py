@@ -57,13 +57,21 @@ class WheelAsMade:
         self.errors_rad: Floats = errors + ripple * np.sin(angles + self.eccentric_rad)
         self.gap_mm: Floats = built["hall.runout_mm"] * np.cos(angles + self.eccentric_rad)
         self.duty = wheel.duty_share + built["hall.duty_percent"] / 100.0
-        warmer_k = built["oil.temperature_c"] + CELSIUS - WARM_K
-        weaker = max(1.0 - built["hall.weaker_per_k"] * warmer_k, WEAKEST)
-        self.amplitude: Floats = weaker * np.exp(-built["hall.weaker_per_mm"] * self.gap_mm)
+        self.amplitude: Floats = self._amplitude(built)
         self.threshold = built["hall.threshold_share"]
         self._load_ripple = built["hall.load_runout_mm"] / built["hall.wheel_radius_mm"]
         # not drawn by itself, which would move the draws after it
         self._load_rad = self.eccentric_rad * LOAD_DIRECTION
+
+    def _amplitude(self, built: AsBuilt) -> Floats:
+        warmer_k = built["oil.temperature_c"] + CELSIUS - WARM_K
+        weaker = max(1.0 - built["hall.weaker_per_k"] * warmer_k, WEAKEST)
+        amplitude: Floats = weaker * np.exp(-built["hall.weaker_per_mm"] * self.gap_mm)
+        return amplitude
+
+    def warm(self, built: AsBuilt) -> None:
+        """Another oil temperature."""
+        self.amplitude = self._amplitude(built)
 
     def drifts_rad(self) -> Floats:
         """How far full load moves the edges of each tooth that is not missing: the shaft bends
@@ -92,12 +100,7 @@ class TruckEdges:
         rng = np.random.Generator(np.random.PCG64(built.teeth_seed))
         self.wheels = [WheelAsMade(rng, wheel, built) for wheel in order]
         self._rig = rig
-        for shaft, made in enumerate(self.wheels):
-            for row, edges_rad in enumerate(made.edges_rad()):
-                hall = rig.hall[2 * shaft + row]
-                hall.teeth = made.teeth
-                hall.edges_rad[: made.teeth] = edges_rad.tolist()
-                hall.drift_rad[: made.teeth] = made.drifts_rad().tolist()
+        self._load_edges()
         wrong = int(built["hall.first_wrong_edges"])
         largest = math.radians(built["hall.first_wrong_deg"])
         errors_rad = largest * rng.uniform(-1.0, 1.0, (CHANNELS, wrong))
@@ -113,6 +116,20 @@ class TruckEdges:
         self._on_us = 0.0
         for edge in range(CHANNELS):
             self._point(edge)
+
+    def warm(self, built: AsBuilt) -> None:
+        """Another oil temperature: where a signal is weaker, its edges lie elsewhere."""
+        for made in self.wheels:
+            made.warm(built)
+        self._load_edges()
+
+    def _load_edges(self) -> None:
+        for shaft, made in enumerate(self.wheels):
+            for row, edges_rad in enumerate(made.edges_rad()):
+                hall = self._rig.hall[2 * shaft + row]
+                hall.teeth = made.teeth
+                hall.edges_rad[: made.teeth] = edges_rad.tolist()
+                hall.drift_rad[: made.teeth] = made.drifts_rad().tolist()
 
     def _point(self, edge: int) -> None:
         """Sets a channel's pointer to its next edge in forward rotation."""

@@ -26,6 +26,7 @@ from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.capture import capture
 from meshpoint.rig_sim.truck.events import TORQUE_S, first_event, torques_turn
 from meshpoint.rig_sim.truck.layout import Rig
+from meshpoint.rig_sim.truck.motion import rates
 from meshpoint.rig_sim.truck.step import step
 from meshpoint.units import SECOND_US
 
@@ -34,16 +35,20 @@ QUIET_PA_S: Final = 1e4
 
 
 @inlined
-def _settle(rig: Rig) -> None:
-    """Wraps angles into one turn and phases into one pitch; watched phases are left unwrapped."""
+def _settle(rig: Rig) -> bool:
+    """Wraps angles into one turn and phases into one pitch; watched phases are left unwrapped.
+    Whether an angle was wrapped."""
     y, pitch = rig.y, rig.p.pitch_rad
+    wraps = False
     for k in range(at.BODIES):
         if y.angle_rad[k] >= TAU:
             y.angle_rad[k] -= TAU
             rig.laps[k] += 1
+            wraps = True
         elif y.angle_rad[k] < 0.0:
             y.angle_rad[k] += TAU
             rig.laps[k] -= 1
+            wraps = True
     for gear in range(at.GEARS):
         before = y.phase_rad[gear]
         if before >= 0.5 * pitch or before < -0.5 * pitch:
@@ -52,6 +57,7 @@ def _settle(rig: Rig) -> None:
                 watch = rig.watches[i]
                 if watch.gear == gear:
                     watch.offset_rad += before - y.phase_rad[gear]
+    return wraps
 
 
 @inlined
@@ -118,6 +124,7 @@ def advance(rigs: Sequence[Rig], t_us: float, until_us: float, stop_us: float) -
             if event != at.REACHED:
                 h = s
                 end_us = t_us + s * SECOND_US
+        rig.shaking.at_s = (end_us - rig.shaking.count * SAMPLE_US) / SECOND_US
         turned, s = torques_turn(h, rig)
         if turned != at.REACHED and (event == at.REACHED or s < h - 2.0 * TORQUE_S):
             event, h = turned, s
@@ -125,7 +132,9 @@ def advance(rigs: Sequence[Rig], t_us: float, until_us: float, stop_us: float) -
         if h > 0.0:
             capture(t_us, h, rig)
             _copy(rig.after.vector, rig.y.vector)
-            _settle(rig)
+            if _settle(rig) and rig.p.disturbance.is_on != 0:
+                # to the last bit what the next call would begin with: orders go by the angle
+                rates(rig.y, rig.ahead, rig)
         _copy(rig.ahead.vector, rig.stages[0].vector)
         t_us = end_us
         _remember(t_us, rig)

@@ -14,7 +14,7 @@ import numpy as np
 
 from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.sheet import GearboxSheet
-from meshpoint.rig_sim.parts.disturbance import FIRST_NUMBERS, SECOND_NUMBERS, SOURCES
+from meshpoint.rig_sim.parts.disturbance import MERSENNE, NUMBERS, SOURCES
 from meshpoint.rig_sim.parts.vehicle import CREEP_M_S
 from meshpoint.rig_sim.records import Floats, RecordArray
 from meshpoint.rig_sim.shared.angle_kernels import settled, wrapped
@@ -423,6 +423,22 @@ class TruckPlant:
         """A sleeve's stroke has taken this share of the tank's air."""
         self.y.supply_pa *= 1.0 - share
 
+    def change_conditions(self, built: AsBuilt) -> None:
+        """Other oil, load, slope or supply from now on; what the load's inertia brings is the
+        bench's work."""
+        before = self._stored_j()
+        load_parameters(self.p, self._sheet, built)
+        self.chain.rebuild()
+        self.y.work_j += self._stored_j() - before
+        self._govern(built)
+        self.edges.warm(built)
+
+    def _govern(self, built: AsBuilt) -> None:
+        """Where the compressor's governor holds the tank."""
+        air = self._sheet.air
+        governed_pa = air.supply_gauge_pa + built["air.supply_offset_bar"] * 1e5
+        self.g.governed_pa = governed_pa + air.atmosphere_pa
+
     def without_chance(self) -> None:
         """From now on chance brings nothing new: what there is of it dies out, as is expected."""
         self.p.disturbance.spread_nm[:] = [0.0] * SOURCES
@@ -433,8 +449,9 @@ class TruckPlant:
         if not self.p.disturbance.is_on:
             return
         rng = np.random.Generator(np.random.PCG64([built.teeth_seed, CHANCE_STREAM]))
-        self.rig.chance.first[:] = rng.standard_normal(FIRST_NUMBERS).tolist()
-        self.rig.chance.second[:] = rng.standard_normal(SECOND_NUMBERS).tolist()
+        self.rig.chance.first[:] = rng.standard_normal(NUMBERS).tolist()
+        self.rig.chance.second[:] = rng.standard_normal(NUMBERS).tolist()
+        self.rig.shaking.seeds[:] = rng.integers(1, MERSENNE, SOURCES).tolist()
         begin = rng.standard_normal(SOURCES).tolist()
         sd_nm = [built[f"disturbance.{name}_nm"] for name in SHAKEN]
         self.rig.shaking.chance_nm[:] = [z * sd for z, sd in zip(begin, sd_nm, strict=True)]
@@ -454,11 +471,10 @@ class TruckPlant:
     def _load_speeds(self, gear: MainGear, main_rad_s: float, built: AsBuilt) -> None:
         y, g, shafts = self.y, self.g, self.shafts
         air = self._sheet.air
-        governed_pa = air.supply_gauge_pa + built["air.supply_offset_bar"] * 1e5
         g.brake_sign = 1.0
         g.meshed = -1
         g.release_nm = -1.0
-        g.governed_pa = governed_pa + air.atmosphere_pa
+        self._govern(built)
         y.supply_pa = g.governed_pa
         y.brake_pa = y.felt_pa = air.atmosphere_pa
         y.disc_k = self.p.oil_k

@@ -8,7 +8,7 @@ when it gets to it.
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Final
 
@@ -17,7 +17,7 @@ import numpy as np
 from meshpoint.gearbox.gears import Sleeve, drive_gear
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
-from meshpoint.rig_sim.settings import RigSettings
+from meshpoint.rig_sim.settings import RigSettings, SettingsError
 from meshpoint.rig_sim.shared.angles import Shafts
 from meshpoint.rig_sim.shared.edge_ring import EdgeRead
 from meshpoint.rig_sim.shared.engagement import GEAR_OF_VALVE, Engaged
@@ -49,6 +49,10 @@ STEP_VALVES: Final[dict[Valve, tuple[Sleeve, int]]] = {
 LINK_OF: Final = {Sleeve.SPLITTER: at.SPLITTER, Sleeve.RANGE: at.RANGE}
 
 
+CONDITIONS: Final = frozenset(
+    ("oil.temperature_c", "vehicle.mass_kg", "vehicle.slope_percent", "air.supply_offset_bar")
+)
+"""As-built values that change from one day's work to the next."""
 MOST_EVENTS: Final = 100_000
 """Largest number of events in 10 ms: with more the simulation would not advance, so it is stopped
 with an error."""
@@ -168,6 +172,17 @@ class TruckWorld:
     def inject(self, order: FaultOrder, now_us: int) -> None:
         """The bench asks for a fault."""
         self._at(float(now_us), partial(self.faults.begin, order))
+
+    def change_conditions(self, values: Mapping[str, float]) -> None:
+        """Other oil, load, slope and supply from now on (`CONDITIONS`), by name."""
+        unknown = set(values) - CONDITIONS
+        if unknown:
+            raise SettingsError(
+                f"conditions: found {sorted(unknown)}, allowed {sorted(CONDITIONS)}"
+            )
+        self.built = self.built.changed(values)
+        self.delays.change_conditions(self.built)
+        self.plant.change_conditions(self.built)
 
     def later(self, delay_us: float, action: Callable[[], None]) -> None:
         """Do something this much after the plant's present instant."""

@@ -11,13 +11,13 @@ import pyarrow.parquet as pq
 
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import upshifts
 from meshpoint.testbench.campaign.spec import CampaignSpec
 from meshpoint.testbench.cli import main
 
 BOTH = "speed_window,target_phase"
-SMALL = ("--learn", "1", "--judged", "1", "--strategy", BOTH)
+SMALL = ("--learn", "1", "--judged", "1", "--strategy", BOTH, "--as-built", "clean")
 SHEETS = {Preset.THESIS: "thesis", Preset.TRUCK: "truck12"}
 
 
@@ -58,5 +58,6 @@ def small_spec(preset: Preset = Preset.THESIS, **changes: Any) -> CampaignSpec:
         "learn": 2,
         "judged": 1,
         "seed": 1,
+        "profile": Profile.CLEAN,
     }
     return CampaignSpec(**(values | changes))

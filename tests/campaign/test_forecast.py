@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from meshpoint.gearbox import MainGear, load_sheet
 from meshpoint.rig_sim.core import RigCore
-from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.testbench.campaign.forecast import BRANCH_SAMPLES, SOON_SAMPLES, Forecast, Path
 
 CLOCK_START_US = 1_234
@@ -19,7 +19,7 @@ CLOCK_START_US = 1_234
 def forecast() -> tuple[Forecast, float]:
     """Of a truck in its old gear, and the instant it begins at."""
     sheet = load_sheet("truck12")
-    rig = RigCore(sheet, RigSettings(preset=Preset.TRUCK, seed=5))
+    rig = RigCore(sheet, RigSettings(preset=Preset.TRUCK, profile=Profile.CLEAN, seed=5))
     plant = rig.truth.plant
     assert plant is not None
     plant.coast()
@@ -54,7 +54,9 @@ def test_one_time_alone_is_forecast_as_among_many(
 @pytest.mark.parametrize("on_ms", [0.0, 120.0, 600.0])
 def test_a_branch_in_one_go_is_the_plant_stepped_from_sample_to_sample(on_ms: float) -> None:
     sheet = load_sheet("truck12")
-    plant = RigCore(sheet, RigSettings(preset=Preset.TRUCK, seed=6)).truth.plant
+    plant = RigCore(
+        sheet, RigSettings(preset=Preset.TRUCK, profile=Profile.CLEAN, seed=6)
+    ).truth.plant
     assert plant is not None
     plant.coast()
     pitch = sheet.dog.pitch_rad

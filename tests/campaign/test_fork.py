@@ -6,14 +6,14 @@ import pytest
 from campaigns import small_spec
 
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw
 from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.campaign.spec import CampaignSpec
 
 
 def loop_of(spec: CampaignSpec, seed: int) -> ClosedLoop:
-    drawn = draw(seed, spec.sheet, spec.preset, spec.pairs, spec.learn + 1, {})
+    drawn = draw(seed, spec.sheet, spec.preset, spec.pairs, spec.learn + 1, {}, Profile.CLEAN)
     return ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn, log=[])
 
 

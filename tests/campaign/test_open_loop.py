@@ -16,7 +16,7 @@ from meshpoint.controller.core import OWN_ADDRESS
 from meshpoint.controller.header import RunHeader, new_header
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw
 from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.logs import open_loop as open_loop_module
@@ -49,7 +49,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[ClosedLoop], C
     """One run with today's strategy, and from each of its requests on a run with the other one."""
     settings = ControllerSettings(strategy_name=RECORDED)
     spec = small_spec(Preset.THESIS, settings=settings)
-    drawn = draw(11, spec.sheet, spec.preset, spec.pairs, SHIFTS + 1, {})
+    drawn = draw(11, spec.sheet, spec.preset, spec.pairs, SHIFTS + 1, {}, Profile.CLEAN)
     loop = ClosedLoop(spec.sheet, settings, spec.preset, drawn, log=[])
     branches = []
     for _ in range(SHIFTS):

@@ -11,7 +11,7 @@ from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import TC1, EngagementEvent, ReferenceEngagement
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import PAUSES, ClosedLoop
 from meshpoint.testbench.campaign.record import JudgedShift
@@ -40,7 +40,7 @@ def test_a_tooth_at_the_edge_of_its_gap_does_not_go_in_and_out_for_ever() -> Non
     and the rig stood still in time at one instant."""
     settings = ControllerSettings(prices=Prices(energy_s_per_j=0.4))
     sheet, pairs = load_sheet("truck12"), upshifts()
-    drawn = draw(4_000_003, sheet, Preset.TRUCK, pairs, 14, {})
+    drawn = draw(4_000_003, sheet, Preset.TRUCK, pairs, 14, {}, Profile.CLEAN)
     loop = ClosedLoop(sheet, settings, Preset.TRUCK, drawn)
     for _ in range(4):
         row = loop.shift()
@@ -51,7 +51,7 @@ def test_a_tooth_at_the_edge_of_its_gap_does_not_go_in_and_out_for_ever() -> Non
 @pytest.mark.parametrize("preset", list(Preset))
 def test_a_gear_is_asked_for_when_the_old_one_has_been_locked_for_the_pause(preset: Preset) -> None:
     spec = small_spec(preset)
-    drawn = draw(5, spec.sheet, spec.preset, spec.pairs, 2, {})
+    drawn = draw(5, spec.sheet, spec.preset, spec.pairs, 2, {}, Profile.CLEAN)
     loop = ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn, log=[])
     loop.shift()
     loop.shift()

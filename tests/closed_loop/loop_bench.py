@@ -28,7 +28,7 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import FaultOrder, ScheduledFault
-from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.testbench.loop.bench import BenchCore, plan_shifts
 from meshpoint.testbench.loop.virtual_time import VirtualTime
 from meshpoint.testbench.provenance import product_version
@@ -107,6 +107,7 @@ class Loop:
     pairs: Sequence[tuple[int, int]] = ((8, 10), (10, 12))
     preset: Preset = Preset.THESIS
     as_built: Mapping[str, float] = field(default_factory=dict)
+    profile: Profile = Profile.CLEAN
     faults: tuple[ScheduledFault, ...] = ()
     toward: int = 0
     """The gear that will be asked for: the main shaft turns so that both gears are possible."""
@@ -152,6 +153,7 @@ class Loop:
                 main_speed_rpm=rpm,
                 clock_start_us=clock_start_us,
                 preset=self.preset,
+                profile=self.profile,
                 as_built=self.as_built,
                 faults=self.faults,
             ),

@@ -20,7 +20,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.loop.schedules import MAIN_BOX, MIXED
 from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.units import DEG
@@ -100,6 +100,7 @@ def test_every_change_of_the_main_box_is_made() -> None:
         TRUCK12,
         ControllerSettings(),
         preset=Preset.TRUCK,
+        profile=Profile.CLEAN,
         seed=11,
         shifts=len(MAIN_BOX),
         pairs=MAIN_BOX,
@@ -116,6 +117,7 @@ def test_a_phase_reference_survives_neutral_splitter_and_range() -> None:
         [(300_000, 4), (2_300_000, 3), (3_600_000, 6), (5_600_000, 9)],
         sheet=TRUCK12,
         preset=Preset.TRUCK,
+        profile=Profile.CLEAN,
         as_built=PLAIN_SENSORS,
         start_gear=2,
         toward=3,
@@ -152,6 +154,7 @@ def test_a_road_uphill_takes_speed_and_the_row_says_how_much() -> None:
         TRUCK12,
         ControllerSettings(),
         preset=Preset.TRUCK,
+        profile=Profile.CLEAN,
         shifts=2,
         pairs=((8, 10), (10, 8)),
         as_built={"vehicle.slope_percent": 4.0, "vehicle.rolling_resistance": 0.006},

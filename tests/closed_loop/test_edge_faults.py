@@ -15,7 +15,7 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox.sheet import GearboxSheet, load_sheet
 from meshpoint.rig_sim import RigCore, RigSettings
 from meshpoint.rig_sim.orders import FaultOrder, ScheduledFault
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Profile
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.world import TruckWorld
 
@@ -29,7 +29,7 @@ class GateOnTheRig:
 
     def __init__(self, sheet: GearboxSheet, *faults: FaultOrder) -> None:
         scheduled = tuple(ScheduledFault(BEGIN_US, order) for order in faults)
-        self.core = RigCore(sheet, RigSettings(preset=Preset.TRUCK, seed=3, faults=scheduled))
+        self.core = RigCore(sheet, RigSettings(seed=3, faults=scheduled, profile=Profile.CLEAN))
         wheel = sheet.wheels.main
         self.teeth = wheel.teeth
         self.wheel = WheelEdges(wheel.teeth, wheel.duty_share, wheel.missing)

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.testbench.studies.fusion_run import (
     LAYSHAFT,
@@ -41,6 +41,8 @@ def test_phase_references_are_learned_with_fusion_as_without() -> None:
     settings = ControllerSettings()
     tuning = replace(settings.crossing_filter, fuse_input=True, fuse_propeller=True)
     fused = replace(settings, crossing_filter=tuning)
-    rows = simulate(Setup(load_sheet("thesis"), fused, Preset.TRUCK, 7, 6)).rows
+    rows = simulate(
+        Setup(load_sheet("thesis"), fused, Preset.TRUCK, 7, 6, profile=Profile.CLEAN)
+    ).rows
     assert [row.result for row in rows] == ["engaged"] * 6
     assert [row.reference for row in rows[-3:]] == ["known"] * 3

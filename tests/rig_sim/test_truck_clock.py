@@ -22,7 +22,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.rig_sim import RigSettings
 from meshpoint.rig_sim.orders import FaultOrder, ScheduledFault
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Profile
 from meshpoint.rig_sim.shared.sensor_clock import SensorClock
 
 LATEST_START_US = (1 << 32) - 1
@@ -35,7 +35,7 @@ def bench_with(
     return RigBench(
         RigSettings(
             seed=4,
-            preset=Preset.TRUCK,
+            profile=Profile.CLEAN,
             clock_start_us=start_us,
             as_built={"hall.jitter_us": 0.0, "vehicle.constant_speed": 1.0},
             faults=(ScheduledFault(at_us, order),),

@@ -144,7 +144,7 @@ def test_nothing_but_the_road_changes_the_momentum_of_driveline_and_vehicle() ->
 
 @pytest.mark.parametrize("profile", [Profile.TYPICAL, Profile.HARSH])
 def test_every_drawn_driveline_has_its_modes_where_trucks_have_them(profile: Profile) -> None:
-    """In neutral, high range: tyres and half-shafts 2 to 8 Hz, the gearbox's side 10 to 40."""
+    """In neutral, high range: tyres and half-shafts 2 to 8 Hz, the gearbox's side 10 to 40 Hz."""
     for seed in range(300):
         built = draw_as_built(seed, profile=profile)
         values = {k: v for k, v in built.values.items() if k.startswith("driveline.")}

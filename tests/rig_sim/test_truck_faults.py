@@ -24,7 +24,7 @@ from meshpoint.gearbox.gears import Sleeve
 from meshpoint.rig_sim import RigSettings
 from meshpoint.rig_sim.orders import EngineRequest, FaultOrder, ScheduledFault
 from meshpoint.rig_sim.parts.engine import SPEED_CONTROL
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Profile
 from meshpoint.rig_sim.shared.sleeves import SleeveState
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.rig_sim.truck import layout as at
@@ -147,7 +147,7 @@ def test_a_position_sensor_lies_and_another_repeats_itself() -> None:
 
 def test_old_content_comes_under_a_live_counter() -> None:
     order = FaultOrder(int(RigFault.FROZEN_PAYLOAD), 0, 0.0, 0)
-    settings = RigSettings(preset=Preset.TRUCK, faults=(ScheduledFault(200_000, order),))
+    settings = RigSettings(profile=Profile.CLEAN, faults=(ScheduledFault(200_000, order),))
     bench = RigBench(settings)
     bench.run(400_000)
     edges = bench.of(EdgesMainRise)
@@ -183,7 +183,7 @@ def test_a_stuck_clutch_stays_and_a_deaf_engine_does_not_follow() -> None:
 
 
 def test_the_bench_injects_over_the_bus_and_ends_everything() -> None:
-    bench = RigBench(RigSettings(preset=Preset.TRUCK))
+    bench = RigBench(RigSettings(profile=Profile.CLEAN))
     bench.run(50_000)
     bench.core.receive(
         bench._bench.encode(BenchFault(fault=RigFault.HALL_DROPOUT, target=4, sequence=1))
@@ -241,7 +241,7 @@ def test_every_fault_is_described() -> None:
 
 
 def test_a_shift_goes_on_in_spite_of_a_bad_order_from_the_bench() -> None:
-    bench = RigBench(RigSettings(preset=Preset.TRUCK))
+    bench = RigBench(RigSettings(profile=Profile.CLEAN))
     bench.run(100_000)
     bench.core.receive(
         bench._bench.encode(BenchFault(fault=RigFault.VALVE_STUCK, target=200, sequence=9))
@@ -262,7 +262,7 @@ def test_a_shift_goes_on_in_spite_of_a_bad_order_from_the_bench() -> None:
 def test_a_copy_of_a_faulty_truck_goes_on_as_the_truck_does_and_leaves_it_alone(
     kind: RigFault,
 ) -> None:
-    bench = RigBench(RigSettings(preset=Preset.TRUCK, seed=3))
+    bench = RigBench(RigSettings(profile=Profile.CLEAN, seed=3))
     bench.run(50_000)
     order = BenchFault(fault=kind, target=1, value=3.0, duration_us=60_000, sequence=1)
     bench.core.receive(bench._bench.encode(order))

@@ -17,7 +17,7 @@ from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.rig_sim import RigSettings
 from meshpoint.rig_sim.orders import EngineRequest
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Profile
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import (
@@ -31,7 +31,7 @@ from meshpoint.rig_sim.truck.as_built import (
 from meshpoint.rig_sim.truck.world import TruckWorld
 from meshpoint.units import RPM
 
-TRUCK = RigSettings(seed=5, preset=Preset.TRUCK)
+TRUCK = RigSettings(seed=5, profile=Profile.CLEAN)
 SCRIPT = """
 import json, sys
 from truck_bench import world, run
@@ -80,7 +80,7 @@ def test_the_same_seed_says_the_same_bytes_and_another_does_not() -> None:
     first, again = bench_of(TRUCK), bench_of(TRUCK)
     assert first.frames == again.frames
     assert first.lines == again.lines
-    other = bench_of(RigSettings(seed=6, preset=Preset.TRUCK))
+    other = bench_of(RigSettings(seed=6, profile=Profile.CLEAN))
     assert other.frames != first.frames
 
 

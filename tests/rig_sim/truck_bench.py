@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.gearbox.sheet import GearboxSheet, load_sheet
-from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.rig_sim.truck.as_built import linear
 from meshpoint.rig_sim.truck.world import TruckWorld
 
@@ -26,7 +26,8 @@ def world(
     seed: int = 1,
     **settings: Any,
 ) -> TruckWorld:
-    """A truck; what is not fixed is drawn."""
+    """A truck; what is not fixed is drawn, from the profile clean where none is named."""
+    settings = {"profile": Profile.CLEAN} | settings
     chosen = RigSettings(preset=Preset.TRUCK, seed=seed, as_built=fixed or {}, **settings)
     return TruckWorld(sheet, chosen)
 

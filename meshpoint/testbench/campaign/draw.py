@@ -26,6 +26,9 @@ SPREAD: Final[Mapping[str, tuple[float, float]]] = {
 }
 """Conditions of work of the preset truck, drawn evenly; everything else as built (`truck.toml`)."""
 
+MASS_KG: Final = ((8_000.0, 18_000.0), (18_000.0, 44_000.0))
+"""Without a trailer and with one, in the profiles that are not clean."""
+
 
 def upshifts() -> tuple[tuple[int, int], ...]:
     """Every upshift of the main box alone by one main gear, as (from, to)."""
@@ -44,7 +47,10 @@ class Draw:
     seed: int
     plan: tuple[PlannedShift, ...]
     as_built: Mapping[str, float] = field(default_factory=dict)
+    """While the bench learns, and after it where `judged` does not say otherwise."""
     profile: Profile = DEFAULT_PROFILE
+    judged: Mapping[str, float] = field(default_factory=dict)
+    """Conditions of work drawn anew for the judged shifts; none in the profile clean."""
 
 
 def draw(
@@ -68,4 +74,14 @@ def draw(
         conditions = {
             name: float(f"{rng.uniform(low, high):.6g}") for name, (low, high) in SPREAD.items()
         }
-    return Draw(seed, plan, conditions | dict(fixed), profile)
+    judged: dict[str, float] = {}
+    if preset is Preset.TRUCK and profile is not Profile.CLEAN:
+        conditions = _day(rng)
+        judged = {name: value for name, value in _day(rng).items() if name not in fixed}
+    return Draw(seed, plan, conditions | dict(fixed), profile, judged)
+
+
+def _day(rng: np.random.Generator) -> dict[str, float]:
+    """Conditions of a day's work, with a trailer coupled or without."""
+    spread = dict(SPREAD) | {"vehicle.mass_kg": MASS_KG[int(rng.integers(2))]}
+    return {name: float(f"{rng.uniform(low, high):.6g}") for name, (low, high) in spread.items()}

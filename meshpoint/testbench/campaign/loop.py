@@ -9,7 +9,7 @@ from __future__ import annotations
 import copy
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from meshpoint.bus.core import Core
@@ -104,6 +104,10 @@ class ClosedLoop:
     def as_built(self) -> dict[str, Any]:
         """What was drawn for the rig; nothing for the preset thesis."""
         return self._rig.as_built or {}
+
+    def change_conditions(self, values: Mapping[str, float]) -> None:
+        """Other oil, load, slope and supply from now on, by their as-built names."""
+        self._rig.change_conditions(values)
 
     @property
     def strategy_errors(self) -> Counter[str]:

@@ -64,6 +64,8 @@ def _shifts(spec: CampaignSpec, job: Job) -> RunResult:
     bench = ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn)
     for _ in range(spec.learn):
         bench.shift()
+    if drawn.judged:
+        bench.change_conditions(drawn.judged)
     conditions = Conditions(spec.sheet, bench.as_built)
     records: dict[str, list[JudgedShift]] = {name: [] for name in spec.names}
     made, errors = spec.learn, Counter[str]()
