@@ -15,6 +15,7 @@ from meshpoint.controller.calibration_keeper import CalibrationKeeper, Keep
 from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.warm_up import warm_up
+from meshpoint.dbc.messages import Estimator
 
 ADDRESSES: Final = frozenset({OWN_ADDRESS})
 
@@ -31,7 +32,7 @@ async def run_controller(
     """Runs a controller until `stop` is set; its last frames switch all valves off.
 
     `keep` gets the calibration whenever more is known, and at the end."""
-    warm_up()
+    warm_up(baselines=header.settings.estimator is not Estimator.CROSSING)
     core = ControllerCore(header)
     settle()
     return await run_node(

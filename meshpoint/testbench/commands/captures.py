@@ -27,7 +27,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "captures",
-        help="edges captured from real sensors, through the node's edge gate",
         description="Reads each .csv of a folder (time in s and one level a channel after each "
         "change, or time and voltage), finds the wheel, numbers its teeth as the node does and "
         f"predicts the edge {EDGES_AHEAD} edges ahead: by constant speed, and by the patterns "
