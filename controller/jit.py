@@ -70,6 +70,8 @@ def _new_record(layout: Layout) -> Any:
     return np.zeros(layout.itemsize // WORD_BYTES).view(layout)[0]
 
 
+record_on: Any
+new_record: Any
 if DISABLED:
     record_on, new_record = _record_on, _new_record
 else:

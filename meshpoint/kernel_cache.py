@@ -33,8 +33,8 @@ from numba.core.caching import (
     _CacheLocator,
 )
 from numba.core.dispatcher import Dispatcher
+from numba.core.extending import _Intrinsic
 from numba.core.registry import CPUDispatcher
-from numba.extending import _Intrinsic
 
 from meshpoint.kernel_watch import WATCH
 
@@ -72,21 +72,16 @@ time to compile a kernel."""
 
 
 class _Piece(CPUDispatcher):
-    """A piece has no door for Python. Who calls it from there all the same, as tests do, comes in
-    by a kernel made for the purpose."""
+    """A piece has no door for Python. Who calls it from there all the same, as tests do, gets the
+    same function compiled once more, with one."""
 
-    _door: Any = None
+    _with_door: Any = None
 
     def __call__(self, *arguments: Any) -> Any:
-        if self._door is None:
-            inner = {key: value for key, value in self.targetoptions.items() if key not in _INNER}
-
-            def call(*given: Any) -> Any:
-                return self_(*given)
-
-            self_ = self
-            self._door = numba.njit(**inner | {"forceinline": False})(call)
-        return self._door(*arguments)
+        if self._with_door is None:
+            options = {key: value for key, value in self.targetoptions.items() if key not in _INNER}
+            self._with_door = CPUDispatcher(self.py_func, None, options)
+        return self._with_door(*arguments)
 
 
 class KernelCache(FunctionCache):

@@ -12,18 +12,15 @@ controller's model, so that a mistake in one shows. `core.RigCore` is the node;
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
 from meshpoint.rig_sim.settings import Preset, RigSettings, SettingsError
 
-if TYPE_CHECKING:
-    from meshpoint.rig_sim.core import RigCore
-
-__all__ = ["Preset", "RigCore", "RigSettings", "SettingsError"]
+__all__ = ["Preset", "RigSettings", "SettingsError"]
 
 
-def __getattr__(name: str) -> type[RigCore]:
-    """Loads the rig where it is asked for: whoever only sets one up need not wait for it."""
+def __getattr__(name: str) -> Any:
+    """`RigCore`, loaded where it is asked for: whoever only sets a rig up need not wait for it."""
     if name != "RigCore":
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     from meshpoint.rig_sim.core import RigCore

@@ -18,8 +18,10 @@ from meshpoint.kernel_watch import WATCH
 
 SAID: Final = "! "
 """Begins a line of the rig's side that is no kernel's package but a message."""
+RIG: Final = "rig"
+"""The argument that asks for the rig's kernels alone, one line for each."""
 THESIS: Final = "thesis"
-"""The argument that asks for the kernels of the preset `thesis` too."""
+"""The argument that asks for those of the preset `thesis` too."""
 EVERY_S: Final = 5.0
 """Between two lines where they do not overwrite each other."""
 
@@ -76,7 +78,7 @@ def prepare(thesis: bool = False, baselines: bool = True) -> int:
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return 0
     progress = Progress()
-    command = [sys.executable, "-m", "meshpoint.testbench.loop.compiling"]
+    command = [sys.executable, "-m", "meshpoint.testbench.loop.compiling", RIG]
     command += [THESIS] if thesis else []
     before = WATCH.compiling
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as rig:  # noqa: S603 (ours)
@@ -106,8 +108,17 @@ def _follow(lines: IO[str] | None, progress: Progress) -> None:
 
 
 def main() -> int:
-    """`python -m meshpoint.testbench.loop.compiling`: compiles the rig's kernels, one line for
-    each. What the cache has to say goes the same way, so that both sides say it once."""
+    """`python -m meshpoint.testbench.loop.compiling`: compiles all kernels of both sides."""
+    if RIG in sys.argv[1:]:
+        _compile_rig(THESIS in sys.argv[1:])
+    else:
+        prepare(thesis=True)
+    return 0
+
+
+def _compile_rig(thesis: bool) -> None:
+    """One line for each kernel. What the cache has to say goes the same way, so that both sides say
+    it once."""
     from meshpoint.gearbox import load_sheet
     from meshpoint.rig_sim.presets import build_world
     from meshpoint.rig_sim.settings import Preset, RigSettings
@@ -119,9 +130,8 @@ def main() -> int:
     WATCH.compiling = tell
     WATCH.say = lambda line: tell(SAID + line)
     build_world(load_sheet("truck12"), RigSettings())
-    if THESIS in sys.argv[1:]:
+    if thesis:
         build_world(load_sheet("truck12"), RigSettings(preset=Preset.THESIS))
-    return 0
 
 
 if __name__ == "__main__":
