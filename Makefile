@@ -6,22 +6,25 @@ BIN := $(VENV)/bin
 
 .PHONY: swarm faults demo test installed acceptance vcan test-containers lint types reference contracts stubs bench clean
 
+# --no-compile: of some 100 MB of Python a run imports a tenth, and compiles that as it does.
 $(VENV)/run.stamp: pyproject.toml setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e .
+	$(BIN)/python -m pip install --quiet --no-compile -c constraints.txt -e .
 	touch $@
 
 $(VENV)/test.stamp: pyproject.toml setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet -c constraints.txt -e ".[test]"
+	$(BIN)/python -m pip install --quiet --no-compile -c constraints.txt -e ".[test]"
 	touch $@ $(VENV)/run.stamp
 
 demo:
 	@begun=$$(date +%s) && $(MAKE) --no-print-directory $(VENV)/run.stamp && \
 	    MESHPOINT_SINCE=$$begun $(BIN)/meshpoint demo --out out/demo
 
+# The kernels first, or both workers compile the same ones at once.
 test: $(VENV)/test.stamp
-	$(BIN)/python -m pytest -n 2 --dist loadfile --ignore=tests/acceptance
+	$(BIN)/python -m meshpoint.testbench.loop.compiling
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore=tests/acceptance
 
 # The wheel as a user installs it, and every command of README's table once.
 installed: $(VENV)/test.stamp

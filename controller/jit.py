@@ -1,7 +1,8 @@
 """numba's compiler for the kernels, or none: with NUMBA_DISABLE_JIT=1 numba is not even loaded.
 
 `compiled` and `bare` make an entry point, kept on disk (`meshpoint.kernel_cache`); `inlined` a
-piece of one, copied to where it is called.
+piece of one, copied to where it is called. `record_on` and `new_record` give a kernel a record: by
+a pointer, while `view` and `zeros` are compiled anew for each layout.
 """
 
 from __future__ import annotations
@@ -10,6 +11,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, TypeVar, cast
+
+from meshpoint.controller.records import WORD_BYTES, Layout, Vector
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
@@ -37,9 +40,9 @@ def inlined(function: Kernel) -> Kernel:
     hands over each array as seven words."""
     if DISABLED:
         return function
-    from numba import njit
+    from meshpoint.kernel_cache import piece_of_kernels
 
-    return cast(Kernel, njit(forceinline=True, **BARE)(function))
+    return cast(Kernel, piece_of_kernels(function, forceinline=True, **BARE))
 
 
 def _entry(function: Kernel, options: dict[str, Any]) -> Kernel:
@@ -53,3 +56,25 @@ def _entry(function: Kernel, options: dict[str, Any]) -> Kernel:
     kernel = njit(**options)(function)
     keep_compiled(kernel, FOLDER)
     return cast(Kernel, kernel)
+
+
+def _record_on(memory: Vector, layout: Layout) -> Any:
+    """The record that lies at the beginning of this flat memory, by reference."""
+    return memory.view(layout)[0]
+
+
+def _new_record(layout: Layout) -> Any:
+    """A record of zeros, which lasts as long as the call of the kernel."""
+    import numpy as np
+
+    return np.zeros(layout.itemsize // WORD_BYTES).view(layout)[0]
+
+
+record_on: Any
+new_record: Any
+if DISABLED:
+    record_on, new_record = _record_on, _new_record
+else:
+    from meshpoint.controller import record_pointers
+
+    record_on, new_record = record_pointers.record_on, record_pointers.new_record

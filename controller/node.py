@@ -18,6 +18,7 @@ from meshpoint.controller.calibration_keeper import CalibrationKeeper, Keep
 from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.warm_up import warm_up
+from meshpoint.dbc.messages import Estimator
 
 ADDRESSES: Final = frozenset({OWN_ADDRESS})
 
@@ -36,7 +37,7 @@ async def run_controller(
 
     `keep` gets the calibration whenever more is known, and at the end. With `keys` commands are
     proven to be ours."""
-    warm_up()
+    warm_up(baselines=header.settings.estimator is not Estimator.CROSSING)
     core = ControllerCore(header)
     kept: Core = core if keep is None else CalibrationKeeper(core, keep, _utc)
     settle()

@@ -25,17 +25,21 @@ from meshpoint.controller.records import RecordMemory, filled
 from meshpoint.controller.sensing import chain_kernels as edge_kernels
 from meshpoint.controller.sensing import gate_kernels as edge_gate
 from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.kernel_watch import uncollected
 
 
-def warm_up() -> None:
-    """Calls each kernel once on a standing shaft; a second with a cold cache, else milliseconds."""
-    edge_kernels.warm_up()
-    edge_gate.warm_up()
-    plan_kernels.warm_up()
-    _warm_up_baselines()
-    _warm_up_crossing()
-    _warm_up_swing()
-    inverse_of_positive(np.eye(2))
+def warm_up(baselines: bool = False) -> None:
+    """Calls each kernel that a controller uses, once, on a standing shaft: some ten seconds with a
+    cold cache, else milliseconds. baselines: those of the estimators `thesis` and `window` too."""
+    with uncollected():
+        edge_kernels.warm_up()
+        edge_gate.warm_up()
+        plan_kernels.warm_up()
+        _warm_up_crossing()
+        _warm_up_swing()
+        if baselines:
+            _warm_up_baselines()
+        inverse_of_positive(np.eye(2))
 
 
 def _warm_up_baselines() -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gc
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Final
 
 
@@ -31,3 +33,16 @@ class CacheWatch:
 
 
 WATCH: Final = CacheWatch()
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """Compiling within it leaves the garbage collector out, which otherwise takes a seventh of the
+    time: numba makes many objects and keeps nearly all."""
+    was_on = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_on:
+            gc.enable()

@@ -10,7 +10,19 @@ controller's model, so that a mistake in one shows. `core.RigCore` is the node;
     shared   what both presets use: valve drivers, sleeves, sensor clock, the bench's script
 """
 
-from meshpoint.rig_sim.core import RigCore
+from __future__ import annotations
+
+from typing import Any
+
 from meshpoint.rig_sim.settings import Preset, RigSettings, SettingsError
 
-__all__ = ["Preset", "RigCore", "RigSettings", "SettingsError"]
+__all__ = ["Preset", "RigSettings", "SettingsError"]
+
+
+def __getattr__(name: str) -> Any:
+    """`RigCore`, loaded where it is asked for: whoever only sets a rig up need not wait for it."""
+    if name != "RigCore":
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from meshpoint.rig_sim.core import RigCore
+
+    return RigCore

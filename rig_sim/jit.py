@@ -31,9 +31,9 @@ def part(function: Kernel) -> Kernel:
     """A piece of physics, compiled into the entry points that call it."""
     if DISABLED:
         return function
-    import numba
+    from meshpoint.kernel_cache import piece_of_kernels
 
-    return cast(Kernel, numba.njit(**OPTIONS)(function))
+    return cast(Kernel, piece_of_kernels(function, **OPTIONS))
 
 
 def inlined(function: Kernel) -> Kernel:
@@ -41,9 +41,9 @@ def inlined(function: Kernel) -> Kernel:
     for a small part with many arrays it would cost more than the work."""
     if DISABLED:
         return function
-    import numba
+    from meshpoint.kernel_cache import piece_of_kernels
 
-    return cast(Kernel, numba.njit(forceinline=True, **OPTIONS)(function))
+    return cast(Kernel, piece_of_kernels(function, forceinline=True, **OPTIONS))
 
 
 def entry(function: Kernel, options: dict[str, Any] | None = None) -> Kernel:

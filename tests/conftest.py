@@ -9,6 +9,7 @@ Makes `patience` importable, by which live tests wait.
 import sys
 from pathlib import Path
 
+import pytest
 from hypothesis import HealthCheck, settings
 
 sys.path.insert(0, str(Path(__file__).parent))
@@ -17,3 +18,18 @@ UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.register_profile("explore", UNTIMED)
 settings.register_profile("same", UNTIMED, derandomize=True, database=None)
 settings.load_profile("same")
+
+LONGEST_FIRST = ("campaign", "testbench", "studies", "closed_loop")
+"""Folders with long files: one that began last would keep one worker busy while the other is
+done."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begins with the longest."""
+    here = Path(__file__).parent
+
+    def place(item: pytest.Item) -> int:
+        folder = item.path.relative_to(here).parts[0] if here in item.path.parents else ""
+        return LONGEST_FIRST.index(folder) if folder in LONGEST_FIRST else len(LONGEST_FIRST)
+
+    items.sort(key=place)

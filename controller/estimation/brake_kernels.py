@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from meshpoint.controller.jit import compiled
+from meshpoint.controller.jit import compiled, record_on
 from meshpoint.controller.motion.kernels import STATE, travel
 from meshpoint.controller.records import Vector
 
@@ -14,7 +14,7 @@ def pressure_course(
     """Pressure at ascending times, the first of which is that of the state x (moved).
 
     switches and model as for `travel`, the model of a shaft that nothing moves."""
-    state = x.view(STATE)[0]
+    state = record_on(x, STATE)
     pressure_pa[0] = state.pressure_pa
     for k in range(1, sample_us.shape[0]):
         travel(x, sample_us[k - 1], sample_us[k], switches, model)

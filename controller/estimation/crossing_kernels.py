@@ -35,7 +35,7 @@ from meshpoint.controller.estimation.fusion_kernels import (
     follow_offset,
     take_geared,
 )
-from meshpoint.controller.jit import bare, compiled, inlined
+from meshpoint.controller.jit import bare, compiled, inlined, record_on
 from meshpoint.controller.motion.kernels import (
     DRAG,
     LONGEST_S,
@@ -86,7 +86,7 @@ def crossing_filter(
     Returns LATE and takes nothing if the batch begins before the state's time and a snapshot is
     held to go back to; if none is held, edges not later than the state are skipped. Otherwise
     keeps a snapshot of the state before the batch and returns DONE."""
-    f = memory.view(FILTER)[0]
+    f = record_on(memory, FILTER)
     edge_us, edge_rad = edges[0], edges[1]
     count, n, m = edge_us.shape[0], edge_us.shape[0] - f.geared, pressure_us.shape[0]
     if f.held > 0 and begins_before(f.time_us, edge_us, n):

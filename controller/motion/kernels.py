@@ -21,10 +21,8 @@ from __future__ import annotations
 import math
 from typing import Annotated, Final
 
-import numpy as np
-
-from meshpoint.controller.jit import compiled, inlined
-from meshpoint.controller.records import WORD_BYTES, Over, Records, Vector, layout_of
+from meshpoint.controller.jit import compiled, inlined, new_record, record_on
+from meshpoint.controller.records import Over, Records, Vector, layout_of
 from meshpoint.units import US
 
 STATES: Final = 6
@@ -94,10 +92,16 @@ class MotionStep:
     """By themselves alone."""
 
 
+class Covariance:
+    """Of the state."""
+
+    p: Annotated[Vector, STATES, STATES]
+
+
 STATE: Final = layout_of(MotionState)
+COVARIANCE: Final = layout_of(Covariance)
 MODEL: Final = layout_of(Model)
 STEP: Final = layout_of(MotionStep)
-STEP_WORDS: Final = STEP.itemsize // WORD_BYTES
 
 LONGEST_S: Final = 5e-3
 """Within this step the process noise of `spread_over` is good to 2 %."""
@@ -273,8 +277,8 @@ def travel(x: Vector, t_us: float, to_us: float, switches: Vector, model: Vector
 
     x: a `MotionState`; switches (2, n): rising times (us), and the valve's state u from
     each on, 0 before the first; model: a `Model`."""
-    state, motion = x.view(STATE)[0], model.view(MODEL)[0]
-    step = np.zeros(STEP_WORDS).view(STEP)[0]
+    state, motion = record_on(x, STATE), record_on(model, MODEL)
+    step = new_record(STEP)
     switch_us, switch_u = switches[0], switches[1]
     i = input_at(t_us, switch_us)
     while t_us < to_us:
@@ -301,8 +305,10 @@ def forecast(
     x: Vector, p: Vector, t_us: float, to_us: float, switches: Vector, model: Vector
 ) -> None:
     """As `travel`, with the state's covariance p (6, 6)."""
-    state, motion = x.view(STATE)[0], model.view(MODEL)[0]
-    step = np.zeros(STEP_WORDS).view(STEP)[0]
+    state, motion = record_on(x, STATE), record_on(model, MODEL)
+    # The same kind of array as a filter's own, so that what works on it is compiled once.
+    spread = record_on(p, COVARIANCE).p
+    step = new_record(STEP)
     switch_us, switch_u = switches[0], switches[1]
     i = input_at(t_us, switch_us)
     while t_us < to_us:
@@ -313,10 +319,10 @@ def forecast(
         dt = (until_us - t_us) * US
         part = min(longest_in_segment(motion, u, state.pressure_pa, dt), LONGEST_S)
         transition(state, part, u, motion, step)
-        spread_over(p, part, step, motion, state.gain, 1.0)
+        spread_over(spread, part, step, motion, state.gain, 1.0)
         if part < dt:
             t_us += part / US
         else:
             t_us = until_us
             i += 1
-    mirror(p, STATES)
+    mirror(spread, STATES)

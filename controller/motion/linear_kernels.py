@@ -19,11 +19,9 @@ from __future__ import annotations
 import math
 from typing import Annotated, Final
 
-import numpy as np
-
 from meshpoint.controller import records
-from meshpoint.controller.jit import compiled, inlined
-from meshpoint.controller.records import WORD_BYTES, Over, layout_of
+from meshpoint.controller.jit import compiled, inlined, new_record, record_on
+from meshpoint.controller.records import Over, layout_of
 from meshpoint.units import US
 
 Vector = records.Vector
@@ -89,7 +87,6 @@ class CruiseFilter:
 
 LINEAR: Final = layout_of(Linear)
 HOLD: Final = layout_of(Hold)
-HOLD_WORDS: Final = HOLD.itemsize // WORD_BYTES
 THESIS_FILTER: Final = layout_of(ThesisFilter)
 CRUISE_FILTER: Final = layout_of(CruiseFilter)
 
@@ -135,7 +132,7 @@ def propagate(x: Vector, t_us: float, to_us: float, switches: Vector, model: Vec
     switches (2, n): rising times, and the u that holds from each on; before the first one u = 0.
     model: a `Linear`."""
     switch_us, switch_u = switches[0], switches[1]
-    linear, held = model.view(LINEAR)[0], np.empty(HOLD_WORDS).view(HOLD)[0]
+    linear, held = record_on(model, LINEAR), new_record(HOLD)
     u, i, n = 0.0, 0, switch_us.shape[0]
     while i < n and switch_us[i] <= t_us:
         u = switch_u[i]
@@ -191,9 +188,9 @@ def thesis_filter(memory: Vector, edge_us: Vector, edge_rad: Vector, switches: V
     memory: a `ThesisFilter`; edge_us rising, edge_rad the angle each edge stands for (5.9);
     switches as in `propagate`. Edges not later than the state are skipped: they were used before.
     """
-    f = memory.view(THESIS_FILTER)[0]
+    f = record_on(memory, THESIS_FILTER)
     x, p, w, t_us = f.x, f.p, f.w, f.time_us
-    linear, held = f.linear, np.empty(HOLD_WORDS).view(HOLD)[0]
+    linear, held = f.linear, new_record(HOLD)
     switch_us, switch_u = switches[0], switches[1]
     u, i, n = 0.0, 0, switch_us.shape[0]
     for k in range(edge_us.shape[0]):
@@ -222,7 +219,7 @@ def cruise_filter(memory: Vector, edge_us: Vector, edge_rad: Vector) -> None:
 
     Process noise is a random acceleration held over each interval; the measurement's variance is
     (omega sigma_t)^2, since the angle of an edge is exact and its time is not."""
-    f = memory.view(CRUISE_FILTER)[0]
+    f = record_on(memory, CRUISE_FILTER)
     x, p = f.x, f.p
     for k in range(edge_us.shape[0]):
         if edge_us[k] <= f.time_us:

@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.jit import compiled, inlined
+from meshpoint.controller.jit import compiled, inlined, record_on
 from meshpoint.controller.motion.kernels import MODEL, STATE, STATES, travel
 from meshpoint.controller.records import WORD_BYTES, Vector, filled, layout_of
 from meshpoint.units import US
@@ -91,7 +91,7 @@ def course(x: Vector, switches: Vector, model: Vector, meeting: Vector, found: V
 
     x: the layshaft's `State`; switches and model as for `travel`; meeting: a `Meeting`."""
     ahead = x.copy()
-    state, mesh = ahead.view(STATE)[0], meeting.view(MEETING)[0]
+    state, mesh = record_on(ahead, STATE), record_on(meeting, MEETING)
     phase, slip = found[0], found[1]
     at_us = mesh.layshaft_us
     for k in range(phase.shape[0]):
@@ -139,7 +139,7 @@ def cheapest(
     phase's variance without what the delay adds.
 
     contacts: a `ContactSeries`; terms: `Terms`; shift_rad is added to the phase."""
-    series, price = contacts.view(CONTACT_SERIES)[0], terms.view(TERMS)[0]
+    series, price = record_on(contacts, CONTACT_SERIES), record_on(terms, TERMS)
     best, least = 0, math.inf
     for k in range(phase.shape[0]):
         later = k * series.step_s

@@ -10,7 +10,7 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from meshpoint.controller.jit import bare, compiled
+from meshpoint.controller.jit import bare, compiled, record_on
 from meshpoint.controller.records import WORD_BYTES, Integers, Vector, layout_of
 
 STAMPS: Final = 27
@@ -84,7 +84,7 @@ def chain_edges(memory: Vector, edges: Integers, count: int) -> int:
     the sensor has just begun to count. Returns the new count, or BROKEN when the numbers before
     and after cannot be joined: the wheel stood still, or more edges came than a frame holds.
     """
-    chain = memory.view(CHAIN)[0]
+    chain = record_on(memory, CHAIN)
     low, valid, newest_index, read_us = chain.low_us, chain.valid, chain.newest_index, chain.read_us
     if valid == 0:
         return count

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshpoint.controller.jit import bare, inlined
+from meshpoint.controller.jit import bare, inlined, record_on
 from meshpoint.controller.records import Integers, Vector
 from meshpoint.controller.sensing.gate_layout import (
     AFTER_REJECTED,
@@ -370,7 +370,7 @@ def gate_edges(
 
     Written: edges (2, n), times and angles; numbers (3, n), the tooth of each and whether it is
     falling, and in the third row the times of edges left out, as many as `extra` grew."""
-    gate = memory.view(GATE)[0]
+    gate = record_on(memory, GATE)
     advance, rise_us, fall_us = teeth[0], rises[1], falls[1]
     risen, fallen = gate.given[0], gate.given[1]
     n, first_extra, lost = 0, gate.extra, gate.lost
@@ -393,10 +393,11 @@ def gate_edges(
             if time_us <= gate.time_us:
                 gate.used[falls_here] += 1
                 continue
+            own_us, other_us = rise_us, fall_us
             if falls_here == 1:
-                verdict = weigh(gate, advance, fall_us, rise_us, 1)
-            else:
-                verdict = weigh(gate, advance, rise_us, fall_us, 0)
+                own_us, other_us = fall_us, rise_us
+            # One call: with 0 and 1 written out, all of it would be compiled twice.
+            verdict = weigh(gate, advance, own_us, other_us, falls_here)
             if verdict == NONE:
                 return n
             gate.used[falls_here] += 1
@@ -414,7 +415,7 @@ def gate_edges(
 def turn(memory: Vector, alone: int) -> bool:
     """Whether rising and falling edges are to change places from the next call on, because gaps end
     with the other one, or (`alone` 1) only that one comes. The tooth number is lost then."""
-    gate = memory.view(GATE)[0]
+    gate = record_on(memory, GATE)
     if alone == 0 and gate.other_gaps < GAPS_TO_TURN:
         return False
     lose(gate)
@@ -426,7 +427,7 @@ def turn(memory: Vector, alone: int) -> bool:
 @bare
 def stand(memory: Vector) -> None:
     """The wheel of a `Gate` stands still: gives its tooth number up."""
-    gate = memory.view(GATE)[0]
+    gate = record_on(memory, GATE)
     gate.stops += int(lose(gate))
 
 

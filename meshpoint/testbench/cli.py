@@ -1,4 +1,8 @@
-"""The command line of meshpoint."""
+"""The command line of meshpoint.
+
+Loads what a command needs, and nothing for a line that names none (`--help`, `--version`, a
+command that there is not).
+"""
 
 from __future__ import annotations
 
@@ -7,34 +11,27 @@ import os
 import sys
 from collections.abc import Sequence
 
-from meshpoint.bus.logs.limits import LogError
-from meshpoint.bus.options import BusOpenError
-from meshpoint.bus.pace import PaceError
-from meshpoint.controller.header import HeaderError
-from meshpoint.controller.strategy_file import StrategyError
-from meshpoint.gearbox.tables import TableError
-from meshpoint.kernel_watch import WATCH
-from meshpoint.rig_sim.settings import SettingsError
-from meshpoint.testbench.commands.table import build_parser
-from meshpoint.testbench.errors import CommandError, RunError
+from meshpoint.testbench.commands.table import MODULES, build_parser, front_parser
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.loop.compiling import Progress
-from meshpoint.testbench.results.output import check_writable
 
-USER_ERRORS = (
-    BusOpenError, CommandError, HeaderError, LogError, PaceError, SettingsError, StrategyError,
-    TableError,
-)  # fmt: skip
+ABOUT_ALL = frozenset({"-h", "--help", "--version"})
+"""Said before a command, these end the line."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command; returns its exit code."""
     given = sys.argv[1:] if arguments is None else list(arguments)
-    parser = build_parser(next((word for word in given if not word.startswith("-")), None))
+    command = next((word for word in given if not word.startswith("-")), None)
+    if command not in MODULES or ABOUT_ALL & set(given[: given.index(command)]):
+        front_parser().parse_args(given)  # ends here, whatever it says
+    parser = build_parser(command)
     namespace, unknown = parser.parse_known_args(given)
     if unknown:
         parser.prog = f"{parser.prog} {namespace.command}"
         parser.error(f"unknown argument {' '.join(unknown)}")
+    from meshpoint.kernel_watch import WATCH
+    from meshpoint.testbench.loop.compiling import Progress
+
     before = WATCH.compiling
     WATCH.compiling = Progress(rewrites=False).count
     try:
@@ -45,12 +42,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _run(namespace: argparse.Namespace) -> int:
     """The command, and an exit code for whatever ends it."""
+    from meshpoint.testbench.errors import RunError
+    from meshpoint.testbench.results.output import check_writable
+
     try:
         for target in ("json", "report"):
             path = getattr(namespace, target, None)
             check_writable(None if path is None else str(path))
         code: int = namespace.run(namespace)
-    except USER_ERRORS as error:
+    except _user_errors() as error:
         if namespace.debug:
             raise
         print(f"meshpoint {namespace.command}: error: {error}", file=sys.stderr)
@@ -66,3 +66,20 @@ def _run(namespace: argparse.Namespace) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return Exit.DONE
     return code
+
+
+def _user_errors() -> tuple[type[Exception], ...]:
+    """What was wrong with the input: one line for the user, no traceback."""
+    from meshpoint.bus.logs.limits import LogError
+    from meshpoint.bus.options import BusOpenError
+    from meshpoint.bus.pace import PaceError
+    from meshpoint.controller.header import HeaderError
+    from meshpoint.controller.strategy_file import StrategyError
+    from meshpoint.gearbox.tables import TableError
+    from meshpoint.rig_sim.settings import SettingsError
+    from meshpoint.testbench.errors import CommandError
+
+    return (
+        BusOpenError, CommandError, HeaderError, LogError, PaceError, SettingsError, StrategyError,
+        TableError,
+    )  # fmt: skip

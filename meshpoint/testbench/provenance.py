@@ -2,19 +2,11 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
-
-
-def product_version() -> str:
-    """The installed version, or `0+source` when run from a source tree that is not installed."""
-    try:
-        return version("meshpoint")
-    except PackageNotFoundError:
-        return "0+source"
+from meshpoint.testbench.version import product_version
 
 
 def provenance(sheet: GearboxSheet, seed: int, preset: str) -> dict[str, Any]:

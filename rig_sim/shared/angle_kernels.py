@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from meshpoint.rig_sim import jit
 from meshpoint.rig_sim.jit import Kernel
+from meshpoint.rig_sim.records import RecordArray
 from meshpoint.rig_sim.shared.capture_records import (
     CHANNELS,
     PIECES,
@@ -115,3 +116,12 @@ def read_ring(
             stamps[entry] = 0
         head.newest_index = count & 0xFFFF
         head.valid_stamps = valid
+
+
+def warm_up() -> None:
+    """Compile all of it now, so that no live run stalls at its first shift."""
+    angle = settled(0, 0.5)
+    geared(angle, 2, 3, angle)
+    wrapped(0.5, 1.0)
+    edges, reading = RecordArray(Captured()).array, RecordArray(Reading()).array
+    read_ring(0.0, 0.0, RecordArray(ClockPieces()).array, edges, reading)

@@ -14,21 +14,8 @@ from collections.abc import Sequence
 from typing import Annotated, Final
 
 from meshpoint.rig_sim.records import Record, RecordArray, Row
-from meshpoint.rig_sim.shared.angle_kernels import (
-    TAU,
-    compiled,
-    geared,
-    read_ring,
-    settled,
-    wrapped,
-)
-from meshpoint.rig_sim.shared.capture_records import (
-    CHANNELS,
-    RING,
-    Captured,
-    ClockPieces,
-    Reading,
-)
+from meshpoint.rig_sim.shared.angle_kernels import TAU, compiled
+from meshpoint.rig_sim.shared.capture_records import CHANNELS, RING, Captured
 
 ACCELERATED, FREE = range(2)
 
@@ -282,15 +269,10 @@ def capture_edges(pieces: Sequence[Piece], sensors: Sequence[SensorWheels]) -> N
 
 
 def warm_up() -> None:
-    """Compile everything now, so that no live run stalls at its first shift."""
+    """Compile all of it now, so that no live run stalls at its first shift."""
     motion = RecordArray(Motion(speed_rad_s=1.0, valve_rate=1.0)).array[0]
-    angle = settled(0, 0.5)
-    geared(angle, 2, 3, angle)
-    wrapped(0.5, 1.0)
     time_of_stop(motion, 0.01)
     time_of_exit(motion, motion, 1.0, 0.0, (-1.0, 1.0), 0.01)
     motion_at(motion, 0.01)
     wheels = SensorWheels(teeth=(1, 1, 1, 1))
     capture_edges(RecordArray(Piece()).array, RecordArray(wheels).array)
-    edges, reading = RecordArray(Captured()).array, RecordArray(Reading()).array
-    read_ring(0.0, 0.0, RecordArray(ClockPieces()).array, edges, reading)

@@ -23,7 +23,7 @@ from meshpoint.testbench.logs import open_loop as open_loop_module
 from meshpoint.testbench.logs.decisions import Course, Judged, judge
 from meshpoint.testbench.logs.open_loop import SHIFTING, OpenLoop, said
 from meshpoint.testbench.logs.replay import STATUS, LogReplay, Verification
-from meshpoint.testbench.provenance import product_version
+from meshpoint.testbench.version import product_version
 
 SHIFTS = 5
 RECORDED, OTHER = "speed_window", "target_phase"

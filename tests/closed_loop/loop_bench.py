@@ -31,7 +31,7 @@ from meshpoint.rig_sim.orders import FaultOrder, ScheduledFault
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.testbench.loop.bench import BenchCore, plan_shifts
 from meshpoint.testbench.loop.virtual_time import VirtualTime
-from meshpoint.testbench.provenance import product_version
+from meshpoint.testbench.version import product_version
 
 SHEET = load_sheet("thesis")
 LAYSHAFT_RAD_S = 1400.0 * math.pi / 30.0

@@ -33,7 +33,7 @@ from meshpoint.gearbox import MainGear
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.loop.simulate import Setup, simulate
-from meshpoint.testbench.provenance import product_version
+from meshpoint.testbench.version import product_version
 from meshpoint.units import DEG
 
 State = ControllerState

@@ -20,7 +20,6 @@ from scipy.signal import cont2discrete
 from meshpoint.controller.motion.linear_kernels import (
     CRUISE_FILTER,
     HOLD,
-    HOLD_WORDS,
     LINEAR,
     THESIS_FILTER,
     cruise_filter,
@@ -61,7 +60,7 @@ def held(a: float, b: float, g: float, k: float, dt: float) -> tuple[np.ndarray,
 
 
 def ours(a: float, b: float, g: float, k: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    found = np.empty(HOLD_WORDS)
+    found = np.empty(len(HOLD.names))
     hold(dt, np.array([a, b, g, k]).view(LINEAR)[0], found.view(HOLD)[0])
     f01, f02, f11, f12, f22 = found[:5]
     return np.array([[1.0, f01, f02], [0.0, f11, f12], [0.0, 0.0, f22]]), found[5:]

@@ -29,6 +29,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.rig_sim import RigCore, SettingsError
+from meshpoint.rig_sim.shared import angle_kernels
 from meshpoint.rig_sim.thesis import closed_form as kernels
 from meshpoint.rig_sim.thesis.world import World
 
@@ -165,10 +166,12 @@ def test_settings_that_cannot_be_used_are_named() -> None:
 
 
 def test_everything_is_compiled_before_the_first_step() -> None:
-    dispatchers = [k for k in vars(kernels).values() if hasattr(k, "signatures")]
+    both = {**vars(kernels), **vars(angle_kernels)}
+    dispatchers = [k for k in both.values() if hasattr(k, "signatures")]
     if not dispatchers:
         pytest.skip("kernels run as plain Python")
     kernels.warm_up()
+    angle_kernels.warm_up()
     before = [len(kernel.signatures) for kernel in dispatchers]
     bench = RigBench(thesis_rig(seed=2))
     bench.run(1_200_000, upshift)

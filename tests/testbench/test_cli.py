@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,7 +14,7 @@ import pytest
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.commands.parsing import EXAMPLES
 from meshpoint.testbench.commands.reference import subparsers
-from meshpoint.testbench.commands.table import build_parser
+from meshpoint.testbench.commands.table import MODULES, SUMMARIES, build_parser, front_parser
 from meshpoint.testbench.results.output import check_writable
 
 
@@ -183,3 +185,32 @@ def test_simulate_prints_nothing_but_json_where_json_is_asked_for(
     assert [(row["from"], row["to"], row["result"]) for row in report["shifts"]] == [
         (8, 10, "engaged")
     ]
+
+
+LOADED = """
+import sys
+from meshpoint.testbench.cli import main
+try:
+    main(sys.argv[1:])
+finally:
+    sys.stderr.write("\\n" + " ".join(sys.modules))
+"""
+HEAVY = {"can", "cantools", "matplotlib", "numba", "numpy", "rich", "scipy", "meshpoint.dbc"}
+
+
+@pytest.mark.parametrize("arguments", ["--help", "--version", "fly", "--fly", "--help simulate"])
+def test_a_line_that_names_no_command_loads_none(arguments: str) -> None:
+    """Counted in modules, not in time: a bare interpreter has some 60, all that is here 1,000."""
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED, *arguments.split()],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    loaded = set(done.stderr.splitlines()[-1].split())
+    assert done.returncode in (0, 2)
+    assert not loaded & HEAVY
+    assert len(loaded) < 180
+
+
+def test_help_before_a_command_is_loaded_is_the_same() -> None:
+    assert list(SUMMARIES) == list(MODULES)
+    assert front_parser().format_help() == build_parser().format_help()

@@ -20,10 +20,9 @@ from meshpoint.testbench.loop import compiling
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled here")
 KERNELS = {
-    "controller": "from meshpoint.controller.planning import plan_kernels as plan\n"
+    "controller": "from meshpoint.controller.sensing.chain_kernels import newest_teeth\n"
     "import numpy as np\n"
-    "terms, contacts = np.ones(len(plan.TERMS.names)), np.ones(len(plan.CONTACT_SERIES.names))\n"
-    "print(plan.cheapest(np.ones(1), np.ones(1), np.ones(1), contacts, terms, 0.1)[0])",
+    "print(newest_teeth(np.zeros(4, np.int64), 1))",
     "rig_sim": "from meshpoint.rig_sim.shared.angle_kernels import wrapped\n"
     "print(wrapped(0.75, 1.0))",
 }
@@ -141,6 +140,22 @@ def test_a_flipped_bit_is_found_before_the_code_is_run(tmp_path: Path, said: lis
     assert kernel(2.0) == 4.0
     assert sum(kernel.stats.cache_misses.values()) == 1
     assert said == [f"compiled kernels in {tmp_path.parent} are damaged and compiled again"]
+
+
+def test_a_piece_of_kernels_can_be_called_from_python_too() -> None:
+    """It has no door of its own for that: called all the same, it must not be jumped into."""
+
+    def twice(x: float) -> float:
+        return 2.0 * x
+
+    piece = kernel_cache.piece_of_kernels(twice)
+
+    @numba.njit  # type: ignore[untyped-decorator,unused-ignore]
+    def kernel(x: float) -> float:
+        return piece(x) + 1.0
+
+    assert kernel(1.0) == 3.0
+    assert piece(1.0) == 2.0
 
 
 SOURCE = """

@@ -29,9 +29,9 @@ from meshpoint.testbench.campaign.true_state import TrueState
 from meshpoint.testbench.loop.bench import BenchCore, Pauses
 from meshpoint.testbench.loop.simulate import LIMIT_US_PER_SHIFT, not_addressed_to, tick_phases
 from meshpoint.testbench.loop.virtual_time import VirtualTime
-from meshpoint.testbench.provenance import product_version
 from meshpoint.testbench.results.monitor import identifiers
 from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.version import product_version
 
 PAUSES: Final = Pauses(settle_us=0, locked_us=100_000, learn_us=300_000, learned_us=100_000)
 """No pause is longer than what it is for. Before a request the filters settle in the old gear:

@@ -15,7 +15,8 @@ from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
 from meshpoint.testbench.campaign.sweep import BASE_POINT, SweepPoint, at_point
-from meshpoint.testbench.provenance import product_version, provenance
+from meshpoint.testbench.provenance import provenance
+from meshpoint.testbench.version import product_version
 
 TRUE_STATE: Final = "true_state"
 TRUE_STATE_STRATEGY: Final = "target_phase"

@@ -7,15 +7,12 @@ import math
 import re
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from meshpoint.bus.authentication.keys import CommandKeys, load_keys
 from meshpoint.bus.logs.files import MIN_PART_BYTES
 from meshpoint.bus.logs.limits import MAX_LOG_BYTES
 from meshpoint.bus.options import is_local_bus
-from meshpoint.controller.calibration.file import load
-from meshpoint.controller.calibration.learned import Calibration
-from meshpoint.controller.calibration_keeper import CalibrationWriter
-from meshpoint.controller.planning.strategies.own import read_strategy
 from meshpoint.controller.settings import (
     ESTIMATOR_NAMES,
     STRATEGY_NAMES,
@@ -28,11 +25,17 @@ from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.orders import ScheduledFault
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
-from meshpoint.rig_sim.truck.as_built import AsBuiltChoice, read_as_built
-from meshpoint.rig_sim.truck.scenario import load_scenario
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.loop.schedules import SCHEDULES, UPSHIFTS, Pairs, check_preset, pairs
 from meshpoint.testbench.results.output import folder_for
+
+if TYPE_CHECKING:
+    from meshpoint.controller.calibration.learned import Calibration
+    from meshpoint.controller.calibration_keeper import CalibrationWriter
+    from meshpoint.rig_sim.truck.as_built import AsBuiltChoice
+
+# Loading controller or rig takes longer than all else that a command does before it starts: the
+# functions that need them do it, so that a mistyped word or the other node need not wait for it.
 
 Arguments = argparse.ArgumentParser | argparse._ArgumentGroup
 """What arguments are added to: a command, or a group in its help."""
@@ -116,7 +119,11 @@ def strategy_name(text: str) -> str:
 def strategy_file(name: str) -> StrategyFile | None:
     """The user's file, where the name is one of FILE.py:CLASS; TableError or StrategyError where
     it cannot be used."""
-    return read_strategy(name) if is_file_name(name) else None
+    if not is_file_name(name):
+        return None
+    from meshpoint.controller.planning.strategies.own import read_strategy
+
+    return read_strategy(name)
 
 
 def add_gearbox(parser: Arguments) -> None:
@@ -341,6 +348,9 @@ def calibration_of(
     if path.is_dir():
         raise CommandError(f"{path}: is a folder, allowed is a file")
     folder_for(path.parent)
+    from meshpoint.controller.calibration.file import load
+    from meshpoint.controller.calibration_keeper import CalibrationWriter
+
     loaded = load(path, sheet)
     tell(loaded.line)
     writer = CalibrationWriter(path, sheet, threaded) if loaded.writable else None
@@ -349,9 +359,15 @@ def calibration_of(
 
 def as_built_of(namespace: argparse.Namespace) -> AsBuiltChoice:
     """The profile, and the as-built values that are fixed."""
+    from meshpoint.rig_sim.truck.as_built import read_as_built
+
     return read_as_built(namespace.as_built)
 
 
 def faults_of(namespace: argparse.Namespace) -> tuple[ScheduledFault, ...]:
     """The scenario of faults."""
-    return () if namespace.faults is None else load_scenario(namespace.faults)
+    if namespace.faults is None:
+        return ()
+    from meshpoint.rig_sim.truck.scenario import load_scenario
+
+    return load_scenario(namespace.faults)

@@ -24,9 +24,7 @@ from meshpoint.units import DEG
 
 def add_parser(commands: Any) -> None:
     """The command's arguments."""
-    parser: argparse.ArgumentParser = commands.add_parser(
-        "calibration", help="show what a controller has learned of a gearbox"
-    )
+    parser: argparse.ArgumentParser = commands.add_parser("calibration")
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     show = actions.add_parser(
         "show",

@@ -57,7 +57,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "campaign",
-        help="many seeded runs: strategies compared on the same draws, with intervals",
         description=DESCRIPTION,
     )
     parser.add_argument(
@@ -231,7 +230,8 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
     stopping = _stopping(namespace, spec)
     jobs = spec.jobs(namespace.runs)
     if namespace.dask is None:
-        prepare()
+        baselines = namespace.estimator not in (None, "crossing")
+        prepare(thesis=spec.preset is Preset.THESIS, baselines=baselines)
     collected = Collected(spec, jobs, [] if store is None else store.records)
     finished = _make(namespace, spec, store, collected, stopping)
     values = to_json(spec, collected) | stopping.to_json()

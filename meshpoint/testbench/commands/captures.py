@@ -29,7 +29,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "captures",
-        help="edges captured from real sensors, through the node's edge gate",
         description="Reads captures (a time, then one level or voltage a channel; docs/edges.md), "
         "tries their channels and edges in turn, finds the wheel, numbers its teeth as the node "
         f"does and predicts the edge {EDGES_AHEAD} edges ahead. "

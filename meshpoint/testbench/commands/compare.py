@@ -42,7 +42,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "compare",
-        help="two logs, two --json records, or two settings files",
         description="Two logs message by message, and the first step at which the two controllers "
         "part, with what each knew there; two records of --json (of two versions, strategies or "
         "replays of a log) shift by shift; or two settings files. Exit code 1 where they differ "

@@ -28,7 +28,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "convert",
-        help="a capture of a sensor as a log of edge frames",
         description="Writes the edges of a capture (a time, then one level or voltage a channel; "
         "docs/edges.md) as the edge frames of a shaft, one read each 10 ms, for `meshpoint "
         "replay`. What is not said is tried in turn, and what was chosen is told.",

@@ -20,7 +20,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "dbc",
-        help="the DBC: where it is, its messages, the signals of one",
         description="Lists the messages of the DBC that all nodes speak, or the signals of one.",
     )
     parser.add_argument("message", nargs="?", metavar="MESSAGE", help="the signals of this one")

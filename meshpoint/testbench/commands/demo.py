@@ -30,7 +30,7 @@ from meshpoint.testbench.loop.bench import PlannedShift, plan_shifts
 from meshpoint.testbench.loop.compiling import prepare
 from meshpoint.testbench.loop.live import LiveResult, LiveRun, run_live, uses_virtual
 from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S
-from meshpoint.testbench.provenance import product_version, provenance
+from meshpoint.testbench.provenance import provenance
 from meshpoint.testbench.report.comparison import compare, comparison_table, explain
 from meshpoint.testbench.report.demo import demo_run, write_demo_report
 from meshpoint.testbench.report.plot import plot_shift
@@ -41,6 +41,7 @@ from meshpoint.testbench.results.output import (
     write_json,
 )
 from meshpoint.testbench.results.rows import summarise
+from meshpoint.testbench.version import product_version
 
 AIMING_STRATEGY = "target_phase"
 DEMO_STRATEGIES = ("speed_window", AIMING_STRATEGY)
@@ -56,7 +57,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "demo",
-        help="both nodes live, both strategies: a table, a picture, a report, a verified log",
         description="Starts controller and rig as two processes on a bus of their own (or on the "
         "one given), asks for upshifts with today's strategy and with phase aiming, prints one row "
         "a shift, and verifies its own log by replay. -i virtual runs all in one process.",
@@ -87,7 +87,7 @@ def run(namespace: argparse.Namespace) -> int:
     rig = _rig(namespace, sheet)
     folder_for(namespace.out)
     begun_s = float(os.environ.get(SINCE, time.time()))
-    prepare()
+    prepare(thesis=rig.preset is Preset.THESIS)
     results: dict[str, LiveResult] = {}
     sessions: dict[str, Session] = {}
     lives: dict[str, LiveRun] = {}

@@ -22,9 +22,7 @@ from meshpoint.units import RPM
 
 def add_parser(commands: Any) -> None:
     """The command's arguments."""
-    parser: argparse.ArgumentParser = commands.add_parser(
-        "gearbox", help="show a data sheet: ratios, tooth counts, derived figures"
-    )
+    parser: argparse.ArgumentParser = commands.add_parser("gearbox")
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     show = actions.add_parser("show", help="print a data sheet")
     show.add_argument(

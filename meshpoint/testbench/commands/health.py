@@ -26,7 +26,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "health",
-        help="whether a node is at work: its status frame is heard on the bus",
         description="Listens for the node's cyclic status frame. Exit code 0 when it comes, "
         "1 when it does not; for health checks of containers and services.",
     )

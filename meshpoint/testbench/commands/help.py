@@ -35,10 +35,7 @@ BUS_EXAMPLES = (
 
 def add_parser(commands: Any) -> None:
     """The command's arguments."""
-    parser: argparse.ArgumentParser = commands.add_parser(
-        "help",
-        help="help on a command, or on which bus (`help bus`)",
-    )
+    parser: argparse.ArgumentParser = commands.add_parser("help")
     parser.add_argument(
         "topic", nargs="?", metavar="COMMAND|bus", help="a command, or bus; default: all commands"
     )

@@ -18,24 +18,20 @@ from meshpoint.bus.options import add_bus_arguments, open_bus_from
 from meshpoint.bus.pace import PacedClock, PaceFile
 from meshpoint.bus.signals import stop_at_end_of_input, stop_on_signals
 from meshpoint.controller.header import RunHeader, new_header
-from meshpoint.controller.node import run_controller
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.rig_sim.node import run_rig
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.commands import arguments
-from meshpoint.testbench.commands.describe import describe_rig
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import recording, start_log
-from meshpoint.testbench.provenance import product_version
 from meshpoint.testbench.results.output import complain, folder_for
+from meshpoint.testbench.version import product_version
 
 
 def add_parser(commands: Any) -> None:
     """Both commands' arguments."""
     controller: argparse.ArgumentParser = commands.add_parser(
         "controller",
-        help="the transmission controller as a node on a CAN bus",
         description="Reads tooth timestamps, estimates, predicts, and fires where its outputs are "
         "armed (--arm; docs/guard.md). SIGINT or SIGTERM ends it with all valves off, exit code 0.",
     )
@@ -48,7 +44,6 @@ def add_parser(commands: Any) -> None:
     controller.set_defaults(run=run_controller_command)
     rig: argparse.ArgumentParser = commands.add_parser(
         "rig",
-        help="the virtual gearbox as a node on a CAN bus",
         description="Plays gearbox, sensors and engine. SIGINT or SIGTERM ends it with all "
         "valves off, exit code 0.",
     )
@@ -111,6 +106,8 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
 
 def run_controller_command(namespace: argparse.Namespace) -> int:
     """Runs the controller until a signal."""
+    from meshpoint.controller.node import run_controller
+
     sheet, settings = arguments.sheet_of(namespace), arguments.settings_of(namespace)
     calibration, writer = arguments.calibration_of(namespace, sheet, threaded=True, tell=complain)
     armed, keys = arguments.armed_of(namespace), arguments.keys_of(namespace)
@@ -141,6 +138,8 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
 
 def run_rig_command(namespace: argparse.Namespace) -> int:
     """Runs the rig until a signal."""
+    from meshpoint.rig_sim.node import run_rig
+
     built = arguments.as_built_of(namespace)
     settings = RigSettings(
         preset=Preset(namespace.preset),
@@ -153,6 +152,8 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
     )
     sheet, keys = arguments.sheet_of(namespace), arguments.keys_of(namespace)
     if namespace.describe:
+        from meshpoint.testbench.commands.describe import describe_rig
+
         describe_rig(sheet, settings)
         return Exit.DONE
 

@@ -19,7 +19,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "pace",
-        help="bus time that waits for nodes which the machine keeps from running",
         description="Writes a bus time to FILE until SIGINT or SIGTERM; give every node "
         "`--pace FILE` and the same --speed. Time goes with the wall clock, but never further than "
         "every node has promised to look at it again. `demo` does this by itself.",

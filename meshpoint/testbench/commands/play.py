@@ -16,7 +16,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "play",
-        help="a page on which you fire the sleeve yourself, then let the controller do it",
         description="Writes one HTML page that needs nothing but itself: teeth of sleeve and gear "
         "in slow motion, dials for slip, gap, delay and its scatter, a button to fire, and the "
         "score beside that of a controller that aims.",

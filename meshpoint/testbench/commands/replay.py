@@ -46,7 +46,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "replay",
-        help="a recorded log through the same controller",
         description="Feeds the frames of a log to the controller at the recorded steps and shows "
         "what it commands, shift by shift. The run header (header-*.json) is looked for beside "
         "the log.",

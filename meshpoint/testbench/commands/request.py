@@ -37,7 +37,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "request",
-        help="ask for a gear over the bus",
         description="Sends J1939 TC1 with the gear asked for and waits for the shift's outcome. "
         "Gears are 1 to 12; 13 and 14 are the crawl gears. Where the shift fails because a node "
         "was late, it says so and asks again.",

@@ -23,9 +23,7 @@ WIDEST = 100
 
 def add_parser(commands: Any) -> None:
     """The command's arguments."""
-    parser: argparse.ArgumentParser = commands.add_parser(
-        "settings", help="show every setting of the controller: unit, range, default, meaning"
-    )
+    parser: argparse.ArgumentParser = commands.add_parser("settings")
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     show = actions.add_parser(
         "show",

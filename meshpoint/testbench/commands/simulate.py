@@ -47,7 +47,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "simulate",
-        help="shifts in virtual time: one process, encoded frames, no waiting",
         description="Runs controller, rig and bench in one process on a virtual bus, as fast as "
         "it goes. The same seed gives the same bytes.",
     )

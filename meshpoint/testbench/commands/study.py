@@ -38,7 +38,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "study",
-        help="the thesis's figures and tables reproduced, ours beside them",
         description="Each study reproduces a figure or table of the thesis with the product's "
         "code and says whether ours agrees, and why. DIR gets a page (studies.html), pictures and "
         "CSV of each study, and studies.toml: the settings, to copy, change and give back with "
@@ -75,7 +74,7 @@ def run(namespace: argparse.Namespace) -> int:
     settings = load_study_settings(namespace.settings)
     studies = chosen(namespace.names)
     folder = folder_for(namespace.out)
-    prepare()
+    prepare(thesis=True)
     out = console(namespace.json)
     columns = (
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),

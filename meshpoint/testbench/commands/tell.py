@@ -31,7 +31,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "tell",
-        help="a log in plain words, one line an event",
         description="Reads a log and tells what happened: who asked for which gear, what the "
         "controller decided, what the valves did, how the shift ended; what was lost on the bus. "
         "Columns: seconds of the log, milliseconds since the gear was asked for by the sensor "

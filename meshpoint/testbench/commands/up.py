@@ -39,9 +39,7 @@ AT_REST: Final = (ControllerState.IN_GEAR, ControllerState.NEUTRAL)
 
 def add_parser(commands: Any) -> None:
     """The command's arguments."""
-    parser: argparse.ArgumentParser = commands.add_parser(
-        "up", help="rig and controller in one terminal, until Ctrl-C", description=DESCRIPTION
-    )
+    parser: argparse.ArgumentParser = commands.add_parser("up", description=DESCRIPTION)
     both = parser.add_argument_group("both nodes")
     arguments.add_gearbox(both)
     arguments.add_speed(both)

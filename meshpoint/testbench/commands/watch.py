@@ -28,7 +28,6 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "watch",
-        help="what goes on on a bus, or in a log, as a picture in the terminal",
         description="Gear, speeds, the tooth against the gap, valves, sleeves, air, the rate and "
         "age of every message (red: not to be relied on), the last shifts and what happened, in "
         "80 x 24 characters. It only listens: nothing is sent. With LOG it plays the log; "

@@ -25,7 +25,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerStatus
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.provenance import product_version
+from meshpoint.testbench.version import product_version
 
 RIG_ADDRESSES: Final = frozenset({0x80, 0x81, 0x00})
 KNOWN_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())

@@ -18,6 +18,10 @@ from meshpoint.kernel_watch import WATCH
 
 SAID: Final = "! "
 """Begins a line of the rig's side that is no kernel's package but a message."""
+RIG: Final = "rig"
+"""The argument that asks for the rig's kernels alone, one line for each."""
+THESIS: Final = "thesis"
+"""The argument that asks for those of the preset `thesis` too."""
 EVERY_S: Final = 5.0
 """Between two lines where they do not overwrite each other."""
 
@@ -44,7 +48,7 @@ class Progress:
             self._counts[package] += 1
             now_s = perf_counter()
             if self.compiled == 1:
-                self._say("compiling kernels, once on this machine: about half a minute")
+                self._say("compiling kernels, once on this machine: about ten seconds")
             elif self._rewrites or now_s - self._said_s > EVERY_S:
                 self._say(self._line(now_s))
 
@@ -65,13 +69,17 @@ class Progress:
         self._out.flush()
 
 
-def prepare() -> int:
+def prepare(thesis: bool = False, baselines: bool = True) -> int:
     """Loads the controller's kernels here and has the rig's compiled beside, where they are not on
-    disk; shows how far it is. Returns how many had to be compiled."""
+    disk; shows how far it is. Returns how many had to be compiled.
+
+    thesis: also the rig's of the preset `thesis`; baselines: also the controller's of the
+    estimators `thesis` and `window`, which a run scores beside the one in use."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return 0
     progress = Progress()
-    command = [sys.executable, "-m", "meshpoint.testbench.loop.compiling"]
+    command = [sys.executable, "-m", "meshpoint.testbench.loop.compiling", RIG]
+    command += [THESIS] if thesis else []
     before = WATCH.compiling
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as rig:  # noqa: S603 (ours)
         reader = threading.Thread(target=_follow, args=(rig.stdout, progress))
@@ -80,7 +88,7 @@ def prepare() -> int:
         try:
             from meshpoint.controller.warm_up import warm_up
 
-            warm_up()
+            warm_up(baselines)
         except BaseException:
             rig.kill()
             raise
@@ -100,11 +108,20 @@ def _follow(lines: IO[str] | None, progress: Progress) -> None:
 
 
 def main() -> int:
-    """`python -m meshpoint.testbench.loop.compiling`: compiles the rig's kernels, one line for
-    each. What the cache has to say goes the same way, so that both sides say it once."""
+    """`python -m meshpoint.testbench.loop.compiling`: compiles all kernels of both sides."""
+    if RIG in sys.argv[1:]:
+        _compile_rig(THESIS in sys.argv[1:])
+    else:
+        prepare(thesis=True)
+    return 0
+
+
+def _compile_rig(thesis: bool) -> None:
+    """One line for each kernel. What the cache has to say goes the same way, so that both sides say
+    it once."""
     from meshpoint.gearbox import load_sheet
     from meshpoint.rig_sim.presets import build_world
-    from meshpoint.rig_sim.settings import RigSettings
+    from meshpoint.rig_sim.settings import Preset, RigSettings
 
     def tell(package: str) -> None:
         sys.stdout.write(package + "\n")
@@ -113,7 +130,8 @@ def main() -> int:
     WATCH.compiling = tell
     WATCH.say = lambda line: tell(SAID + line)
     build_world(load_sheet("truck12"), RigSettings())
-    return 0
+    if thesis:
+        build_world(load_sheet("truck12"), RigSettings(preset=Preset.THESIS))
 
 
 if __name__ == "__main__":

@@ -32,10 +32,11 @@ from meshpoint.testbench.loop.bench import TICK_US, BenchCore, PlannedShift, pla
 from meshpoint.testbench.loop.loaded_bus import LoadedBus
 from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs
 from meshpoint.testbench.loop.virtual_time import VirtualTime
-from meshpoint.testbench.provenance import product_version, provenance
+from meshpoint.testbench.provenance import provenance
 from meshpoint.testbench.results.kinematic_bound import kinematic_bound_ms
 from meshpoint.testbench.results.monitor import Monitor
 from meshpoint.testbench.results.rows import ShiftRow, summarise
+from meshpoint.testbench.version import product_version
 
 LAYSHAFT_RAD_S: Final = 1400.0 * math.pi / 30.0
 """Layshaft speed in the old gear: shifts from here shed 400 to 600 rpm, as in the thesis."""

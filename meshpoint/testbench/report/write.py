@@ -11,7 +11,6 @@ from meshpoint.dbc import DBC_SHA256
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.provenance import product_version
 from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.figures import shift_figure
 from meshpoint.testbench.report.layout import common_layout
@@ -21,6 +20,7 @@ from meshpoint.testbench.report.page import page, shift_words
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.results.output import check_writable, folder_for
 from meshpoint.testbench.results.rows import is_aimed
+from meshpoint.testbench.version import product_version
 
 REPLAYED_MARGIN: Final = 160
 """Left of the figures of a replay, px."""

@@ -6,13 +6,15 @@ import json
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.table import Table
 
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.results.rows import ShiftRow
+
+if TYPE_CHECKING:
+    from meshpoint.testbench.results.rows import ShiftRow
 
 WIDTH_WITHOUT_TERMINAL = 130
 SHIFT_COLUMNS = (
