@@ -22,8 +22,8 @@ from meshpoint.testbench.logs.account import Account
 from meshpoint.testbench.logs.bus_map import BusMap, load_map
 from meshpoint.testbench.logs.gear_track import SeenShift
 from meshpoint.testbench.logs.sensor_replay import SensorReplay
-from meshpoint.testbench.provenance import product_version
 from meshpoint.testbench.results.output import console, write_json
+from meshpoint.testbench.version import product_version
 
 MOST_EVENTS: Final = 10_000
 DEFAULT_SHEET: Final = SHEET_NAMES[0]

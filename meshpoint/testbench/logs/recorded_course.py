@@ -12,7 +12,6 @@ from bisect import bisect_left, bisect_right
 from typing import Final, NamedTuple
 
 from meshpoint.controller.estimation.brake_model import BrakeModel
-from meshpoint.controller.estimation.cruise import ShaftState
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import (
@@ -21,6 +20,7 @@ from meshpoint.controller.motion.models import (
     predict,
     predict_spread,
 )
+from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.units import US

@@ -34,12 +34,12 @@ from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.loop.bench import plan_shifts
 from meshpoint.testbench.loop.simulate import not_addressed_to, tick_phases
 from meshpoint.testbench.loop.virtual_time import VirtualTime
-from meshpoint.testbench.provenance import product_version
 from meshpoint.testbench.swarm.deeds import DEEDS
 from meshpoint.testbench.swarm.events import BUS_KINDS, REQUEST, RIG_KINDS, Event, Group, World
 from meshpoint.testbench.swarm.invariants import Broken, Invariants
 from meshpoint.testbench.swarm.nodes import WatchedController, WatchedRig
 from meshpoint.testbench.swarm.wires import BusFault, Stranger, Trouble, Wire
+from meshpoint.testbench.version import product_version
 from meshpoint.units import RPM
 
 TICK_US: Final = 10_000

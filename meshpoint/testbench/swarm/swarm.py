@@ -20,13 +20,14 @@ from meshpoint.gearbox.reading import read_text
 from meshpoint.testbench.campaign.runner import executor
 from meshpoint.testbench.campaign.spec import SEEDS_APART
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.provenance import product_version, provenance
+from meshpoint.testbench.provenance import provenance
 from meshpoint.testbench.results.output import folder_for
 from meshpoint.testbench.swarm.draw import draw_world
 from meshpoint.testbench.swarm.episode import Episode, EpisodeResult, Reached, declared
 from meshpoint.testbench.swarm.events import World, save_world
 from meshpoint.testbench.swarm.invariants import Broken
 from meshpoint.testbench.swarm.shrink import shrink
+from meshpoint.testbench.version import product_version
 
 PART_LIMIT_BYTES: Final = 2_000_000_000
 NAMES: Final = ("faults", "fault_codes", "guard_rows", "transitions")
