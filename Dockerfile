@@ -30,7 +30,7 @@ ENV PATH=/opt/meshpoint/bin:$PATH \
     NUMBA_CPU_NAME=generic \
     NUMBA_CACHE_DIR=/var/cache/meshpoint
 USER meshpoint
-RUN python -c "from meshpoint.testbench.loop.compiling import prepare; prepare()"
+RUN python -m meshpoint.testbench.loop.compiling
 WORKDIR /log
 ENTRYPOINT ["meshpoint"]
 CMD ["--help"]
