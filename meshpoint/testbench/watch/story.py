@@ -68,6 +68,12 @@ TRUTHS: Final = {
     EngagementEvent.RELEASED: "the sleeve has left its gear",
     EngagementEvent.BLOCKED: "sleeve and gear stick, tooth on tooth",
     EngagementEvent.GIVEN_UP: "the sleeve turns back",
+    EngagementEvent.CLUTCH_OPENS: "the clutch begins to open",
+    EngagementEvent.PLATES_PARTED: "the clutch's plates have parted",
+    EngagementEvent.BRAKE_FILLS: "air flows to the brake",
+    EngagementEvent.BRAKE_EMPTIES: "air leaves the brake",
+    EngagementEvent.CLUTCH_CLOSES: "the clutch begins to close",
+    EngagementEvent.PLATES_MET: "the clutch's plates have met",
 }
 WITH_PHASE: Final = (EngagementEvent.GAP_CONTACT, EngagementEvent.TOOTH_CONTACT)
 RESULTS: Final = {
