@@ -65,7 +65,7 @@ class CrossingTracker(WheelTracker):
         self._free_edges = 0
         self._run = FreeRun(tuning)
         self.noise = [
-            prior(tuning.edge_time_s, 2.0, (1e-7, 2e-4), 0.03),
+            prior(tuning.edge_time_s, 2.0, (1e-6, 2e-4), 0.03),
             prior(tuning.torque_disturbance_nm, 3.0, (0.02, 100.0), 0.1),
             prior(tuning.disturbance_s, 2.0, (2e-3, 0.5), 0.1),
         ]

@@ -66,7 +66,7 @@ class MainTracker(WheelTracker):
             step: DrivelineSwing(tuning, ratio)
             for step, ratio in zip((Range.LOW, Range.HIGH), range_ratios, strict=True)
         }
-        self.edge_time = prior(tuning.edge_time_s, 2.0, (1e-7, 2e-4), 0.03)
+        self.edge_time = prior(tuning.edge_time_s, 2.0, (1e-6, 2e-4), 0.03)
         """Standard deviation (s) of an edge's time."""
         self._swing = self.swings[Range.HIGH]
         self._free = False

@@ -169,6 +169,7 @@ class PhaseReferences:
     def __init__(self, sheet: GearboxSheet) -> None:
         self._sheet = sheet
         self._offset_rad: dict[MainGear, float] = {}
+        self._sd_rad: dict[MainGear, float] = {}
         self._adopted: dict[MainGear, ReferenceSource] = {}
         """Source of each constant that was not measured with the gear in mesh."""
         self._learning: _Learning | None = None
@@ -184,6 +185,11 @@ class PhaseReferences:
     def known(self, gear: MainGear) -> bool:
         """Whether this gear's reference is known, and so its phase."""
         return gear in self._offset_rad
+
+    def sd_rad(self, gear: MainGear) -> float:
+        """Standard deviation (rad) of a gear's constant, by the scatter of the looks it was learned
+        from; 0 where it was learned in another way."""
+        return self._sd_rad.get(gear, 0.0)
 
     def phase_rad(self, gear: MainGear, theta_layshaft: float, theta_main: float) -> float:
         """Phase of the gear, unwrapped: wrap it to the pitch to see where in the gap it is.
@@ -229,9 +235,10 @@ class PhaseReferences:
             return False
         flank, mean = lies
         # earlier looks at the same place reduce the noise
-        mean = _mean(
-            [look for look in learning.seen if abs(look - mean) < NEAR_SHARE * dog.backlash_rad]
-        )
+        near = [look for look in learning.seen if abs(look - mean) < NEAR_SHARE * dog.backlash_rad]
+        mean = _mean(near)
+        # Not less for more looks: what is left of the tooth errors is the same in all of them.
+        self._sd_rad[gear] = math.sqrt(_mean([(look - mean) ** 2 for look in near]))
         share = learning.moved_share(mean, dog.backlash_rad)
         self._moves = self._moves or (share is not None and abs(share) > CROSSED_SHARE)
         self._stays = self._stays or share == 0.0

@@ -20,11 +20,9 @@ from typing import Final
 from meshpoint.controller.calibration.learned import DriftRecord, DriftRecords
 from meshpoint.controller.motion.kinematics import raw_phase_rad
 from meshpoint.controller.planning.gear_predictor import GearPredictor
-from meshpoint.gearbox import MainGear
+from meshpoint.gearbox import GearboxSheet, MainGear, Split
 from meshpoint.gearbox.gears import MAIN_GEARS
 
-PRIOR_SD_RAD_S: Final = 0.07
-"""Standard deviation of the drift between gearboxes: 4 deg/s (30 simulated gearboxes)."""
 WALK_SD_RAD_S: Final = 0.01
 """Standard deviation of the change of a drift from shift to shift: oil warms up."""
 PRIOR_SHARE_SAMPLES: Final = 4.0
@@ -40,8 +38,8 @@ LEAST_S: Final = 0.02
 
 @dataclass
 class _GearDrift:
+    variance: float
     mean_rad_s: float = 0.0
-    variance: float = PRIOR_SD_RAD_S**2
     share_squares: float = PRIOR_SHARE_SAMPLES
     share_samples: float = PRIOR_SHARE_SAMPLES
 
@@ -53,8 +51,14 @@ class _GearDrift:
 class PhaseDrifts:
     """The drift of each main gear's slip against its prediction."""
 
-    def __init__(self) -> None:
-        self._learned = {gear: _GearDrift() for gear in MAIN_GEARS}
+    def __init__(self, sheet: GearboxSheet, drag_nm: float) -> None:
+        """drag_nm: standard deviation of the drag that is not known at the start of a shift. What
+        it changes of the gear's slip while the sleeve is on its way is the drift's, before one has
+        been seen."""
+        rad_s = drag_nm / sheet.inertia_kgm2(Split.HIGH) * sheet.sleeve.delay_s
+        self._learned = {
+            gear: _GearDrift((sheet.main_mesh(gear).ratio * rad_s) ** 2) for gear in MAIN_GEARS
+        }
 
     def rad_s(self, gear: MainGear) -> float:
         """Expected slip less the model's prediction (rad/s), mean until contact."""
@@ -102,7 +106,7 @@ class PhaseDrifts:
                     learned.share_samples,
                 )
                 for gear, learned in self._learned.items()
-                if learned != _GearDrift()
+                if learned.share_samples != PRIOR_SHARE_SAMPLES
             }
         )
 
@@ -112,8 +116,8 @@ class PhaseDrifts:
             record = records.of(gear)
             if record is not None:
                 self._learned[gear] = _GearDrift(
-                    record.slip_rad_s,
                     record.slip_sd_rad_s**2,
+                    record.slip_rad_s,
                     record.spread_share**2 * record.samples,
                     record.samples,
                 )

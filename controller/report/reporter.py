@@ -93,7 +93,9 @@ class Reporter:
             if references.known(gear):
                 raw = references.phase_rad(gear, layshaft.theta_rad, main.theta_rad)
                 phase = wrap_to_pitch(raw, self._header.sheet.dog.pitch_rad)
-                phase_sd = math.hypot(ratio * layshaft.theta_sd_rad, main.theta_sd_rad)
+                phase_sd = math.hypot(
+                    ratio * layshaft.theta_sd_rad, main.theta_sd_rad, references.sd_rad(gear)
+                )
         return estimates(
             time_us,
             self._observer.layshaft,

@@ -71,7 +71,7 @@ class ShiftContext:
         self.references = references
         self.strategist = Strategist(sheet, settings)
         self.delays = SleeveDelays(sheet)
-        self.drifts = PhaseDrifts()
+        self.drifts = PhaseDrifts(sheet, settings.crossing_filter.drag_pause_nm)
         self.kiss = KissPoint(sheet)
         self.state = State.STARTING
         self.since_us = 0

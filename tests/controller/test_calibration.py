@@ -21,15 +21,21 @@ from meshpoint.controller.calibration.learned import (
     Calibration,
     CalibrationError,
     End,
+    NoiseRecord,
     Provenance,
     ReferenceRecords,
     SleeveRecord,
     SleeveRecords,
+    SwingRecord,
+    SwingRecords,
     WheelRecord,
     WheelRecords,
     read_calibration,
 )
 from meshpoint.controller.calibration_keeper import CalibrationWriter
+from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.header import new_header
+from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
 from meshpoint.testbench.results.tooth_parts import take_apart
@@ -109,6 +115,10 @@ def example() -> Calibration:
         references=ReferenceRecords(second_rad=0.05, third_rad=-0.03),
         brake=BrakeRecord(12, 0.96, 0.01, -6.0, 0.5, 8e3, 5e3, four, sds, four, sds,
                           0.0098, 1e-4, 0.0083, 2e-4),
+        noise=NoiseRecord(12, 8e-6, 0.1, 9e-6, 0.1, 1.2, 0.2, 0.03, 0.2),
+        swings=SwingRecords(high=SwingRecord(5, (120.0, 25.0), (0.01, 0.2), (0.05, 0.1),
+                            (0.1, 0.3), (1.0, 0.2), (0.3, 0.3), (0.1, 0.2, 0.1), (0.2,) * 3,
+                            2.0, 0.3, True, 0.01, 0.05)),
         sleeves=SleeveRecords(second=sleeve),
         end=End(True),
     )  # fmt: skip
@@ -286,3 +296,17 @@ def test_a_wheel_taken_apart_gives_what_it_was_made_of(
     assert parts.pitch_worst_rad < 1e-12
     errors[own] += 0.1
     assert take_apart(errors).pitch_worst_rad == pytest.approx(0.1, rel=0.1)
+
+
+def test_scatter_and_swing_are_carried_over_a_restart() -> None:
+    header = new_header("0.1.0", SHEET, ControllerSettings(), example())
+    kept = ControllerCore(header).calibration("later")
+    given = example()
+    assert kept.noise is not None
+    assert given.noise is not None
+    assert vars(kept.noise) == pytest.approx(vars(given.noise))
+    assert kept.swings.low is None
+    assert kept.swings.high is not None
+    assert given.swings.high is not None
+    assert kept.swings.high.has_lash
+    assert kept.swings.high.natural_rad_s == pytest.approx(given.swings.high.natural_rad_s)

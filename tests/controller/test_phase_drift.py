@@ -15,7 +15,13 @@ from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.phase_drift import FAR_RAD_S, LEAST_SPREAD_SHARE, PhaseDrifts
 from meshpoint.gearbox import MainGear
 from meshpoint.units import DEG
-from tests.controller.test_strategy import GEAR, MAIN, predictor_at
+from tests.controller.test_strategy import GEAR, MAIN, SHEET, predictor_at
+
+
+def fresh() -> PhaseDrifts:
+    """Before any contact, half a newton metre of drag unknown."""
+    return PhaseDrifts(SHEET, 0.5)
+
 
 FIRED_US, SEEN_US, CONTACT_US = 0.0, 52_000.0, 58_000.0
 
@@ -44,7 +50,7 @@ def _seen(fired: GearPredictor, moved_rad: float) -> GearPredictor:
 
 @given(st.floats(-8.0, 8.0))
 def test_a_steady_drift_is_known_after_some_contacts(drift_deg_s: float) -> None:
-    drifts = PhaseDrifts()
+    drifts = fresh()
     first = contact(drifts, drift_deg_s * DEG)
     assert first == pytest.approx(drift_deg_s * DEG * CONTACT_US * 1e-6, abs=1e-9)
     for _ in range(14):
@@ -56,7 +62,7 @@ def test_a_steady_drift_is_known_after_some_contacts(drift_deg_s: float) -> None
 @pytest.mark.parametrize("share", [0.5, 1.0, 1.5])
 def test_phases_are_foretold_to_scatter_by_what_they_have_scattered_by(share: float) -> None:
     """Contacts that scatter by a share of what the filters claim; 400 of them, seed 1."""
-    drifts = PhaseDrifts()
+    drifts = fresh()
     claimed = math.sqrt(predictor_at(18.0).estimate_variance(CONTACT_US))
     scatter = np.random.default_rng(1).normal(0.0, share * claimed, 400)
     shares = []
@@ -68,7 +74,7 @@ def test_phases_are_foretold_to_scatter_by_what_they_have_scattered_by(share: fl
 
 
 def test_steady_phases_still_scatter_by_a_little() -> None:
-    drifts = PhaseDrifts()
+    drifts = fresh()
     for _ in range(200):
         contact(drifts, 0.02)
     assert drifts.spread_share(GEAR) == LEAST_SPREAD_SHARE
@@ -76,7 +82,7 @@ def test_steady_phases_still_scatter_by_a_little() -> None:
 
 @pytest.mark.parametrize("off_rad", [2.0 * FAR_RAD_S * 0.06, math.nan, math.inf])
 def test_a_contact_that_no_drift_explains_teaches_nothing(off_rad: float) -> None:
-    drifts = PhaseDrifts()
+    drifts = fresh()
     contact(drifts, 0.05)
     before = drifts.records()
     contact(drifts, 0.0, off_rad)
@@ -84,7 +90,7 @@ def test_a_contact_that_no_drift_explains_teaches_nothing(off_rad: float) -> Non
 
 
 def test_what_was_learned_is_kept_and_taken_up_again() -> None:
-    drifts, again = PhaseDrifts(), PhaseDrifts()
+    drifts, again = fresh(), fresh()
     assert drifts.records() == DriftRecords()
     for _ in range(5):
         contact(drifts, 0.06)

@@ -254,3 +254,29 @@ def test_a_wrapped_angle_is_within_half_a_pitch(angle: float) -> None:
     wrapped = wrap_to_pitch(angle, PITCH)
     assert -PITCH / 2 - 1e-9 <= wrapped <= PITCH / 2 + 1e-9
     assert abs(math.remainder(wrapped - angle, PITCH)) < 1e-9
+
+
+def test_a_flank_that_was_taken_for_the_other_is_put_right_when_the_whole_gap_was_seen() -> None:
+    """Drag seemed to pull, but the driveline pressed the tooth to the upper flank; later the tooth
+    is seen at both."""
+    box = Gearbox(*TEETH[MainGear.SECOND], 0.3, -1.1, 0.7)
+    references, main = PhaseReferences(SHEET), 12.0
+
+    def look(phase: float, pulled: bool = False) -> None:
+        angle = box.layshaft_at_phase(phase, main, 3)
+        references.watch(MainGear.SECOND, angle, main, pulled)
+
+    references.locked(MainGear.SECOND, -2.0)
+    for phase in [HALF_GAP] * 3 + [-HALF_GAP] * 8:
+        look(phase)
+    references.locked(MainGear.SECOND, 2.0)
+    for _ in range(8):
+        look(HALF_GAP, pulled=True)
+    angle = box.layshaft_at_phase(0.0, main, 3)
+    wrong = wrap_to_pitch(references.phase_rad(MainGear.SECOND, angle, main), PITCH)
+    assert abs(wrong) == pytest.approx(2.0 * HALF_GAP, rel=0.1)
+    for phase in [-HALF_GAP] * 4 + [HALF_GAP] * 4:
+        look(phase)
+    references.released()
+    right = wrap_to_pitch(references.phase_rad(MainGear.SECOND, angle, main), PITCH)
+    assert abs(right) < 0.1 * HALF_GAP
