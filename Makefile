@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: swarm faults demo test installed acceptance vcan test-containers lint types reference contracts stubs bench clean
+.PHONY: swarm faults planted demo test installed acceptance vcan test-containers lint types reference contracts stubs bench clean
 
 # --no-compile: of some 100 MB of Python a run imports a tenth, and compiles that as it does.
 $(VENV)/run.stamp: pyproject.toml setup.py constraints.txt
@@ -50,6 +50,10 @@ swarm: $(VENV)/test.stamp
 # The table of docs/faults.md, from scenarios that are run for it.
 faults: $(VENV)/test.stamp
 	$(BIN)/python -m meshpoint.testbench.swarm.named docs/faults.md
+
+# Each bug of tests/planted in a copy of the product: is it caught?
+planted: $(VENV)/test.stamp
+	$(BIN)/python tests/planted/run_planted.py
 
 test-containers:
 	tools/test-containers

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from meshpoint.testbench.swarm.episode import declared
 from meshpoint.testbench.swarm.events import BUS_KINDS, NODE_KINDS, RIG_KINDS
 from meshpoint.testbench.swarm.named import BEGIN, END, HEAD, NAMED, Named, run_named, table_row
 
@@ -26,7 +27,9 @@ def test_every_fault_of_the_list_has_a_scenario() -> None:
     assert {named.kind for named in NAMED} == {*RIG_KINDS, *BUS_KINDS, *NODE_KINDS}
 
 
-@pytest.mark.parametrize(("k", "named"), enumerate(NAMED), ids=lambda v: getattr(v, "kind", None))
+@pytest.mark.parametrize(
+    ("k", "named"), list(enumerate(NAMED)), ids=lambda v: getattr(v, "kind", None)
+)
 def test_a_fault_is_found_and_ends_as_the_document_says(k: int, named: Named) -> None:
     course = run_named(named)
     assert course.broken == []
@@ -46,3 +49,12 @@ def test_a_fault_is_found_and_ends_as_the_document_says(k: int, named: Named) ->
 
 def test_the_table_has_a_line_a_scenario() -> None:
     assert len(lines()) == len(NAMED)
+
+
+def test_every_row_of_the_guard_stands_against_a_hazard() -> None:
+    text = (DOCUMENT.parent / "safety.md").read_text(encoding="utf-8")
+    table = text.split("| hazard |")[1].split("\n\n")[0]
+    rows = {
+        row.strip() for line in table.splitlines()[2:] for row in line.split("|")[-2].split(",")
+    }
+    assert rows - {"-"} == set(declared()["guard_rows"])
