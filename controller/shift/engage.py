@@ -43,8 +43,9 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         context.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE, seen_us)
         return Trigger.ENGAGED
     # The plates meet some hundredths of a second after the clutch sets off: it does so as soon as
-    # the overlap holds the sleeve.
+    # the overlap holds the sleeve. A gear whose phase is not known yet is left to show its flank.
     holds = _entered_m(context, snapshot) > context.sheet.dog.most_overlap_m
+    holds = holds and context.reference_known(gear)
     context.clutch = ClutchAction.CLOSE if holds else ClutchAction.OPEN
     if _is_tooth_on_tooth(context, snapshot) or context.late(
         snapshot, context.settings.limits.engage_ms

@@ -18,7 +18,6 @@ from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode
-from meshpoint.units import SECOND_US
 
 SHORT_RAD_S: Final = 1.0
 """The slip may be this much less than asked for (10 rpm),"""
@@ -46,27 +45,13 @@ def raise_speed(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     context.ask_engine(shift.target, wanted, snapshot)
     slip = snapshot.speeds.slip_rad_s(shift.target.main)
     closed = (snapshot.view.clutch_closed or 0.0) >= SEQUENCE_CLUTCH_CLOSED_SHARE
-    if closed and slip is not None:
-        short = _short_at_parting(context, snapshot, wanted - slip)
-        if -OVER_RAD_S <= short <= SHORT_RAD_S:
-            return Trigger.RAISED
+    if closed and slip is not None and -SHORT_RAD_S <= slip - wanted <= OVER_RAD_S:
+        return Trigger.RAISED
     if context.late(snapshot, context.settings.limits.raise_ms):
         return context.give_up(
             snapshot, FaultCode.ENGINE_FAILED if closed else FaultCode.CLUTCH_STUCK
         )
     return None
-
-
-def _short_at_parting(context: ShiftContext, snapshot: StepSnapshot, short: float) -> float:
-    """By how much slip is missing when the plates have parted, if the clutch is told to open now:
-    until then the engine's governor goes on taking away the same share of it in equal times."""
-    shift, clutch = context.running, context.sheet.clutch
-    before, shift.short_before = shift.short_before, (snapshot.now_us, short)
-    if before is None or before[0] >= snapshot.now_us or not 0.0 < short < before[1]:
-        return short
-    parting_us = SECOND_US * clutch.open_delay_s * (1.0 - context.kiss.share)
-    left = (short / before[1]) ** (parting_us / (snapshot.now_us - before[0]))
-    return short * float(left)
 
 
 def part_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:

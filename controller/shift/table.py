@@ -110,9 +110,6 @@ class ShiftRecord:
     """How often the engine was asked to bring the layshaft up."""
     pulses: int = 0
     """How often the brake was used."""
-    short_before: tuple[int, float] | None = None
-    """While the engine raises the layshaft: when a step was, and how much slip (rad/s) was missing
-    then."""
     steps_before: tuple[Split | None, Range | None] | None = None
     """Where splitter and range stood when their change began."""
     blocks: int = 0
