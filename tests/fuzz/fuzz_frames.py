@@ -162,17 +162,19 @@ class Fuzz:
     def _run(self, for_us: int) -> None:
         self.time.run(lambda: False, self.time.now_us + for_us)
 
-    def blocks(self, frames: int, limit: int = 10**9) -> Found:
+    def blocks(self, frames: int) -> Found:
         """Until so many hostile frames were heard."""
-        self._run(SETTLE_US)
-        number = 0
-        while self.found.frames < frames and number < limit:
-            self._block(GEARS[number % 2])
-            number += 1
-        for hostile in self.hostile:
-            self.found.kinds += hostile.made
-        self.found.violations = sum(self.rig.truth.violations.values())
+        while self.found.frames < frames:
+            self.block()
         return self.found
+
+    def block(self) -> None:
+        """One flood, and what comes of it."""
+        if self.time.now_us == 0:
+            self._run(SETTLE_US)
+        self._block(GEARS[len(self.found.back_ms) % 2])
+        self.found.kinds = sum((hostile.made for hostile in self.hostile), Counter())
+        self.found.violations = sum(self.rig.truth.violations.values())
 
     def _block(self, gear: int) -> None:
         """A flood, sometimes into a shift; then a shift that is asked for once all is at rest."""
@@ -206,25 +208,31 @@ class Fuzz:
 
 
 def main(argv: list[str]) -> int:
-    """Half of the frames without proof, half with it; 1 where something is not as it must be."""
+    """Half of the frames without proof, half with it, by turns; 1 where something is not as it must
+    be. Interrupted, it says how far it came, and ends with 130."""
     count, seed = int(argv[0]), int(argv[1]) if len(argv) > 1 else 1
     each = int(argv[2]) if len(argv) > 2 else 64
-    good = True
-    for proven in (False, True):
-        began_s = time.monotonic()
-        fuzz = Fuzz(seed, proven, each)
-        found = fuzz.blocks(count // 2)
-        good &= found.is_good
+    began_s, ended = time.monotonic(), 0
+    both = {proven: Fuzz(seed, proven, each) for proven in (False, True)}
+    try:
+        while any(fuzz.found.frames < count // 2 for fuzz in both.values()):
+            for fuzz in both.values():
+                fuzz.block()
+    except KeyboardInterrupt:
+        ended = 130
+    for proven, fuzz in both.items():
+        found = fuzz.found
         print(
             f"{'proven commands, attacker' if proven else 'no proof, accidents'}: {found.frames} "
-            f"hostile frames {dict(found.kinds)}, {fuzz.time.now_us / 1e6:.0f} s of bus time, "
-            f"{time.monotonic() - began_s:.0f} s; 0 crashes, {found.violations} forbidden states, "
-            f"back after {max(found.back_ms):.1f} ms at most, shifts after it "
-            f"{dict(found.results)}",
-            flush=True,
+            f"hostile frames {dict(found.kinds)} in {len(found.back_ms)} floods, "
+            f"{fuzz.time.now_us / 1e6:.0f} s of bus time; 0 crashes, {found.violations} forbidden "
+            f"states, back after {max(found.back_ms, default=0.0):.1f} ms at most, shifts after it "
+            f"{dict(found.results)}"
         )
-    print("good" if good else "NOT GOOD")
-    return 0 if good else 1
+    good = all(fuzz.found.is_good for fuzz in both.values())
+    said = "interrupted, good so far" if ended and good else "good" if good else "NOT GOOD"
+    print(f"{said}, {time.monotonic() - began_s:.0f} s")
+    return ended if good else 1
 
 
 if __name__ == "__main__":
