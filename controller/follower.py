@@ -36,7 +36,7 @@ class Follower:
         self.observer = Observer(sheet, settings, self.brake, settings.estimator)
         self.speeds = ShaftSpeeds(sheet)
         self.delays = SleeveDelays(sheet)
-        self.drifts = PhaseDrifts()
+        self.drifts = PhaseDrifts(sheet, settings.crossing_filter.drag_pause_nm)
         """As the calibration has them: they are learned from predictions of its own firings."""
         self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
         self._probe = ClockProbe()

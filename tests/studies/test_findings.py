@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from meshpoint.controller.motion.linear import LayshaftState, predict_linear
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.studies import prediction
+from meshpoint.testbench.studies.counterfactual_run import Compared as Landing
 from meshpoint.testbench.studies.excitation import BrakePoint, Figures, figures, matched
 from meshpoint.testbench.studies.hardware import Bought, certainty
 from meshpoint.testbench.studies.jobs import ShiftErrors
@@ -133,3 +134,22 @@ def test_one_statement_that_differs_makes_the_study_differ(
 ) -> None:
     statements = tuple(Statement("", "", ThesisVerdict(value), "") for value in verdicts)
     assert Finding(statements, {}).verdict.value == overall
+
+
+@pytest.mark.parametrize(("outside", "agrees"), [(0, False), (1, True), (2, True), (3, False)])
+def test_landings_agree_where_nine_to_ten_of_ten_intervals_hold_the_truth(
+    outside: int, agrees: bool
+) -> None:
+    """Intervals that are too wide are as wrong as those that are too narrow; shifts of which no
+    landing is told are counted and take no part."""
+    start = given("counterfactual")
+    start = replace(start, own=replace(start.own, shifts=21, shifts_of_one=21))
+    (job,) = load("counterfactual").jobs(start)
+    told = [Landing("", False, 2.0 if k < outside else 0.5, 1.0, 0.5, True) for k in range(20)]
+    nan = float("nan")
+    untold = Landing("known to within 3.1 deg only", False, nan, nan, nan, False)
+    finding = load("counterfactual").conclude(replace(start, results={job: [*told, untold]}))
+    assert finding.verdict is (ThesisVerdict.AGREES if agrees else ThesisVerdict.DIFFERS)
+    assert finding.figures["told"] == 20
+    assert finding.figures["coverage"] == pytest.approx(1.0 - outside / 20)
+    assert finding.figures["not_told"] == {"known to within n deg only": 1}

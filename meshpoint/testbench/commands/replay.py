@@ -3,13 +3,25 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
+import multiprocessing
+import os
+import sys
 from collections import Counter
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from rich.progress import Progress, SpinnerColumn, TextColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
 
 from meshpoint.bus.logs.files import log_files, read_logs
 from meshpoint.bus.logs.limits import LogError
@@ -21,6 +33,7 @@ from meshpoint.dbc.messages import Message, ReferenceEngagement, ShiftOutcome, S
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.commands import arguments, sensor_replay
+from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.account import Account
@@ -31,10 +44,18 @@ from meshpoint.testbench.logs.replay_strategy import Chosen, other_header, recor
 from meshpoint.testbench.report.collect import MADE, ReportCollector
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import aim_rad, check_report, report_provenance, write_report
-from meshpoint.testbench.results.output import complain_of_strategy, console, rows_table, write_json
+from meshpoint.testbench.results.output import (
+    complain,
+    complain_of_strategy,
+    console,
+    rows_table,
+    write_json,
+)
 from meshpoint.testbench.results.rows import RowCollector, ShiftRow
 
 TELL_FRAMES = 500
+SAMPLE_BYTES = 1 << 16
+TEXT_LOGS = (".log", ".asc")
 EXIT_OF = {
     Verification.IDENTICAL: Exit.DONE,
     Verification.DIFFERS: Exit.FAILED,
@@ -57,6 +78,12 @@ def add_parser(commands: Any) -> None:
         metavar="LOG",
         help=".log (candump), .blf, .asc, .trc, .csv or .mf4, each also .gz; several in order, or "
         "a folder of logs, are one bus",
+    )
+    parser.add_argument(
+        "--jobs",
+        type=arguments.whole(1, 1024),
+        metavar="J",
+        help="each LOG is a bus of its own, J of them at a time; the results do not depend on J",
     )
     parser.add_argument(
         "--verify",
@@ -108,8 +135,14 @@ class _Log:
     """The log's frames; remembers the defect that ended it early."""
 
     def __init__(
-        self, files: list[Path], bus: str | None, rows: _Rows, tell: Callable[[int], None]
+        self,
+        files: list[Path],
+        bus: str | None,
+        rows: _Rows,
+        tell: Callable[[int], None],
+        stop: Callable[[], bool],
     ) -> None:
+        """stop: whether it shall end here, as Ctrl-C asks for."""
         self._files = files
         self._bus = bus
         self.buses: Counter[str] = Counter()
@@ -117,6 +150,8 @@ class _Log:
         self._rows = rows
         self._tell = tell
         self.account = Account()
+        self._stop = stop
+        self.interrupted = False
         self.defect: LogError | None = None
         self.frames = 0
 
@@ -128,6 +163,9 @@ class _Log:
                 self._rows.logged(frame)
                 if self.frames % TELL_FRAMES == 0:
                     self._tell(self.frames)
+                    self.interrupted = self._stop()
+                    if self.interrupted:
+                        return
                 yield frame
         except LogError as error:
             if not self.frames:
@@ -214,7 +252,72 @@ class _Rows:
 
 
 def run(namespace: argparse.Namespace) -> int:
-    """Replays, and verifies where asked."""
+    """Replays, and verifies where asked; the first Ctrl-C ends it with what there is."""
+    with interruptible() as stop:
+        if namespace.jobs is not None:
+            return _each(namespace, stop)
+        code, values = _replay(namespace, stop)
+    if namespace.json is not None:
+        write_json(namespace.json, values)
+    return code
+
+
+class _One(NamedTuple):
+    """What came of one log of several."""
+
+    code: int
+    values: dict[str, Any]
+    text: str
+
+
+def _each(namespace: argparse.Namespace, stop: Callable[[], bool]) -> int:
+    """Every log as a bus of its own, some at a time; told in their order."""
+    if namespace.report is not None:
+        raise CommandError("--report draws one bus: not with --jobs")
+    alone = [argparse.Namespace(**vars(namespace) | {"log": [path]}) for path in namespace.log]
+    found: list[_One] = []
+    if namespace.jobs == 1:
+        found += [_alone(each, stop) for each in alone if not stop()]
+    else:
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(min(namespace.jobs, len(alone)), mp_context=context) as pool:
+            running = [pool.submit(_in_process, each) for each in alone]
+            for future in running:
+                if stop():
+                    future.cancel()
+                else:
+                    found.append(future.result())
+    for one in found:
+        (sys.stderr if namespace.json == "-" else sys.stdout).write(one.text)
+    interrupted = len(found) < len(alone) or any(one.values["interrupted"] for one in found)
+    if namespace.json is not None:
+        replays = [one.values for one in found]
+        write_json(namespace.json, {"interrupted": interrupted, "replays": replays})
+    if interrupted:
+        return Exit.INTERRUPTED
+    return max((one.code for one in found), key=lambda code: (code == Exit.FAILED, code))
+
+
+def _in_process(namespace: argparse.Namespace) -> _One:
+    """In a process of its own; Ctrl-C reaches it too."""
+    with interruptible() as stop:
+        return _alone(namespace, stop)
+
+
+def _alone(namespace: argparse.Namespace, stop: Callable[[], bool]) -> _One:
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text):
+        try:
+            code, values = _replay(argparse.Namespace(**vars(namespace) | {"json": None}), stop)
+        except LogError as error:
+            # One that cannot be read hides none of the others.
+            code, values = Exit.BAD_INPUT, {"error": str(error), "interrupted": False}
+            text.write(f"{error}\n")
+    return _One(int(code), {"log": str(namespace.log[0])} | values, text.getvalue())
+
+
+def _replay(namespace: argparse.Namespace, stop: Callable[[], bool]) -> tuple[int, dict[str, Any]]:
+    """One bus: exit code, and what `--json` has of it."""
     chosen, verify = _chosen(namespace), namespace.verify
     files = log_files(namespace.log)
     if not verify and sensor_replay.asked(namespace):
@@ -222,7 +325,9 @@ def run(namespace: argparse.Namespace) -> int:
     check_report(namespace.report)
     open_loop = None
     if chosen is not None and not verify:
-        open_loop = OpenLoop(lambda header: other_header(header, chosen))
+        open_loop = OpenLoop(
+            lambda header: other_header(header, chosen), keeps_traces=namespace.report is not None
+        )
     rows = _Rows(namespace.report is not None, open_loop, str(chosen or ""))
 
     def change(header: RunHeader) -> RunHeader:
@@ -240,22 +345,28 @@ def run(namespace: argparse.Namespace) -> int:
         lambda time_us, line: events.append((time_us, line)),
         open_loop,
     )
-    log, sessions = _replayed(replay, files, namespace.bus, rows)
+    log, sessions = _replayed(replay, files, namespace.bus, rows, stop)
     tell_buses(out, log.buses, namespace.bus)
     if not verify and namespace.report is None and not any(s.steps for s in sessions):
         return sensor_replay.run(namespace, files, str(sessions[0]))
     if log.defect is not None:
-        _end_early(sessions[-1], log.defect)
-    _show(namespace, out, files, sessions, rows, events, log.account)
+        _end_early(sessions[-1], f"then the log cannot be read: {log.defect}")
+    if log.interrupted:
+        _end_early(sessions[-1], f"then it was interrupted, after {log.frames} frames")
+    _show(namespace, out, files, sessions, rows, log.account)
     if namespace.report is not None:
-        _report(namespace, out, files, sessions, rows)
+        _report(namespace, out, files, sessions, rows, log.interrupted)
     errors: Counter[str] = Counter()
     for session in sessions:
         errors += Counter(session.strategy_errors)
     complain_of_strategy(errors)
+    values = _values(namespace, files, sessions, rows, events, log)
+    if log.interrupted:
+        complain(f"interrupted: what is told ends after {log.frames} frames of the log")
+        return Exit.INTERRUPTED, values
     if log.defect is not None and not verify:
-        return Exit.BAD_INPUT
-    return _exit_code(sessions, verify) or (Exit.FAILED if errors else Exit.DONE)
+        return Exit.BAD_INPUT, values
+    return _exit_code(sessions, verify) or (Exit.FAILED if errors else Exit.DONE), values
 
 
 def _chosen(namespace: argparse.Namespace) -> Chosen | None:
@@ -278,26 +389,50 @@ def _chosen(namespace: argparse.Namespace) -> Chosen | None:
 
 
 def _replayed(
-    replay: LogReplay, files: list[Path], bus: str | None, rows: _Rows
+    replay: LogReplay,
+    files: list[Path],
+    bus: str | None,
+    rows: _Rows,
+    stop: Callable[[], bool],
 ) -> tuple[_Log, list[Session]]:
     """The whole log through it, with progress told."""
     with Progress(
         SpinnerColumn(),
-        TextColumn("replaying {task.completed} frames"),
+        TextColumn("replaying"),
+        BarColumn(),
+        TextColumn("{task.completed} frames"),
+        TimeRemainingColumn(),
         console=console("-"),
         transient=True,
     ) as progress:
-        task = progress.add_task("frames", total=None)
-        log = _Log(files, bus, rows, lambda frames: progress.update(task, completed=frames))
+        task = progress.add_task("frames", total=expected_frames(files))
+        log = _Log(files, bus, rows, lambda frames: progress.update(task, completed=frames), stop)
         return log, replay.run(log)
 
 
-def _end_early(session: Session, defect: LogError) -> None:
-    """A log that stops being readable is verified as far as it goes, and says so."""
+def expected_frames(files: list[Path]) -> int | None:
+    """About how many frames text logs hold, by the length of their first lines; None for others."""
+    total = 0
+    for path in files:
+        if path.suffix.lower() not in TEXT_LOGS:
+            return None
+        try:
+            with path.open("rb") as file:
+                start = file.read(SAMPLE_BYTES)
+                size = file.seek(0, os.SEEK_END)
+        except OSError:
+            return None
+        lines = start.count(b"\n")
+        total += size * lines // max(1, len(start))
+    return total or None
+
+
+def _end_early(session: Session, why: str) -> None:
+    """A log that is not read to its end is verified as far as it goes, and says so."""
     if session.verdict is Verification.IDENTICAL:
         session.verdict = Verification.NOT_VERIFIABLE
         session.step = session.steps
-        session.reason = f"every step before it agrees; then the log cannot be read: {defect}"
+        session.reason = f"every step before it agrees; {why}"
 
 
 def _exit_code(sessions: list[Session], verify: bool) -> int:
@@ -308,35 +443,46 @@ def _exit_code(sessions: list[Session], verify: bool) -> int:
     return Exit.NOT_VERIFIABLE if broken else Exit.DONE
 
 
+def _values(
+    namespace: argparse.Namespace,
+    files: list[Path],
+    sessions: list[Session],
+    rows: _Rows,
+    events: list[tuple[int, str]],
+    log: _Log,
+) -> dict[str, Any]:
+    """What `--json` has."""
+    judged = rows.judged if rows.open_loop else None
+    shifts = (
+        [row.to_json() for row in rows.rows]
+        if judged is None
+        else [row.to_json(rows.asked) for row in judged]
+    )
+    values: dict[str, Any] = {
+        "log": str(namespace.log[0]),
+        "logs": [str(path) for path in files],
+        "mode": "as recorded" if judged is None else "open loop",
+        "sessions": [_session_json(session) for session in sessions],
+        "account": log.account.to_json(),
+        "interrupted": log.interrupted,
+        "shifts": shifts,
+        "events": [{"time_us": time_us, "event": line} for time_us, line in events],
+    }
+    if rows.open_loop is not None:
+        values["commanded"] = [commanded(row) for row in shifts]
+        values["unfinished_shifts"] = rows.open_loop.unfinished
+    return values
+
+
 def _show(
     namespace: argparse.Namespace,
     out: Any,
     files: list[Path],
     sessions: list[Session],
     rows: _Rows,
-    events: list[tuple[int, str]],
     account: Account,
 ) -> None:
     judged, asked = rows.judged if rows.open_loop else None, rows.asked
-    if namespace.json is not None:
-        shifts = (
-            [row.to_json() for row in rows.rows]
-            if judged is None
-            else [row.to_json(asked) for row in judged]
-        )
-        values: dict[str, Any] = {
-            "log": str(namespace.log[0]),
-            "logs": [str(path) for path in files],
-            "mode": "as recorded" if judged is None else "open loop",
-            "sessions": [_session_json(session) for session in sessions],
-            "account": account.to_json(),
-            "shifts": shifts,
-            "events": [{"time_us": time_us, "event": line} for time_us, line in events],
-        }
-        if rows.open_loop is not None:
-            values["commanded"] = [commanded(row) for row in shifts]
-            values["unfinished_shifts"] = rows.open_loop.unfinished
-        write_json(namespace.json, values)
     if namespace.json != "-" and rows.rows:
         if judged is None:
             out.print(rows_table(f"{_name(files)} as recorded", rows.rows))
@@ -361,6 +507,7 @@ def _report(
     files: list[Path],
     sessions: list[Session],
     rows: _Rows,
+    interrupted: bool,
 ) -> None:
     """The page; without a run header there is no data sheet to draw anything by."""
     header = rows.header
@@ -371,6 +518,8 @@ def _report(
     notes = [f"run {n} of {len(sessions)}: {session}" for n, session in enumerate(sessions, 1)]
     if not namespace.verify:
         notes = []
+    if interrupted:
+        notes.append("Interrupted: what came later in the log is not in here.")
     subtitle = (
         "A recorded bus through the same controller, as recorded; sensors, valves and truth are "
         "those of the log."

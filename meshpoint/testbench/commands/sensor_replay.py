@@ -22,7 +22,7 @@ from meshpoint.testbench.logs.account import Account
 from meshpoint.testbench.logs.bus_map import BusMap, load_map
 from meshpoint.testbench.logs.gear_track import SeenShift
 from meshpoint.testbench.logs.sensor_replay import SensorReplay
-from meshpoint.testbench.results.output import console, write_json
+from meshpoint.testbench.results.output import console
 from meshpoint.testbench.version import product_version
 
 MOST_EVENTS: Final = 10_000
@@ -55,7 +55,9 @@ def asked(namespace: argparse.Namespace) -> bool:
     return bool(namespace.sensors or namespace.dbc is not None)
 
 
-def run(namespace: argparse.Namespace, files: list[Path], why: str) -> int:
+def run(
+    namespace: argparse.Namespace, files: list[Path], why: str
+) -> tuple[int, dict[str, Any]]:
     """Replays, and shows what the log tells and what it does not. why: it was chosen, if it was not
     asked for. A log that is torn gives all before that, and bad input."""
     if namespace.report is not None:
@@ -87,24 +89,23 @@ def run(namespace: argparse.Namespace, files: list[Path], why: str) -> int:
             raise
         defect = error
     replay.finish()
-    if namespace.json is not None:
-        values = {
-            "logs": [str(path) for path in files],
-            "mode": "sensors alone",
-            "why": why,
-            "gearbox": gearbox,
-            "frames": frames,
-            "buses": dict(buses),
-            "account": account.to_json(),
-            "defect": None if defect is None else str(defect),
-            **replay.to_json(),
-            "decisions": replay.decided(),
-            "events": events,
-        }
-        write_json(namespace.json, values)
+    values = {
+        "logs": [str(path) for path in files],
+        "mode": "sensors alone",
+        "why": why,
+        "gearbox": gearbox,
+        "frames": frames,
+        "buses": dict(buses),
+        "account": account.to_json(),
+        "defect": None if defect is None else str(defect),
+        "interrupted": False,
+        **replay.to_json(),
+        "decisions": replay.decided(),
+        "events": events,
+    }
     if namespace.json != "-":
         _show(console(namespace.json), replay, account, why, defect)
-    return Exit.DONE if defect is None else Exit.BAD_INPUT
+    return (Exit.DONE if defect is None else Exit.BAD_INPUT), values
 
 
 def _show(

@@ -7,7 +7,7 @@ controller's contact is never taken from the log.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -126,6 +126,16 @@ class Judged:
         end_ms = self.course_parted_ms
         own = [d for d in self.decisions if end_ms is None or d.at_ms < end_ms]
         return own[-1] if own else None
+
+    def without_traces(self) -> Judged:
+        """The same, as rows and tables need it."""
+        last, found = self.last_on_own_course, self.counterfactual
+        return replace(
+            self,
+            decisions=[] if last is None else [last],
+            driven={},
+            counterfactual=None if found is None else replace(found, course=()),
+        )
 
     @property
     def predictions(self) -> list[Decision]:

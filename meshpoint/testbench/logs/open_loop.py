@@ -146,8 +146,16 @@ class OpenLoop:
     has no shifts.
     """
 
-    def __init__(self, change: Callable[[RunHeader], RunHeader], draws: int = DRAWS) -> None:
-        """draws: of each shift's landing (`counterfactual`); 0: landings are not worked out."""
+    def __init__(
+        self,
+        change: Callable[[RunHeader], RunHeader],
+        draws: int = DRAWS,
+        *,
+        keeps_traces: bool = True,
+    ) -> None:
+        """draws: of each shift's landing (`counterfactual`); 0: landings are not worked out.
+        keeps_traces: each shift's decisions and courses are kept, for drawing."""
+        self._keeps_traces = keeps_traces
         self._change = change
         self._draws = draws
         self._core: ControllerCore | None = None
@@ -246,7 +254,7 @@ class OpenLoop:
             branch.course.close()
             landing = branch.counterfactual(known, judged, self._draws)
             judged = replace(judged, counterfactual=landing)
-        self.judged[key] = judged
+        self.judged[key] = judged if self._keeps_traces else judged.without_traces()
 
 
 def estimates_differ(recorded: RunHeader, other: RunHeader) -> bool:

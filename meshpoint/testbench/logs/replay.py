@@ -38,6 +38,9 @@ OWN: Final = {
 """What the controller sends."""
 LATE_FRAMES: Final = 12
 """How many frames around the end of a step may reach the logger in another order than the node."""
+MOST_WAITING: Final = 65_536
+"""Frames kept for a step to come: more than a controller takes in one. It bounds the memory where
+no controller is on the bus."""
 UNKNOWN_FRAME: Final = Frame(0x1FFF_FFFF, b"", is_fd=False)
 """Stands for a frame foreign to the DBC: only its number matters."""
 
@@ -145,7 +148,7 @@ class LogReplay:
         self._change = change
         self._on_output = on_output
         self._on_event = on_event
-        self._waiting: deque[Frame] = deque()
+        self._waiting: deque[Frame] = deque(maxlen=MOST_WAITING)
         self._sent: list[Frame] = []
         self._core: ControllerCore | None = None
         self._foreign = 0
@@ -314,7 +317,8 @@ class LogReplay:
 
     def _take_away(self, waiting: list[Frame], skipped: int, chosen: list[Frame]) -> None:
         taken = {id(frame) for frame in chosen}
-        self._waiting = deque(f for f in waiting[skipped:] if id(f) not in taken)
+        kept = (f for f in waiting[skipped:] if id(f) not in taken)
+        self._waiting = deque(kept, maxlen=MOST_WAITING)
 
 
 def _last_step(frames: list[Frame]) -> list[Frame]:

@@ -1,0 +1,113 @@
+"""Replays of long logs: memory by shift and not by frame, several at a time, and Ctrl-C."""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import signal
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from meshpoint.testbench.cli import main
+from meshpoint.testbench.commands import replay as replay_command
+from meshpoint.testbench.commands.replay import expected_frames
+from meshpoint.testbench.exits import Exit
+
+SHORT, LONG = 2, 5
+SHIFTS_OF_A_DAY = 24 * 120
+"""One shift each half minute."""
+LEFT_BYTES = 100e6
+"""Of 300 MB, beside 200 MB of program and libraries."""
+Logs = dict[int, Path]
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Logs:
+    made = {}
+    for shifts in (SHORT, LONG):
+        made[shifts] = tmp_path_factory.mktemp("scale") / "x.log"
+        run = ["simulate", "--preset", "thesis", "--strategy", "speed_window"]
+        assert main([*run, "--shifts", str(shifts), "--log", str(made[shifts])]) == 0
+    return made
+
+
+def peak_bytes(log: Path, *more: str) -> int:
+    gc.collect()
+    tracemalloc.start()
+    try:
+        assert main(["replay", str(log), *more]) == 0
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize("more", [("--verify",), ("--strategy", "target_phase")])
+def test_memory_grows_with_the_shifts_alone(logs: Logs, more: tuple[str, ...]) -> None:
+    """A day with a shift each half minute stays below 300 MB; frames are not kept."""
+    peak_bytes(logs[SHORT], *more)  # what is loaded once
+    small, large = (peak_bytes(logs[shifts], *more) for shifts in (SHORT, LONG))
+    a_shift = (large - small) / (LONG - SHORT)
+    assert a_shift * SHIFTS_OF_A_DAY < LEFT_BYTES
+    assert large - small < 0.2 * logs[LONG].stat().st_size
+
+
+def test_several_at_a_time_give_what_one_after_the_other_gives(
+    logs: Logs, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    names = [str(path) for path in logs.values()]
+    told = {}
+    for jobs in ("1", "2"):
+        out = tmp_path / f"{jobs}.json"
+        given = ["replay", *names, "--verify", "--jobs", jobs, "--json", str(out)]
+        assert main(given) == 0
+        told[jobs] = out.read_text(), capsys.readouterr().out
+    assert told["1"] == told["2"]
+    values = json.loads(told["1"][0])
+    assert [replay["log"] for replay in values["replays"]] == names
+    assert [len(replay["shifts"]) for replay in values["replays"]] == [SHORT, LONG]
+
+
+def test_a_log_that_cannot_be_read_hides_none_of_the_others(logs: Logs, tmp_path: Path) -> None:
+    bad, out = tmp_path / "bad.log", tmp_path / "out.json"
+    bad.write_text("no log\n")
+    given = ["replay", str(bad), str(logs[SHORT]), "--jobs", "1", "--json", str(out)]
+    assert main(given) == Exit.BAD_INPUT
+    values = json.loads(out.read_text())["replays"]
+    assert "line 1" in values[0]["error"]
+    assert len(values[1]["shifts"]) == SHORT
+
+
+def test_ctrl_c_leaves_what_there_is_and_says_so(
+    logs: Logs, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SIGINT in the middle of the log: its rows so far, a page that says so, exit code 130."""
+    out, page = tmp_path / "out.json", tmp_path / "page.html"
+    logged = replay_command._Rows.logged
+    seen = [0]
+
+    def count(self: Any, frame: Any) -> None:
+        seen[0] += 1
+        if seen[0] == 9_000:
+            os.kill(os.getpid(), signal.SIGINT)
+        logged(self, frame)
+
+    monkeypatch.setattr(replay_command._Rows, "logged", count)
+    given = ["replay", str(logs[LONG]), "--json", str(out), "--report", str(page)]
+    assert main(given) == Exit.INTERRUPTED
+    values = json.loads(out.read_text())
+    assert values["interrupted"] is True
+    assert 0 < len(values["shifts"]) < LONG
+    assert "it was interrupted" in values["sessions"][-1]["reason"]
+    assert "Interrupted: what came later" in page.read_text(encoding="utf-8")
+
+
+def test_the_bar_s_length_is_about_the_number_of_frames(logs: Logs, tmp_path: Path) -> None:
+    lines = logs[LONG].read_bytes().count(b"\n")
+    expected = expected_frames([logs[LONG]])
+    assert expected is not None
+    assert 0.8 * lines < expected < 1.25 * lines
+    assert expected_frames([tmp_path / "x.blf"]) is None
