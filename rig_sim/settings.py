@@ -41,7 +41,7 @@ class Profile(StrEnum):
     HARSH = "harsh"
 
 
-DEFAULT_PROFILE: Final = Profile.CLEAN
+DEFAULT_PROFILE: Final = Profile.TYPICAL
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from truck_bench import SHEET, TRIALS, limit_sheet, limit_values
 
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.rig_sim.parts.cylinder import Cylinder, travel
+from meshpoint.rig_sim.settings import Profile
 from meshpoint.rig_sim.truck.as_built import as_built_sheet, draw_as_built, linear, nominal
 from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.trials import Trials
@@ -77,7 +78,7 @@ def test_a_fast_gear_strikes_harder_and_a_chamfer_lets_a_tooth_in_sooner() -> No
 def test_delays_of_all_gears_are_45_ms_within_5() -> None:
     drawn = []
     for seed in range(60):
-        built = draw_as_built(seed, {"oil.temperature_c": 80.0})
+        built = draw_as_built(seed, {"oil.temperature_c": 80.0}, Profile.CLEAN)
         sheet = as_built_sheet(SHEET, built)
         delays = TruckDelays(np.random.default_rng(seed), sheet, built)
         supply = sheet.air.supply_gauge_pa
@@ -92,7 +93,7 @@ def test_delays_of_all_gears_are_45_ms_within_5() -> None:
 
 
 def test_linear_delays_are_those_of_the_thesis_preset() -> None:
-    built = draw_as_built(1, linear())
+    built = draw_as_built(1, linear(), Profile.CLEAN)
     delays = TruckDelays(np.random.default_rng(4), SHEET, built)
     drawn = [delays.draw_gear_s(MAIN_GEARS[1], SHEET.air.supply_gauge_pa) for _ in range(2000)]
     assert np.mean(drawn) == pytest.approx(0.045, abs=2e-4)
@@ -102,7 +103,7 @@ def test_linear_delays_are_those_of_the_thesis_preset() -> None:
 def test_less_pressure_and_cold_oil_make_a_sleeve_slower() -> None:
     def delay(supply_pa: float, oil_c: float) -> float:
         values = nominal() | {"sleeve.noise_sd_ms": 0.0, "oil.temperature_c": oil_c}
-        built = draw_as_built(1, values)
+        built = draw_as_built(1, values, Profile.CLEAN)
         delays = TruckDelays(np.random.default_rng(4), SHEET, built)
         return delays.draw_gear_s(MAIN_GEARS[0], supply_pa)
 

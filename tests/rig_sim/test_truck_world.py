@@ -17,7 +17,7 @@ from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.rig_sim import RigSettings
 from meshpoint.rig_sim.orders import EngineRequest
-from meshpoint.rig_sim.settings import Profile
+from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Profile, SettingsError
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.as_built import (
@@ -27,6 +27,7 @@ from meshpoint.rig_sim.truck.as_built import (
     load_as_built,
     nominal,
     parameters,
+    read_as_built,
 )
 from meshpoint.rig_sim.truck.world import TruckWorld
 from meshpoint.units import RPM
@@ -143,7 +144,7 @@ def test_a_finer_grid_moves_no_event_by_a_tenth_of_a_microsecond() -> None:
 
 
 def test_as_built_is_drawn_within_its_ranges_and_a_file_fixes_it(tmp_path: Path) -> None:
-    drawn = [draw_as_built(seed) for seed in range(40)]
+    drawn = [draw_as_built(seed, profile=Profile.CLEAN) for seed in range(40)]
     for name, parameter in parameters().items():
         values = [built[name] for built in drawn]
         assert all(parameter.low <= value <= parameter.high for value in values)
@@ -152,10 +153,10 @@ def test_as_built_is_drawn_within_its_ranges_and_a_file_fixes_it(tmp_path: Path)
         assert (len(set(values)) > 1) is (parameter.deviation > 0.0)
     path = tmp_path / "run.json"
     path.write_text(json.dumps({"as_built": drawn[3].to_json()}))
-    assert draw_as_built(99, load_as_built(path).fixed) == drawn[3]
+    assert draw_as_built(99, load_as_built(path).fixed, Profile.CLEAN) == drawn[3]
     path = tmp_path / "some.toml"
     path.write_text("[disc]\nheat_j_k = 5000\n")
-    fixed = draw_as_built(3, load_as_built(path).fixed)
+    fixed = draw_as_built(3, load_as_built(path).fixed, Profile.CLEAN)
     assert fixed["disc.heat_j_k"] == 5000.0
     assert fixed["oil.temperature_c"] == drawn[3]["oil.temperature_c"]
 
@@ -265,3 +266,47 @@ def test_outcomes_of_an_engagement_are_on_the_bus() -> None:
     assert EngagementEvent.RELEASED in events
     locked = bench.events(EngagementEvent.LOCKED)
     assert all(message.impact_energy_j >= 0.0 for message in locked)
+
+
+@pytest.mark.parametrize("profile", Profile)
+def test_a_profile_is_chosen_by_name_by_a_file_and_by_a_runs_json(
+    profile: Profile, tmp_path: Path
+) -> None:
+    assert read_as_built(Path(profile)) == (profile, {})
+    own = tmp_path / "own.toml"
+    own.write_text(f'profile = "{profile}"\n[driveline]\nbacklash_deg = 0.5\n')
+    assert read_as_built(own) == (profile, {"driveline.backlash_deg": 0.5})
+    built = draw_as_built(4, profile=profile)
+    run_json = tmp_path / "run.json"
+    run_json.write_text(json.dumps({"as_built": built.to_json()}))
+    chosen = read_as_built(run_json)
+    assert draw_as_built(5, chosen.fixed, chosen.profile) == built
+
+
+def test_a_file_without_a_profile_and_one_that_nobody_knows(tmp_path: Path) -> None:
+    """A run's JSON without one was written before there were any: it is a clean gearbox."""
+    old = tmp_path / "old.json"
+    old.write_text(json.dumps({"as_built": {"oil": {"temperature_c": 60.0}}}))
+    assert read_as_built(old) == (Profile.CLEAN, {"oil.temperature_c": 60.0})
+    own = tmp_path / "own.toml"
+    own.write_text("[oil]\ntemperature_c = 60.0\n")
+    assert read_as_built(own).profile is DEFAULT_PROFILE
+    own.write_text('profile = "rough"\n')
+    with pytest.raises(AsBuiltError, match=r"rough.*clean, typical, harsh"):
+        read_as_built(own)
+
+
+def test_other_conditions_of_work_are_the_benches_work_and_keep_the_balance() -> None:
+    truck = world({}, seed=3, profile=Profile.TYPICAL)
+    run(truck, 200_000)
+    truck.change_conditions({"vehicle.mass_kg": 12_000.0, "oil.temperature_c": 50.0})
+    run(truck, 700_000)
+    assert truck.plant.p.oil_k == pytest.approx(323.15)
+    assert truck.built["vehicle.mass_kg"] == 12_000.0
+    radius_m = truck.plant.p.road.wheel_m
+    assert truck.plant.p.twisting.vehicle_kgm2 == pytest.approx(12_000.0 * radius_m**2)
+    energy = truck.plant.energy
+    residue = energy.put_in - energy.lost - energy.climbed - energy.kinetic
+    assert abs(residue) < 1e-6 * (abs(energy.put_in) + energy.lost)
+    with pytest.raises(SettingsError, match=r"dog\.overlap_mm"):
+        truck.change_conditions({"dog.overlap_mm": 1.0})

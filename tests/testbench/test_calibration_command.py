@@ -9,7 +9,7 @@ import pytest
 
 from meshpoint.testbench.cli import main
 
-SIMULATE = ["simulate", "--preset", "truck", "--seed", "3", "--shifts", "2"]
+SIMULATE = ["simulate", "--as-built", "clean", "--seed", "3", "--shifts", "2"]
 
 
 @pytest.fixture(scope="module")

@@ -47,7 +47,17 @@ def test_a_sheet_by_name_and_the_same_from_a_file_run_alike(
     copied.write_text(TRUCK12.read_text(encoding="utf-8"), encoding="utf-8")
     results = []
     for gearbox in ("truck12", str(copied)):
-        arguments = ["simulate", "--gearbox", gearbox, "--shifts", "4", "--seed", "3"]
+        arguments = [
+            "simulate",
+            "--as-built",
+            "clean",
+            "--gearbox",
+            gearbox,
+            "--shifts",
+            "4",
+            "--seed",
+            "3",
+        ]
         assert main([*arguments, "--json", "-"]) == 0
         results.append(json.loads(capsys.readouterr().out))
     assert results[0] == results[1]
@@ -63,7 +73,17 @@ def test_every_kind_of_upshift_of_the_truck_box_engages(
 ) -> None:
     """From the crawl gears up, in both splits and both ranges."""
     pairs = "13-1,14-2,3-5,7-9,10-12"
-    arguments = ["simulate", "--gearbox", "truck12", "--pairs", pairs, "--shifts", "5"]
+    arguments = [
+        "simulate",
+        "--as-built",
+        "clean",
+        "--gearbox",
+        "truck12",
+        "--pairs",
+        pairs,
+        "--shifts",
+        "5",
+    ]
     assert main([*arguments, "--json", "-"]) == 0
     rows = json.loads(capsys.readouterr().out)["shifts"]
     assert [f"{row['from']}-{row['to']}" for row in rows] == pairs.split(",")

@@ -170,7 +170,17 @@ def test_the_same_bus_gives_the_same_page(tmp_path: Path) -> None:
     """Simulated, and replayed from its log; only names and notes differ."""
     pytest.importorskip("plotly")
     log, paths = tmp_path / "run.log", [tmp_path / "one.html", tmp_path / "two.html"]
-    arguments = ["simulate", "--shifts", "3", "--seed", "5", "--log", str(log)]
+    arguments = [
+        "simulate",
+        "--as-built",
+        "clean",
+        "--shifts",
+        "3",
+        "--seed",
+        "5",
+        "--log",
+        str(log),
+    ]
     assert main([*arguments, "--report", str(paths[0])]) == 0
     assert main(["replay", str(log), "--report", str(paths[1])]) == 0
     found = [
