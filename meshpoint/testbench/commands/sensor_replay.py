@@ -55,9 +55,7 @@ def asked(namespace: argparse.Namespace) -> bool:
     return bool(namespace.sensors or namespace.dbc is not None)
 
 
-def run(
-    namespace: argparse.Namespace, files: list[Path], why: str
-) -> tuple[int, dict[str, Any]]:
+def run(namespace: argparse.Namespace, files: list[Path], why: str) -> tuple[int, dict[str, Any]]:
     """Replays, and shows what the log tells and what it does not. why: it was chosen, if it was not
     asked for. A log that is torn gives all before that, and bad input."""
     if namespace.report is not None:
