@@ -24,7 +24,13 @@ from meshpoint.bus.frames import frame_of
 from meshpoint.bus.local.plugin import MeshpointBus
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver, Transmitter
-from meshpoint.dbc.messages import TC1, ControllerState, ControllerStatus, ShiftOutcome
+from meshpoint.dbc.messages import (
+    TC1,
+    ControllerState,
+    ControllerStatus,
+    FaultCode,
+    ShiftOutcome,
+)
 from meshpoint.dbc.node import Node
 
 BURST = 50
@@ -133,7 +139,10 @@ class Live:
 
         self.until(ended, SHIFT_S)
         outcome = self.outcome
-        return "none" if outcome is None else outcome.result.name.lower()
+        if outcome is None:
+            return "none"
+        fault = "" if outcome.fault is FaultCode.NONE else f", {outcome.fault.name.lower()}"
+        return outcome.result.name.lower() + fault
 
     def end(self) -> list[int]:
         for node in self.nodes.values():
