@@ -276,7 +276,7 @@ class CrossingFilterTuning:
     far_hz: float = quantity("far_hz", 0.1, 50.0, default=4.0)
     """Typical frequency at which the driveline swings on tyres and half shafts."""
     far_factor: float = quantity("far_factor", 1.01, 4.0, default=1.4)
-    """The real one is higher or lower by this factor, one standard deviation."""
+    """That of the tyres is higher or lower by this factor, one standard deviation."""
     lash_rad: float = quantity("lash_deg", 0.0, 90.0, DEG, default=2.0 * DEG)
     """Typical backlash of the driveline at the propeller shaft; the real one is learned."""
     swing_damping: float = quantity("swing_damping_percent", 0.1, 90.0, 0.01, default=0.05)
