@@ -27,7 +27,14 @@ def spread_rad(squares: ShiftErrors) -> float:
 
 def test_both_shafts_are_better_known_with_a_further_sensor() -> None:
     """Backlash and tooth errors as built; 0.85 of the angle's error over eight such gearboxes."""
-    run = FusionRun(load_sheet("thesis"), seed=104, learning_shifts=3, shifts=3, as_built=())
+    run = FusionRun(
+        load_sheet("thesis"),
+        seed=104,
+        learning_shifts=3,
+        shifts=3,
+        as_built=(),
+        profile=Profile.CLEAN,
+    )
     found = run.run()
     for alone, fused in ((LAYSHAFT, WITH_INPUT), (MAIN, WITH_PROPELLER)):
         assert found[alone].samples > 60

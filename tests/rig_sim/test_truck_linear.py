@@ -15,6 +15,7 @@ from meshpoint.dbc.messages import (
     EdgesPropellerFall,
     EdgesPropellerRise,
     GearboxSensors,
+    MainGear,
     ReferenceEncoder,
     ReferenceEngagement,
     SleevesMain,
@@ -48,6 +49,11 @@ def pair(
     return benches
 
 
+def of_sleeves(bench: RigBench) -> list[ReferenceEngagement]:
+    """What happens to the sleeves; the clutch of the preset thesis has no plates that part."""
+    return [e for e in bench.of(ReferenceEngagement) if e.gear is not MainGear.NEUTRAL]
+
+
 @pytest.mark.parametrize(
     ("seed", "profile"), [(1, Profile.CLEAN), (2, Profile.TYPICAL), (7, Profile.HARSH)]
 )
@@ -61,7 +67,7 @@ def test_every_edge_and_event_is_the_thesis_s_to_a_microsecond(
         exact, integrated = edges_of(thesis.of(kind)), edges_of(truck.of(kind))
         assert exact.keys() == integrated.keys()
         assert max(abs(exact[i] - integrated[i]) for i in exact) <= 1
-    for a, b in zip(thesis.of(ReferenceEngagement), truck.of(ReferenceEngagement), strict=True):
+    for a, b in zip(of_sleeves(thesis), of_sleeves(truck), strict=True):
         assert (a.event, a.gear) == (b.event, b.gear)
         assert abs(a.event_time_us - b.event_time_us) <= 1
         assert b.slip_rad_s == pytest.approx(a.slip_rad_s, abs=1e-4)

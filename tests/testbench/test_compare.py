@@ -63,15 +63,22 @@ def test_two_strategies_part_at_a_step_and_each_says_what_it_knew(
     assert "step" in capsys.readouterr().out
 
 
+def flat(row: dict[str, Any]) -> dict[str, Any]:
+    """A shift's fields, those of its phases among them."""
+    phases = {f"phases.{name}": value for name, value in row["phases"].items()}
+    return {name: value for name, value in row.items() if name != "phases"} | phases
+
+
 def test_records_differ_shift_by_shift(runs: Runs, tmp_path: Path) -> None:
     code, values = compared(tmp_path, str(runs["a.json"]), str(runs["other.json"]))
     assert code == 1
     a, b = (json.loads(runs[f"{name}.json"].read_text()) for name in ("a", "other"))
+    before, after = ([flat(row) for row in values["shifts"]] for values in (a, b))
     expected = {
-        f"shifts.{k}.{name}": (row[name], b["shifts"][k][name])
-        for k, row in enumerate(a["shifts"])
+        f"shifts.{k}.{name}": (row[name], after[k][name])
+        for k, row in enumerate(before)
         for name in row
-        if row[name] != b["shifts"][k][name]
+        if row[name] != after[k][name]
     }
     assert expected
     found = {one["path"]: (one["a"], one["b"]) for one in values["differences"]}

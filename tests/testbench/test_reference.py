@@ -62,7 +62,7 @@ def test_every_setting_is_there_with_its_range_and_default() -> None:
     keys = {key.path: key for group in groups_of(SettingsFile) for key in group.keys}
     assert len(keys) > 60
     lead = keys["timing.lead_ms"]
-    assert (lead.unit, lead.default, lead.allowed) == ("ms", "8", "a whole number from 1 to 80")
+    assert (lead.unit, lead.default, lead.allowed) == ("ms", "4", "a whole number from 1 to 80")
     assert keys["limits.supply_low_bar"].default == "5.5"
     assert keys["strategy"].default == '"target_phase"'
     assert keys["outputs.armed"].default is None

@@ -43,7 +43,8 @@ def test_every_recorded_shift_has_its_row_as_the_log_has_it(
     assert values["mode"] == "open loop"
     assert len(values["shifts"]) == SHIFTS
     for row, was in zip(values["shifts"], simulated["shifts"], strict=True):
-        assert {name: row["recorded"][name] for name in was} == was
+        # the bound needs the gearbox as built, which is not on the bus
+        assert {name: row["recorded"][name] for name in was} == was | {"bound_ms": None}
         assert (row["from"], row["to"]) == (was["from"], was["to"])
         assert row["recorded"]["strategy"] == RECORDED
 

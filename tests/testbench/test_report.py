@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +64,10 @@ def trace(figure: dict[str, Any], axis: str, name: str) -> tuple[list[float], li
 
 def test_the_report_has_the_rows_of_the_run(simulated: tuple[Report, list[ShiftRow]]) -> None:
     report, rows = simulated
-    assert [shift.row for shift in report.runs[0].shifts] == rows
+    # the bound needs the gearbox as built, which is not on the bus
+    assert [shift.row for shift in report.runs[0].shifts] == [
+        replace(row, bound_ms=None) for row in rows
+    ]
     assert len(rows) == 4
 
 

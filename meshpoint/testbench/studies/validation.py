@@ -80,16 +80,18 @@ def speeds(sheet: GearboxSheet, trace: ShiftTrace) -> Compared:
 
 
 def pressures(sheet: GearboxSheet, trace: ShiftTrace) -> Compared:
-    """Brake pressure in bar absolute: pressure sensor and model."""
+    """Brake pressure in bar absolute: pressure sensor and model. The air is on its way to the brake
+    before the gear is out, so the reads begin with the valve."""
     first, last = trace.samples[0], trace.samples[-1]
     read = np.array(trace.pressure_us, dtype=np.float64)
-    inside = (read >= first.time_us) & (read <= last.time_us)
+    begin_us = min(float(first.time_us), _brake_on_us(trace))
+    inside = (read >= begin_us) & (read <= last.time_us)
     times = read[inside]
     measured = np.array(trace.pressure_pa)[inside]
-    start = np.concatenate([[float(first.time_us)], times])
+    start = np.concatenate([[begin_us], times])
     x = _model(sheet, trace, first.omega_rad_s, start)
     model = x[1:, 2] + sheet.air.atmosphere_pa
-    return Compared((times - first.time_us) / 1e3, measured / BAR, model / BAR)
+    return Compared((times - begin_us) / 1e3, measured / BAR, model / BAR)
 
 
 def time_constant_s(sheet: GearboxSheet, measured: Compared) -> float:
@@ -115,12 +117,26 @@ def _crossing(time_ms: Vector, gauge: Vector, index: int, level: float) -> float
     return float(time_ms[before] + (level - gauge[before]) / slope)
 
 
+def _brake_on_us(trace: ShiftTrace) -> float:
+    """When the brake's valve was first switched on in this shift; infinite where it never was."""
+    if trace.switches is None or not trace.pressure_us:
+        return math.inf
+    on = trace.switches[0][trace.switches[1] > 0.0]
+    on = on[on >= trace.pressure_us[0]]
+    return float(on[0]) if on.size else math.inf
+
+
 def _model(sheet: GearboxSheet, trace: ShiftTrace, omega_rad_s: float, times: Vector) -> Vector:
-    """The state at all times, started at the first with this speed and no pressure."""
+    """The state at all times, started at the first with this speed, and with no pressure at the
+    moment at which the brake's valve was switched on."""
     if trace.switches is None:
         raise ValueError("a trace without switches has no model")
     model = layshaft_model(sheet, SPLIT)
     x = np.array([0.0, omega_rad_s, 0.0])
+    on_us = _brake_on_us(trace)
+    if on_us < times[0]:
+        propagate(x, on_us, float(times[0]), trace.switches, model)
+        x[:2] = 0.0, omega_rad_s
     states = np.empty((times.size, 3))
     states[0] = x
     for i in range(1, times.size):
