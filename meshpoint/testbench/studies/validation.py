@@ -24,6 +24,8 @@ from meshpoint.testbench.studies.record import Given
 from meshpoint.units import BAR, RPM
 
 RISE_SHARE: Final = 1.0 - math.exp(-1.0)
+BEFORE_AIR_US: Final = 20_000.0
+"""Two reads of the pressure sensor."""
 REACTION_SHARE: Final = 0.02
 """A pressure that has risen by this share of the supply has begun to react."""
 SPLIT: Final = Split.HIGH
@@ -84,7 +86,7 @@ def pressures(sheet: GearboxSheet, trace: ShiftTrace) -> Compared:
     before the gear is out, so the reads begin with the valve."""
     first, last = trace.samples[0], trace.samples[-1]
     read = np.array(trace.pressure_us, dtype=np.float64)
-    begin_us = min(float(first.time_us), _brake_on_us(trace))
+    begin_us = min(float(first.time_us), _before_air_us(trace))
     inside = (read >= begin_us) & (read <= last.time_us)
     times = read[inside]
     measured = np.array(trace.pressure_pa)[inside]
@@ -117,25 +119,25 @@ def _crossing(time_ms: Vector, gauge: Vector, index: int, level: float) -> float
     return float(time_ms[before] + (level - gauge[before]) / slope)
 
 
-def _brake_on_us(trace: ShiftTrace) -> float:
-    """When the brake's valve was first switched on in this shift; infinite where it never was."""
+def _before_air_us(trace: ShiftTrace) -> float:
+    """A moment before air first came to the brake in this shift; infinite where none did."""
     if trace.switches is None or not trace.pressure_us:
         return math.inf
     on = trace.switches[0][trace.switches[1] > 0.0]
     on = on[on >= trace.pressure_us[0]]
-    return float(on[0]) if on.size else math.inf
+    return float(on[0]) - BEFORE_AIR_US if on.size else math.inf
 
 
 def _model(sheet: GearboxSheet, trace: ShiftTrace, omega_rad_s: float, times: Vector) -> Vector:
     """The state at all times, started at the first with this speed, and with no pressure at the
-    moment at which the brake's valve was switched on."""
+    moment before the brake's air came."""
     if trace.switches is None:
         raise ValueError("a trace without switches has no model")
     model = layshaft_model(sheet, SPLIT)
     x = np.array([0.0, omega_rad_s, 0.0])
-    on_us = _brake_on_us(trace)
-    if on_us < times[0]:
-        propagate(x, on_us, float(times[0]), trace.switches, model)
+    begin_us = _before_air_us(trace)
+    if begin_us < times[0]:
+        propagate(x, begin_us, float(times[0]), trace.switches, model)
         x[:2] = 0.0, omega_rad_s
     states = np.empty((times.size, 3))
     states[0] = x
