@@ -159,7 +159,7 @@ FILES = (
            lambda p: parse_schema(p.read_bytes(), p.name), (SchemaError,)),
     Format("keys.toml", keys_toml, read_keys, (TableError,)),
     Format("capture.csv", capture_csv, read_columns, (CommandError,)),
-    Format("part.parquet", part_parquet, store._read, (CommandError,)),
+    Format("part.parquet", part_parquet, store.read_records, (CommandError,)),
     Format("pace", lambda folder: _pace(folder), PaceFile, (PaceError, OSError)),
 )  # fmt: skip
 COSTLY = frozenset({"wire.dbc"})
