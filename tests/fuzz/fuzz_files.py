@@ -42,7 +42,7 @@ from meshpoint.testbench.campaign import store
 from meshpoint.testbench.cli import main as meshpoint
 from meshpoint.testbench.commands.reference import settings_toml, sheet_toml
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.logs.capture_files import read_capture
+from meshpoint.testbench.logs.capture_files import read_columns
 
 SLOW_S = 20.0
 """Of processor time; the largest of these files is read in a hundredth of that."""
@@ -158,8 +158,8 @@ FILES = (
     Format("small.dbc", lambda _: AUTHENTICATION_DBC.read_bytes(),
            lambda p: parse_schema(p.read_bytes(), p.name), (SchemaError,)),
     Format("keys.toml", keys_toml, read_keys, (TableError,)),
-    Format("capture.csv", capture_csv, read_capture, (CommandError,)),
-    Format("part.parquet", part_parquet, store._read, (CommandError,)),
+    Format("capture.csv", capture_csv, read_columns, (CommandError,)),
+    Format("part.parquet", part_parquet, store.read_records, (CommandError,)),
     Format("pace", lambda folder: _pace(folder), PaceFile, (PaceError, OSError)),
 )  # fmt: skip
 COSTLY = frozenset({"wire.dbc"})

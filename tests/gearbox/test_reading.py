@@ -17,7 +17,7 @@ from meshpoint.gearbox.sheet import load_sheet
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES, TableError, load_toml
 from meshpoint.rig_sim.truck.as_built import load_as_built
 from meshpoint.rig_sim.truck.scenario import load_scenario
-from meshpoint.testbench.logs.capture_files import read_capture
+from meshpoint.testbench.logs.capture_files import read_columns
 from meshpoint.testbench.studies.settings import load_study_settings
 
 AT_ONCE_S = 5.0
@@ -31,7 +31,7 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "as built of a run": ("a.json", load_as_built),
     "scenario": ("a.toml", load_scenario),
     "study settings": ("a.toml", load_study_settings),
-    "capture": ("a.csv", read_capture),
+    "capture": ("a.csv", read_columns),
     "run header": (header_name(7), lambda path: load_header(path.parent, 7)),
     "candump log": ("a.log", lambda path: list(read_log(path))),
     "BLF log": ("a.blf", lambda path: list(read_log(path))),
