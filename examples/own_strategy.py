@@ -14,10 +14,10 @@ RPM = 3.14159 / 30.0
 
 
 class NextGap:
-    """Meets the first gap that comes by once the slip is below 20 rpm."""
+    """Meets the first gap that comes by once the slip is below 30 rpm."""
 
     aims = True  # needs the phase of the teeth; until it is known, speed_window acts
-    fire_slip_rad_s = 20 * RPM  # further above it than drag alone can shed, the brake helps
+    fire_slip_rad_s = 30 * RPM  # further above it than drag alone can shed, the brake helps
 
     def __init__(self, sheet, settings):
         """The gearbox's data sheet and the controller's settings."""
@@ -28,7 +28,7 @@ class NextGap:
     def release(self, predictor, now_us, earliest_us):
         """When to let the brake go, and when contact is expected then."""
         latest_us = earliest_us + 1_000_000
-        release_us = predictor.release_time_us(earliest_us, latest_us, 20 * RPM, self.settle_us)
+        release_us = predictor.release_time_us(earliest_us, latest_us, 30 * RPM, self.settle_us)
         return release_us, release_us + self.settle_us
 
     def contact(self, predictor, now_us, earliest_us):
@@ -37,6 +37,11 @@ class NextGap:
         phase_rad, slip_rad_s = predictor.phase_and_slip(first_us)
         if slip_rad_s > self.fire_slip_rad_s:
             return None
-        if slip_rad_s < 1 * RPM:
-            return first_us  # waiting would not bring another gap
-        return first_us + round(1e6 * (-phase_rad % self.pitch_rad) / slip_rad_s)
+        for contact_us in range(first_us, first_us + 200_000, 500):
+            phase_rad, slip_rad_s = predictor.phase_and_slip(contact_us)
+            if slip_rad_s < 1 * RPM:
+                break  # waiting would not bring another gap
+            from_gap_rad = (phase_rad + self.pitch_rad / 2) % self.pitch_rad - self.pitch_rad / 2
+            if abs(from_gap_rad) < slip_rad_s * 500e-6:
+                return contact_us
+        return first_us

@@ -93,7 +93,7 @@ def test_the_log_is_verified_with_the_same_file_and_not_without(
     assert (code, session["verdict"]) == (3, "not verifiable")
     assert f"own strategy {name} is missing" in session["reason"]
 
-    moved.write_text(EXAMPLE.read_text().replace("20 * RPM", "21 * RPM"))
+    moved.write_text(EXAMPLE.read_text().replace("30 * RPM", "31 * RPM"))
     code, session = verdicts(capsys, log, "--verify", "--strategy", f"{moved}:{CLASS}")
     assert (code, session["verdict"]) == (3, "not verifiable")
     assert f"own strategy {name} has changed" in session["reason"]
@@ -170,7 +170,8 @@ def written(folder: Path, old: str = "", new: str = "") -> str:
 
 
 def test_a_strategy_that_does_not_aim_acts_from_the_first_shift(tmp_path: Path) -> None:
-    name = written(tmp_path)
+    later = "earliest_us + 50_000 * (predictor.slip_rad_s(now_us) > 12.0), earliest_us + 200_000"
+    name = written(tmp_path, "earliest_us, earliest_us + 100_000", later)
     code, values = simulated(tmp_path, name)
     assert code == 0
     assert {row["strategy"] for row in values["shifts"]} == {name}

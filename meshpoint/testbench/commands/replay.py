@@ -347,7 +347,8 @@ def _replay(namespace: argparse.Namespace, stop: Callable[[], bool]) -> tuple[in
     )
     log, sessions = _replayed(replay, files, namespace.bus, rows, stop)
     tell_buses(out, log.buses, namespace.bus)
-    if not verify and namespace.report is None and not any(s.steps for s in sessions):
+    of_another = not log.account.good["ControllerStatus"]
+    if not verify and namespace.report is None and of_another:
         return sensor_replay.run(namespace, files, str(sessions[0]))
     if log.defect is not None:
         _end_early(sessions[-1], f"then the log cannot be read: {log.defect}")

@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any, Final
 
+from meshpoint.bus.authentication.frames import CHALLENGE, PROOF
 from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
@@ -18,6 +19,10 @@ HALF: Final = 128
 LONG_S: Final = 1.0
 BACK_S: Final = 0.01
 MOST_NAMED: Final = 8
+
+
+PROOFS: Final = (CHALLENGE.can_id, PROOF.can_id)
+"""Ours, but of a DBC of their own."""
 
 
 class Account:
@@ -56,7 +61,8 @@ class Account:
         spec = SPECS.get(frame.can_id) if frame.is_extended else None
         if spec is None:
             digits = 8 if frame.is_extended else 3
-            self.foreign[f"{frame.can_id:0{digits}X}"] += 1
+            if frame.can_id not in PROOFS:
+                self.foreign[f"{frame.can_id:0{digits}X}"] += 1
         elif len(frame.data) != spec.length or frame.is_fd != spec.is_fd:
             self.other_form[spec.name] += 1
         elif spec.data_id is not None and not check_crc(frame.data, spec.data_id):
