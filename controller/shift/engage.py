@@ -63,7 +63,7 @@ def _look_for_contact(context: ShiftContext, snapshot: StepSnapshot) -> None:
         return
     shift.measured_contact_us = round(crossing)
     if shift.plan is not None:
-        context.delays.learn(shift.target.main, crossing - shift.plan.fire_us)
+        context.delays.learn(shift.target.main, shift.measured_contact_us - shift.plan.fire_us)
     fired, free = context.firing_predictor, context.free_predictor
     if shift.aimed and fired is not None and free is not None:
         context.drifts.learn(fired, free, crossing)
