@@ -271,3 +271,24 @@ def test_what_will_be_known_makes_a_later_contact_surer() -> None:
     found = state.variances(50_000.0, 2_000.0, 100)
     assert found[0] == pytest.approx(state.theta_sd_at(50_000.0) ** 2)
     assert np.all(np.diff(found) <= 1e-12) and found[-1] < 0.02 * found[0]
+
+
+@pytest.mark.parametrize("half_lash_rad", [0.0, 0.01])
+def test_the_outlook_is_that_of_edges_taken_one_tick_after_the_other(half_lash_rad: float) -> None:
+    modes = [ModeRates(110.0, 5.0, 2.0), ModeRates(26.0, 1.5, 2.0)]
+    motion = SwingMotion(1.0, 25.0, modes, half_lash_rad)
+    x = np.array([0.3, 52.0, -4.0, 0.008, 2.5, -0.01, 1.2])
+    p = np.diag([1e-5, 0.3, 20.0, 1e-3, 3.0, 1e-3, 3.0])
+    horizon_s, tick_s, edge_rad2_s, count = 0.045, 0.01, 1e-8, 20
+    expected, now = [], Swing(x, p, motion)
+    for _ in range(count):
+        expected.append(now.spread_ahead(horizon_s)[1][0, 0])
+        state, spread = now.spread_ahead(tick_s)
+        gain = spread[:, 0] / (spread[0, 0] + edge_rad2_s / tick_s)
+        now = Swing(state, spread - np.outer(gain, spread[0]), motion)
+
+    for _ in range(50):  # each time other memory is lying about
+        churn = [np.full(size, 1e9) for size in range(1, 200)]
+        del churn
+        found = Swing(x, p, motion, edge_rad2_s).outlook(horizon_s, tick_s, count)
+        assert found == pytest.approx(expected, rel=1e-9)
