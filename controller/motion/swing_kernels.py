@@ -26,7 +26,7 @@ from typing import Annotated, Final
 
 import numpy as np
 
-from meshpoint.controller.jit import compiled, inlined
+from meshpoint.controller.jit import compiled, inlined, new_record, record_on
 from meshpoint.controller.motion.kernels import measure
 from meshpoint.controller.records import WORD_BYTES, Over, Records, Vector, layout_of
 
@@ -94,7 +94,6 @@ SWING_STATE: Final = layout_of(SwingState)
 SWING_MODEL: Final = layout_of(SwingModel)
 SWING_STEP: Final = layout_of(SwingStep)
 SWING_MODEL_WORDS: Final = SWING_MODEL.itemsize // WORD_BYTES
-SWING_STEP_WORDS: Final = SWING_STEP.itemsize // WORD_BYTES
 SQUARE: Final = SWING_STATES * SWING_STATES
 
 
@@ -238,8 +237,8 @@ def swing_noise(p: Vector, dt: float, step: SwingStep, model: SwingModel, restle
 def swing_ahead(x: Vector, p: Vector, dt: float, model: Vector) -> None:
     """State and covariance (7, 7) after `dt` seconds, in place. A step back moves the state alone:
     its spread there is no larger."""
-    state, motion = x.view(SWING_STATE)[0], model.view(SWING_MODEL)[0]
-    step = np.zeros(SWING_STEP_WORDS).view(SWING_STEP)[0]
+    state, motion = record_on(x, SWING_STATE), record_on(model, SWING_MODEL)
+    step = new_record(SWING_STEP)
     if dt < 0.0:
         swing_step(state, dt, motion, step)
         swing_on(state, step)
@@ -269,9 +268,9 @@ def swing_through(
 def swing_course(x: Vector, model: Vector, wait_s: float, step_s: float, found: Vector) -> None:
     """Angle and speed at equal steps of time, the first after `wait_s`, to the rows of found
     (2, n)."""
-    ahead = x.copy()
-    state, motion = ahead.view(SWING_STATE)[0], model.view(SWING_MODEL)[0]
-    step = np.zeros(SWING_STEP_WORDS).view(SWING_STEP)[0]
+    state, motion = new_record(SWING_STATE), record_on(model, SWING_MODEL)
+    state.x[:] = x
+    step = new_record(SWING_STEP)
     dt = wait_s
     for k in range(found.shape[1]):
         for _ in range(MOST_PARTS):
@@ -292,13 +291,15 @@ def swing_outlook(x: Vector, p: Vector, model: Vector, edges: Vector, found: Vec
 
     edges: the horizon (s), the tick (s), and the variance of an edge's angle times the time from
     edge to edge (rad2 s); p (7, 7)."""
-    motion = model.view(SWING_MODEL)[0]
-    step = np.zeros(SWING_STEP_WORDS).view(SWING_STEP)[0]
-    now, spread, gain = x.copy(), p.copy(), np.empty(SWING_STATES)
+    motion, step = record_on(model, SWING_MODEL), new_record(SWING_STEP)
+    now, then = new_record(SWING_STATE), new_record(SWING_STATE)
+    now.x[:] = x
+    spread, gain = p.copy(), np.empty(SWING_STATES)
     nothing = np.zeros(SWING_STATES)
     for k in range(found.shape[0]):
-        then, wider = now.copy(), spread.copy()
-        swing_through(then.view(SWING_STATE)[0], wider, edges[0], motion, step)
+        then.x[:] = now.x
+        wider = spread.copy()
+        swing_through(then, wider, edges[0], motion, step)
         found[k] = wider[0, 0]
-        swing_through(now.view(SWING_STATE)[0], spread, edges[1], motion, step)
+        swing_through(now, spread, edges[1], motion, step)
         measure(nothing, spread, 0, 0.0, edges[2] / edges[1], gain)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.signal import cont2discrete
 
+from meshpoint.controller import jit
 from meshpoint.controller.motion.linear_kernels import (
     CRUISE_FILTER,
     HOLD,
@@ -320,3 +322,15 @@ def test_compiled_and_plain_python_agree() -> None:
         return np.array(json.loads(done.stdout))
 
     assert np.allclose(run("0"), run("1"), rtol=1e-9, atol=1e-12)
+
+
+def test_no_kernel_reads_a_record_whose_memory_has_been_given_back() -> None:
+    # A record does not keep the array alive that it lies in: numba gives back an array that is not
+    # named again, and the next one made overwrites the record. `new_record` lasts for the call.
+    made = re.compile(r"(zeros|empty|ones|copy)\([^\n]*\)\.view\(")
+    kernels = sorted(Path(jit.__file__).parent.rglob("*.py"))
+    kernels.remove(Path(jit.__file__))  # without numba nothing is given back
+    assert len(kernels) > 5
+    found = [f"{path.name}: {line}" for path in kernels for line in path.read_text().splitlines()
+             if made.search(line)]  # fmt: skip
+    assert not found
