@@ -59,8 +59,11 @@ def _entry(function: Kernel, options: dict[str, Any]) -> Kernel:
 
 
 def _record_on(memory: Vector, layout: Layout) -> Any:
-    """The record that lies at the beginning of this flat memory, by reference."""
-    return memory.view(layout)[0]
+    """The record that lies at the beginning of this memory, by reference; a matrix without gaps
+    is memory as well. A ValueError where there are gaps."""
+    import numpy as np
+
+    return np.ndarray(1, layout, memory)[0]
 
 
 def _new_record(layout: Layout) -> Any:

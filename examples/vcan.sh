@@ -56,7 +56,7 @@ outside() {
 # ---------------------------------------------------- where there is vcan0 --
 
 inside() {
-    local speed=1 patience=60 status=0 node
+    local speed=1 patience=60 status=0 first node
     local rig=(--gear 2 --main-speed 300) controller=(${ARM:+"$ARM"})
     local bus=(-i socketcan -c vcan0 --fd)
     if [[ $WITH_VCAN == qemu ]]; then
@@ -78,8 +78,17 @@ inside() {
         --pace bus.time --speed "$speed" "${bus[@]}" &
     nodes+=("$!")
     say "asking for gear $gear"
-    meshpoint request "$gear" --timeout "$patience" "${bus[@]}" || status=1
+    meshpoint request "$gear" --timeout "$patience" "${bus[@]}" &
+    local request=$!
+    wait -n -p first "$request" "${nodes[@]}" || status=$?
+    if [[ $first != "$request" ]]; then
+        # Nobody is left to answer: the request would wait until its patience ends.
+        say "a node ended with exit code $status before the gear was engaged"
+        status=1
+        kill "$request"
+    fi
     for node in "${nodes[@]}"; do
+        [[ $node != "$first" ]] || continue
         kill -TERM "$node" 2>/dev/null || true
         wait "$node" || { say "a node ended with exit code $?"; status=1; }
     done

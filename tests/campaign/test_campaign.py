@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from concurrent.futures import Future
+from contextlib import nullcontext
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
 from campaigns import SMALL, Outcome, campaign
@@ -92,6 +95,38 @@ def test_the_report_draws_every_figure_without_a_network(by_one: Outcome) -> Non
         assert f'id="{name}"' in page
         assert {trace["name"] for trace in figure["data"]} == set(by_one.values["strategies"])
         assert all(trace["x"] for trace in figure["data"])
+
+
+def test_ctrl_c_waits_for_one_run_of_a_worker_and_says_so(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Four runs were handed over together: minutes on a busy machine, in silence."""
+    handed: list[Future[list[RunResult]]] = []
+
+    class Run(Future[list[RunResult]]):
+        def result(self, timeout: float | None = None) -> list[RunResult]:
+            self.set_result([])  # it ends while it is waited for
+            return super().result(timeout)
+
+    class OneWorker:
+        def submit(self, _work: object, _spec: object, jobs: list[int]) -> Future[list[RunResult]]:
+            assert len(jobs) == 1
+            handed.append(Run())
+            return handed[-1]
+
+    def interrupted(futures: list[Future[list[RunResult]]]) -> Iterator[Future[list[RunResult]]]:
+        futures[0].set_running_or_notify_cancel()
+        yield from ()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(runner, "executor", lambda *_: nullcontext(OneWorker()))
+    monkeypatch.setattr(runner, "as_completed", interrupted)
+    taken: list[list[RunResult]] = []
+    jobs: Any = list(range(40))
+    assert not runner.run_all(cast(Any, None), jobs, 2, None, taken.append)
+    assert taken == [[]]
+    assert "interrupted: ending the runs in work first, 1 of them" in capsys.readouterr().err
+    assert all(future.cancelled() for future in handed[1:])
 
 
 def test_an_interrupted_campaign_goes_on_to_the_same_result(

@@ -95,6 +95,7 @@ from meshpoint.controller.planning.plan_kernels import course, expected_least
 from meshpoint.controller.records import filled
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.controller.estimation.teeth import WheelTeeth
+from meshpoint.controller.warm_up import warm_up
 rng = np.random.default_rng(4)
 tuning = CrossingFilterTuning()
 model = following_motion(30.0, 0.05, 50.0).with_law(first_order_law(16.7, 8e5))
@@ -136,15 +137,19 @@ terms = filled(TERMS, pitch_rad=0.13, half_gap_rad=0.013, target_rad=0.0, overla
     delay_sd_s=1e-3, miss_s=0.2, block_s=0.1, block_slip_rad_s=1.0, energy_s3_rad2=1e-3,
     aim_s=1e-3, slip_low_rad_s=-1.0, slip_high_rad_s=50.0)
 least = expected_least(ahead[0], ahead[1], variance, contacts, terms, 0.01)
+later = shaft.at(edges[0, -1] + 20e3, switches, model)
+warm_up(baselines=True)
 print(json.dumps([shaft.x.tolist(), shaft.p.tolist(), list(shaft.offset),
     shaft.nis.tolist(), main.x.tolist(), main.p.tolist(),
     swing.theta_sd_ahead(0.03), window.normal.tolist(), window.right.tolist(), n,
-    found[:, :n].tolist(), numbers[:2, :n].tolist(), ahead.tolist(), least]))
+    found[:, :n].tolist(), numbers[:2, :n].tolist(), ahead.tolist(), least,
+    later.vector.tolist(), later.covariance.tolist()]))
 """
 
 
 def test_compiled_and_plain_python_agree() -> None:
-    """Filter with a geared wheel, teeth, gate with missing teeth, and plan."""
+    """Filter with a geared wheel, its forecast, teeth, gate with missing teeth, plan, and every
+    other kernel once: a node that starts calls them all."""
 
     def run(disabled: str) -> list[np.ndarray]:
         environment = os.environ | {"NUMBA_DISABLE_JIT": disabled}

@@ -93,5 +93,7 @@ def test_compiling_is_shown_and_nothing_without_it() -> None:
     progress.close()
     lines = out.getvalue().splitlines()
     assert lines[0].startswith("compiling kernels, once on this machine")
+    assert "about ten seconds" not in lines[0], "beside other work it takes several times that"
+    assert max(map(len, lines)) < 80
     assert "controller 1, rig_sim 1" in lines[-1] and lines[-1].endswith("done")
     assert progress.compiled == 2

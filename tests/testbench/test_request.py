@@ -182,6 +182,7 @@ def test_a_bus_without_a_controller_is_said(monkeypatch, capsys) -> None:
     code, _, said = ask(bench, monkeypatch, capsys, timeout=2.0)
     assert code == Exit.FAILED
     assert "no controller was heard" in said
+    assert "meshpoint up" in said, "what to do is part of the message"
     assert bench.now_s - began_s == pytest.approx(2.0, abs=0.1)
 
 

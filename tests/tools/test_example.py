@@ -24,7 +24,9 @@ MESHPOINT = f"""case "$1 $2" in
 'controller --help') [ -e "$FACTS/arming" ] && echo '  --arm  drive the valves'; exit 0 ;;
 pace*) : >"$2"; {UNTIL_TERM} ;;
 rig*) {UNTIL_TERM} ;;
-controller*) {UNTIL_TERM.replace("exit 0", 'echo ended >>"$FACTS/ended"; exit 0')} ;;
+controller*)
+    [ -e "$FACTS/dies" ] && exit 1
+    {UNTIL_TERM.replace("exit 0", 'echo ended >>"$FACTS/ended"; exit 0')} ;;
 request*)
     # A controller answers once it and the rig are at work.
     for one in -D pace rig controller; do
@@ -71,6 +73,14 @@ def test_the_controller_is_armed_where_it_asks_for_it(bench: Machine, asked: boo
         bench.fact("arming")
     assert bench.run("examples/vcan.sh").returncode == 0
     assert ("--arm" in started(bench, "controller")) == asked
+
+
+def test_a_node_that_dies_is_not_waited_for(bench: Machine) -> None:
+    bench.fact("dies")
+    done = bench.run("examples/vcan.sh")
+    assert done.returncode == 1
+    assert "a node ended with exit code 1 before the gear was engaged" in done.stderr
+    assert not bench.called("meshpoint replay")
 
 
 @pytest.mark.parametrize(("fact", "code"), [("request", 1), ("replay", 1), ("replay", 3)])

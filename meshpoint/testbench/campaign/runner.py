@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -17,8 +18,6 @@ from meshpoint.testbench.campaign.run import RunResult, run_many
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 from meshpoint.testbench.errors import CommandError
 
-MOST_AT_A_TIME: Final = 4
-"""Runs handed to a worker together: some seconds of work, which is what Ctrl-C waits for."""
 DASK_EXTRA: Final = "--dask needs the extra: pip install 'meshpoint[dask]'"
 
 
@@ -67,8 +66,8 @@ def run_all(
     """Makes all runs, handing over results as they come; False where it was interrupted.
 
     `take` gets every result exactly once, in any order."""
-    at_a_time = max(1, min(MOST_AT_A_TIME, len(jobs) // (4 * workers)))
-    chunks = [jobs[i : i + at_a_time] for i in range(0, len(jobs), at_a_time)]
+    # One at a time: it takes seconds, which is what Ctrl-C waits for.
+    chunks = [[job] for job in jobs]
     if workers == 1 and dask is None:
         return _one_by_one(spec, chunks, take)
     with executor(workers, dask) as where:
@@ -81,6 +80,8 @@ def run_all(
         except KeyboardInterrupt:
             for future in left:
                 future.cancel()
+            at_work = sum(future.running() for future in left)
+            sys.stderr.write(f"interrupted: ending the runs in work first, {at_work} of them\n")
             _take_what_runs(left, take)
             return False
         except BrokenExecutor as error:

@@ -53,7 +53,7 @@ def run(namespace: argparse.Namespace) -> int:
         return Exit.DONE
     print(
         f"meshpoint health: {heard} status frames of the {namespace.node} within "
-        f"{namespace.timeout:g} s, {FRAMES} wanted",
+        f"{namespace.timeout:g} s, {FRAMES} wanted: it does not run, or not on this bus",
         file=sys.stderr,
     )
     return Exit.FAILED

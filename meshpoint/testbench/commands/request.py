@@ -155,7 +155,10 @@ class _Asking:
     def failure(self) -> str:
         """Why there is no outcome, and what was tried."""
         if self._status is None:
-            return f"no controller was heard on this bus within {self._timeout_s:g} s"
+            return (
+                f"no controller was heard on this bus within {self._timeout_s:g} s; "
+                "`meshpoint up` in another terminal starts one"
+            )
         if self._waited_s < self._timeout_s:
             return f"the controller was heard, then was silent for {self._timeout_s:g} s"
         tried = f"asked {self._asked} times"

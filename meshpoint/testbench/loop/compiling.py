@@ -25,6 +25,8 @@ THESIS: Final = "thesis"
 EVERY_S: Final = 5.0
 """Between two lines where they do not overwrite each other."""
 
+FIRST_LINE: Final = "compiling kernels, once on this machine: ten seconds to a minute, by its load"
+
 
 class Progress:
     """Lines on standard error while kernels are compiled; none where all are on disk."""
@@ -48,7 +50,7 @@ class Progress:
             self._counts[package] += 1
             now_s = perf_counter()
             if self.compiled == 1:
-                self._say("compiling kernels, once on this machine: about ten seconds")
+                self._say(FIRST_LINE)
             elif self._rewrites or now_s - self._said_s > EVERY_S:
                 self._say(self._line(now_s))
 
