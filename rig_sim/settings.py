@@ -41,7 +41,7 @@ class Profile(StrEnum):
     HARSH = "harsh"
 
 
-DEFAULT_PROFILE: Final = Profile.TYPICAL
+DEFAULT_PROFILE: Final = Profile.CLEAN
 
 
 @dataclass(frozen=True)
