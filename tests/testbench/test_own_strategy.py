@@ -170,7 +170,7 @@ def written(folder: Path, old: str = "", new: str = "") -> str:
 
 
 def test_a_strategy_that_does_not_aim_acts_from_the_first_shift(tmp_path: Path) -> None:
-    later = "earliest_us + 50_000 * (predictor.slip_rad_s(now_us) > 12.0), earliest_us + 200_000"
+    later = "earliest_us + 50_000 * (predictor.slip_rad_s(now_us) > 35.0), earliest_us + 200_000"
     name = written(tmp_path, "earliest_us, earliest_us + 100_000", later)
     code, values = simulated(tmp_path, name)
     assert code == 0
