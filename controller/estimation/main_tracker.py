@@ -123,8 +123,7 @@ class MainTracker(WheelTracker):
     def _begin_free(self, range_: Range) -> None:
         state, swing = self._filter, self.swings[range_]
         state.forget_past()
-        # What the swing's model leaves out shows in the innovations, and is not known beforehand.
-        state.heed(HEED)
+        state.heed(0.0)
         self._swing, self._free = swing, True
         # The torque that the gear had before it came out may have moved the shaft in any way since
         # the last edges: a few new ones tell more than what the estimate was.

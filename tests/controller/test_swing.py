@@ -19,14 +19,11 @@ from meshpoint.controller.estimation.driveline_swing import (
     MainWindow,
 )
 from meshpoint.controller.estimation.likelihood import prior
-from meshpoint.controller.estimation.main_tracker import MainTracker
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.swing import ModeRates, ShaftState, Swing, SwingMotion
 from meshpoint.controller.motion.swing_kernels import SWING_STATES
 from meshpoint.controller.records import Vector
-from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
-from meshpoint.gearbox import Range
 
 TUNING = CrossingFilterTuning()
 NO_PRESSURES = Pressures(np.empty(0), np.empty(0))
@@ -295,32 +292,3 @@ def test_the_outlook_is_that_of_edges_taken_one_tick_after_the_other(half_lash_r
         del churn
         found = Swing(x, p, motion, edge_rad2_s).outlook(horizon_s, tick_s, count)
         assert found == pytest.approx(expected, rel=1e-9)
-
-
-def test_a_free_shaft_that_moves_otherwise_than_was_thought_is_followed() -> None:
-    # 8 rad/s to either side eight times a second, as a driveline with backlash throws the shaft
-    # about: nothing of it has been learned, and no mode of a driveline without backlash is like it.
-    turn_rad_s = 2.0 * math.pi * 8.0
-
-    def angle(t: Vector) -> Vector:
-        swung = np.clip(16.0 * np.sin(turn_rad_s * t), -8.0, 8.0)
-        return np.concatenate(([0.0], np.cumsum((OMEGA + swung[1:]) * np.diff(t))))
-
-    times_us, theta = edges_of(angle, 0.8, np.random.default_rng(5))
-    main = MainTracker(TUNING, EDGES // 2)
-    off = []
-    for k in range(0, times_us.size - 1, 2):
-        ordinal = np.rint(theta[k : k + 2] * EDGES / (2.0 * math.pi)).astype(np.int64)
-        batch = EdgeBatch(times_us[k : k + 2], theta[k : k + 2], ordinal // 2, ordinal % 2)
-        main.edges(batch)
-        if times_us[k] < 0.2e6:
-            continue
-        main.set_free(True, Range.LOW, [])
-        state = main.at(float(batch.time_us[-1]))
-        assert state is not None
-        if times_us[k] > 0.3e6:
-            swung = float(np.clip(16.0 * math.sin(turn_rad_s * state.time_us * 1e-6), -8.0, 8.0))
-            off.append((state.omega_rad_s - OMEGA - swung) / state.omega_sd_rad_s)
-
-    # 2.2 times what is claimed; 5.4 times with the process noise of a swing that is known.
-    assert np.sqrt(np.mean(np.square(off))) < 3.0
