@@ -39,7 +39,12 @@ from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.account import Account
 from meshpoint.testbench.logs.judged_rows import JudgedRow, commanded, judged_table, judged_words
 from meshpoint.testbench.logs.open_loop import OpenLoop
-from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
+from meshpoint.testbench.logs.replay import (
+    LogReplay,
+    NotVerifiableError,
+    Session,
+    Verification,
+)
 from meshpoint.testbench.logs.replay_strategy import Chosen, other_header, recorded_header
 from meshpoint.testbench.report.collect import MADE, ReportCollector
 from meshpoint.testbench.report.run import Report, ReportRun
@@ -330,8 +335,14 @@ def _replay(namespace: argparse.Namespace, stop: Callable[[], bool]) -> tuple[in
         )
     rows = _Rows(namespace.report is not None, open_loop, str(chosen or ""))
 
+    refused: list[NotVerifiableError] = []
+
     def change(header: RunHeader) -> RunHeader:
-        changed = recorded_header(header, chosen, verify)
+        try:
+            changed = recorded_header(header, chosen, verify)
+        except NotVerifiableError as error:
+            refused.append(error)  # a run of ours, but not to be repeated
+            raise
         rows.start(changed)
         return changed
 
@@ -347,7 +358,7 @@ def _replay(namespace: argparse.Namespace, stop: Callable[[], bool]) -> tuple[in
     )
     log, sessions = _replayed(replay, files, namespace.bus, rows, stop)
     tell_buses(out, log.buses, namespace.bus)
-    of_another = not log.account.good["ControllerStatus"]
+    of_another = not any(session.steps for session in sessions) and not refused
     if not verify and namespace.report is None and of_another:
         return sensor_replay.run(namespace, files, str(sessions[0]))
     if log.defect is not None:
