@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +19,8 @@ from meshpoint.dbc.layout import CODECS
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.cli import main
+from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.logs.sensor_replay import SensorReplay
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "other_bus"
 SHEET = load_sheet("thesis")
@@ -218,3 +222,24 @@ def test_speeds_that_are_not_available_are_none() -> None:
         CODECS["ETC1"].decode(etc1(1000.0, 500.0).data).input_shaft_speed_rad_s or 0.0,
         1000.0 * math.pi / 30.0,
     )
+
+
+def test_ctrl_c_leaves_what_was_told_up_to_there_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """SIGINT in the middle of a log without our controller: exit code 130, not the whole log."""
+    frames = [(k / 100, etc1(900.0, 900.0, source=0x77)) for k in range(4_000)]
+    log, out = write(tmp_path / "x.log", frames), tmp_path / "out.json"
+    take, taken = SensorReplay.take, [0]
+
+    def count(self: SensorReplay, time_s: float, frame: Frame) -> None:
+        taken[0] += 1
+        if taken[0] == 1_200:
+            os.kill(os.getpid(), signal.SIGINT)
+        take(self, time_s, frame)
+
+    monkeypatch.setattr(SensorReplay, "take", count)
+    assert main(["replay", str(log), "--sensors", "--json", str(out)]) == Exit.INTERRUPTED
+    values = json.loads(out.read_text())
+    assert values["interrupted"] is True
+    assert 1_200 <= values["frames"] < 4_000

@@ -13,9 +13,9 @@ from typing import Any
 import pytest
 
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands import replay as replay_command
-from meshpoint.testbench.commands.replay import expected_frames
+from meshpoint.testbench.commands.replay_rows import ReplayRows
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.logs.logged_frames import expected_frames
 
 SHORT, LONG = 2, 5
 SHIFTS_OF_A_DAY = 24 * 120
@@ -86,7 +86,7 @@ def test_ctrl_c_leaves_what_there_is_and_says_so(
 ) -> None:
     """SIGINT in the middle of the log: its rows so far, a page that says so, exit code 130."""
     out, page = tmp_path / "out.json", tmp_path / "page.html"
-    logged = replay_command._Rows.logged
+    logged = ReplayRows.logged
     seen = [0]
 
     def count(self: Any, frame: Any) -> None:
@@ -95,7 +95,7 @@ def test_ctrl_c_leaves_what_there_is_and_says_so(
             os.kill(os.getpid(), signal.SIGINT)
         logged(self, frame)
 
-    monkeypatch.setattr(replay_command._Rows, "logged", count)
+    monkeypatch.setattr(ReplayRows, "logged", count)
     given = ["replay", str(logs[LONG]), "--json", str(out), "--report", str(page)]
     assert main(given) == Exit.INTERRUPTED
     values = json.loads(out.read_text())

@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import argparse
-from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
 from rich.table import Table
 
-from meshpoint.bus.logs.files import read_logs
 from meshpoint.bus.logs.limits import LogError
 from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import load_settings
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.commands.log_progress import complain_of_interrupt, logged_frames
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.account import Account
@@ -55,7 +55,9 @@ def asked(namespace: argparse.Namespace) -> bool:
     return bool(namespace.sensors or namespace.dbc is not None)
 
 
-def run(namespace: argparse.Namespace, files: list[Path], why: str) -> tuple[int, dict[str, Any]]:
+def run(
+    namespace: argparse.Namespace, files: list[Path], why: str, stop: Callable[[], bool]
+) -> tuple[int, dict[str, Any]]:
     """Replays, and shows what the log tells and what it does not. why: it was chosen, if it was not
     asked for. A log that is torn gives all before that, and bad input."""
     if namespace.report is not None:
@@ -75,35 +77,30 @@ def run(namespace: argparse.Namespace, files: list[Path], why: str) -> tuple[int
             events.append({"s": round(since_s, 3), "event": line})
 
     replay = SensorReplay(new_header(product_version(), sheet, settings), bus_map, on_event)
-    account = Account()
-    frames, defect, buses = 0, None, Counter[str]()
-    try:
-        for time_s, frame in read_logs(files, namespace.bus, buses):
-            frames += 1
-            account.take(time_s, frame)
+    with logged_frames(files, namespace.bus, stop) as log:
+        for time_s, frame in log:
             replay.take(time_s, frame)
-    except LogError as error:
-        if not frames:
-            raise
-        defect = error
     replay.finish()
     values = {
         "logs": [str(path) for path in files],
         "mode": "sensors alone",
         "why": why,
         "gearbox": gearbox,
-        "frames": frames,
-        "buses": dict(buses),
-        "account": account.to_json(),
-        "defect": None if defect is None else str(defect),
-        "interrupted": False,
+        "frames": log.frames,
+        "buses": dict(log.buses),
+        "account": log.account.to_json(),
+        "defect": None if log.defect is None else str(log.defect),
+        "interrupted": log.interrupted,
         **replay.to_json(),
         "decisions": replay.decided(),
         "events": events,
     }
     if namespace.json != "-":
-        _show(console(namespace.json), replay, account, why, defect)
-    return (Exit.DONE if defect is None else Exit.BAD_INPUT), values
+        _show(console(namespace.json), replay, log.account, why, log.defect)
+    if log.interrupted:
+        complain_of_interrupt(log.frames)
+        return Exit.INTERRUPTED, values
+    return (Exit.DONE if log.defect is None else Exit.BAD_INPUT), values
 
 
 def _show(

@@ -1,0 +1,41 @@
+"""Progress while a log is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.progress import (
+    BarColumn,
+    Progress,
+    SpinnerColumn,
+    TextColumn,
+    TimeRemainingColumn,
+)
+
+from meshpoint.testbench.logs.logged_frames import LoggedFrames, expected_frames
+from meshpoint.testbench.results.output import complain, console
+
+
+@contextmanager
+def logged_frames(
+    files: list[Path], bus: str | None, stop: Callable[[], bool]
+) -> Iterator[LoggedFrames]:
+    """The frames of a log, shown on standard error as they are read."""
+    with Progress(
+        SpinnerColumn(),
+        TextColumn("replaying"),
+        BarColumn(),
+        TextColumn("{task.completed} frames"),
+        TimeRemainingColumn(),
+        console=console("-"),
+        transient=True,
+    ) as progress:
+        task = progress.add_task("frames", total=expected_frames(files))
+        yield LoggedFrames(files, bus, lambda frames: progress.update(task, completed=frames), stop)
+
+
+def complain_of_interrupt(frames: int) -> None:
+    """What is told ends early, because Ctrl-C asked for it."""
+    complain(f"interrupted: what is told ends after {frames} frames of the log")

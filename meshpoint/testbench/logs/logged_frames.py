@@ -1,0 +1,76 @@
+"""The frames of a log in their order, with an account of them and of how far it could be read."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final
+
+from meshpoint.bus.logs.files import read_logs
+from meshpoint.bus.logs.limits import LogError
+from meshpoint.dbc.frame import Frame
+from meshpoint.testbench.logs.account import Account
+
+TELL_FRAMES: Final = 500
+SAMPLE_BYTES: Final = 1 << 16
+TEXT_LOGS: Final = (".log", ".asc")
+
+
+class LoggedFrames:
+    """Times in seconds and frames, once; remembers the defect that ended them early. A log of which
+    nothing can be read raises LogError."""
+
+    def __init__(
+        self,
+        files: list[Path],
+        bus: str | None,
+        tell: Callable[[int], None],
+        stop: Callable[[], bool],
+    ) -> None:
+        """bus: the one to read of several. tell: how many frames were read, now and then. stop:
+        whether it shall end here, as Ctrl-C asks for."""
+        self._files = files
+        self._bus = bus
+        self._tell = tell
+        self._stop = stop
+        self.buses: Counter[str] = Counter()
+        """Frames of each bus."""
+        self.account = Account()
+        self.frames = 0
+        self.defect: LogError | None = None
+        self.interrupted = False
+
+    def __iter__(self) -> Iterator[tuple[float, Frame]]:
+        try:
+            for time_s, frame in read_logs(self._files, self._bus, self.buses):
+                self.account.take(time_s, frame)
+                self.frames += 1
+                yield time_s, frame
+                if self.frames % TELL_FRAMES == 0:
+                    self._tell(self.frames)
+                    self.interrupted = self._stop()
+                    if self.interrupted:
+                        return
+        except LogError as error:
+            if not self.frames:
+                raise
+            self.defect = error
+
+
+def expected_frames(files: list[Path]) -> int | None:
+    """About how many frames text logs hold, by the length of their first lines; None for others."""
+    total = 0
+    for path in files:
+        if path.suffix.lower() not in TEXT_LOGS:
+            return None
+        try:
+            with path.open("rb") as file:
+                start = file.read(SAMPLE_BYTES)
+                size = file.seek(0, os.SEEK_END)
+        except OSError:
+            return None
+        lines = start.count(b"\n")
+        total += size * lines // max(1, len(start))
+    return total or None
