@@ -156,11 +156,6 @@ class ControllerCore:
         self._sequence.change_settings(settings)
         self._reporter.change_header(self.header)
 
-    @property
-    def main_gear(self) -> MainGear | None:
-        """The main box's gear by its sleeves; None between two, or while they are unknown."""
-        return self._observer.view.main_gear
-
     def engaged_by_another(self, gear: MainGear) -> None:
         """This gear was engaged, but not by this controller: its reference is learned from how
         its tooth moves alone. For replays of another controller's log."""

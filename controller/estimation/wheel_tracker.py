@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from typing import Final
 
 import numpy as np
@@ -25,7 +26,7 @@ HEED: Final = 0.1
 edge: what drives it then is not known, and an impact is over within some edges."""
 
 
-class WheelTracker:
+class WheelTracker(ABC):
     """A filter over a wheel's edges with its teeth: what layshaft and main shaft have in common."""
 
     def __init__(
@@ -120,9 +121,9 @@ class WheelTracker:
         self._filter.heed(HEED)
         self._running, self._own_us = True, newest[0]
 
+    @abstractmethod
     def _first_state(self, omega_sd_rad_s: float) -> tuple[Vector, Vector]:
         """State and covariance of a shaft of which only angle and speed have been seen."""
-        raise NotImplementedError
 
     def _fresh(self, time_us: float) -> bool:
         # Edges of a geared wheel must not hide that the shaft's own sensor has failed.

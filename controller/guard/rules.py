@@ -27,7 +27,8 @@ from meshpoint.controller.guard.limits import (
     end_of,
 )
 from meshpoint.controller.guard.listening import OVER_SAMPLES, SAMPLE_S
-from meshpoint.controller.guard.view import HALF_WRAP, GuardInputs
+from meshpoint.controller.guard.own_clock import signed_us
+from meshpoint.controller.guard.view import GuardInputs
 
 ACTION_BYTES: Final = slice(3, 6)
 TIME_BYTES: Final = 6
@@ -108,7 +109,7 @@ def spans(wish: Wish, before: Spans, now_us: int) -> Spans:
 def _span(action: int, time_32: int, was: Span | None, now_us: int) -> Span | None:
     is_driven = was is not None and was.start_us <= now_us < was.end_us
     since_us = was.start_us if was is not None and is_driven else now_us
-    time_us = now_us + (time_32 - now_us + HALF_WRAP) % (2 * HALF_WRAP) - HALF_WRAP
+    time_us = now_us + signed_us(time_32 - now_us)
     if action == ON_NOW:
         return Span(since_us, FOREVER_US)
     if action == ON_AT:

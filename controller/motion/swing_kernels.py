@@ -94,7 +94,6 @@ SWING_STATE: Final = layout_of(SwingState)
 SWING_MODEL: Final = layout_of(SwingModel)
 SWING_STEP: Final = layout_of(SwingStep)
 SWING_MODEL_WORDS: Final = SWING_MODEL.itemsize // WORD_BYTES
-SQUARE: Final = SWING_STATES * SWING_STATES
 
 
 @inlined

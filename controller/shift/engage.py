@@ -114,6 +114,7 @@ def retract(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     context.board.off(SLEEVE_VALVE[shift.target.main])
     context.clutch = ClutchAction.OPEN
     shift.plan = None
+    # Not in the step that takes the valve off: the coil has to go off before it is fired again.
     if gear is MainGear.NEUTRAL and snapshot.now_us > context.since_us:
         context.board.off(OPPOSITE[shift.target.main])
         if shift.attempts >= context.settings.limits.attempts:

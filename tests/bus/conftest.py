@@ -21,7 +21,6 @@ from meshpoint.bus.local.register import register_interface
 sys.path.insert(0, str(Path(__file__).parent))
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(Path(__file__).parent))
 
 Process = subprocess.Popen[str]
 

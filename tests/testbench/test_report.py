@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from browser import browse
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from patience import HANG_S
 from scipy.stats import binomtest
 
 from meshpoint.controller.settings import ControllerSettings
@@ -35,7 +33,6 @@ PITCH_DEG = 7.5
 HOSTILE = "</script><script>alert('no')</script><img src=x onerror=alert(1)>.log"
 PLOTLY_STUB = "window.Plotly = {};"
 SIZE_LIMIT = 8_000_000
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 
 
 @pytest.fixture(scope="module")
@@ -225,22 +222,6 @@ def test_a_wrapped_phase_is_unwrapped_by_its_slip(
 def test_intervals_of_rates_are_those_of_scipy(hits: int, trials: int) -> None:
     interval = binomtest(hits, trials).proportion_ci(0.95, method="wilson")
     assert wilson(hits, trials) == pytest.approx((interval.low, interval.high), abs=1e-6)
-
-
-def browse(url: str, folder: Path) -> tuple[str, list[str]]:
-    """The page as a browser without any network has it, and what its console said."""
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None:
-        pytest.skip(f"no browser to open the report in: none of {', '.join(BROWSERS)} is here")
-    done = subprocess.run(
-        [
-            browser, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
-            f"--user-data-dir={folder / 'profile'}", "--host-resolver-rules=MAP * ~NOTFOUND",
-            "--virtual-time-budget=5000", "--window-size=1400,2400", "--dump-dom", url,
-        ],
-        capture_output=True, text=True, timeout=HANG_S, check=True,
-    )  # fmt: skip
-    return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
 
 
 def test_a_browser_draws_the_shift_in_the_address_and_complains_of_nothing(

@@ -5,12 +5,10 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
-from patience import HANG_S
+from browser import browse
 
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
@@ -29,7 +27,6 @@ from meshpoint.units import DEG
 
 SHEET = load_sheet("thesis")
 PITCH_DEG = 7.5
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 READ_BACK = """<script>
 addEventListener("load", () => {
   const slider = document.getElementById("motion-time");
@@ -66,24 +63,6 @@ addEventListener("load", () => {
 </script>"""
 
 
-def opened(page: Path, folder: Path, milliseconds: int) -> str:
-    """The page after so much of the browser's own time; its console has said nothing."""
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None:
-        pytest.skip(f"no browser to open the page in: none of {', '.join(BROWSERS)} is here")
-    done = subprocess.run(
-        [
-            browser, "--headless", "--no-sandbox", "--disable-gpu", "--enable-logging=stderr",
-            f"--user-data-dir={folder / 'profile'}", "--host-resolver-rules=MAP * ~NOTFOUND",
-            f"--virtual-time-budget={milliseconds}", "--window-size=1400,2400", "--dump-dom",
-            page.as_uri(),
-        ],
-        capture_output=True, text=True, timeout=HANG_S, check=True,
-    )  # fmt: skip
-    assert [line for line in done.stderr.splitlines() if "CONSOLE" in line] == []
-    return done.stdout
-
-
 def test_what_is_drawn_equals_the_truth_within_a_hundredth_of_a_degree(tmp_path: Path) -> None:
     setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=3, shifts=3)
     collector, receiver = ReportCollector(SHEET), Receiver(*Node)
@@ -108,7 +87,8 @@ def test_what_is_drawn_equals_the_truth_within_a_hundredth_of_a_degree(tmp_path:
     assert len(expected) > 10
     script = READ_BACK.replace("TIMES", json.dumps(list(expected)))
     page.write_text(page.read_text() + script.replace("PITCH", str(PITCH_DEG)))
-    shown = opened(page, tmp_path, 5000)
+    shown, console = browse(page.as_uri(), tmp_path)
+    assert console == []
     (told,) = re.findall(r'<pre id="read-back">(.*?)</pre>', shown)
     (_, at_contact), *drawn = json.loads(told)
     assert row.phase_error_deg is not None
@@ -123,7 +103,8 @@ def test_without_scatter_the_controller_of_the_page_always_meets_the_gap(tmp_pat
     page = tmp_path / "play.html"
     assert main(["play", "--out", str(page), "--gearbox", "thesis"]) == 0
     page.write_text(page.read_text().replace("<body>", f"<body>{FRAMES}") + FIRE_OFTEN)
-    shown = opened(page, tmp_path, 20_000)
+    shown, console = browse(page.as_uri(), tmp_path, 20_000)
+    assert console == []
     cells = re.search(r"<tr><td>controller</td>(.*?)</tr>", shown)
     assert cells is not None
     fired, gap = map(int, re.findall(r">(\d+)<", cells[1])[:2])

@@ -7,7 +7,7 @@ import math
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from meshpoint.bus.authentication.keys import CommandKeys, load_keys
 from meshpoint.bus.logs.files import MIN_PART_BYTES
@@ -124,6 +124,13 @@ def strategy_file(name: str) -> StrategyFile | None:
     from meshpoint.controller.planning.strategies.own import read_strategy
 
     return read_strategy(name)
+
+
+LOGS_HELP: Final = (
+    ".log (candump), .blf, .asc, .trc, .csv or .mf4, each also .gz; several in order, or a folder "
+    "of logs, are one bus"
+)
+"""What a command that reads logs takes."""
 
 
 def add_gearbox(parser: Arguments) -> None:

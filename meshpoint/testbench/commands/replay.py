@@ -65,8 +65,7 @@ def add_parser(commands: Any) -> None:
         type=Path,
         nargs="+",
         metavar="LOG",
-        help=".log (candump), .blf, .asc, .trc, .csv or .mf4, each also .gz; several in order, or "
-        "a folder of logs, are one bus",
+        help=arguments.LOGS_HELP,
     )
     parser.add_argument(
         "--jobs",

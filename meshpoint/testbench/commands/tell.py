@@ -14,6 +14,7 @@ from rich.text import Text
 
 from meshpoint.bus.logs.files import log_files, read_logs
 from meshpoint.bus.logs.limits import LogError
+from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.watch.story import Line, Story
 
@@ -41,7 +42,7 @@ def add_parser(commands: Any) -> None:
         type=Path,
         nargs="+",
         metavar="LOG",
-        help=".log (candump), .blf or .asc; several in order, or a folder of logs, are one bus",
+        help=arguments.LOGS_HELP,
     )
     parser.add_argument(
         "--only",

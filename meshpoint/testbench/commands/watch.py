@@ -38,7 +38,7 @@ def add_parser(commands: Any) -> None:
         type=Path,
         nargs="*",
         metavar="LOG",
-        help=".log (candump), .blf or .asc; several in order, or a folder; none: a live bus",
+        help=f"{arguments.LOGS_HELP}; none: a live bus",
     )
     parser.add_argument(
         "--speed",

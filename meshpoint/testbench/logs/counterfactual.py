@@ -70,7 +70,6 @@ GAIN_SD: Final = 0.01
 """Of the brake's gain between two moments of a shift, beside what the filter claims: discs warm."""
 MOST_SD_SHARE: Final = 0.125
 """A landing less certain than this, in pitches, is not told: its interval would be half a pitch."""
-NORMAL_95: Final = 1.959964
 STUDENT_95: Final = 2.04
 """Of `DRAWS` - 1 degrees of freedom."""
 MODELLED: Final = frozenset({ControllerState.SYNCHRONISING, ControllerState.COASTING})

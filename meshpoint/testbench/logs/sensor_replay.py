@@ -208,7 +208,7 @@ class SensorReplay:
 
     def _see_gear(self) -> None:
         """A gear that another controller has engaged is watched for its phase reference."""
-        gear, before = self._core.main_gear, self._gear
+        gear, before = self._core.observer.view.main_gear, self._gear
         self._gear = gear
         if gear not in (before, None, MainGear.NEUTRAL):
             self._core.engaged_by_another(gear)

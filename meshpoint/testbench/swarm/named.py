@@ -76,8 +76,6 @@ class Course(NamedTuple):
     """None: nothing was said, the shift was made as if nothing were."""
     by: str
     result: str
-    valves_off_ms: float | None
-    """How long after the fault's begin the last valve went off; None: none was on."""
     broken: list[Broken]
 
 
@@ -93,7 +91,6 @@ class _Scene(Episode):
         self.struck_us: int | None = None
         self.found: tuple[int, str] | None = None
         self.result = "no shift"
-        self.off_us: int | None = None
         self._event = Event(0, named.kind, int(named.target), named.value, named.for_ms)
         self._until_us: int | None = None
 
@@ -114,13 +111,6 @@ class _Scene(Episode):
             self._find(now_us, f"guard, row {row}")
         elif not core.sees_all:
             self._find(now_us, "channel not valid")
-
-    def _after_rig(self, now_us: int) -> None:
-        super()._after_rig(now_us)
-        if self.struck_us is not None and self.back_by_us is None and any(self._rig.energised):
-            self.off_us = None
-        elif self.struck_us is not None and self.off_us is None:
-            self.off_us = now_us
 
     def _find(self, now_us: int, by: str) -> None:
         if self.struck_us is not None and self.found is None and self.back_by_us is None:
@@ -157,7 +147,6 @@ def run_named(named: Named) -> Course:
         since_ms(None if found is None else found[0]),
         "-" if found is None else found[1],
         scene.result,
-        since_ms(scene.off_us),
         result.broken if struck_us is not None else [Broken("never_struck", 0, named.kind)],
     )
 

@@ -189,7 +189,7 @@ class Parts:
     """
 
     def __init__(self, folder: Path, spec: SwarmSpec, resume: bool) -> None:
-        self._folder, self._spec = folder_for(folder), spec
+        self._folder = folder_for(folder)
         self._lines = self._folder / "worlds.jsonl"
         about = self._folder / "swarm.json"
         if not resume and self._lines.exists():

@@ -9,6 +9,7 @@ from typing import Final
 
 from rich.text import Text
 
+from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
@@ -19,7 +20,6 @@ from meshpoint.dbc.messages import (
     ControllerEstimates,
     ControllerState,
     ControllerStatus,
-    EngagementEvent,
     FaultCode,
     GearboxSensors,
     Message,
@@ -33,6 +33,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.results.road_speed import span_us
+from meshpoint.testbench.results.rows import CONTACT_KINDS
 from meshpoint.testbench.watch.heard import Heard
 from meshpoint.testbench.watch.story import CYCLIC, Line, Story
 from meshpoint.units import BAR, DEG, RPM
@@ -57,7 +58,6 @@ SHORT: Final = {
 }
 TOLD: Final = ("driver", "controller", "truth", "bus", "bench")
 """Whose lines are shown: valves have a row of their own."""
-CONTACTS: Final = {EngagementEvent.GAP_CONTACT: "gap", EngagementEvent.TOOTH_CONTACT: "tooth"}
 STATE_WORDS: Final = {state: state.name.lower().replace("_", " ") for state in ControllerState}
 
 
@@ -110,7 +110,7 @@ class Panel:
 
     def _remember(self, message: Message | None) -> None:
         if isinstance(message, ReferenceEngagement) and not self._contact:
-            self._contact = CONTACTS.get(message.event, "")
+            self._contact = CONTACT_KINDS.get(message.event, "")
         elif isinstance(message, TC1):
             self._contact = ""
         elif isinstance(message, ShiftOutcome):
@@ -174,7 +174,7 @@ class Panel:
         if known and estimates is not None:
             phase = estimates.phase_rad
             cells[_cell(phase, pitch)] = "▲"
-            words = f"{_wrapped(phase, pitch) / DEG:+.2f} deg"
+            words = f"{wrap_to_pitch(phase, pitch) / DEG:+.2f} deg"
         plan, aim = self.heard.last(ShiftPrediction), Text("aim    ")
         if plan is not None and self._is_shifting() and plan.phase_sd_rad > 0.0:
             marks = [" "] * PHASE_CELLS
@@ -185,7 +185,7 @@ class Panel:
                     marks[k] = "─"
             marks[middle] = "┼"
             aim.append("".join(marks), style="green")
-            aim.append(f" {_wrapped(plan.phase_rad, pitch) / DEG:+.2f} deg", style="green")
+            aim.append(f" {wrap_to_pitch(plan.phase_rad, pitch) / DEG:+.2f} deg", style="green")
         tooth = Text("tooth  ")
         tooth.append("".join(cells), style="bold yellow")
         tooth.append(f" {words}", style="" if known else "dim")
@@ -279,13 +279,9 @@ def _if(estimates: ControllerEstimates | None, valid: str, field: str) -> float 
     return float(getattr(estimates, field))
 
 
-def _wrapped(phase_rad: float, pitch_rad: float) -> float:
-    return phase_rad - pitch_rad * math.floor(phase_rad / pitch_rad + 0.5)
-
-
 def _cell(phase_rad: float, pitch_rad: float) -> int:
     """The character a phase lies in: 0 is half a pitch behind the middle of the gap."""
-    share = _wrapped(phase_rad, pitch_rad) / pitch_rad + 0.5
+    share = wrap_to_pitch(phase_rad, pitch_rad) / pitch_rad + 0.5
     return min(int(share * PHASE_CELLS), PHASE_CELLS - 1)
 
 

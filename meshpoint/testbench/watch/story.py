@@ -37,6 +37,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.results.road_speed import span_us
+from meshpoint.testbench.results.rows import CONTACT_KINDS
 from meshpoint.testbench.watch.heard import Heard
 from meshpoint.units import DEG, RPM
 
@@ -75,7 +76,6 @@ TRUTHS: Final = {
     EngagementEvent.CLUTCH_CLOSES: "the clutch begins to close",
     EngagementEvent.PLATES_MET: "the clutch's plates have met",
 }
-WITH_PHASE: Final = (EngagementEvent.GAP_CONTACT, EngagementEvent.TOOTH_CONTACT)
 RESULTS: Final = {
     ShiftResult.NONE: "no shift",
     ShiftResult.ENGAGED: "gear {to} is in",
@@ -269,7 +269,7 @@ class Story:
         if message.event is EngagementEvent.READY:
             return
         words = TRUTHS[message.event]
-        if message.event in WITH_PHASE:
+        if message.event in CONTACT_KINDS:
             words += f", {message.phase_rad / DEG:+.2f} deg from the middle of the gap"
             words += f" at {message.slip_rad_s / RPM:+.1f} rpm"
         elif message.event is EngagementEvent.LOCKED and message.impact_energy_j > 0.0:
