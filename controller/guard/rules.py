@@ -4,19 +4,31 @@ The guard is independent of the code that decides: it uses no state of the seque
 the observer and no code of the codec, so that an error there cannot reach a valve. Each rule is a
 row of the table at the end of this file, under its number in docs/guard.md.
 
-A driven valve is described by a span of time, from its activation (or now) to its release (which
-may still lie ahead). Rules about slip and brake are judged for the time at which the command takes
-effect, with the guard's own speeds and with bounds on what brake and drag can do until then.
+Rules about slip and brake are judged for the time at which the command takes effect, with the
+guard's own speeds and with bounds on what brake and drag can do until then. What a rule judges is
+in `case.py`.
 """
 
 from __future__ import annotations
 
-import math
-import struct
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
+from meshpoint.controller.guard.case import (
+    FOREVER_US,
+    FRAME_LENGTH,
+    MAIN_VALVES,
+    NO_SPANS,
+    REACT_US,
+    SPLITTER,
+    VALVE_COUNT,
+    Case,
+    GuardState,
+    Span,
+    Spans,
+    decode,
+    spans,
+)
 from meshpoint.controller.guard.limits import (
     BRAKE_PRESSED_PA,
     CLEAR_M,
@@ -24,227 +36,21 @@ from meshpoint.controller.guard.limits import (
     GUARD_NEUTRAL_M,
     SLIP_MARGIN_RAD_S,
     GuardLimits,
-    end_of,
 )
-from meshpoint.controller.guard.listening import OVER_SAMPLES, SAMPLE_S
-from meshpoint.controller.guard.own_clock import signed_us
 from meshpoint.controller.guard.view import GuardInputs
 
-ACTION_BYTES: Final = slice(3, 6)
-TIME_BYTES: Final = 6
-FRAME_LENGTH: Final = 48
-VALVE_COUNT: Final = 9
-_times_us: Final = struct.Struct(f"<{VALVE_COUNT}I").unpack_from
-_SHIFTS: Final = range(0, 2 * VALVE_COUNT, 2)
 BRAKE: Final = 0
 SPLIT_LOW, SPLIT_HIGH = 1, 2
 RANGE_LOW, RANGE_HIGH = 7, 8
 SLEEVE_VALVE_PAIRS: Final = ((1, 2), (3, 4), (5, 6), (7, 8))
 """The two valves of one sleeve: splitter, first/second, crawl/third, range."""
-MAIN_VALVES: Final = (3, 4, 5, 6)
-SLEEVE_VALVES: Final = range(1, 9)
 OTHER_END: Final = {1: 2, 2: 1, 7: 8, 8: 7}
 """Of splitter and range: the valve that pushes back."""
-OFF_NOW, ON_NOW, OFF_AT, ON_AT = range(4)
-FOREVER_US: Final = 1 << 62
 PROOF_STEPS: Final = 3
 """All inputs must have been valid in this many consecutive steps before a valve may be driven."""
 CLOCK_ERROR_US: Final = 12_000
 """A tick and the bus: what one of two clocks may not have seen of the least delay."""
-REACT_US: Final = 15_000
-"""Time from this judgement until a command of the next step can take effect: a tick and the bus."""
-CLUTCH_AHEAD_US: Final = 60_000
-"""Where the clutch will be is said no further ahead."""
-LEAVING_M_S: Final = 0.05
-"""A sleeve this fast is on its way: some times what the sensors' noise gives."""
-SPLITTER: Final = 2
-RANGE: Final = 3
 INPUT, LAYSHAFT, MAIN, PROPELLER = range(4)
-
-
-class Wish(NamedTuple):
-    """A decoded command: action and 32-bit time of each valve."""
-
-    actions: tuple[int, ...]
-    times_us: tuple[int, ...]
-
-    @property
-    def driven(self) -> tuple[bool, ...]:
-        """The valves that are to be driven, now or at their time."""
-        return tuple(action in (ON_NOW, ON_AT) for action in self.actions)
-
-
-def decode(payload: bytes) -> Wish:
-    """Decodes a valve command frame. ValueError if it does not have the length of one."""
-    if len(payload) != FRAME_LENGTH:
-        raise ValueError(f"valve command of {len(payload)} bytes, allowed is {FRAME_LENGTH}")
-    actions = int.from_bytes(payload[ACTION_BYTES], "little")
-    return Wish(tuple([actions >> shift & 3 for shift in _SHIFTS]), _times_us(payload, TIME_BYTES))
-
-
-class Span(NamedTuple):
-    """A valve is driven from one sensor time to another."""
-
-    start_us: int
-    end_us: int
-
-
-Spans = tuple[Span | None, ...]
-NO_SPANS: Final[Spans] = (None,) * VALVE_COUNT
-NO_PULLS: Final[frozenset[int]] = frozenset()
-
-
-def spans(wish: Wish, before: Spans, now_us: int) -> Spans:
-    """When each valve would be driven if this command passed.
-
-    before: the spans of the command passed last; now_us: sensor time."""
-    if not any(wish.actions):
-        return NO_SPANS
-    return tuple(
-        _span(action, time_us, was, now_us)
-        for action, time_us, was in zip(wish.actions, wish.times_us, before, strict=True)
-    )
-
-
-def _span(action: int, time_32: int, was: Span | None, now_us: int) -> Span | None:
-    is_driven = was is not None and was.start_us <= now_us < was.end_us
-    since_us = was.start_us if was is not None and is_driven else now_us
-    time_us = now_us + signed_us(time_32 - now_us)
-    if action == ON_NOW:
-        return Span(since_us, FOREVER_US)
-    if action == ON_AT:
-        return Span(since_us if is_driven else max(time_us, now_us), FOREVER_US)
-    if action == OFF_AT and is_driven and time_us > now_us:
-        return Span(since_us, time_us)
-    return None
-
-
-@dataclass
-class GuardState:
-    """What the guard keeps from step to step."""
-
-    armed: bool = True
-    """Whether anything may be driven at all in this run."""
-    spans: Spans = NO_SPANS
-    """Spans of the command that was passed last."""
-    latched_by: int = 0
-    pulls: frozenset[int] = NO_PULLS
-    """Main valves driven to pull a gear out, until they are off."""
-    proofs: int = 0
-    """Steps in a row in which everything was valid; the self-test is passed at PROOF_STEPS."""
-    brake_off_us: int = -FOREVER_US
-    """When the brake was last driven."""
-    brake_j: float = 0.0
-    """Energy (J) that the brake has taken in its present use."""
-    judged_us: int | None = None
-    wanted: tuple[int, int] | None = None
-    """The gear asked for and when; until it is in and the clutch closed."""
-    group_us: dict[int, int] = field(default_factory=dict)
-    """When each valve of splitter and range was last driven."""
-
-
-class Case(NamedTuple):
-    """What a rule judges: the spans asked for, what the sensors show, the guard's state, the
-    limits."""
-
-    spans: Spans
-    seen: GuardInputs
-    state: GuardState
-    limits: GuardLimits
-
-    def engaging(self) -> list[tuple[int, Span]]:
-        """Main valves whose sleeve is driven toward a gear that it has not entered yet.
-
-        A valve that is pulling the other gear out counts only once its sleeve is past neutral."""
-        found = []
-        for valve in MAIN_VALVES:
-            span = self.spans[valve]
-            low_m = GUARD_NEUTRAL_M if valve in self.state.pulls else -GUARD_NEUTRAL_M
-            if span is not None and low_m <= self.way_m(valve) <= self.limits.contact_m:
-                found.append((valve, span))
-        return found
-
-    def pulling(self) -> frozenset[int]:
-        """Main valves that pull a gear out: driven without a break since that gear was in mesh."""
-        if self.spans is NO_SPANS:
-            return NO_PULLS
-        return frozenset(
-            valve
-            for valve in MAIN_VALVES
-            if self.spans[valve] is not None
-            and (valve in self.state.pulls or self.way_m(valve) < -GUARD_NEUTRAL_M)
-        )
-
-    def way_m(self, valve: int) -> float:
-        """Position of the valve's sleeve (m); positive toward the gear of this valve."""
-        gear = self.limits.main[valve]
-        return self.seen.positions_m[gear.sleeve] * gear.direction
-
-    def contact_us(self, span: Span) -> tuple[float, float]:
-        """Earliest and latest sensor time (us) at which a sleeve driven in this span meets its
-        gear."""
-        middle = span.start_us + self.limits.sleeve_delay_us
-        return middle - self.limits.sleeve_scatter_us, middle + self.limits.sleeve_scatter_us
-
-    def main_is_neutral(self) -> bool:
-        """Whether both main sleeves are proven neutral."""
-        return max(abs(self.seen.positions_m[0]), abs(self.seen.positions_m[1])) <= GUARD_NEUTRAL_M
-
-    def speed(self, shaft: int) -> float | None:
-        """A shaft's speed (rad/s); None if it is stale or invalid."""
-        speed = self.seen.speeds[shaft]
-        return None if speed is None else speed.omega_rad_s
-
-    def starting(self) -> list[int]:
-        """Sleeve valves that are newly driven."""
-        was = self.state.spans
-        return [v for v in SLEEVE_VALVES if self.spans[v] is not None and was[v] is None]
-
-    def gear_number(self) -> int:
-        """The gear that all sleeves stand in; 0 none."""
-        side = [end_of(position, self.limits.engaged_m) for position in self.seen.positions_m]
-        for valve, gear in self.limits.main.items():
-            if side[gear.sleeve] == gear.direction:
-                return self.limits.gear_at.get((valve, side[SPLITTER], side[RANGE]), 0)
-        return 0
-
-    def clutch_at(self, time_us: float) -> float:
-        """Where the clutch will be, at the rate at which it moves now; nowhere further than it gets
-        in CLUTCH_AHEAD_US."""
-        ahead_us = min(max(0.0, time_us - self.seen.clutch_us), CLUTCH_AHEAD_US)
-        return self.seen.clutch_closed + self.seen.clutch_per_s * ahead_us * 1e-6
-
-    def is_parted(self, from_us: float) -> bool:
-        """Whether the clutch's plates are surely apart at a time, and will be as long as nothing
-        can be taken back."""
-        until_us = max(from_us, self.seen.now_us + REACT_US)
-        farthest = max(self.clutch_at(from_us), self.clutch_at(until_us))
-        return farthest <= self.limits.clutch_open_share
-
-    def teeth_are_out(self, sleeve: int, at_us: float) -> bool:
-        """Whether a main sleeve is clear of its gears' teeth at a time: it is already, or a driven
-        valve pulls it and it is seen to move out fast enough, s = a t^2 / 2 from its end."""
-        limits = self.limits
-        position = self.seen.positions_m[sleeve]
-        if abs(position) <= GUARD_NEUTRAL_M:
-            return True
-        pulled = any(limits.main[valve].sleeve == sleeve for valve in self.pulling())
-        speed = -math.copysign(1.0, position) * self.seen.speeds_m_s[sleeve]
-        come_m = limits.stroke_m - abs(position)
-        if not pulled:
-            return False
-        if come_m >= limits.stroke_m - limits.contact_m + CLEAR_M:
-            return True
-        # The speed is the one half its samples ago.
-        ago_s = 0.5 * OVER_SAMPLES * SAMPLE_S
-        come_m -= speed * ago_s
-        if speed < LEAVING_M_S or come_m <= 0.0:
-            return False
-        since_s = 2.0 * come_m / speed
-        then_s = since_s + ago_s + max(0.0, at_us - self.seen.positions_us) * 1e-6
-        come_m *= (then_s / since_s) ** 2
-        return come_m >= limits.stroke_m - limits.contact_m + CLEAR_M
-
 
 Rule = Callable[[Case], bool]
 

@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import meshpoint.controller.core
+import meshpoint.controller.guard.case
 import meshpoint.controller.guard.listening as guard_ear
-import meshpoint.controller.guard.rules
 import meshpoint.controller.node
 import meshpoint.controller.shift.valve_board
 import meshpoint.rig_sim.shared.valve_drivers
@@ -98,13 +98,13 @@ def test_the_valves_stand_in_the_same_order_everywhere(database: Database) -> No
 def test_the_guard_reads_the_frame_where_the_dbc_has_it(database: Database) -> None:
     """Its own numbers, written down a second time on purpose."""
     command = message(database, "ValveCommand")
-    assert command.length == meshpoint.controller.guard.rules.FRAME_LENGTH
+    assert command.length == meshpoint.controller.guard.case.FRAME_LENGTH
     first = command.get_signal_by_name("BrakeAction")
-    assert first.start == 8 * meshpoint.controller.guard.rules.ACTION_BYTES.start
+    assert first.start == 8 * meshpoint.controller.guard.case.ACTION_BYTES.start
     choices = first.choices
     assert choices is not None
-    assert str(choices[meshpoint.controller.guard.rules.ON_NOW]) == "OnNow"
-    assert str(choices[meshpoint.controller.guard.rules.ON_AT]) == "OnAt"
+    assert str(choices[meshpoint.controller.guard.case.ON_NOW]) == "OnNow"
+    assert str(choices[meshpoint.controller.guard.case.ON_AT]) == "OnAt"
 
 
 ACTIONS = st.tuples(*[st.sampled_from(list(ValveAction))] * 9)
@@ -123,7 +123,7 @@ def test_the_guard_decodes_what_the_codec_encodes(
         transmitter.encode(ValveCommand())
     payload = transmitter.encode(ValveCommand(*actions, *times)).data
     driven = tuple(action in (ValveAction.ON_NOW, ValveAction.ON_AT) for action in actions)
-    assert meshpoint.controller.guard.rules.decode(payload).driven == driven
+    assert meshpoint.controller.guard.case.decode(payload).driven == driven
 
 
 def start_of(database: Database, name: str, signal: str) -> int:

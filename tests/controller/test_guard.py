@@ -12,20 +12,14 @@ from itertools import product
 
 import pytest
 
+from meshpoint.controller.guard.case import NO_SPANS, Case, GuardState, Span, Wish, decode, spans
 from meshpoint.controller.guard.limits import GuardLimits, guard_limits
 from meshpoint.controller.guard.own_speed import ShaftSpeed as Speed
 from meshpoint.controller.guard.rules import (
     GUARD_ROWS,
-    NO_SPANS,
     PROOF_STEPS,
-    Case,
     Guard,
-    GuardState,
-    Span,
-    Wish,
-    decode,
     slip_out_of_its_window,
-    spans,
 )
 from meshpoint.controller.guard.view import GuardInputs
 from meshpoint.controller.settings import ControllerSettings

@@ -29,6 +29,11 @@ def test_a_bug_fits_the_product_as_it_is(bug: Planted) -> None:
     removed = [line[1:] for line in text.splitlines() if line[:1] == "-" and line[:4] != "--- "]
     product = Path(ROOT / path).read_text(encoding="utf-8").splitlines()
     assert all(line in product for line in removed), f"{path} has changed: make it anew"
+    fits = subprocess.run(
+        ["git", "apply", "--check", str(bug.path)], cwd=ROOT, capture_output=True, text=True,
+        check=False,
+    )  # fmt: skip
+    assert fits.returncode == 0, f"{fits.stderr}: make it anew"
 
 
 def test_the_runner_says_which_are_not_there() -> None:
