@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from concurrent.futures import Future
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, cast
 
@@ -119,11 +118,10 @@ def test_ctrl_c_waits_for_one_run_of_a_worker_and_says_so(
         yield from ()
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(runner, "executor", lambda *_: nullcontext(OneWorker()))
     monkeypatch.setattr(runner, "as_completed", interrupted)
     taken: list[list[RunResult]] = []
     jobs: Any = list(range(40))
-    assert not runner.run_all(cast(Any, None), jobs, 2, None, taken.append)
+    assert not runner.run_all(cast(Any, None), jobs, cast(Any, OneWorker()), taken.append)
     assert taken == [[]]
     assert "interrupted: ending the runs in work first, 1 of them" in capsys.readouterr().err
     assert all(future.cancelled() for future in handed[1:])

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import multiprocessing
 import signal
-import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ from typing import Any, Final
 from meshpoint.testbench.campaign.run import RunResult, run_many
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.results.output import complain
 
 DASK_EXTRA: Final = "--dask needs the extra: pip install 'meshpoint[dask]'"
 
@@ -56,46 +56,53 @@ def _leave_interrupts_to_the_parent() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
+@contextmanager
+def workplace(workers: int, dask: str | None) -> Iterator[Executor | None]:
+    """Where runs are made, for as long as this lasts; None: here, as one worker needs no second
+    process."""
+    if workers == 1 and dask is None:
+        yield None
+    else:
+        with executor(workers, dask) as where:
+            yield where
+
+
 def run_all(
     spec: CampaignSpec,
     jobs: list[Job],
-    workers: int,
-    dask: str | None,
+    where: Executor | None,
     take: Callable[[list[RunResult]], None],
 ) -> bool:
     """Makes all runs, handing over results as they come; False where it was interrupted.
 
     `take` gets every result exactly once, in any order."""
+    if where is None:
+        return _one_by_one(spec, jobs, take)
     # One at a time: it takes seconds, which is what Ctrl-C waits for.
-    chunks = [[job] for job in jobs]
-    if workers == 1 and dask is None:
-        return _one_by_one(spec, chunks, take)
-    with executor(workers, dask) as where:
-        futures = [where.submit(run_many, spec, chunk) for chunk in chunks]
-        left = set(futures)
-        try:
-            for future in as_completed(futures):
-                left.discard(future)
-                take(future.result())
-        except KeyboardInterrupt:
-            for future in left:
-                future.cancel()
-            at_work = sum(future.running() for future in left)
-            sys.stderr.write(f"interrupted: ending the runs in work first, {at_work} of them\n")
-            _take_what_runs(left, take)
-            return False
-        except BrokenExecutor as error:
-            raise CommandError(f"a worker ended before its work: {error}") from error
+    futures = [where.submit(run_many, spec, [job]) for job in jobs]
+    left = set(futures)
+    try:
+        for future in as_completed(futures):
+            left.discard(future)
+            take(future.result())
+    except KeyboardInterrupt:
+        for future in left:
+            future.cancel()
+        at_work = sum(future.running() for future in left)
+        complain(f"interrupted: ending the runs in work first, {at_work} of them")
+        _take_what_runs(left, take)
+        return False
+    except BrokenExecutor as error:
+        raise CommandError(f"a worker ended before its work: {error}") from error
     return True
 
 
 def _one_by_one(
-    spec: CampaignSpec, chunks: list[list[Job]], take: Callable[[list[RunResult]], None]
+    spec: CampaignSpec, jobs: list[Job], take: Callable[[list[RunResult]], None]
 ) -> bool:
-    """One worker needs no second process."""
     try:
-        for chunk in chunks:
-            take(run_many(spec, chunk))
+        for job in jobs:
+            take(run_many(spec, [job]))
     except KeyboardInterrupt:
         return False
     return True

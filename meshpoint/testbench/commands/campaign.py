@@ -19,7 +19,7 @@ from meshpoint.testbench.campaign.draw import upshifts
 from meshpoint.testbench.campaign.report import write_report
 from meshpoint.testbench.campaign.result import Collected, to_json
 from meshpoint.testbench.campaign.run import RunResult, run_one
-from meshpoint.testbench.campaign.runner import run_all
+from meshpoint.testbench.campaign.runner import run_all, workplace
 from meshpoint.testbench.campaign.sequential import FIGURES, GOAL_FORM, Goal, parse_goal
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 from meshpoint.testbench.campaign.stopping import (
@@ -293,13 +293,14 @@ def _make(
                 raise KeyboardInterrupt
 
         made = collected.jobs[:0]
-        for runs in stopping.looks(namespace.runs):
-            made = spec.jobs(runs)
-            if not run_all(spec, collected.left(made), namespace.jobs, namespace.dask, take):
-                return False
-            seeds = {job.seed for job in made}
-            if stopping.enough([r for r in collected.records if r.seed in seeds]):
-                break
+        with workplace(namespace.jobs, namespace.dask) as where:
+            for runs in stopping.looks(namespace.runs):
+                made = spec.jobs(runs)
+                if not run_all(spec, collected.left(made), where, take):
+                    return False
+                seeds = {job.seed for job in made}
+                if stopping.enough([r for r in collected.records if r.seed in seeds]):
+                    break
         collected.stop_at(made)
         return True
 
