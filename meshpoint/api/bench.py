@@ -148,6 +148,13 @@ class Bench(Watching):
         if self._log is not None:
             self._log.close()
 
+    def _complete_log(self) -> Path:
+        if self._log is None:
+            raise RuntimeError("this bench records nothing: log= names a file")
+        if not self._is_closed:
+            self._log.flush()
+        return self._log.path
+
     def _go(self, until: Callable[[], bool], limit_us: int) -> bool:
         if self._is_closed:
             raise RuntimeError("this bench is closed")

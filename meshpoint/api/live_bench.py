@@ -40,7 +40,9 @@ class LiveBench(Watching):
     are started here, bus time waits for whichever the machine keeps from running.
 
     interface, channel, bus_arguments: the bus, as in python-can; `bus_arguments` are further words
-        of its command line, as ["-b", "500000"]. `virtual` runs all in this process.
+        of its command line, as ["-b", "500000"].
+    in_process: run the nodes in this process, beside each other, as on a bus that ends at the
+        process (`virtual`) they always are.
     start: the nodes to start, of `rig` and `controller`; the others are on the bus already, as
         hardware is. Then bus time is wall time. Without a rig there is no truth: `contact` is None.
     speed: run so many times as fast as the wall clock; slower where a machine cannot keep up.
@@ -58,6 +60,7 @@ class LiveBench(Watching):
         interface: str | None = None,
         channel: str | None = None,
         bus_arguments: Sequence[str] = (),
+        in_process: bool = False,
         start: Sequence[str] = NODE_NAMES,
         speed: float = 1.0,
         gearbox: PathLike = "thesis",
@@ -93,7 +96,7 @@ class LiveBench(Watching):
             log=self.log,
             open_bus=_opener(bus),
             speed=speed,
-            in_process=interface in IN_PROCESS,
+            in_process=in_process or interface in IN_PROCESS,
             paced=set(start) == set(NODE_NAMES),
             start=tuple(start),
             node_arguments=[*bus, "--gearbox", str(gearbox), *node_arguments],
@@ -143,6 +146,14 @@ class LiveBench(Watching):
         self._ending.set()
         self._thread.join()
         self._folder.cleanup()
+
+    def _complete_log(self) -> Path:
+        done, session = threading.Event(), self._session
+        if session is not None and self._thread.is_alive():
+            self._orders += [session.log.flush, done.set]
+            while not done.wait(POLL_S) and self._thread.is_alive():
+                pass
+        return self.log
 
     # -------------------------------------------------- the thread of the bus ----
 

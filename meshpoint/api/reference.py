@@ -95,7 +95,7 @@ def _signature(function: Any) -> str:
     ]
     shown = inspect.Signature(parameters, return_annotation=inspect.Signature.empty)
     text = re.sub(r": '([^']*)'", r": \1", str(shown)).replace(" = ", "=")
-    return re.sub(r"<\w+\.\w+: ('\w+')>", r"\1", text)  # an enumeration's member as its value
+    return re.sub(r"<\w+\.\w+: '?(\w+)'?>", r"'\1'", text)  # an enumeration's member as its value
 
 
 def _text(value: Any) -> str:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Self, TypeVar
 
+from meshpoint.api.choices import PathLike
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame
@@ -26,6 +29,7 @@ from meshpoint.testbench.loop.schedules import check_preset
 from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S
 from meshpoint.testbench.results.faults import explain
 from meshpoint.testbench.results.monitor import Monitor
+from meshpoint.testbench.results.output import folder_for
 from meshpoint.testbench.results.rows import ShiftRow
 
 M = TypeVar("M", bound=Message)
@@ -141,21 +145,18 @@ class Watching(ABC):
         return self._operator.done and self._operator.index >= len(self._planned)
 
     def learn(self, *gears: int) -> list[ShiftRow]:
-        """Shifts into each of these gears until its phase reference is known, at most three times:
-        from then on the controller can aim at its gap. The next shift begins in the gear that this
-        one began in. ShiftError where it stays unknown."""
+        """Shifts into each of these gears whose phase reference is not known yet, at most three
+        times: once it is, the controller can aim at the gear's gap. The next shift begins in the
+        gear that this one began in. ShiftError where it stays unknown."""
         origin, rows = self._gear, []
         for gear in gears:
             _check_gear(gear)
-            main = int(DRIVE_GEARS[gear].main)
-            for _ in range(LEARNING_TRIES):
+            main, tries = int(DRIVE_GEARS[gear].main), 0
+            while main not in self.reference_known:
+                if tries == LEARNING_TRIES:
+                    raise ShiftError(f"gear {gear}: phase reference not learned in {tries} shifts")
                 rows.append(self.shift(gear, origin))
-                if main in self.reference_known:
-                    break
-            else:
-                raise ShiftError(
-                    f"gear {gear}: phase reference not learned in {LEARNING_TRIES} shifts"
-                )
+                tries += 1
         self._gear = origin
         return rows
 
@@ -187,6 +188,18 @@ class Watching(ABC):
     @abstractmethod
     def _until_done(self) -> None:
         """Lets time go on until nothing is left of the shifts begun."""
+
+    def save_log(self, folder: PathLike) -> Path:
+        """Copies the log so far into a folder, with the run header beside it; returns where it is.
+        RuntimeError where the bus is not recorded."""
+        source, target = self._complete_log(), folder_for(Path(folder))
+        for header in source.parent.glob("header-*.json"):
+            shutil.copy(header, target)
+        return Path(shutil.copy(source, target / source.name))
+
+    @abstractmethod
+    def _complete_log(self) -> Path:
+        """Brings everything recorded so far to disk; where it is."""
 
     @abstractmethod
     def close(self) -> None:

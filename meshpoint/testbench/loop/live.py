@@ -137,6 +137,7 @@ class LiveSession:
 
     run: LiveRun
     result: LiveResult
+    log: LogWriter
     clocks: _Clocks
     _tasks: Sequence[asyncio.Task[object]]
     _nodes: Nodes
@@ -201,7 +202,7 @@ async def live_session(run: LiveRun, bench: BenchCore) -> AsyncIterator[LiveSess
             )
         )  # fmt: skip
         try:
-            yield LiveSession(run, result, clocks, [recorder, task], nodes)
+            yield LiveSession(run, result, log, clocks, [recorder, task], nodes)
         finally:
             result.pace = (clocks.bench.now_us() - begun_us) / 1e6 / (perf_counter() - begun_s)
             stop_bench.set()
