@@ -49,7 +49,7 @@ def _run(namespace: argparse.Namespace) -> int:
     from meshpoint.testbench.results.output import check_writable
 
     try:
-        for target in ("json", "report"):
+        for target in ("json", "report", "junit", "markdown"):
             path = getattr(namespace, target, None)
             check_writable(None if path is None else str(path))
         code: int = namespace.run(namespace)
