@@ -32,7 +32,8 @@ _UDP_DEFAULTS = {
     "channel": "239.74.163.2",  # python-can's own default is IPv6 and mostly delivers nothing
     "hop_limit": 0,  # frames stay on this machine
 }
-_CANFD_MTU = 72
+CANFD_MTU = 72
+"""Of a device that is set up for CAN FD; 16 for classic CAN."""
 _CAN_DEVICE_TYPE = "280"  # ARPHRD_CAN
 _NET_DEVICES = Path("/sys/class/net")
 # Interfaces whose sockets drop frames when a reader is late: 278 FD frames fit into the usual one.
@@ -217,12 +218,18 @@ def _check_socketcan(channel: Any) -> None:
     mtu = _NET_DEVICES / str(channel) / "mtu"
     if not mtu.exists():
         return  # opening it says why
-    if int(mtu.read_text()) < _CANFD_MTU:
-        raise BusOpenError(
-            f"{channel} is set up for classic CAN, but CAN FD is needed: set a real device up by "
-            f"`ip link set {channel} type can bitrate 500000 dbitrate 2000000 fd on`, "
-            f"a virtual one by `ip link set {channel} mtu {_CANFD_MTU}`"
-        )
+    if int(mtu.read_text()) < CANFD_MTU:
+        raise BusOpenError(classic_refusal(str(channel)))
+
+
+def classic_refusal(name: str) -> str:
+    """Why a device that is set up for classic CAN cannot be used, and the ways out."""
+    return (
+        f"{name} is set up for classic CAN, but CAN FD is needed: set a real device up by "
+        f"`ip link set {name} type can bitrate 500000 dbitrate 2000000 fd on`, "
+        f"a virtual one by `ip link set {name} mtu {CANFD_MTU}`; an adapter on which the first "
+        "fails has no CAN FD: take one that has it"
+    )
 
 
 def _enlarge_receive_buffer(bus: can.BusABC) -> None:

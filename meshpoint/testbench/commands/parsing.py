@@ -47,6 +47,10 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "rig": ("meshpoint rig --seed 7 --gear 8", "meshpoint rig --describe"),
     "request": ("meshpoint request 10",),
     "health": ("meshpoint health controller -i socketcan -c vcan0",),
+    "check": (
+        "meshpoint check -i socketcan -c can0 --gearbox box.toml",
+        "meshpoint check --turn main propeller --json check.json",
+    ),
     "play": ("meshpoint play", "meshpoint play --gearbox thesis --out slow.html"),
     "pace": (
         "meshpoint pace bus.time",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from typing import Final, TypeVar
 
+from meshpoint.dbc.e2e import ChannelState
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import FrameVerdict, Receiver
@@ -150,6 +151,10 @@ class Heard:
     def valid(self, kind: type[Message]) -> bool:
         """Whether a cyclic message may be relied on: heard in time, counters and CRC in order."""
         return self._receiver.valid(kind)
+
+    def state(self, kind: type[Message]) -> ChannelState:
+        """What the end-to-end protection thinks of a cyclic message's channel."""
+        return self._receiver.state(kind)
 
     def age_s(self, kind: type[object]) -> float | None:
         """How long ago the newest good message of a kind came."""
