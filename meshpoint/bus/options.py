@@ -106,6 +106,8 @@ def open_bus_from(namespace: argparse.Namespace) -> can.BusABC:
     Raises BusOpenError.
     """
     config = bus_config(namespace)
+    if getattr(namespace, "shadow", False):
+        config |= LISTEN_ONLY.get(config["interface"], {})
     try:
         with _no_log_lines():
             bus = can.Bus(ignore_config=True, **config)
@@ -151,6 +153,35 @@ def bus_config(namespace: argparse.Namespace) -> dict[str, Any]:
     if result["interface"] == "socketcan":
         _check_socketcan(result.get("channel"))
     return result
+
+
+LISTEN_ONLY: dict[str, dict[str, Any]] = {
+    "slcan": {"listen_only": True},
+    "vector": {"listen_only": True},
+    "kvaser": {"driver_mode": False},
+    "pcan": {"state": can.BusState.PASSIVE},
+}
+"""What python-can takes, by interface, to open an adapter that never drives the bus: it does not
+even acknowledge frames or send error frames."""
+
+
+def listen_only_words(config: dict[str, Any]) -> str:
+    """What a node that only listens does to this bus, in words. config: of `bus_config`."""
+    interface = config["interface"]
+    if interface in LISTEN_ONLY:
+        return f"{interface} is opened listen-only: it does not even acknowledge frames"
+    if interface == "socketcan":
+        channel = config.get("channel")
+        return (
+            "nothing is sent, but the device acknowledges frames unless it is set up listen-only "
+            f"(link down, then `ip link set {channel} type can listen-only on`)"
+        )
+    if interface in ("gs_usb", "socketcand", "ixxat", "usb2can"):
+        return (
+            f"nothing is sent, but python-can cannot open {interface} listen-only: the adapter "
+            "acknowledges frames"
+        )
+    return f"nothing is sent; {interface} has no adapter that could acknowledge frames"
 
 
 def _channel_info(config: dict[str, Any]) -> str:
