@@ -32,7 +32,7 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "report": (
         "meshpoint report out/demo/speed_window.log",
-        "meshpoint report bench/ --strategy speed_window_anticipating --json report.json",
+        "meshpoint report bench/ --strategy target_phase --json report.json",
     ),
     "tell": (
         "meshpoint tell out/demo/target_phase.log",
