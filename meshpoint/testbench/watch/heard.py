@@ -7,6 +7,7 @@ from typing import Final, TypeVar
 
 from meshpoint.dbc.e2e import ChannelState
 from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.j1939 import canonical
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import FrameVerdict, Receiver
 from meshpoint.dbc.messages import (
@@ -114,6 +115,7 @@ class Heard:
         self._begin_s = time_s if self._begin_s is None else self._begin_s
         self.now_s = max(self.now_s, time_s)
         self.frames += 1
+        frame = canonical(frame)
         verdict, message = self._receiver.receive(frame)
         heard = self.messages.get(frame.can_id) if frame.is_extended else None
         if heard is not None:
