@@ -70,6 +70,7 @@ types: $(VENV)/test.stamp
 # docs/reference/, from the code
 reference: $(VENV)/test.stamp
 	$(BIN)/python -m meshpoint.testbench.commands.reference docs/reference
+	$(BIN)/python -m meshpoint.api.reference docs/reference/api.md
 
 contracts: $(VENV)/test.stamp
 	tools/linked-tree

@@ -22,6 +22,7 @@ from meshpoint.controller.header import HeaderError, RunHeader, architecture, lo
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.j1939 import canonical
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerStatus
 from meshpoint.dbc.node import Node
@@ -172,6 +173,7 @@ class LogReplay:
 
     def take(self, frame: Frame) -> None:
         """One frame of the log, in order."""
+        frame = canonical(frame)
         if not (frame.is_extended and frame.can_id & 0xFF == OWN_ADDRESS):
             if frame.is_extended and frame.can_id in KNOWN_IDS:
                 self._waiting.append(frame)
@@ -217,14 +219,15 @@ class LogReplay:
             self._onlooker.end()
 
     def _start(self, status: ControllerStatus) -> None:
-        session = Session(run_hash=status.run_hash)
+        run_hash = status.run_hash_high << 32 | status.run_hash_low
+        session = Session(run_hash=run_hash)
         self.sessions.append(session)
         self._core, self._foreign, self._aligned, self._passed = None, 0, False, []
         if status.step_number != 0:
             raise NotVerifiableError(
                 "the log starts in mid-run; what the steps before it saw is unknown"
             )
-        header = load_header(self._folder, status.run_hash)
+        header = load_header(self._folder, run_hash)
         session.header = header
         if self._verify:
             _check_same_product(header)
