@@ -362,7 +362,6 @@ def _sleeves(
     found: Identified, fitted: SleeveFit | None, content: LogContent, sheet: GearboxSheet
 ) -> None:
     sleeve = sheet.sleeve
-    valve = ("sleeve valve delay", "ms", sleeve.valve_delay_s / MS)
     spread = ("sleeve delay spread", "ms", sleeve.delay_sd_s / MS)
     names = [(f"sleeve delay {gear.name.lower()}", "ms", sleeve.delay_s / MS) for gear in MAIN_GEARS]
     if fitted is None:
@@ -371,7 +370,7 @@ def _sleeves(
             why = "no valve commands in the log"
         elif content.inexact:
             why = "its valves were switched at once, not at a commanded time"
-        _untold(found, why, *names, spread, valve)
+        _untold(found, why, *names, spread)
         return
     found.supply_pa = fitted.supply_pa
     correlation = fitted.correlation
@@ -402,8 +401,6 @@ def _sleeves(
         found.figures.append(
             Figure(*spread[:2], fitted.spread_s / MS, low, high, spread[2], fitted.used)
         )
-    valves = np.array([one.valve_s for one in fitted.contacts]) / MS
-    _tell_mean(found, *valve, valves, 0.0)
 
 
 def _tell_mean(

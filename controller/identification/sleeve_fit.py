@@ -4,8 +4,8 @@ Under a constant force the way grows with the square of the time since the valve
 
     sqrt(x / x_c) = (t - t_v) / (t_c - t_v)
 
-so a line through the roots of the measured ways gives both the valve's delay t_v and the contact
-t_c, whatever stops the sleeve there. Delays are told at the log's mean supply pressure.
+so a line through the roots of the measured ways gives the contact t_c, whatever stops the sleeve
+there. Delays are told at the log's mean supply pressure.
 """
 
 from __future__ import annotations
@@ -35,8 +35,6 @@ class Contact(NamedTuple):
     """One stroke."""
 
     gear: MainGear
-    valve_s: float
-    """From activation to the sleeve's first movement."""
     delay_s: float
     """From activation to contact."""
     supply_pa: float
@@ -63,14 +61,13 @@ def contact_of(stroke: Stroke, sheet: GearboxSheet) -> Contact | None:
     valve_s, delay_s = -offset / slope, (1.0 - offset) / slope
     if abs(delay_s - sheet.sleeve.delay_s) > FAR_S or valve_s < 0.0:
         return None
-    return Contact(stroke.gear, float(valve_s), float(delay_s), stroke.supply_pa)
+    return Contact(stroke.gear, float(delay_s), stroke.supply_pa)
 
 
 @dataclass(frozen=True)
 class SleeveFit:
-    """Strokes by gear, and their delays at one supply pressure."""
+    """Delays of the strokes by gear, at one supply pressure."""
 
-    contacts: tuple[Contact, ...]
     delays_s: dict[MainGear, np.ndarray]
     supply_pa: float
     """Absolute; the delays are told at this pressure."""
@@ -121,4 +118,4 @@ def sleeve_fit(strokes: Iterable[Stroke], sheet: GearboxSheet) -> SleeveFit | No
         ]
         if own:
             delays[gear] = np.array(own)
-    return SleeveFit(tuple(contacts), delays, supply, len(contacts), len(seen))
+    return SleeveFit(delays, supply, len(contacts), len(seen))

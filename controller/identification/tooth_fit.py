@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.identification.jackknife import jackknife_sd
+from meshpoint.controller.identification.jackknife import jackknife_sd, student
 from meshpoint.controller.identification.log_reader import Wheel
 from meshpoint.controller.records import Vector
 from meshpoint.units import TURN, US
@@ -57,6 +57,11 @@ class ToothFit:
     def sd_rad(self) -> Vector:
         """Standard deviation of each edge's error."""
         return jackknife_sd(self.without)
+
+    @property
+    def half_rad(self) -> Vector:
+        """Half the 95 % interval of each edge's error."""
+        return student(self.without.shape[0] - 1) * self.sd_rad
 
 
 def tooth_fit(

@@ -30,6 +30,10 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint replay out/demo/target_phase.log --verify",
         "meshpoint replay out/demo/target_phase.log --strategy speed_window",
     ),
+    "identify": (
+        "meshpoint identify out/demo/target_phase.log --gearbox truck12",
+        "meshpoint identify bench.blf --gearbox own.toml -o identified.toml --json -",
+    ),
     "tell": (
         "meshpoint tell out/demo/target_phase.log",
         "meshpoint tell run.log --only driver truth --json",
