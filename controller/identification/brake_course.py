@@ -120,6 +120,12 @@ class Course:
     """(bins, nodes, 2): mean of a bin's angles from angles and speeds at the grid's nodes."""
     edges: Vector
     """How many edges each bin has."""
+    nodes_of_edges: Vector
+    """Of each edge: its place among the grid's nodes, as a real number;"""
+    theta_rad: Vector
+    """its nominal angle less the first one's,"""
+    place: Vector
+    """and which of the wheel's edges it is."""
     first_node: int
     nodes: int
     start_us: float
@@ -174,6 +180,9 @@ def make_course(
         angle=angle,
         weights=weights,
         edges=count[used],
+        nodes_of_edges=lead + place,
+        theta_rad=wheel.theta_rad - wheel.theta_rad[0],
+        place=wheel.place,
         first_node=lead,
         nodes=nodes,
         start_us=start_us,
@@ -200,6 +209,15 @@ def _engine(run: FreeRun, start_us: float, nodes: int) -> Vector:
         return np.full(nodes, np.nan)
     at_us = start_us + np.arange(nodes) * GRID_S / US
     return np.asarray(np.interp(at_us, run.engine[0], run.engine[1]))
+
+
+def angles_at(place: Vector, angles: Vector, speeds: Vector) -> Vector:
+    """Angles between the grid's nodes, from angles and speeds (rad, rad/s) at them."""
+    node = place.astype(np.int64)
+    s = place - node
+    left, right = angles[node], angles[node + 1]
+    bend = GRID_S * s * (1.0 - s) * ((1.0 - s) * speeds[node] - s * speeds[node + 1])
+    return np.asarray(left + s * s * (3.0 - 2.0 * s) * (right - left) + bend)
 
 
 class BrakeCourses:

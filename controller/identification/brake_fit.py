@@ -126,10 +126,16 @@ def _without(
 def _whitening(course: Course) -> Vector:
     """Makes a run's angle residuals independent and of variance 1."""
     seconds = (course.weights[:, :, 0] @ np.arange(course.nodes) - course.first_node) * GRID_S
+    return whitening(seconds, EDGE_SD_RAD**2 / course.edges + BIN_SD_RAD**2)
+
+
+def whitening(seconds: Vector, variances: Vector) -> Vector:
+    """Makes angle errors independent and of variance 1 that consist of a chance acceleration since
+    the run's beginning (s) and of independent errors of these variances (rad2)."""
     earlier = np.minimum(seconds[:, None], seconds[None, :])
     later = np.maximum(seconds[:, None], seconds[None, :])
     covariance = CHANCE_RAD2_S3 * earlier**2 * (3.0 * later - earlier) / 6.0
-    covariance += np.diag(EDGE_SD_RAD**2 / course.edges + BIN_SD_RAD**2)
+    covariance += np.diag(variances)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -31,7 +31,12 @@ from meshpoint.controller.identification.jackknife import (
 )
 from meshpoint.controller.identification.log_reader import LogContent
 from meshpoint.controller.identification.sleeve_fit import SleeveFit, sleeve_fit
-from meshpoint.controller.identification.tooth_fit import ToothFit, tooth_fit, wheel_figures
+from meshpoint.controller.identification.tooth_fit import (
+    ToothFit,
+    teeth_by_model,
+    tooth_fit,
+    wheel_figures,
+)
 from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.gearbox.gears import MAIN_GEARS
@@ -101,9 +106,10 @@ def identify(
     found = Identified()
     tell("teeth")
     zero_pa = _zero_pa(content, sheet)
-    _teeth(found, content, sheet, zero_pa)
+    _fit_teeth(found, content, sheet, zero_pa)
     tell("brake")
     _brake(found, content, sheet, zero_pa)
+    _teeth(found, content, sheet)
     tell("sleeves")
     _sleeves(found, sleeve_fit(content.strokes, sheet), content, sheet)
     tell("clutch")
@@ -122,33 +128,37 @@ def _untold(found: Identified, why: str, *names_units: tuple[str, str, float | N
         found.figures.append(Figure(name, unit, None, None, None, of_sheet, 0, why))
 
 
-def _teeth(found: Identified, content: LogContent, sheet: GearboxSheet, zero_pa: float) -> None:
+def _fit_teeth(found: Identified, content: LogContent, sheet: GearboxSheet, zero_pa: float) -> None:
+    """Motion by polynomials: the first look, and that of a shaft without a model."""
     runs = list(content.runs)
     pressures = [np.array((run.pressure[0], run.pressure[1] - zero_pa)) for run in runs]
-    wheels = (
+    for name, seen, wheel, beside in (
         ("layshaft", [run.layshaft for run in runs], sheet.wheels.layshaft, pressures),
         ("main", [run.main for run in runs], sheet.wheels.main, None),
-    )
-    for name, seen, wheel, beside in wheels:
+    ):
+        fitted = None if wheel.missing else tooth_fit(seen, wheel.teeth, beside)
+        if fitted is not None:
+            found.teeth[name] = fitted
+
+
+def _teeth(found: Identified, content: LogContent, sheet: GearboxSheet) -> None:
+    for name, wheel in (("layshaft", sheet.wheels.layshaft), ("main", sheet.wheels.main)):
         names = (
             (f"{name} wheel duty", "%", 100.0 * wheel.duty_share),
             (f"{name} wheel eccentricity", "deg", None),
             (f"{name} wheel pitch error RMS", "deg", None),
         )
-        fitted = None if wheel.missing else tooth_fit(seen, wheel.teeth, beside)
+        fitted = found.teeth.get(name)
         if fitted is None:
             why = "the wheel has missing teeth" if wheel.missing else _why_no_runs(content)
             _untold(found, why, *names)
             continue
-        found.teeth[name] = fitted
         figures = np.array([_wheel(one, wheel.duty_share) for one in fitted.without])
         values = _wheel(fitted.error_rad, wheel.duty_share)
         half = student(len(fitted.without) - 1) * jackknife_sd(figures)
         for (title, unit, of_sheet), value, reach in zip(names, values, half, strict=True):
-            low = max(value - reach, 0.0)
-            found.figures.append(
-                Figure(title, unit, value, low, value + reach, of_sheet, len(seen))
-            )
+            ends = (max(value - reach, 0.0), value + reach)
+            found.figures.append(Figure(title, unit, value, *ends, of_sheet, len(content.runs)))
         found.held_out.append(
             HeldOut(
                 f"{name} wheel: angle of an edge",
@@ -224,6 +234,11 @@ def _brake(found: Identified, content: LogContent, sheet: GearboxSheet, zero_pa:
         return
     best, is_choked = fitted
     courses = [course for course, used in zip(courses, best.used, strict=True) if used]
+    model = BrakeCourses(courses, sheet, is_choked)
+    model.omega_ref = found.omega_ref_rad_s
+    if errors is not None:
+        used = replace(best, omega_rad_s=best.omega_rad_s[best.used.astype(bool)])
+        found.teeth["layshaft"] = teeth_by_model(errors, courses, model, used) or errors
     if len(best.used) > len(courses):
         left = len(best.used) - len(courses)
         found.notes.append(
@@ -234,8 +249,6 @@ def _brake(found: Identified, content: LogContent, sheet: GearboxSheet, zero_pa:
     found.notes.append(f"brake pressure: {law}; misfit {best.misfit:.2f}, 1 is expected")
     of_sheet["drag"] = _drag(prior_of(sheet).mean[None], sheet, found.omega_ref_rad_s)[0]
     _tell_brake(found, best, is_choked, courses, sheet, of_sheet)
-    model = BrakeCourses(courses, sheet, is_choked)
-    model.omega_ref = found.omega_ref_rad_s
     found.held_out.append(check_runs(model, courses, best, sheet))
 
 
@@ -397,7 +410,7 @@ def _sleeves(
     if fitted.freedom < 2:
         _untold(found, "too few strokes into one gear", spread)
     else:
-        low, high = scatter_interval(fitted.spread_s / MS, fitted.freedom)
+        low, high = scatter_interval(fitted.spread_s / MS, fitted.effective_freedom)
         found.figures.append(
             Figure(*spread[:2], fitted.spread_s / MS, low, high, spread[2], fitted.used)
         )

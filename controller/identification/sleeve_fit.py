@@ -29,6 +29,8 @@ MOST_REST: Final = 0.05
 """RMS of the roots about the line; a sleeve that was held up on its way is no sample."""
 PRESSURE_EXPONENT: Final = 0.5
 FAR_S: Final = 0.02
+LEAST_CORRELATION, MOST_CORRELATION = 0.3, 0.8
+"""A sleeve's strokes go together, by seals, grease and warmth that change slowly."""
 
 
 class Contact(NamedTuple):
@@ -80,23 +82,39 @@ class SleeveFit:
         return sum(delays.size - 1 for delays in self.delays_s.values())
 
     @property
+    def effective_freedom(self) -> float:
+        """The same for strokes that go together."""
+        square = self.correlation**2
+        return max(1.0, self.freedom * (1.0 - square) / (1.0 + square))
+
+    @property
     def spread_s(self) -> float:
-        """Standard deviation within gears."""
+        """Standard deviation within gears. Strokes that go together scatter less about their own
+        mean than about the true one: that is made good for."""
+        if self.freedom < 1:
+            return math.nan
         squares = sum(float(np.sum((d - d.mean()) ** 2)) for d in self.delays_s.values())
-        return math.sqrt(squares / self.freedom) if self.freedom > 0 else math.nan
+        expected = sum(_squares_expected(d.size, self.correlation) for d in self.delays_s.values())
+        return math.sqrt(squares / expected)
 
     @property
     def correlation(self) -> float:
-        """Of a stroke's deviation with that of the gear's stroke before; 0 where few strokes tell
-        nothing."""
+        """Of a stroke's deviation with that of the gear's stroke before; a log of few strokes
+        cannot show that there is none."""
         pairs = [(d - d.mean()) for d in self.delays_s.values() if d.size > 2]
         squares = sum(float(np.sum(one**2)) for one in pairs)
         strokes = sum(one.size for one in pairs)
-        if squares == 0.0 or strokes < 8:
-            return 0.0
+        if squares == 0.0:
+            return LEAST_CORRELATION
         found = sum(float(np.sum(one[1:] * one[:-1])) for one in pairs) / squares
         # Deviations from a mean of n are correlated by -1 / n of themselves.
-        return min(max(found + len(pairs) / strokes, 0.0), 0.8)
+        return min(max(found + len(pairs) / strokes, LEAST_CORRELATION), MOST_CORRELATION)
+
+
+def _squares_expected(count: int, correlation: float) -> float:
+    """Expected sum of squares about their mean, of so many values of variance 1."""
+    lags = np.arange(1, count)
+    return float(count - 1 - 2.0 * np.sum((1.0 - lags / count) * correlation**lags))
 
 
 def sleeve_fit(strokes: Iterable[Stroke], sheet: GearboxSheet) -> SleeveFit | None:

@@ -14,6 +14,13 @@ from typing import Final
 
 import numpy as np
 
+from meshpoint.controller.identification.brake_course import (
+    GRID_S,
+    BrakeCourses,
+    Course,
+    angles_at,
+)
+from meshpoint.controller.identification.brake_fit import BrakeFit, whitening
 from meshpoint.controller.identification.jackknife import jackknife_sd, student
 from meshpoint.controller.identification.log_reader import Wheel
 from meshpoint.controller.records import Vector
@@ -28,6 +35,8 @@ EDGE_RAD: Final = 3e-4
 """Of an edge's angle beside its tooth's error; it weighs the prior alone."""
 MOST_ODD: Final = 4.0
 """A span with more left of it than so many times what is usual was not smooth: a sleeve struck."""
+JITTER_RAD: Final = 5e-4
+"""Of an edge's angle, by its time's jitter."""
 JUDDER: Final = 4
 JUDDER_RAD_S: Final = 100.0
 JUDDER_PA: Final = 8.5e5
@@ -94,7 +103,57 @@ def tooth_fit(
     return replace(found, held_out_rad=rms[0], nominal_rad=rms[1], spans=len(kept))
 
 
-def _fit_spans(spans: list[tuple[int, _Span]], groups: int, edges: int) -> ToothFit | None:
+def teeth_by_model(
+    first: ToothFit, courses: Sequence[Course], model: BrakeCourses, best: BrakeFit
+) -> ToothFit | None:
+    """The layshaft's teeth once more, with motion as the brake's model has it, and a torque of
+    chance beside it, instead of polynomials: these cannot tell a short run's motion from an
+    eccentric wheel. courses: those that the model was fitted to, of the same order."""
+    edges = first.error_rad.size
+    groups = min(GROUPS, len(courses))
+    angles, speeds, felts = model.run(best.parameters[None], best.omega_rad_s)
+    spans = []
+    for number, course in enumerate(courses):
+        motion = angles_at(course.nodes_of_edges, angles[:, 0, number], speeds[:, 0, number])
+        node = course.nodes_of_edges.astype(np.int64)
+        share = felts[node, 0, number] / JUDDER_PA
+        speed = speeds[node, 0, number]
+        shape = _judder_shape(share, speed, course.place, edges)
+        spans.append((number % groups, _ModelSpan(course, motion, shape, edges)))
+    found = _fit_spans(spans, groups, edges, PRIOR_RAD**-2.0)
+    if found is None:
+        return None
+    return replace(
+        found,
+        held_out_rad=first.held_out_rad,
+        nominal_rad=first.nominal_rad,
+        spans=first.spans,
+    )
+
+
+class _ModelSpan:
+    """A whole run, the model's motion taken out and its errors made independent."""
+
+    def __init__(self, course: Course, motion: Vector, judder: Vector, edges: int) -> None:
+        seconds = (course.nodes_of_edges - course.first_node) * GRID_S
+        white = whitening(seconds, np.full(seconds.size, JITTER_RAD**2))
+        own, _ = np.linalg.qr(white @ np.stack((np.ones(seconds.size), seconds), axis=1))
+        picked = np.zeros((seconds.size, edges + JUDDER))
+        picked[np.arange(seconds.size), course.place.astype(np.int64)] = -1.0
+        picked[:, edges:] = judder
+        left = white @ (course.theta_rad - motion)
+        self.left = left - own @ (own.T @ left)
+        self.picked = white @ picked
+        self.coupled = own.T @ self.picked
+
+
+def _fit_spans(
+    spans: Sequence[tuple[int, _Span | _ModelSpan]],
+    groups: int,
+    edges: int,
+    weight: float = (EDGE_RAD / PRIOR_RAD) ** 2,
+) -> ToothFit | None:
+    """weight: of the prior, one over its variance in units of the spans' errors."""
     size = edges + JUDDER
     normal, right = np.zeros((groups, size, size)), np.zeros((groups, size))
     for group, span in spans:
@@ -103,7 +162,7 @@ def _fit_spans(spans: list[tuple[int, _Span]], groups: int, edges: int) -> Tooth
     whole, all_right = normal.sum(axis=0), right.sum(axis=0)
     if np.any(np.diag(whole)[:edges] == 0.0):
         return None
-    weak = (EDGE_RAD / PRIOR_RAD) ** 2 * np.eye(size)
+    weak = weight * np.eye(size)
     error = _solved(whole + weak, all_right)
     without = np.array(
         [_solved(whole - normal[g] + weak, all_right - right[g]) for g in range(groups)]
@@ -151,6 +210,11 @@ def _judder(
     seconds = (time - time[0]) * US
     speed = np.polyval(np.polyder(np.polyfit(seconds, theta - theta[0], 3)), seconds)
     share = np.interp(time, pressure[0], pressure[1]) / JUDDER_PA
+    return _judder_shape(share, speed, place, edges)
+
+
+def _judder_shape(share: Vector, speed: Vector, place: Vector, edges: int) -> Vector:
+    """share: of the full pressure; speed: rad/s."""
     share = np.maximum(share, 0.0) * (JUDDER_RAD_S / np.maximum(speed, 10.0)) ** 2
     once = TURN / edges * place
     parts = (np.cos(once), np.sin(once), np.cos(2.0 * once) / 4.0, np.sin(2.0 * once) / 4.0)
