@@ -82,6 +82,10 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint settings show --toml > own.toml",
     ),
     "dbc": ("meshpoint dbc", "meshpoint dbc ValveCommand", "meshpoint dbc --path"),
+    "completion": (
+        "meshpoint completion bash > ~/.local/share/bash-completion/completions/meshpoint",
+        "meshpoint completion fish > ~/.config/fish/completions/meshpoint.fish",
+    ),
     "help": ("meshpoint help simulate", "meshpoint help bus"),
 }
 """The end of each command's help."""

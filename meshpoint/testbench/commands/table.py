@@ -51,6 +51,7 @@ MODULES: Final = {
     "study": "study",
     "settings": "settings",
     "dbc": "dbc",
+    "completion": "completion",
     "help": "help",
 }
 """The module of `meshpoint.testbench.commands` that holds each command, in the order of the
@@ -81,6 +82,7 @@ SUMMARIES: Final = {
     "study": "the thesis's figures and tables reproduced, ours beside them",
     "settings": "show every setting of the controller: unit, range, default, meaning",
     "dbc": "the DBC: where it is, its messages, the signals of one",
+    "completion": "what a shell needs to complete our command lines",
     "help": "help on a command, or on which bus (`help bus`)",
 }
 """What each command does, in a line of the help."""
