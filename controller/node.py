@@ -11,6 +11,7 @@ from meshpoint.bus.authentication.cores import ProvingCore
 from meshpoint.bus.authentication.keys import CommandKeys
 from meshpoint.bus.clock import NodeClock
 from meshpoint.bus.core import Core
+from meshpoint.bus.diagnosis.core import DiagnosedCore
 from meshpoint.bus.driver import OpenBus, run_node
 from meshpoint.bus.settle import settle
 from meshpoint.bus.statistics import NodeStatistics
@@ -32,17 +33,20 @@ async def run_controller(
     stop: asyncio.Event,
     keep: Keep | None = None,
     keys: CommandKeys | None = None,
+    diagnosis: bool = False,
 ) -> NodeStatistics:
     """Runs a controller until `stop` is set; its last frames switch all valves off.
 
     `keep` gets the calibration whenever more is known, and at the end. With `keys` commands are
-    proven to be ours."""
+    proven to be ours. With `diagnosis` it claims its address, tells its trouble codes and answers
+    testers (docs/diagnosis.md)."""
     warm_up(baselines=header.settings.estimator is not Estimator.CROSSING)
     core = ControllerCore(header)
     kept: Core = core if keep is None else CalibrationKeeper(core, keep, _utc)
+    node: Core = kept if keys is None else ProvingCore(kept, keys)
     settle()
     return await run_node(
-        kept if keys is None else ProvingCore(kept, keys),
+        DiagnosedCore(node, header.version) if diagnosis else node,
         open_bus,
         clock,
         on_event=on_event,

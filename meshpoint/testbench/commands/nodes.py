@@ -46,6 +46,12 @@ def add_parser(commands: Any) -> None:
     arguments.add_calibration(controller)
     add_header_dir(controller)
     controller.add_argument(
+        "--diagnosis",
+        action="store_true",
+        help="what a garage's tool expects of a node: claims its J1939 address, tells trouble "
+        "codes (DM1), clears them (DM3, DM11), and answers UDS over ISO-TP (docs/diagnosis.md)",
+    )
+    controller.add_argument(
         "--shadow",
         action="store_true",
         help="computes, logs and tells what it would have done beside what the production "
@@ -141,6 +147,7 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     stop=stop,
                     keep=writer,
                     keys=keys,
+                    diagnosis=namespace.diagnosis,
                 )
 
     run_loop(run())
@@ -156,7 +163,7 @@ def run_shadow(namespace: argparse.Namespace) -> int:
     from meshpoint.controller.warm_up import warm_up
     from meshpoint.testbench.shadow.core import ShadowCore
 
-    for name in ("arm", "keys", "calibration"):
+    for name in ("arm", "keys", "calibration", "diagnosis"):
         if getattr(namespace, name):
             raise CommandError(f"--{name}: a shadow sends nothing and keeps nothing")
     sheet, settings = arguments.sheet_of(namespace), arguments.settings_of(namespace)

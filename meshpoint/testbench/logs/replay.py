@@ -17,12 +17,13 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from meshpoint.bus.authentication.frames import PROOF
+from meshpoint.bus.diagnosis.core import SENT_GROUPS
 from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.header import HeaderError, RunHeader, architecture, load_header
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.j1939 import canonical
+from meshpoint.dbc.j1939 import canonical, group_of
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerStatus
 from meshpoint.dbc.node import Node
@@ -178,8 +179,8 @@ class LogReplay:
             if frame.is_extended and frame.can_id in KNOWN_IDS:
                 self._waiting.append(frame)
             return
-        if frame.can_id == PROOF.can_id:
-            return  # of the wrapper around the core: says nothing of a decision
+        if frame.can_id == PROOF.can_id or group_of(frame.can_id) in SENT_GROUPS:
+            return  # of the wrappers around the core: says nothing of a decision
         if not _is_own(frame):
             self._intruders[frame.can_id] += 1
             return
