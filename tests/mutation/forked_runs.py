@@ -1,10 +1,11 @@
-"""A plugin of pytest: instead of running the tests once it runs, for each mutant, those that cover it.
+"""A plugin of pytest: it runs the tests not once, but for each mutant those that cover it.
 
     pytest -p forked_runs ... with MUTATION_TASK naming a JSON file
 
-All tests are collected and all modules loaded once; each mutant then lives in a forked process, where
-the code of its function is replaced. A mutant outside of plain functions (a constant, a table, a
-compiled kernel) gets a process of its own that imports the mutated file.
+All tests are collected and all modules loaded once; each mutant then lives in a forked process,
+where the code of its function is replaced, or a constant of its module. A mutant elsewhere (a
+table, the fields of a class, a compiled kernel) gets a process of its own that imports the mutated
+file.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ TASK: Final = "MUTATION_TASK"
 KILLED, SURVIVED, UNCOVERED = "killed", "survived", "uncovered"
 SPARE_S: Final = 10.0
 TIMES: Final = 5.0
-"""Beyond so many times its tests' own time, and the spare, a mutant counts as one that never ends."""
+"""Beyond so many times its tests' own time, and the spare, a mutant never ends."""
 WALL_TIMES: Final = 20.0
 MORE_BYTES: Final = 3 << 30
 FAILED: Final = 1
@@ -108,7 +109,10 @@ class Coverage:
             first = _in_a_fork(lambda: _run_and_note(session, task.files))
             again = _in_a_fork(lambda: _run_and_note(session, []))
             if first is None or again is None or first["failed"] or again["failed"]:
-                failed = [*(first or {"failed": ["?"]})["failed"], *(again or {"failed": []})["failed"]]
+                failed = [
+                    *(first or {"failed": ["?"]})["failed"],
+                    *(again or {"failed": []})["failed"],
+                ]
                 raise session.Interrupted(f"tests fail without a mutant: {failed[:5]}")
             values = {"lines": first["lines"], "seconds": again["seconds"]}
             task.map_path.write_text(json.dumps(values), encoding="utf-8")
@@ -154,7 +158,7 @@ def _run_and_note(session: pytest.Session, files: list[str]) -> dict[str, Any]:
 
 def _tracer(seen: dict[str, set[int]]) -> Callable[..., Any]:
     def on_call(frame: types.FrameType, event: str, argument: Any) -> Any:
-        there = seen.get(frame.f_code.co_filename)
+        there = seen.get(_real(frame.f_code.co_filename))
         if there is None:
             return None
 
@@ -175,7 +179,7 @@ class _Runner:
         for each in gc.get_objects():
             if isinstance(each, types.FunctionType):
                 code = each.__code__
-                key = (code.co_filename, code.co_qualname, code.co_firstlineno)
+                key = (_real(code.co_filename), code.co_qualname, code.co_firstlineno)
                 self._functions.setdefault(key, []).append(each)
 
     def run(self, mutants: Mutants, mutant: Mutant, path: Path) -> None:
@@ -201,9 +205,7 @@ class _Runner:
         outcome = KILLED if by else SURVIVED
         self._task.tell(mutant=mutant.name, outcome=outcome, by=by, wall_s=wall_s, tests=len(tests))
 
-    def _change(
-        self, mutants: Mutants, where: Where, path: Path
-    ) -> Callable[[], None] | None:
+    def _change(self, mutants: Mutants, where: Where, path: Path) -> Callable[[], None] | None:
         """What makes the mutant in a process that has loaded everything; None where that needs a
         process of its own."""
         if where.constants:
@@ -234,9 +236,7 @@ class _Runner:
         done = _in_a_fork(run, WALL_TIMES * (expected_s + SPARE_S))
         return "never ends, or ends the process" if done is None else str(done["by"])
 
-    def _by_itself(
-        self, mutants: Mutants, path: Path, tests: list[str], expected_s: float
-    ) -> str:
+    def _by_itself(self, mutants: Mutants, path: Path, tests: list[str], expected_s: float) -> str:
         source = self._task.results.with_suffix(".mutant.py")
         source.write_text(ast.unparse(mutants.tree), encoding="utf-8")
         environment = {key: value for key, value in os.environ.items() if key != TASK}
@@ -270,7 +270,8 @@ def _code_of(mutants: Mutants, path: Path, qualname: str, first_line: int) -> ty
 
 def _rebinding(mutants: Mutants, where: Where, path: Path) -> Callable[[], None] | None:
     """Gives the constants their other values, in their module and where they were imported."""
-    module = next((m for m in sys.modules.values() if getattr(m, "__file__", None) == str(path)), None)
+    named = ((m, getattr(m, "__file__", None) or "") for m in list(sys.modules.values()))
+    module = next((m for m, file in named if _real(file) == str(path)), None)
     if module is None:
         return None
     statement = next(s for s in mutants.tree.body if s.lineno == where.lines.start)
@@ -278,7 +279,7 @@ def _rebinding(mutants: Mutants, where: Where, path: Path) -> Callable[[], None]
 
     def rebind() -> None:
         before = {name: vars(module)[name] for name in where.constants}
-        exec(code, vars(module))  # noqa: S102
+        exec(code, vars(module))
         for other in list(sys.modules.values()):
             if other is module or not _imports_from(other, module.__name__):
                 continue
@@ -290,13 +291,23 @@ def _rebinding(mutants: Mutants, where: Where, path: Path) -> Callable[[], None]
 
 
 @cache
+def _real(path: str) -> str:
+    """The file itself, where a package is linked to its place."""
+    return os.path.realpath(path)
+
+
+@cache
 def _source_of(path: str) -> str:
     return Path(path).read_text(encoding="utf-8") if path.endswith(".py") else ""
 
 
 def _imports_from(module: types.ModuleType, name: str) -> bool:
     path = getattr(module, "__file__", None) or ""
-    return path.startswith(str(ROOT)) and ".venv" not in path and f"from {name} import" in _source_of(str(path))
+    return (
+        path.startswith(str(ROOT))
+        and ".venv" not in path
+        and f"from {name} import" in _source_of(str(path))
+    )
 
 
 def _in_turn(items: list[pytest.Item]) -> Iterator[tuple[pytest.Item, pytest.Item | None]]:

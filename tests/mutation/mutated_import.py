@@ -15,7 +15,7 @@ _get_code: Any = importlib.machinery.SourceFileLoader.get_code
 
 
 def _mutated(self: Any, fullname: str) -> CodeType | None:
-    if self.path == _FILE:
+    if os.path.realpath(self.path) == _FILE:
         return compile(_SOURCE, _FILE, "exec")
     code: CodeType | None = _get_code(self, fullname)
     return code

@@ -42,6 +42,7 @@ COMPUTED: Final[dict[type[ast.operator], type[ast.operator]]] = {
     ast.BitAnd: ast.BitOr,
     ast.BitOr: ast.BitAnd,
     ast.BitXor: ast.BitOr,
+    ast.MatMult: ast.Mult,
 }
 SWAPPED: Final = {"min": "max", "max": "min", "any": "all", "all": "any"}
 FLOAT_FACTOR: Final = 1.25

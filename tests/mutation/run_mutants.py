@@ -5,9 +5,9 @@
     ... --changed [BASE]                                 those of lines that differ from BASE
     ... --again                                          those that the run before has left over
 
-A mutant that no test can catch, because it behaves as the product does, is listed in equivalent.toml
-with its reason. Ends with 1 where a mutant of a target that must be whole survives without being
-listed, where a listed one is caught after all, and where an entry names no mutant.
+A mutant that no test can catch, because it behaves as the product does, is listed in
+equivalent.toml with its reason. Ends with 1 where a mutant of a target that must be whole survives
+without being listed, where a listed one is caught after all, and where an entry names no mutant.
 """
 
 from __future__ import annotations
@@ -171,8 +171,11 @@ def judge(target: Target, names: dict[str, list[str]], listed: dict[str, str]) -
 
 def stale(listed: dict[str, str]) -> list[str]:
     """Entries that name no mutant."""
-    there = {mutant.name for target in TARGETS for all_ in mutants_of(target).values()
-             for mutant in all_}  # fmt: skip
+    there: set[str] = set()
+    for name in {each.split("::")[0] for each in listed}:
+        path = ROOT / name
+        if path.exists():
+            there.update(m.name for m in Mutants(name, path.read_text(encoding="utf-8")).all)
     return [name for name in listed if name not in there]
 
 
@@ -180,15 +183,19 @@ def main(arguments: list[str]) -> int:
     """Runs what is asked for."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])  # type: ignore[union-attr]
     parser.add_argument("targets", nargs="*", help=", ".join(each.name for each in TARGETS))
-    parser.add_argument("--changed", nargs="?", const="origin/main", metavar="BASE",
-                        help="only lines that differ from where this branch has left BASE")  # fmt: skip
+    parser.add_argument(
+        "--changed", nargs="?", const="origin/main", metavar="BASE",
+        help="only lines that differ from where this branch has left BASE",
+    )  # fmt: skip
     parser.add_argument("--sample", type=int, metavar="N", help="so many, drawn by --seed")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--again", action="store_true", help="those that were left over before")
     parser.add_argument("--only", metavar="TEXT", help="those whose name has this text")
     parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--budget", type=float, default=BUDGET_S, metavar="S",
-                        help="processor seconds of tests for one mutant (default: %(default)g)")  # fmt: skip
+    parser.add_argument(
+        "--budget", type=float, default=BUDGET_S, metavar="S",
+        help="processor seconds of tests for one mutant (default: %(default)g)",
+    )  # fmt: skip
     options = parser.parse_args(arguments)
     unknown = set(options.targets) - {each.name for each in TARGETS}
     if unknown:

@@ -48,9 +48,7 @@ class Aim(NamedTuple):
                    for s in self.strikes]  # fmt: skip
         layshaft_rpm = UP_RPM if self.to > self.from_ else DOWN_RPM
         events.sort()
-        return World(
-            seed, self.from_, layshaft_rpm, dict(self.settings), tuple(events), SAFETY_MS
-        )
+        return World(seed, self.from_, layshaft_rpm, dict(self.settings), tuple(events), SAFETY_MS)
 
 
 def _deaf(state: str) -> tuple[Strike, ...]:

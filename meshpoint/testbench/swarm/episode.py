@@ -183,8 +183,8 @@ class Episode:
 
     @property
     def active(self) -> frozenset[str]:
-        """Kinds of the faults of now, and of those just over. Frames that wait for the bus in a long
-        queue are late, whatever has brought them there."""
+        """Kinds of the faults of now, and of those just over. Frames that wait for the bus in a
+        long queue are late, whatever has brought them there."""
         if self._bus.waiting > BACKLOG_FRAMES:
             self._lately["bus_delay"] = self._time.now_us
         if not (self._active or self._lately):
