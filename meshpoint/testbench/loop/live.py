@@ -19,6 +19,7 @@ from time import perf_counter
 
 import can
 
+from meshpoint.bus.authentication.keys import CommandKeys
 from meshpoint.bus.clock import Clock, NodeClock
 from meshpoint.bus.core import Step
 from meshpoint.bus.driver import run_node
@@ -69,10 +70,12 @@ class LiveRun:
     paced: bool = True
     """Bus time waits for nodes that the machine keeps from running; else it is wall time."""
     node_arguments: Sequence[str] = ()
-    """Bus and data-sheet arguments for the two processes."""
+    """Bus, data-sheet and key arguments for the two processes."""
     controller_arguments: Sequence[str] = ()
     rig_arguments: Sequence[str] = ()
     """Files the rig's process reads; what they say is in `rig` as well."""
+    keys: CommandKeys | None = None
+    """By which commands are proven to be the controller's; those of `node_arguments`."""
     on_row: Callable[[], None] = lambda: None
     on_event: Callable[[str], None] = lambda _line: None
 
@@ -225,13 +228,13 @@ async def _start_nodes(run: LiveRun, clocks: _Clocks, stop: asyncio.Event) -> No
             asyncio.create_task(
                 run_rig(
                     run.header.sheet, run.rig, run.open_bus, clocks.of("rig"),
-                    on_event=run.on_event, stop=stop,
+                    on_event=run.on_event, stop=stop, keys=run.keys,
                 )
             ),
             asyncio.create_task(
                 run_controller(
                     run.header, run.open_bus, clocks.of("controller"),
-                    on_event=run.on_event, stop=stop,
+                    on_event=run.on_event, stop=stop, keys=run.keys,
                 )
             ),
         ]  # fmt: skip
