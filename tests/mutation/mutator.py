@@ -132,12 +132,12 @@ class Mutants:
             if not _is_for_types(node.test):
                 here = where._replace(lines=_lines(node.test))
                 self._condition(node, here)
-                self._expression(node.test, here, _field_put(node, "test"))
+                self._rooted(node.test, here, _field_put(node, "test"))
             self._body(node.body, where, scope)
             self._body(node.orelse, where, scope)
         elif isinstance(node, ast.For):
             here = where._replace(lines=_lines(node.iter))
-            self._rooted(node.iter, node.iter, here, _field_put(node, "iter"))
+            self._rooted(node.iter, here, _field_put(node, "iter"))
             self._body(node.body, where, scope)
         elif isinstance(node, ast.With):
             self._body(node.body, where, scope)
@@ -166,7 +166,7 @@ class Mutants:
             for k, default in enumerate(values):
                 if default is not None:
                     outside = where._replace(lines=_lines(default))
-                    self._rooted(default, default, outside, _item_put(values, k))
+                    self._rooted(default, outside, _item_put(values, k))
         if not where.qualname:
             names = [each.attr if isinstance(each, ast.Attribute) else getattr(each, "id", "?")
                      for each in node.decorator_list]  # fmt: skip
@@ -175,7 +175,6 @@ class Mutants:
         self._body(node.body, where, "")
 
     def _condition(self, node: ast.If | ast.While, where: Where) -> None:
-        self._root = node.test
         if isinstance(node.test, ast.Compare | ast.UnaryOp):
             return  # turned round by its own mutants
         for value in (True, False):
@@ -218,7 +217,7 @@ class Mutants:
 
     # Expressions
 
-    def _rooted(self, node: ast.expr, root: ast.AST, where: Where, put: Put) -> None:
+    def _rooted(self, node: ast.expr, where: Where, put: Put) -> None:
         """An expression that is shown by itself; `put` is for its parts, so it is wrapped."""
         holder = ast.Expr(node)
 

@@ -27,7 +27,7 @@ from meshpoint.testbench.swarm.events import (
     load_world,
     save_world,
 )
-from meshpoint.testbench.swarm.invariants import Broken
+from meshpoint.testbench.swarm.invariants import Broken, Invariants
 from meshpoint.testbench.swarm.shrink import shrink
 from meshpoint.testbench.swarm.swarm import SwarmSpec, breaks, run_seed, world_of
 
@@ -134,6 +134,19 @@ def test_a_controller_that_starts_while_old_frames_fill_the_bus_is_no_violation(
         Event(3_600, "controller_restarted"),
     )
     assert run(World(1_000_151, 5, 913.0, {}, events, 3_800)).broken == []
+
+
+@pytest.mark.parametrize(("error_us", "is_broken"), [(-28_000, False), (-31_000, True)])
+def test_a_small_step_of_the_clock_may_be_followed_late_a_larger_one_not(
+    error_us: int, is_broken: bool
+) -> None:
+    broken: list[Broken] = []
+    invariants = Invariants(SHEET, broken)
+    invariants._speeds.extend([(0, (0.0,) * 4)] * 2)
+    for now_us, active in ((1_000_000, {"clock_step"}), (1_010_000, set()), (6_010_000, set())):
+        late_us = error_us if now_us > 6_000_000 else 0
+        invariants._time(now_us + late_us, now_us, frozenset(active))
+    assert bool(broken) is is_broken
 
 
 def test_a_crash_of_a_node_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:

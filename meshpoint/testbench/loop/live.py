@@ -19,6 +19,7 @@ from time import perf_counter
 
 import can
 
+from meshpoint.bus.authentication.keys import CommandKeys
 from meshpoint.bus.clock import Clock, NodeClock
 from meshpoint.bus.core import Step
 from meshpoint.bus.driver import run_node
@@ -75,10 +76,12 @@ class LiveRun:
     start: Sequence[str] = NODE_NAMES
     """The nodes to start; the others are on the bus already."""
     node_arguments: Sequence[str] = ()
-    """Bus and data-sheet arguments for the two processes."""
+    """Bus, data-sheet and key arguments for the two processes."""
     controller_arguments: Sequence[str] = ()
     rig_arguments: Sequence[str] = ()
     """Files the rig's process reads; what they say is in `rig` as well."""
+    keys: CommandKeys | None = None
+    """By which commands are proven to be the controller's; those of `node_arguments`."""
     on_row: Callable[[], None] = lambda: None
     on_event: Callable[[str], None] = lambda _line: None
     on_frame: Callable[[Frame], None] = lambda _frame: None
@@ -262,11 +265,11 @@ async def _start_nodes(run: LiveRun, clocks: _Clocks, stop: asyncio.Event) -> No
         tasks = {
             "rig": lambda: run_rig(
                 run.header.sheet, run.rig, run.open_bus, clocks.of("rig"),
-                on_event=run.on_event, stop=stop,
+                on_event=run.on_event, stop=stop, keys=run.keys,
             ),
             "controller": lambda: run_controller(
                 run.header, run.open_bus, clocks.of("controller"),
-                on_event=run.on_event, stop=stop,
+                on_event=run.on_event, stop=stop, keys=run.keys,
             ),
         }  # fmt: skip
         return {
