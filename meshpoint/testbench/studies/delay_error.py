@@ -98,8 +98,8 @@ def _size(low: float, high: float, given: Given[Settings]) -> Statement:
         ThesisVerdict.AGREES if near else ThesisVerdict.DIFFERS,
         f"agrees within {100 * own.tolerance_share:g} %; the mean of both sides is slip times 5 ms "
         f"over the pitch (here {dog.pitch_rad / DEG:g} deg, {dog.teeth} teeth). The thesis does "
-        "not give the slips of its curves: these are chosen, and the pitch of the sheet `thesis` was "
-        "taken from the figures with them, so this shows consistency and is no witness",
+        "not give the slips of its curves: chosen ones, and the sheet `thesis` has its pitch "
+        "from the figures with them, so this shows consistency and is no witness",
     )
 
 

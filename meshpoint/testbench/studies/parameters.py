@@ -128,7 +128,7 @@ def _friction(at: dict[str, float], own: Settings, sheet: GearboxSheet) -> State
         ThesisVerdict.AGREES if within else ThesisVerdict.DIFFERS,
         f"the effect goes with c times speed: with c = {c:g} Nms it is {1 / share:.2f} times the "
         f"limit, which holds up to about c = {c * share:.3f} Nms at this speed. The thesis does "
-        "not give its c; this value is that of the studies `speed_estimate` and `angle_estimate` too",
+        "not give its c; `speed_estimate` and `angle_estimate` have the same value",
     )
 
 
