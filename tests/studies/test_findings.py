@@ -47,9 +47,24 @@ def test_zero_order_hold_equals_the_rig_and_a_predictor_that_is_not_it_is_found_
 
 
 def test_friction_costs_too_much_in_our_gearbox_and_not_in_one_that_turns_more_easily() -> None:
-    easy = replace(SHEET, shafts=replace(SHEET.shafts, friction_nms=0.03))
-    assert conclude("parameters").statements[1].verdict is ThesisVerdict.DIFFERS
-    assert conclude("parameters", sheet=easy).statements[1].verdict is ThesisVerdict.AGREES
+    assert conclude("parameters").statements[1].verdict is ThesisVerdict.AGREES
+    common = replace(given("parameters").common, friction_nms=SHEET.shafts.friction_nms)
+    assert conclude("parameters", common=common).statements[1].verdict is ThesisVerdict.DIFFERS
+
+
+def test_one_friction_is_that_of_all_studies_that_depend_on_it() -> None:
+    c = given("parameters").common.friction_nms
+    assert f"c = {c:g} Nms" in conclude("parameters").statements[1].reason
+    for name in ("speed_estimate", "angle_estimate"):
+        asked = given(name)
+        jobs = load(name).jobs(asked)
+        assert {job.sheet.shafts.friction_nms for job in jobs} == {c}
+
+
+def test_no_slip_is_ascribed_to_the_thesis_that_it_does_not_give() -> None:
+    size = conclude("delay_error").statements[0]
+    assert "rpm" not in size.thesis
+    assert "10 to 40 rpm" in size.ours
 
 
 def test_a_gearbox_whose_brake_is_weaker_does_not_reach_the_thesis_s_torque() -> None:
