@@ -70,7 +70,7 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "dbc": ("meshpoint dbc", "meshpoint dbc ValveCommand", "meshpoint dbc --path"),
     "completion": (
-        "meshpoint completion bash > ~/.local/share/bash-completion/completions/meshpoint",
+        "meshpoint completion bash > ~/.meshpoint-completion.bash",
         "meshpoint completion fish > ~/.config/fish/completions/meshpoint.fish",
     ),
     "help": ("meshpoint help simulate", "meshpoint help bus"),
