@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: swarm faults planted demo docs test installed acceptance vcan vcan-alone test-containers lint types reference contracts stubs bench clean
+.PHONY: swarm faults planted mutants demo docs test installed acceptance vcan vcan-alone test-containers lint types reference contracts stubs bench clean
 
 # --no-compile: of some 100 MB of Python a run imports a tenth, and compiles that as it does.
 $(VENV)/run.stamp: pyproject.toml setup.py constraints.txt
@@ -59,6 +59,11 @@ faults: $(VENV)/test.stamp
 # Each bug of tests/planted in a copy of the product: is it caught?
 planted: $(VENV)/test.stamp
 	$(BIN)/python tests/planted/run_planted.py
+
+# Small mistakes in what must not fail, one at a time: does a test catch each? CHANGED=1: only lines
+# that differ from where this branch left origin/main; ARGS: see tests/mutation/run_mutants.py.
+mutants: $(VENV)/test.stamp
+	$(BIN)/python tests/mutation/run_mutants.py $(if $(CHANGED),--changed) $(ARGS)
 
 test-containers:
 	tools/test-containers

@@ -38,6 +38,7 @@ from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.j1939 import canonical, checked_request
 from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
     EEC1,
@@ -110,6 +111,7 @@ class ControllerCore:
         self._driveline_guard = DrivelineGuard(limits)
         self._guard_view = GuardView(sheet, limits)
         self._engine_asked = False
+        self._engine_requests = 0
         self._decided = ShiftDecision.NONE
         self._reporter = Reporter(header, self._observer, self._sequence)
         self._due_us: int | None = None
@@ -182,6 +184,7 @@ class ControllerCore:
 
     def receive(self, frame: Frame) -> None:
         """Keeps a frame for the next step."""
+        frame = canonical(frame)
         if self._probe.is_armed:
             self._probe.receive(frame)
         if len(self._inbox) < INBOX_LIMIT:
@@ -362,18 +365,25 @@ class ControllerCore:
         wanted, share = self._sequence.engine_rad_s, self._sequence.engine_share
         asked, self._engine_asked = self._engine_asked, (wanted, share) != (None, None)
         if not self._engine_asked:
-            return [self._transmitter.encode(TSC1())] if asked else []
+            return [self._checked(TSC1())] if asked else []
         speed, torque = TscOverrideMode.SPEED_CONTROL, TscOverrideMode.TORQUE_CONTROL
         request = TSC1(
             override_control_mode=torque if wanted is None else speed,
             requested_speed_rad_s=wanted,
             requested_torque_fraction=share if wanted is None else None,
         )
-        frame, driveline = self._transmitter.encode(request), self._driveline_guard
+        frame, driveline = self._checked(request), self._driveline_guard
         if not driveline.passes_engine(frame.data, seen):
             events.append(f"guard blocked an engine request: row {driveline.blocked_row}")
-            frame = self._transmitter.encode(TSC1())
+            self._engine_requests -= 1  # the blocked one was not sent
+            frame = self._checked(TSC1())
         return [frame]
+
+    def _checked(self, request: TSC1) -> Frame:
+        """The next TSC1 frame, with its counter and checksum."""
+        frame = checked_request(self._transmitter.encode(request), self._engine_requests)
+        self._engine_requests += 1
+        return frame
 
     def _plan_next_step(self, now_us: int, sensor_us: int) -> None:
         tick_us = self._settings.timing.tick_us

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from meshpoint.bus.core import Step
 from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.j1939 import is_intact
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
@@ -38,6 +39,7 @@ SUSPECT: Final = frozenset({FrameVerdict.E2E, FrameVerdict.REPEATED, FrameVerdic
 """What a bus does not do to a frame: its own check would have thrown it away."""
 TELL_US: Final = 1_000_000
 VALVES: Final = CODECS[ValveCommand.__name__].spec.can_id
+ENGINE_REQUEST: Final = CODECS[TSC1.__name__].spec.can_id
 CLUTCH: Final = CODECS[ClutchCommand.__name__].spec.can_id
 CLUTCH_ACTION: Final = 3
 """The byte of the clutch command that says what it is to do."""
@@ -124,6 +126,9 @@ class RigCore:
         return Step(frames, self._take_lines() + self._take_suspicions(time_us))
 
     def _hear(self, frame: Frame) -> Message | None:
+        if frame.can_id == ENGINE_REQUEST and len(frame.data) == 8 and not is_intact(frame):
+            self._suspect[frame.can_id] += 1
+            return None
         verdict, message = self.receiver.receive(frame)
         if verdict in SUSPECT:
             self._suspect[frame.can_id] += 1

@@ -28,6 +28,7 @@ from meshpoint.gearbox.gears import DRIVE_GEARS
 ETC2_EVERY: Final = 10
 LATENESS_TOP_US: Final = 65_535
 COUNTER_MASK: Final = 0xFFFF
+WORD: Final = 0xFFFF_FFFF
 
 
 class Reporter:
@@ -144,7 +145,8 @@ class Reporter:
             previous_consumed_count=previous[1],
             consumed_crc=crc,
             previous_consumed_crc=previous[2],
-            run_hash=self._run_hash,
+            run_hash_low=self._run_hash & WORD,
+            run_hash_high=self._run_hash >> 32,
             state=sequence.state,
             current_gear=self._gear,
             target_gear=target.number if target else max(self._gear, 0),

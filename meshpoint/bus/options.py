@@ -32,7 +32,8 @@ _UDP_DEFAULTS = {
     "channel": "239.74.163.2",  # python-can's own default is IPv6 and mostly delivers nothing
     "hop_limit": 0,  # frames stay on this machine
 }
-_CANFD_MTU = 72
+CANFD_MTU = 72
+"""Of a device that is set up for CAN FD; 16 for classic CAN."""
 _CAN_DEVICE_TYPE = "280"  # ARPHRD_CAN
 _NET_DEVICES = Path("/sys/class/net")
 # Interfaces whose sockets drop frames when a reader is late: 278 FD frames fit into the usual one.
@@ -105,6 +106,8 @@ def open_bus_from(namespace: argparse.Namespace) -> can.BusABC:
     Raises BusOpenError.
     """
     config = bus_config(namespace)
+    if getattr(namespace, "shadow", False):
+        config |= LISTEN_ONLY.get(config["interface"], {})
     try:
         with _no_log_lines():
             bus = can.Bus(ignore_config=True, **config)
@@ -150,6 +153,35 @@ def bus_config(namespace: argparse.Namespace) -> dict[str, Any]:
     if result["interface"] == "socketcan":
         _check_socketcan(result.get("channel"))
     return result
+
+
+LISTEN_ONLY: dict[str, dict[str, Any]] = {
+    "slcan": {"listen_only": True},
+    "vector": {"listen_only": True},
+    "kvaser": {"driver_mode": False},
+    "pcan": {"state": can.BusState.PASSIVE},
+}
+"""What python-can takes, by interface, to open an adapter that never drives the bus: it does not
+even acknowledge frames or send error frames."""
+
+
+def listen_only_words(config: dict[str, Any]) -> str:
+    """What a node that only listens does to this bus, in words. config: of `bus_config`."""
+    interface = config["interface"]
+    if interface in LISTEN_ONLY:
+        return f"{interface} is opened listen-only: it does not even acknowledge frames"
+    if interface == "socketcan":
+        channel = config.get("channel")
+        return (
+            "nothing is sent, but the device acknowledges frames unless it is set up listen-only "
+            f"(link down, then `ip link set {channel} type can listen-only on`)"
+        )
+    if interface in ("gs_usb", "socketcand", "ixxat", "usb2can"):
+        return (
+            f"nothing is sent, but python-can cannot open {interface} listen-only: the adapter "
+            "acknowledges frames"
+        )
+    return f"nothing is sent; {interface} has no adapter that could acknowledge frames"
 
 
 def _channel_info(config: dict[str, Any]) -> str:
@@ -217,12 +249,18 @@ def _check_socketcan(channel: Any) -> None:
     mtu = _NET_DEVICES / str(channel) / "mtu"
     if not mtu.exists():
         return  # opening it says why
-    if int(mtu.read_text()) < _CANFD_MTU:
-        raise BusOpenError(
-            f"{channel} is set up for classic CAN, but CAN FD is needed: set a real device up by "
-            f"`ip link set {channel} type can bitrate 500000 dbitrate 2000000 fd on`, "
-            f"a virtual one by `ip link set {channel} mtu {_CANFD_MTU}`"
-        )
+    if int(mtu.read_text()) < CANFD_MTU:
+        raise BusOpenError(classic_refusal(str(channel)))
+
+
+def classic_refusal(name: str) -> str:
+    """Why a device that is set up for classic CAN cannot be used, and the ways out."""
+    return (
+        f"{name} is set up for classic CAN, but CAN FD is needed: set a real device up by "
+        f"`ip link set {name} type can bitrate 500000 dbitrate 2000000 fd on`, "
+        f"a virtual one by `ip link set {name} mtu {CANFD_MTU}`; an adapter on which the first "
+        "fails has no CAN FD: take one that has it"
+    )
 
 
 def _enlarge_receive_buffer(bus: can.BusABC) -> None:

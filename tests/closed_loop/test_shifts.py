@@ -288,7 +288,8 @@ def test_the_run_hash_on_the_bus_is_that_of_the_header() -> None:
     setup = Setup(SHEET, settings, shifts=0)
     assert setup.header == new_header(product_version(), SHEET, settings)
     loop = Loop(settings=settings).run(40_000)
-    assert loop.status.run_hash == loop.header.run_hash
+    told = loop.status.run_hash_high << 32 | loop.status.run_hash_low
+    assert told == loop.header.run_hash
 
 
 def test_shutdown_switches_everything_off(one_shift: Loop) -> None:

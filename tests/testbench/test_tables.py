@@ -25,6 +25,8 @@ from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.truck.as_built import draw_as_built
 from meshpoint.testbench.campaign import table as campaign_table
 from meshpoint.testbench.campaign.record import JudgedShift
+from meshpoint.testbench.check.finding import Finding as CheckFinding
+from meshpoint.testbench.check.finding import Verdict
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.commands import calibration as calibration_command
 from meshpoint.testbench.commands import captures as captures_command
@@ -32,6 +34,7 @@ from meshpoint.testbench.commands import compare as compare_command
 from meshpoint.testbench.commands import dbc as dbc_command
 from meshpoint.testbench.commands import gearbox as gearbox_command
 from meshpoint.testbench.commands import study as study_command
+from meshpoint.testbench.commands.check import findings_table
 from meshpoint.testbench.commands.describe import faults_table, parameters_table
 from meshpoint.testbench.commands.sensor_replay import seen_table
 from meshpoint.testbench.commands.swarm import reached_table
@@ -142,6 +145,13 @@ TABLES: dict[str, Callable[[], Table]] = {
     "commands.swarm.reached_table": lambda: reached_table(Swarm().to_json(1.0)),
     "commands.compare.compared_table": lambda: compare_command.compared_table(
         "Shifts that differ", ("field", "A", "B"), [("shifts.0.slip_rpm", "20.1", "25.3")]
+    ),
+    "commands.check.findings_table": lambda: findings_table(
+        [
+            CheckFinding(
+                "shafts", "layshaft to propeller, main gear second", Verdict.UNKNOWN, "of " * 50
+            )
+        ]
     ),
     "commands.captures.counts_table": lambda: captures_command.counts_table([CAPTURE]),
     "commands.captures.errors_table": lambda: captures_command.errors_table([CAPTURE]),

@@ -14,7 +14,12 @@ import can
 
 from meshpoint.bus.clock import Clock, NodeClock
 from meshpoint.bus.fine_timers import run as run_loop
-from meshpoint.bus.options import add_bus_arguments, open_bus_from
+from meshpoint.bus.options import (
+    add_bus_arguments,
+    bus_config,
+    listen_only_words,
+    open_bus_from,
+)
 from meshpoint.bus.pace import PacedClock, PaceFile
 from meshpoint.bus.signals import stop_at_end_of_input, stop_on_signals
 from meshpoint.controller.header import RunHeader, new_header
@@ -40,6 +45,19 @@ def add_parser(commands: Any) -> None:
     arguments.add_arming(controller)
     arguments.add_calibration(controller)
     add_header_dir(controller)
+    controller.add_argument(
+        "--diagnosis",
+        action="store_true",
+        help="what a garage's tool expects of a node: claims its J1939 address, tells trouble "
+        "codes (DM1), clears them (DM3, DM11), and answers UDS over ISO-TP (docs/diagnosis.md)",
+    )
+    controller.add_argument(
+        "--shadow",
+        action="store_true",
+        help="computes, logs and tells what it would have done beside what the production "
+        "controller does, and sends nothing at all on the bus; listen-only where the adapter can "
+        "(docs/bench.md)",
+    )
     _add_common(controller)
     controller.set_defaults(run=run_controller_command)
     rig: argparse.ArgumentParser = commands.add_parser(
@@ -65,7 +83,8 @@ def add_header_dir(parser: arguments.Arguments) -> None:
         "--header-dir",
         type=Path,
         metavar="DIR",
-        help="save the run header here; replay wants it beside the log",
+        help="save the run header here, and what a link outage keeps from the log; replay wants "
+        "both beside the log",
     )
 
 
@@ -108,6 +127,8 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
     """Runs the controller until a signal."""
     from meshpoint.controller.node import run_controller
 
+    if namespace.shadow:
+        return run_shadow(namespace)
     sheet, settings = arguments.sheet_of(namespace), arguments.settings_of(namespace)
     calibration, writer = arguments.calibration_of(namespace, sheet, threaded=True, tell=complain)
     armed, keys = arguments.armed_of(namespace), arguments.keys_of(namespace)
@@ -127,12 +148,50 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     stop=stop,
                     keep=writer,
                     keys=keys,
+                    diagnosis=namespace.diagnosis,
+                    record=namespace.header_dir,
                 )
 
     run_loop(run())
     unwritten = writer.close() if writer is not None else None
     if unwritten is not None:
         complain(unwritten)
+    return Exit.DONE
+
+
+def run_shadow(namespace: argparse.Namespace) -> int:
+    """A controller that only looks on, until a signal."""
+    from meshpoint.bus.driver import run_node
+    from meshpoint.controller.warm_up import warm_up
+    from meshpoint.testbench.shadow.core import ShadowCore
+
+    for name in ("arm", "keys", "calibration", "diagnosis"):
+        if getattr(namespace, name):
+            raise CommandError(f"--{name}: a shadow sends nothing and keeps nothing")
+    sheet, settings = arguments.sheet_of(namespace), arguments.settings_of(namespace)
+    # Armed, so that the copies which are asked decide as a controller would; nothing is sent.
+    header = new_header(product_version(), sheet, settings, None, armed=True)
+    if namespace.header_dir is not None:
+        header.save(folder_for(namespace.header_dir))
+    show = _printer(namespace)
+    config = bus_config(namespace)
+    show(f"controller: {listen_only_words(config)}")
+
+    async def run() -> None:
+        stop = asyncio.Event()
+        with _stop(namespace, stop):
+            async with _recording(namespace, header):
+                warm_up(baselines=False)
+                await run_node(
+                    ShadowCore(header),
+                    _opener(namespace, "shadow, sends nothing"),
+                    _clock(namespace),
+                    on_event=show,
+                    stop=stop,
+                    name="controller",
+                )
+
+    run_loop(run())
     return Exit.DONE
 
 

@@ -30,6 +30,14 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint replay out/demo/target_phase.log --verify",
         "meshpoint replay out/demo/target_phase.log --strategy speed_window",
     ),
+    "report": (
+        "meshpoint report out/demo/speed_window.log",
+        "meshpoint report bench/ --strategy target_phase --json report.json",
+    ),
+    "identify": (
+        "meshpoint identify out/demo/target_phase.log --gearbox truck12",
+        "meshpoint identify bench.blf --gearbox own.toml -o identified.toml --json -",
+    ),
     "tell": (
         "meshpoint tell out/demo/target_phase.log",
         "meshpoint tell run.log --only driver truth --json",
@@ -43,10 +51,15 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "controller": (
         "meshpoint controller --header-dir .",
         "meshpoint controller -i socketcan -c can0 --settings bench.toml --arm",
+        "meshpoint controller -i socketcan -c can0 --shadow --log bench/",
     ),
     "rig": ("meshpoint rig --seed 7 --gear 8", "meshpoint rig --describe"),
     "request": ("meshpoint request 10",),
     "health": ("meshpoint health controller -i socketcan -c vcan0",),
+    "check": (
+        "meshpoint check -i socketcan -c can0 --gearbox box.toml",
+        "meshpoint check --turn main propeller --json check.json",
+    ),
     "play": ("meshpoint play", "meshpoint play --gearbox thesis --out slow.html"),
     "pace": (
         "meshpoint pace bus.time",

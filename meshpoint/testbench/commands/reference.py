@@ -30,6 +30,7 @@ from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.keys import KeyGroup, groups_of, rounded, to_toml
 from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.testbench.commands import vectors
 from meshpoint.testbench.exits import Exit
 
 SPECS: Final = {spec.name: spec for spec in SCHEMA.messages}
@@ -151,6 +152,22 @@ def bus_page() -> str:
     return "\n".join([*lines, *_table(heads, rows)]) + "\n"
 
 
+def vectors_page() -> str:
+    """docs/reference/vectors.md."""
+    heads = ("message", "what it says", "identifier", "data ID", "frame, as cansend takes it")
+    lines = [
+        "# Test vectors", "", GENERATED, "",
+        "Whole frames of both sides ([wire.md](../wire.md)). Counters begin at 0, rise with each "
+        "frame of an identifier; the data ID is AUTOSAR E2E profile 5's. `##1` is CAN FD with "
+        "bit rate switch, `#` a classic one: `cansend can0 IDENTIFIERFRAME` sends it.", "",
+        *_table(heads, vectors.rows()), "",
+        "## What a valve side does", "",
+        "The rig's valve drivers are held to each of these (`tests/rig_sim/test_valves.py`).", "",
+        *_table(("it is sent", "it does"), vectors.VALVE_SIDE),
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
 def _milliseconds(time_ns: int | None) -> str:
     return "none" if time_ns is None else f"{time_ns / 1e6:.2f}"
 
@@ -205,6 +222,7 @@ PAGES: Final[dict[str, Callable[[], str]]] = {
     "gearbox.md": gearbox_page,
     "commands.md": commands_page,
     "bus.md": bus_page,
+    "vectors.md": vectors_page,
 }
 """Each page by its file's name."""
 

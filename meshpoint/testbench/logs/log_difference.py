@@ -21,7 +21,7 @@ from meshpoint.testbench.results.difference import Allowed, Difference, differen
 
 BY_ID: Final = {codec.spec.can_id: (name, codec) for name, codec in CODECS.items()}
 STATUS_ID: Final = CODECS[ControllerStatus.__name__].spec.can_id
-OF_A_RUN: Final = frozenset({"status_alive", "run_hash"})
+OF_A_RUN: Final = frozenset({"status_alive", "run_hash_low", "run_hash_high"})
 LOOK_BACK: Final = 400
 """Steps that one log may be ahead of the other in what it shows of the controller."""
 

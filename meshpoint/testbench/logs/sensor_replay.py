@@ -17,6 +17,7 @@ from typing import Any, Final
 from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.header import RunHeader
 from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.j1939 import canonical
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (
@@ -124,6 +125,7 @@ class SensorReplay:
     def take(self, time_s: float, frame: Frame) -> None:
         """A frame of the log, in its order."""
         now_us = self.time.take(time_s)
+        frame = canonical(frame)
         self._step_to(now_us)
         if self._map is not None and self._map.take(now_us, frame):
             for shaft, rpm in self._map.speeds_rpm:

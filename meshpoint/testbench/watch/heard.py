@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections import deque
 from typing import Final, TypeVar
 
+from meshpoint.dbc.e2e import ChannelState
 from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.j1939 import canonical
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import FrameVerdict, Receiver
 from meshpoint.dbc.messages import (
@@ -113,6 +115,7 @@ class Heard:
         self._begin_s = time_s if self._begin_s is None else self._begin_s
         self.now_s = max(self.now_s, time_s)
         self.frames += 1
+        frame = canonical(frame)
         verdict, message = self._receiver.receive(frame)
         heard = self.messages.get(frame.can_id) if frame.is_extended else None
         if heard is not None:
@@ -150,6 +153,10 @@ class Heard:
     def valid(self, kind: type[Message]) -> bool:
         """Whether a cyclic message may be relied on: heard in time, counters and CRC in order."""
         return self._receiver.valid(kind)
+
+    def state(self, kind: type[Message]) -> ChannelState:
+        """What the end-to-end protection thinks of a cyclic message's channel."""
+        return self._receiver.state(kind)
 
     def age_s(self, kind: type[object]) -> float | None:
         """How long ago the newest good message of a kind came."""

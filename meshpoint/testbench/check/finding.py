@@ -1,0 +1,50 @@
+"""What a check has found, one thing each, and what follows of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+
+class Verdict(StrEnum):
+    """What one finding means for the answer."""
+
+    GOOD = "good"
+    BAD = "bad"
+    """The answer is no."""
+    UNKNOWN = "unknown"
+    """It cannot be known here, or was not asked for; the text says why. No reason for a no."""
+    NOTE = "note"
+    """Worth knowing, neither good nor bad."""
+
+
+class Finding(NamedTuple):
+    """One thing that was looked at."""
+
+    group: str
+    """`interface`, `messages`, `stamps`, `sensors` or `shafts`."""
+    subject: str
+    verdict: Verdict
+    text: str
+    """What was seen, in words, with units."""
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain values."""
+        return {
+            "group": self.group,
+            "subject": self.subject,
+            "verdict": str(self.verdict),
+            "text": self.text,
+        }
+
+
+def answer(findings: Sequence[Finding]) -> tuple[bool, str]:
+    """Yes or no, and the reason: every bad finding, or what stays unknown."""
+    bad = [f for f in findings if f.verdict is Verdict.BAD]
+    if bad:
+        return False, "; ".join(f"{f.subject}: {f.text}" for f in bad)
+    unknown = [f.subject for f in findings if f.verdict is Verdict.UNKNOWN]
+    if unknown:
+        return True, f"nothing bad was found; not known: {', '.join(unknown)}"
+    return True, "everything that was looked at is good"

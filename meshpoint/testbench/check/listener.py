@@ -1,0 +1,64 @@
+"""What a check hears of a bus: every frame of it, and all that is judged later."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import can
+
+from meshpoint.bus.frames import frame_of
+from meshpoint.dbc.messages import GearboxSensors
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.testbench.check.expected import BusSpan, judge_messages
+from meshpoint.testbench.check.finding import Finding, Verdict
+from meshpoint.testbench.check.sensors import judge_sensors
+from meshpoint.testbench.check.shafts import Shaft, ShaftCounts
+from meshpoint.testbench.check.stamps import StampTrack
+from meshpoint.testbench.watch.heard import Heard
+
+
+class Listener:
+    """Takes messages in the order of arrival. It never sends.
+
+    sheet: of the gearbox, for tooth counts, strokes and pressures.
+    """
+
+    def __init__(self, sheet: GearboxSheet) -> None:
+        self._sheet = sheet
+        self.heard = Heard()
+        self.span = BusSpan(self.heard)
+        self.shafts = ShaftCounts(sheet)
+        self.stamps = StampTrack()
+        self.error_frames = 0
+
+    def take(self, now_s: float, message: can.Message) -> None:
+        """One message, at a time of a steady clock of this machine."""
+        if message.is_error_frame:
+            self.error_frames += 1
+            return
+        if message.is_remote_frame:
+            return
+        self.stamps.frame(message.timestamp)
+        decoded = self.heard.receive(now_s, frame_of(message))
+        self.span.begin()
+        if decoded is None:
+            return
+        if isinstance(decoded, GearboxSensors):
+            self.stamps.sample(message.timestamp, decoded.sample_time_us)
+        self.shafts.take(decoded)
+
+    def edges(self) -> dict[Shaft, int]:
+        """Edges of either polarity counted so far."""
+        return {shaft: sum(wheel.edges) for shaft, wheel in self.shafts.wheels.items()}
+
+    def findings(self) -> Iterator[Finding]:
+        """All that was heard, judged."""
+        if self.error_frames:
+            yield Finding(
+                "interface", "error frames", Verdict.BAD,
+                f"{self.error_frames} while listening: wiring, termination or bit rates",
+            )  # fmt: skip
+        yield from judge_messages(self.heard, self.span.seconds)
+        yield from self.stamps.findings()
+        yield from judge_sensors(self.heard, self._sheet)
+        yield from self.shafts.findings()
