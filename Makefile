@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: swarm faults planted mutants demo docs test installed acceptance vcan test-containers lint types reference contracts stubs bench clean
+.PHONY: swarm faults planted mutants demo docs test installed acceptance vcan vcan-alone test-containers lint types reference contracts stubs bench clean
 
 # --no-compile: of some 100 MB of Python a run imports a tenth, and compiles that as it does.
 $(VENV)/run.stamp: pyproject.toml setup.py constraints.txt
@@ -40,6 +40,11 @@ vcan: $(VENV)/test.stamp
 	{ tools/with-vcan --check && command -v candump; } || tools/with-vcan --install
 	NUMBA_DISABLE_JIT=1 tools/with-vcan --timeout 3600 $(CURDIR)/$(BIN)/python -u -m pytest \
 	    tests/vcan -v --durations=0
+
+# with-vcan as other projects have it, and python-can's own SocketCAN tests in it.
+vcan-alone: $(VENV)/test.stamp
+	tools/vcan/test-with-vcan
+	tools/vcan/test-python-can $(CURDIR)/$(BIN)/python
 
 # Worlds in which anything may fail, for so many seconds; says how many hours were simulated.
 SWARM_WALL_S ?= 60

@@ -1,4 +1,4 @@
-"""A hook of `mkdocs build`: files of the repository that a page links to come with the site."""
+"""Hooks of `mkdocs build`: every page is reachable, and files that pages link to are there."""
 
 from __future__ import annotations
 
@@ -11,6 +11,19 @@ from mkdocs.structure.files import File, Files
 ROOT = Path(__file__).resolve().parents[1]
 OUTSIDE = re.compile(r"\]\(\.\./((?:examples|meshpoint)/[\w./-]+)\)")
 PLACE = "source"
+
+
+def on_config(config: Any) -> Any:
+    """Adds the pages that the navigation does not name: under their folder's name, or "More"."""
+    named = set(re.findall(r"[\w/]+\.md", str(config.nav)))
+    docs = Path(config.docs_dir)
+    others: dict[str, list[str]] = {}
+    for page in sorted(path.relative_to(docs).as_posix() for path in docs.rglob("*.md")):
+        if page not in named:
+            folder, _, _ = page.rpartition("/")
+            others.setdefault(folder.capitalize() or "More", []).append(page)
+    config.nav += [{title: pages} for title, pages in others.items()]
+    return config
 
 
 def on_files(files: Files, config: Any) -> Files:

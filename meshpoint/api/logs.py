@@ -114,9 +114,8 @@ class Log:
         for _, frame in self:
             status = _decoded(codec, frame)
             if status is not None:
-                return load_header(
-                    self._headers, status.run_hash_high << 32 | status.run_hash_low
-                )
+                run_hash = status.run_hash_high << 32 | status.run_hash_low
+                return load_header(self._headers, run_hash)
         raise HeaderError(f"{self.files[0]}: holds no controller status frame")
 
     def shifts(self, gearbox: PathLike | GearboxSheet | None = None) -> list[ShiftRow]:

@@ -1,4 +1,4 @@
-"""The pytest plugin on two processes: the same ten tests as in virtual time and on a vcan."""
+"""The pytest plugin on two processes: the same ten tests as in virtual time."""
 
 from __future__ import annotations
 

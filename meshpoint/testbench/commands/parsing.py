@@ -83,7 +83,7 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "dbc": ("meshpoint dbc", "meshpoint dbc ValveCommand", "meshpoint dbc --path"),
     "completion": (
-        "meshpoint completion bash >> ~/.bashrc",
+        "meshpoint completion bash > ~/.meshpoint-completion.bash",
         "meshpoint completion fish > ~/.config/fish/completions/meshpoint.fish",
     ),
     "help": ("meshpoint help simulate", "meshpoint help bus"),
