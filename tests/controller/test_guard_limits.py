@@ -20,6 +20,7 @@ from meshpoint.controller.guard.case import (
     spans,
 )
 from meshpoint.controller.guard.limits import (
+    CLEAR_M,
     GUARD_NEUTRAL_M,
     GuardLimits,
     MainValve,
@@ -256,7 +257,32 @@ def test_a_span_begins_where_its_valve_was_first_driven() -> None:
     before: Spans = (Span(NOW_US, NOW_US + 5), *NO_SPANS[1:])
     assert spans(on_now, before, NOW_US)[0] == Span(NOW_US, 1 << 62)
     assert spans(on_now, before, NOW_US + 5)[0] == Span(NOW_US + 5, 1 << 62)
+    on_at = Wish((3, *[0] * 8), (NOW_US + 100,) + (0,) * 8)
+    assert spans(on_at, before, NOW_US)[0] == Span(NOW_US, 1 << 62)
+    assert spans(on_at, NO_SPANS, NOW_US)[0] == Span(NOW_US + 100, 1 << 62)
     late: Spans = (Span(NOW_US + 9, 1 << 62), *NO_SPANS[1:])
     assert spans(on_now, late, NOW_US)[0] == Span(NOW_US, 1 << 62)
     with pytest.raises(ValueError, match="argument"):
         spans(Wish((1,) * 9, (0,) * 8), NO_SPANS, NOW_US)
+
+
+def test_a_guard_begins_armed_and_cool_and_every_sleeve_valve_begins_to_be_driven() -> None:
+    assert GuardState().armed
+    assert GuardState().brake_j == 0.0
+    for valve in range(9):
+        assert case({valve: DRIVEN}).starting() == ([valve] if valve else [])
+
+
+def test_a_sleeve_exactly_clear_is_out_and_one_whose_way_its_speed_explains_is_not_judged() -> None:
+    of = limits()
+    clear_m = of.stroke_m - of.contact_m + CLEAR_M
+    position_m = -(of.stroke_m - clear_m)
+    assert of.stroke_m - abs(position_m) == clear_m
+    judged = case({SECOND: DRIVEN}, positions_m=(position_m, 0.0, 0.012, 0.012))
+    assert judged.teeth_are_out(0, NOW_US)
+    come_m = of.stroke_m - abs(-0.0117)
+    speed_m_s = come_m / (0.5 * 3 * 1e-3)
+    assert come_m - speed_m_s * (0.5 * 3 * 1e-3) == 0.0
+    judged = case({SECOND: DRIVEN}, positions_m=(-0.0117, 0.0, 0.012, 0.012),
+                  speeds_m_s=(speed_m_s, 0.0))  # fmt: skip
+    assert not judged.teeth_are_out(0, NOW_US + 10**6)

@@ -31,7 +31,7 @@ from targets import ROOT
 
 TASK: Final = "MUTATION_TASK"
 KILLED, SURVIVED, UNCOVERED = "killed", "survived", "uncovered"
-SPARE_S: Final = 10.0
+SPARE_S: Final = 3.0
 TIMES: Final = 5.0
 """Beyond so many times its tests' own time, and the spare, a mutant never ends."""
 WALL_TIMES: Final = 20.0

@@ -19,7 +19,7 @@ class Kind(IntEnum):
     A = 1
 def late(now_us, heard_us, deaf=False):
     """Not 1 mutated."""
-    if deaf and not heard_us:
+    if deaf and -heard_us:
         raise ValueError(f"{now_us + 1}")
     self.count += 1
     return now_us - heard_us >= LIMIT_US or min(now_us, 3.0) < 0
@@ -31,10 +31,10 @@ EXPECTED = {
     "-: TWICE_US = 2 * LIMIT_US => TWICE_US = 3 * LIMIT_US",
     "-: TWICE_US = 2 * LIMIT_US => TWICE_US = 1 * LIMIT_US",
     "-: False => True",
-    "late: if deaf and not heard_us => if True",
-    "late: if deaf and not heard_us => if False",
-    "late: deaf and (not heard_us) => deaf or not heard_us",
-    "late: deaf and (not heard_us) => deaf and heard_us",
+    "late: if deaf and -heard_us => if True",
+    "late: if deaf and -heard_us => if False",
+    "late: deaf and -heard_us => deaf or -heard_us",
+    "late: deaf and -heard_us => deaf and heard_us",
     "late: self.count += 1 => pass",
     "late: self.count += 1 => self.count -= 1",
     "late: self.count += 1 => self.count += 2",
