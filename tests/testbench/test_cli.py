@@ -122,7 +122,8 @@ def test_help_fits_80_columns_and_has_pythoncans_arguments_in_one_line(
     assert help_.count("--data-bitrate") <= 1
     assert "--bus-kwargs" not in help_
     opens_a_bus = name in (
-            "demo", "up", "rig", "controller", "request", "watch", "health", "check", "help",
+            "demo", "up", "rig", "controller", "request", "watch", "health", "check", "commission",
+            "help",
         )  # fmt: skip
     assert help_.count("meshpoint help bus") == opens_a_bus
 

@@ -104,6 +104,17 @@ class WheelCount:
             self.edges[falling] += fresh
 
 
+def count_edges(wheels: dict[Shaft, WheelCount], message: Message) -> bool:
+    """Counts on if this is an edge frame; whether it was one."""
+    edges = EDGES.get(type(message))
+    if edges is None:
+        return False
+    shaft, falling = edges
+    frame: Any = message  # all eight edge messages have these fields
+    wheels[shaft].take(falling, frame.newest_index, frame.sensor_fault)
+    return True
+
+
 class ShaftCounts:
     """All four wheels, and what turned with what, over a time of listening."""
 
@@ -117,12 +128,9 @@ class ShaftCounts:
 
     def take(self, message: Message) -> None:
         """Any message of the sensor side."""
-        edges = EDGES.get(type(message))
-        if edges is not None:
-            shaft, falling = edges
-            frame: Any = message  # all eight edge messages have these fields
-            self.wheels[shaft].take(falling, frame.newest_index, frame.sensor_fault)
-        elif isinstance(message, SleevesMain):
+        if count_edges(self.wheels, message):
+            return
+        if isinstance(message, SleevesMain):
             self._view.sleeves_main(message, message.sample_time_us)
         elif isinstance(message, SleevesAux):
             self._view.sleeves_aux(message, message.sample_time_us)

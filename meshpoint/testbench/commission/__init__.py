@@ -1,0 +1,1 @@
+"""Commissioning: what moves what, found out one output at a time, before anything shifts."""

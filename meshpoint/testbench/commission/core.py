@@ -1,0 +1,297 @@
+"""The commissioning node, of the call shape of controller and rig: no clock, no I/O.
+
+The box stands, with air. Outputs are armed one at a time, each by a consent of its own that holds
+for one pulse and runs out by itself. Every other output is commanded off in every frame. A pulse
+ends at once when a shaft turns, air fails, an input is lost, or a consent has run out.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from enum import Enum, auto
+from typing import Any, Final
+
+from meshpoint.bus.core import Step
+from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.link import Receiver, Transmitter
+from meshpoint.dbc.messages import (
+    ClutchCommand,
+    GearboxSensors,
+    Message,
+    SleevesAux,
+    SleevesMain,
+    ValveAction,
+    ValveCommand,
+    ValveStatus,
+)
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.gears import Sleeve
+from meshpoint.testbench.check.shafts import Shaft, WheelCount, count_edges
+from meshpoint.testbench.commission.trial import EXPECTED, Trial
+from meshpoint.units import MM
+
+TICK_US: Final = 10_000
+LEAD_US: Final = 30_000
+PULSE_US: Final = 300_000
+AFTER_US: Final = 400_000
+"""How long is looked on after the valve is off."""
+STILL_US: Final = 300_000
+"""Shafts and valves rest for so long before an output is armed."""
+CONSENT_US: Final = 10_000_000
+MOST_TRIALS: Final = 3
+RETURNS: Final = 8
+"""So often an output may be driven to bring its sleeve back to neutral."""
+MOST_EDGES: Final = 4
+"""Of a wheel within `STILL_US`: creeping is not turning."""
+NEUTRAL_M: Final = 1.5 * MM
+LEAST_SUPPLY: Final = 0.6
+NEEDED: Final = (GearboxSensors, SleevesMain, SleevesAux, ValveStatus)
+MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
+STATIONARY_US: Final = 30_000_000
+"""So long is waited for a box that stands."""
+
+
+class Stage(Enum):
+    """What it is at."""
+
+    RESTING = auto()
+    ASKING = auto()
+    PULSING = auto()
+    LOOKING = auto()
+    DONE = auto()
+
+
+class CommissionCore:
+    """Drives each valve of a standing box. `question` is the output that waits for a consent."""
+
+    def __init__(self, sheet: GearboxSheet, *, consents: bool = False) -> None:
+        """consents: every output is consented to, without being asked about."""
+        self._sheet = sheet
+        self._consents = consents
+        self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
+        self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
+        self._inbox: list[Frame] = []
+        self._wheels = {shaft: WheelCount() for shaft in Shaft}
+        self._counts: deque[tuple[int, int]] = deque()
+        self._positions_m: dict[Sleeve, float] = {}
+        self._sensors: GearboxSensors | None = None
+        self._status: ValveStatus | None = None
+        self._stage = Stage.RESTING
+        self._since_us: int | None = None
+        self._due_us = 0
+        self._trial: Trial | None = None
+        self._consented_us: int | None = None
+        self._tries = dict.fromkeys(ValveName, 0)
+        self.question: ValveName | None = None
+        self.trials: list[Trial] = []
+        self.declined: set[ValveName] = set()
+        self.supply_pa: list[float] = []
+        self.stopped = ""
+        """Why it ended before its end; empty if it did not."""
+
+    @property
+    def done(self) -> bool:
+        """Whether there is nothing more to drive."""
+        return self._stage is Stage.DONE
+
+    @property
+    def is_asking(self) -> bool:
+        """Whether an output waits for a person's consent."""
+        return self._stage is Stage.ASKING and not self._consents and self._consented_us is None
+
+    @property
+    def next_step_us(self) -> int:
+        """Every 10 ms."""
+        return self._due_us
+
+    def receive(self, frame: Frame) -> None:
+        """Keeps a frame for the next step."""
+        self._inbox.append(frame)
+
+    def answer(self, is_yes: bool, now_us: int) -> None:
+        """A person's answer to `question`."""
+        if self.question is None:
+            return
+        if is_yes:
+            self._consented_us = now_us
+        else:
+            self.declined.add(self.question)
+            self.question, self._stage, self._since_us = None, Stage.RESTING, now_us
+
+    def step(self, now_us: int) -> Step:
+        """Takes in what was heard, goes on, commands all valves but one off."""
+        self._since_us = now_us if self._since_us is None else self._since_us
+        self._receiver.tick(now_us)
+        inbox, self._inbox = self._inbox, []
+        for frame in inbox:
+            message = self._receiver.receive(frame).message
+            if message is not None:
+                self._hear(message)
+        self._counts.append((now_us, self._edges()))
+        while self._counts and now_us - self._counts[0][0] > STILL_US:
+            self._counts.popleft()
+        events = self._go_on(now_us)
+        self._due_us = now_us + TICK_US
+        # The clutch stays open: nothing may drive the box while a person stands at it.
+        command = self._command()
+        return Step([self._transmitter.encode(m) for m in (command, ClutchCommand())], events)
+
+    def shutdown(self, now_us: int) -> Step:  # noqa: ARG002
+        """All valves off."""
+        frames = [self._transmitter.encode(m) for m in (ValveCommand(), ClutchCommand())]
+        return Step(frames, ["all valves off"])
+
+    def _edges(self) -> int:
+        return sum(wheel.edges[0] for wheel in self._wheels.values())
+
+    def _hear(self, message: Message) -> None:
+        count_edges(self._wheels, message)
+        if isinstance(message, SleevesMain):
+            self._positions_m[Sleeve.FIRST_SECOND] = message.sleeve_first_second_m[0]
+            self._positions_m[Sleeve.CRAWL_THIRD] = message.sleeve_crawl_third_m[0]
+        elif isinstance(message, SleevesAux):
+            self._positions_m[Sleeve.SPLITTER] = message.sleeve_splitter_m[0]
+            self._positions_m[Sleeve.RANGE] = message.sleeve_range_m[0]
+        elif isinstance(message, GearboxSensors):
+            self._sensors = message
+        elif isinstance(message, ValveStatus):
+            self._status = message
+        if self._trial is not None:
+            self._trial.take(message)
+
+    def _refusal(self) -> str:
+        """Why no output may be driven now; empty if one may."""
+        if self._sensors is None or self._status is None or len(self._positions_m) < len(Sleeve):
+            return "inputs are missing"
+        if not self._receiver.all_valid(NEEDED):
+            return "an input is lost"
+        gauge_pa = self._sensors.supply_pressure_pa - self._sheet.air.atmosphere_pa
+        if gauge_pa < LEAST_SUPPLY * self._sheet.air.supply_gauge_pa:
+            return "too little air"
+        if self._counts[-1][1] - self._counts[0][1] > MOST_EDGES * len(Shaft):
+            return "a shaft turns"
+        return ""
+
+    def _go_on(self, now_us: int) -> list[str]:
+        if self._stage is Stage.DONE:
+            return []
+        waited_us = now_us - (self._since_us or 0)
+        refusal = self._refusal()
+        match self._stage:
+            case Stage.RESTING:
+                return self._rest(now_us, waited_us, refusal)
+            case Stage.ASKING:
+                return self._ask(now_us, waited_us, refusal)
+            case Stage.PULSING:
+                if refusal or waited_us > LEAD_US + PULSE_US:
+                    self._enter(Stage.LOOKING, now_us)
+                    return [f"pulse ended: {refusal}"] if refusal else []
+            case _:
+                if waited_us > AFTER_US:
+                    return self._conclude(now_us)
+        return []
+
+    def _enter(self, stage: Stage, now_us: int) -> None:
+        self._stage, self._since_us = stage, now_us
+
+    def _rest(self, now_us: int, waited_us: int, refusal: str) -> list[str]:
+        if refusal:
+            if waited_us > STATIONARY_US:
+                self.stopped = refusal
+                self._enter(Stage.DONE, now_us)
+                return [f"given up: {refusal}"]
+            return []
+        if waited_us < STILL_US:
+            return []
+        valve = self._next_valve()
+        if valve is None:
+            self._enter(Stage.DONE, now_us)
+            return []
+        self.question, self._consented_us = valve, None
+        self._enter(Stage.ASKING, now_us)
+        return [] if self._consents else [f"may {valve.name.lower()} be driven once? (yes/no)"]
+
+    def _next_valve(self) -> ValveName | None:
+        """An output that has shown nothing yet. A main sleeve is moved while the other one is in
+        neutral, as far as positions say."""
+        shown = {trial.valve for trial in self.trials if trial.is_conclusive}
+        open_ = [
+            valve
+            for valve in ValveName
+            if valve not in shown | self.declined and self._tries[valve] < MOST_TRIALS
+        ]
+        free = [valve for valve in open_ if self._is_free(valve)]
+        if open_ and not free:
+            return self._way_to_neutral()
+        free.sort(key=lambda valve: (self._tries[valve], self._stands_there(valve), valve))
+        return free[0] if free else None
+
+    def _way_to_neutral(self) -> ValveName | None:
+        """An output that has been seen to bring the main sleeve that is in gear out of it."""
+        for trial in self.trials:
+            for sleeve, direction in trial.moved:
+                away = sleeve in MAIN_SLEEVES and self._positions_m[sleeve] * direction < -NEUTRAL_M
+                if away and trial.valve not in self.declined and self._tries[trial.valve] < RETURNS:
+                    return trial.valve
+        return None
+
+    def _is_free(self, valve: ValveName) -> bool:
+        """Whether no second main gear could get in: the other main sleeve is in neutral."""
+        sleeve, _ = EXPECTED.get(valve, (None, 0))
+        if sleeve is None or sleeve not in MAIN_SLEEVES:
+            return True
+        other = MAIN_SLEEVES[1 - MAIN_SLEEVES.index(sleeve)]
+        return abs(self._positions_m[other]) < NEUTRAL_M
+
+    def _stands_there(self, valve: ValveName) -> bool:
+        """Whether the sleeve is where this valve would push it: another one comes first."""
+        sleeve, direction = EXPECTED.get(valve, (None, 0))
+        return sleeve is not None and self._positions_m[sleeve] * direction > NEUTRAL_M
+
+    def _ask(self, now_us: int, waited_us: int, refusal: str) -> list[str]:
+        if self._consents and self._consented_us is None:
+            self._consented_us = now_us
+        if self._consented_us is None:
+            return []
+        if refusal or now_us - self._consented_us > CONSENT_US:
+            why = refusal or "the consent has run out"
+            self.question = None
+            self._enter(Stage.RESTING, now_us)
+            return [f"not driven after {waited_us / 1e6:.1f} s: {why}"]
+        sensors, valve = self._sensors, self.question
+        if sensors is None or valve is None:
+            return []
+        self.supply_pa.append(sensors.supply_pressure_pa)
+        activation_us = (sensors.sample_time_us + LEAD_US) & 0xFFFF_FFFF
+        self._trial = Trial(
+            valve, activation_us, dict(self._positions_m), sensors.brake_pressure_pa
+        )
+        self._tries[valve] += 1
+        self._enter(Stage.PULSING, now_us)
+        return []
+
+    def _conclude(self, now_us: int) -> list[str]:
+        trial, self._trial, self.question = self._trial, None, None
+        self._enter(Stage.RESTING, now_us)
+        if trial is None:
+            return []
+        self.trials.append(trial)
+        moved = ", ".join(
+            f"{sleeve.name.lower()} {'+' if way > 0 else '-'}" for sleeve, way in trial.moved
+        )
+        brake = "brake pressure" if trial.has_braked else ""
+        return [f"{trial.valve.name.lower()}: {moved or brake or 'nothing moved'}"]
+
+    def _command(self) -> ValveCommand:
+        trial = self._trial
+        if self._stage is not Stage.PULSING or trial is None:
+            return ValveCommand()
+        name = trial.valve.name.lower()
+        # The same activation again and again: it is armed once, and holds.
+        values: dict[str, Any] = {
+            f"{name}_action": ValveAction.ON_AT,
+            f"{name}_time_us": trial.activation_us,
+        }
+        return ValveCommand(**values)

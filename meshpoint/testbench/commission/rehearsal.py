@@ -1,0 +1,255 @@
+"""Commissioning rehearsed on drawn gearboxes in virtual time, some of them miswired."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from meshpoint.bus.core import Core, Step
+from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.link import Receiver, Transmitter
+from meshpoint.dbc.messages import (
+    EdgesInputFall,
+    EdgesInputRise,
+    EdgesLayshaftFall,
+    EdgesLayshaftRise,
+    EdgesMainFall,
+    EdgesMainRise,
+    EdgesPropellerFall,
+    EdgesPropellerRise,
+    Message,
+    ValveAction,
+    ValveCommand,
+    ValveStatus,
+)
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
+from meshpoint.testbench.check.finding import Finding, Verdict
+from meshpoint.testbench.check.shafts import Shaft, ShaftCounts
+from meshpoint.testbench.commission.core import CommissionCore
+from meshpoint.testbench.commission.verdict import judge_outputs, judge_wheels
+from meshpoint.testbench.loop.virtual_time import VirtualTime
+
+MISWIRED_SHARE: Final = 0.1
+TURN_US: Final = 3_000_000
+LIMIT_US: Final = 120_000_000
+MAIN_RPM: Final = 600.0
+LEVEL: Final = {"vehicle.slope_percent": 0.0}
+"""The rig has no parking brake: on a slope its truck would roll."""
+EDGES_OF: Final[dict[Shaft, tuple[type[Message], type[Message]]]] = {
+    Shaft.INPUT: (EdgesInputRise, EdgesInputFall),
+    Shaft.LAYSHAFT: (EdgesLayshaftRise, EdgesLayshaftFall),
+    Shaft.MAIN: (EdgesMainRise, EdgesMainFall),
+    Shaft.PROPELLER: (EdgesPropellerRise, EdgesPropellerFall),
+}
+VALVES: Final = CODECS[ValveCommand.__name__]
+
+
+@dataclass(frozen=True)
+class Miswiring:
+    """What is wrong with a drawn box's wires; all None: nothing."""
+
+    valves: tuple[ValveName, ValveName] | None = None
+    """These two outputs are exchanged."""
+    dead: ValveName | None = None
+    """This output is not connected."""
+    sensors: tuple[Shaft, Shaft] | None = None
+    """These two wheels' sensors are exchanged."""
+
+    @property
+    def is_any(self) -> bool:
+        """Whether anything is wrong."""
+        return (self.valves, self.dead, self.sensors) != (None, None, None)
+
+    def is_named_by(self, findings: list[Finding]) -> bool:
+        """Whether the findings name it: the outputs or wheels concerned, and no others."""
+        bad = {f.subject: f.text for f in findings if f.verdict is Verdict.BAD}
+        if self.dead is not None:
+            return set(bad) == {self.dead.name.lower()} and "nothing" in bad[self.dead.name.lower()]
+        if self.valves is not None:
+            a, b = (valve.name.lower() for valve in self.valves)
+            places = {a: b, b: a}
+            return set(bad) == set(places) and all(
+                f"in place of {there}" in bad[name] for name, there in places.items()
+            )
+        if self.sensors is not None:
+            a, b = self.sensors
+            return f"sensors of {a} and {b} are exchanged" in bad.get("explanation", "")
+        return not bad
+
+    def __str__(self) -> str:
+        if self.valves is not None:
+            return "exchanged: " + " and ".join(v.name.lower() for v in self.valves)
+        if self.dead is not None:
+            return f"not connected: {self.dead.name.lower()}"
+        if self.sensors is not None:
+            return "sensors exchanged: " + " and ".join(self.sensors)
+        return "as named"
+
+
+def draw_miswiring(seed: int, share: float = MISWIRED_SHARE) -> Miswiring:
+    """One box in so many has one thing wrong."""
+    rng = np.random.Generator(np.random.PCG64([seed, 0x3139]))
+    if rng.random() >= share:
+        return Miswiring()
+    kind = int(rng.integers(3))
+    if kind == 0:
+        a, b = sorted(rng.choice(len(ValveName), 2, replace=False))
+        return Miswiring(valves=(ValveName(int(a)), ValveName(int(b))))
+    if kind == 1:
+        return Miswiring(dead=ValveName(int(rng.integers(len(ValveName)))))
+    shafts = list(Shaft)
+    a, b = sorted(rng.choice(len(shafts), 2, replace=False))
+    return Miswiring(sensors=(shafts[int(a)], shafts[int(b)]))
+
+
+class MiswiredRig:
+    """A rig whose wires are crossed behind the valve drivers' names and before the sensors'."""
+
+    def __init__(self, rig: RigCore, wrong: Miswiring) -> None:
+        self._rig = rig
+        self._wrong = wrong
+        self._commands = Receiver(Node.GEARBOX_IO)
+        self._inner = Transmitter(Node.TRANSMISSION_CONTROL)
+        self._said = Receiver(*Node)
+        self._outer = Transmitter(Node.GEARBOX_IO)
+        self._swap: dict[type[Message], type[Message]] = {}
+        if wrong.sensors is not None:
+            a, b = (EDGES_OF[shaft] for shaft in wrong.sensors)
+            for one, other in zip(a, b, strict=True):
+                self._swap |= {one: other, other: one}
+
+    @property
+    def next_step_us(self) -> int:
+        """As the rig's."""
+        return self._rig.next_step_us
+
+    def receive(self, frame: Frame) -> None:
+        """Valve commands reach the wires that they are connected to."""
+        if frame.can_id != VALVES.spec.can_id:
+            self._rig.receive(frame)
+            return
+        command = self._commands.receive(frame).message
+        if isinstance(command, ValveCommand):
+            self._rig.receive(self._inner.encode(self._crossed(command)))
+
+    def _crossed(self, command: ValveCommand) -> ValveCommand:
+        values: dict[str, Any] = command._asdict()
+        if self._wrong.dead is not None:
+            values[f"{self._wrong.dead.name.lower()}_action"] = ValveAction.OFF_NOW
+        if self._wrong.valves is not None:
+            a, b = (valve.name.lower() for valve in self._wrong.valves)
+            for part in ("action", "time_us"):
+                one, other = f"{a}_{part}", f"{b}_{part}"
+                values[one], values[other] = values[other], values[one]
+        return ValveCommand(**values)
+
+    def step(self, now_us: int) -> Step:
+        """The rig's frames, of exchanged sensors under each other's name. The valve side tells
+        which outputs it drives by the names that it was commanded."""
+        step = self._rig.step(now_us)
+        if not self._wrong.is_any:
+            return step
+        return Step([self._renamed(frame) for frame in step.frames], step.events)
+
+    def _renamed(self, frame: Frame) -> Frame:
+        message = self._said.receive(frame).message
+        values: Any = message
+        if isinstance(message, ValveStatus):
+            return self._outer.encode(self._told(message))
+        other = None if message is None else self._swap.get(type(message))
+        return frame if other is None else self._outer.encode(other(*values))
+
+    def _told(self, status: ValveStatus) -> ValveStatus:
+        if self._wrong.valves is None:
+            return status
+        values: dict[str, Any] = status._asdict()
+        a, b = (valve.name.lower() for valve in self._wrong.valves)
+        for part in ("energised", "pending"):
+            one, other = f"{a}_{part}", f"{b}_{part}"
+            values[one], values[other] = values[other], values[one]
+        return ValveStatus(**values)
+
+    def shutdown(self, now_us: int) -> Step:
+        """As the rig's."""
+        return self._rig.shutdown(now_us)
+
+
+class Hearing:
+    """A node that only listens."""
+
+    def __init__(self, take: Callable[[Frame], None]) -> None:
+        self._take = take
+        self.next_step_us = 1 << 62
+
+    def receive(self, frame: Frame) -> None:
+        """A frame of the bus."""
+        self._take(frame)
+
+    def step(self, now_us: int) -> Step:  # noqa: ARG002
+        """Nothing is sent."""
+        return Step([], [])
+
+    def shutdown(self, now_us: int) -> Step:
+        """As `step`."""
+        return self.step(now_us)
+
+
+@dataclass(frozen=True)
+class Rehearsed:
+    """What came of one drawn box."""
+
+    seed: int
+    wrong: Miswiring
+    findings: list[Finding]
+    core: CommissionCore
+    simulated_s: float
+
+    @property
+    def is_right(self) -> bool:
+        """Whether what is wrong, and nothing else, was named."""
+        return self.wrong.is_named_by(self.findings)
+
+
+def rehearse(
+    sheet: GearboxSheet,
+    seed: int,
+    wrong: Miswiring,
+    preset: Preset = Preset.TRUCK,
+    profile: Profile = Profile.CLEAN,
+) -> Rehearsed:
+    """One box: its shafts turn in gear, then it stands and each output is driven."""
+    counts = _turn(sheet, seed, wrong, preset, profile)
+    settings = RigSettings(
+        preset=preset, seed=seed, main_speed_rpm=0.0, profile=profile, as_built=LEVEL
+    )
+    rig = MiswiredRig(RigCore(sheet, settings), wrong)
+    core = CommissionCore(sheet, consents=True)
+    nodes: list[Core] = [core, rig]
+    time = VirtualTime(nodes, [3_000, 1_000])
+    time.run(lambda: core.done, LIMIT_US)
+    findings = [*judge_wheels(counts), *judge_outputs(core)]
+    return Rehearsed(seed, wrong, findings, core, time.now_us / 1e6)
+
+
+def _turn(
+    sheet: GearboxSheet, seed: int, wrong: Miswiring, preset: Preset, profile: Profile
+) -> ShaftCounts:
+    counts, receiver = ShaftCounts(sheet), Receiver(*Node)
+
+    def take(frame: Frame) -> None:
+        message = receiver.receive(frame).message
+        if message is not None:
+            counts.take(message)
+
+    settings = RigSettings(preset=preset, seed=seed, main_speed_rpm=MAIN_RPM, profile=profile)
+    nodes: list[Core] = [MiswiredRig(RigCore(sheet, settings), wrong), Hearing(take)]
+    VirtualTime(nodes, [1_000, 1 << 62]).run(lambda: False, TURN_US)
+    return counts

@@ -1,0 +1,162 @@
+"""Commissioning a standing box: what moves what, miswirings named, consent and its end."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.dbc.link import Receiver
+from meshpoint.dbc.messages import ClutchAction, ClutchCommand, ValveAction, ValveCommand
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.testbench.check.finding import Verdict
+from meshpoint.testbench.check.shafts import Shaft
+from meshpoint.testbench.commission.core import CONSENT_US, PULSE_US, CommissionCore
+from meshpoint.testbench.commission.rehearsal import Miswiring, Rehearsed, draw_miswiring, rehearse
+from meshpoint.testbench.commission.verdict import measured_sheet
+from meshpoint.testbench.loop.virtual_time import VirtualTime
+
+SHEET = load_sheet("truck12")
+V = ValveName
+
+
+@pytest.fixture(scope="module")
+def sound() -> Rehearsed:
+    return rehearse(SHEET, 1, Miswiring())
+
+
+def test_a_sound_box_is_called_sound_and_every_output_was_driven(sound: Rehearsed) -> None:
+    assert sound.is_right
+    verdicts = {f.subject: f.verdict for f in sound.findings if f.group == "outputs"}
+    assert verdicts == {valve.name.lower(): Verdict.GOOD for valve in ValveName}
+
+
+def test_what_is_measured_at_standstill_is_near_what_the_box_is(sound: Rehearsed) -> None:
+    """Against the data sheet, from which a clean box differs by some per cent."""
+    wrong = replace(
+        SHEET,
+        sleeve=replace(SHEET.sleeve, delay_s=0.080, valve_delay_s=0.030),
+        air=replace(SHEET.air, supply_gauge_pa=6e5),
+    )
+    measured, changed = measured_sheet(wrong, sound.core)
+    assert len(changed) == 5
+    assert measured.sleeve.delay_s == pytest.approx(SHEET.sleeve.delay_s, abs=0.005)
+    assert measured.sleeve.valve_delay_s == pytest.approx(SHEET.sleeve.valve_delay_s, abs=0.003)
+    assert measured.air.supply_gauge_pa == pytest.approx(SHEET.air.supply_gauge_pa, rel=0.05)
+    assert measured.wheels == wrong.wheels
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        Miswiring(valves=(V.MAIN_FIRST, V.MAIN_SECOND)),
+        Miswiring(valves=(V.BRAKE, V.SPLIT_LOW)),
+        Miswiring(dead=V.MAIN_SECOND),
+        Miswiring(sensors=(Shaft.LAYSHAFT, Shaft.MAIN)),
+    ],
+    ids=str,
+)
+def test_each_miswiring_is_named_and_nothing_else(wrong: Miswiring) -> None:
+    found = rehearse(SHEET, 3, wrong)
+    assert found.is_right, [f for f in found.findings if f.verdict is Verdict.BAD]
+
+
+def test_a_finding_of_a_sound_box_does_not_pass_for_another_ones(sound: Rehearsed) -> None:
+    assert not Miswiring(dead=V.BRAKE).is_named_by(sound.findings)
+    assert not Miswiring(valves=(V.BRAKE, V.SPLIT_LOW)).is_named_by(sound.findings)
+    assert not Miswiring(sensors=(Shaft.INPUT, Shaft.MAIN)).is_named_by(sound.findings)
+
+
+def test_one_box_in_ten_is_drawn_miswired() -> None:
+    drawn = [draw_miswiring(seed) for seed in range(1000)]
+    assert 70 < sum(wrong.is_any for wrong in drawn) < 130
+    assert len({str(wrong) for wrong in drawn}) > 20
+
+
+class Bus:
+    """A rig and a commissioning node in virtual time; every command on the bus."""
+
+    def __init__(self, core: CommissionCore, main_rpm: float = 0.0) -> None:
+        self.commands: list[tuple[int, ValveCommand]] = []
+        self.clutch: set[ClutchAction] = set()
+        self._receiver = Receiver(Node.GEARBOX_IO)
+        rig = RigCore(SHEET, RigSettings(preset=Preset.THESIS, seed=1, main_speed_rpm=main_rpm))
+        self.time = VirtualTime([core, rig], [3_000, 1_000], self._take)
+
+    def _take(self, time_us: int, frame) -> None:
+        message = self._receiver.receive(frame).message
+        if isinstance(message, ValveCommand):
+            self.commands.append((time_us, message))
+        elif isinstance(message, ClutchCommand):
+            self.clutch.add(message.action)
+
+    def run(self, seconds: float) -> None:
+        self.time.run(lambda: False, self.time.now_us + round(seconds * 1e6))
+
+    @property
+    def driven(self) -> list[tuple[int, set[V]]]:
+        found = []
+        for time_us, command in self.commands:
+            actions = command[: len(ValveName)]
+            found.append((time_us, {v for v in V if actions[v] is not ValveAction.OFF_NOW}))
+        return found
+
+
+def test_nothing_is_driven_without_a_yes_and_a_no_is_kept() -> None:
+    core = CommissionCore(SHEET)
+    bus = Bus(core)
+    bus.run(2.0)
+    assert core.is_asking
+    first = core.question
+    assert first is not None
+    core.answer(False, bus.time.now_us)
+    bus.run(1.0)
+    assert core.question not in (None, first)
+    assert {first} == core.declined
+    assert not any(valves for _, valves in bus.driven)
+    assert bus.clutch == {ClutchAction.OPEN}
+
+
+def test_a_yes_drives_one_output_once_and_for_no_longer_than_a_pulse() -> None:
+    core = CommissionCore(SHEET)
+    bus = Bus(core)
+    bus.run(2.0)
+    asked = core.question
+    core.answer(True, bus.time.now_us)
+    bus.run(3.0)
+    at = [time_us for time_us, valves in bus.driven if valves]
+    assert {frozenset(valves) for _, valves in bus.driven} == {frozenset(), frozenset({asked})}
+    assert at[-1] - at[0] <= PULSE_US + 50_000
+    assert core.is_asking, "the next output waits for a yes of its own"
+
+
+def test_a_yes_that_is_older_than_its_time_drives_nothing() -> None:
+    core = CommissionCore(SHEET)
+    bus = Bus(core)
+    bus.run(2.0)
+    core.answer(True, bus.time.now_us - CONSENT_US - 20_000)
+    bus.run(1.0)
+    assert not any(valves for _, valves in bus.driven)
+
+
+def test_a_box_that_turns_is_not_touched() -> None:
+    core = CommissionCore(SHEET, consents=True)
+    bus = Bus(core, main_rpm=600.0)
+    bus.run(32.0)
+    assert core.done
+    assert core.stopped == "a shaft turns"
+    assert not any(valves for _, valves in bus.driven)
+
+
+def test_never_two_outputs_at_once() -> None:
+    core = CommissionCore(SHEET, consents=True)
+    bus = Bus(core)
+    bus.time.run(lambda: core.done, 60_000_000)
+    assert core.done
+    assert max(len(valves) for _, valves in bus.driven) == 1
+    assert set().union(*(valves for _, valves in bus.driven)) == set(V)
+    assert bus.driven[-1][1] == set()
