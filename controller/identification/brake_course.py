@@ -25,7 +25,7 @@ from meshpoint.gearbox.gears import Split
 from meshpoint.units import BAR, MS, RPM, US
 
 GRID_S: Final = 1e-3
-LEAD_S: Final = 0.3
+LEAD_S: Final = 0.15
 """Before the run, so that a brake that was switched on or off just before it is known."""
 BIN_S: Final = 5e-3
 LEAST_BINS: Final = 12
@@ -235,9 +235,13 @@ class BrakeCourses:
         self._ratio = shares.input_inertia_kgm2 / shares.layshaft_inertia_kgm2
         self._i2 = np.array([course.i_split**-2 for course in courses])
         self._split = np.array([course.i_split for course in courses])
-        self._engine = np.full((self._nodes, len(courses)), np.nan)
+        # Where the engine's speed is not known the plates are taken to turn with the shaft's own.
+        self._engine = np.zeros((self._nodes, len(courses)))
+        self._knows = np.zeros(len(courses))
         for number, course in enumerate(courses):
-            self._engine[: course.nodes, number] = course.engine_rad_s
+            known = bool(np.isfinite(course.engine_rad_s).all())
+            self._knows[number] = float(known)
+            self._engine[: course.nodes, number] = course.engine_rad_s if known else 0.0
         self._late = np.array([course.share_of_log for course in courses])
         self._measured_pa = np.array([course.supply_pa for course in courses])
 
@@ -255,7 +259,7 @@ class BrakeCourses:
         inertia = sheet.shafts.layshaft_inertia_kgm2 * (1.0 + ratio * self._i2)
         drag, touch = p[:, P.DRAG], p[:, P.TOUCH] * BAR
         viscous = p[:, P.VISCOUS] + p[:, P.INPUT_VISCOUS] * self._i2
-        plates = p[:, P.PLATES] / self._split
+        plates = p[:, P.PLATES] / self._split * self._knows
         lag_share = np.maximum(p[:, P.SENSOR_LAG], 1e-4) / GRID_S
         shape = supply.shape
         pressure, felt = np.zeros(shape), np.zeros(shape)
@@ -268,7 +272,7 @@ class BrakeCourses:
             slope = self._rates(pressure, on, supply, p)
             middle = pressure + 0.5 * GRID_S * slope
             after = pressure + GRID_S * self._rates(middle, on, supply, p)
-            after = np.clip(after, 0.0, supply)
+            after = np.minimum(np.maximum(after, 0.0), supply)
             mean = 0.5 * (pressure + after)
             lagging = (after - pressure) * lag_share
             felt = after - lagging + (felt - pressure + lagging) * keep
@@ -276,7 +280,7 @@ class BrakeCourses:
                 torque = gain * np.maximum(mean - touch, 0.0)
                 half = omega
                 ahead = self._engine[node] - omega / self._split
-                pulled = plates * np.nan_to_num(np.tanh(ahead / SOFT_RAD_S), nan=0.0)
+                pulled = plates * np.tanh(ahead / SOFT_RAD_S)
                 for _ in range(2):  # torque by the speed in the middle of the step
                     friction = 1.0 + by_speed * (half - self.omega_ref)
                     slowing = (torque * friction + drag - pulled + viscous * half) / inertia
@@ -308,18 +312,22 @@ class BrakeCourses:
         atmosphere = self._sheet.air.atmosphere_pa
         pressure, before = gauge + atmosphere, supply + atmosphere
         critical = np.clip(p[:, P.CRITICAL], 0.0, 0.6)
-        filling = fill * before * flow_share(pressure / before, critical)
-        emptying = empty * pressure * flow_share(atmosphere / pressure, critical)
-        rates = self._rate * (on * filling - (1.0 - on) * emptying)
+        rates = np.zeros(gauge.shape)
+        if on.any():
+            rates += on * fill * before * flow_share(pressure / before, critical)
+        if not on.all():
+            emptying = empty * pressure * flow_share(atmosphere / pressure, critical)
+            rates -= (1.0 - on) * emptying
+        rates *= self._rate
         return rates
 
 
 def flow_share(ratio: Vector, critical: Vector) -> Vector:
     """Mass flow over that of the choked valve, by the ratio of the pressures behind and before."""
-    part = np.clip((np.minimum(ratio, LAMINAR_FROM) - critical) / (1.0 - critical), 0.0, 1.0)
+    part = np.maximum((np.minimum(ratio, LAMINAR_FROM) - critical) / (1.0 - critical), 0.0)
     share = np.sqrt(1.0 - part * part)
-    laminar = np.clip((1.0 - ratio) / (1.0 - LAMINAR_FROM), 0.0, 1.0)
-    found: Vector = np.where(ratio > LAMINAR_FROM, share * laminar, share)
+    laminar = np.maximum((1.0 - ratio) / (1.0 - LAMINAR_FROM), 0.0)
+    found: Vector = share * np.minimum(laminar, 1.0)
     return found
 
 
