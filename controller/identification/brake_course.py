@@ -6,7 +6,8 @@
 
 on absolute pressure, psi(x) = sqrt(1 - ((x - b) / (1 - b))^2) above the critical ratio b and 1
 below it; or p' = (u p_s - p) / tau on gauge pressure (thesis 4.1). Each valve acts its delay after
-its switch. T_c is the drag of the open clutch toward the engine's speed w_E. Torque and inertia are seen as a quotient alone, so J is that of the data sheet.
+its switch. T_c is the drag of the open clutch toward the engine's speed w_E. Torque and inertia are
+seen as a quotient alone, so J is that of the data sheet.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ LEAD_S: Final = 0.15
 """Before the run, so that a brake that was switched on or off just before it is known."""
 BIN_S: Final = 5e-3
 LEAST_BINS: Final = 12
+TYPICAL_LAG_S: Final = 3e-3
 LAMINAR_FROM: Final = 0.99
 SOFT_RAD_S: Final = 2.0
 """Plates that slip less than this drag less: the sign is no step."""
@@ -64,7 +66,7 @@ class P(IntEnum):
     SUPPLY = 11
     """true supply pressure less the measured one, bar"""
     SENSOR_LAG = 12
-    """of the pressure sensor at the brake, s"""
+    """log of the lag of the pressure sensor at the brake over `TYPICAL_LAG_S`"""
     CRITICAL = 13
     """pressure ratio up to which the valve's flow is choked"""
     INPUT_VISCOUS = 14
@@ -101,7 +103,7 @@ def prior_of(sheet: GearboxSheet) -> Prior:
         (P.EMPTYING, 0.0, 0.7),
         (P.TOUCH, 0.2, 0.3),
         (P.SUPPLY, 0.0, 0.2),
-        (P.SENSOR_LAG, 3.0 * MS, 5.0 * MS),
+        (P.SENSOR_LAG, 0.0, 1.0),
         (P.CRITICAL, CRITICAL, 0.08),
         (P.INPUT_VISCOUS, 0.0, 0.01),
         (P.PLATES, 0.0, 2.0),
@@ -260,7 +262,7 @@ class BrakeCourses:
         drag, touch = p[:, P.DRAG], p[:, P.TOUCH] * BAR
         viscous = p[:, P.VISCOUS] + p[:, P.INPUT_VISCOUS] * self._i2
         plates = p[:, P.PLATES] / self._split * self._knows
-        lag_share = np.maximum(p[:, P.SENSOR_LAG], 1e-4) / GRID_S
+        lag_share = TYPICAL_LAG_S * np.exp(np.clip(p[:, P.SENSOR_LAG], -5.0, 4.0)) / GRID_S
         shape = supply.shape
         pressure, felt = np.zeros(shape), np.zeros(shape)
         omega, theta = np.broadcast_to(omega_rad_s, shape).copy(), np.zeros(shape)
@@ -305,9 +307,7 @@ class BrakeCourses:
     def _rates(self, gauge: Vector, on: Vector, supply: Vector, p: Vector) -> Vector:
         fill, empty = np.exp(p[:, P.FILLING]), np.exp(p[:, P.EMPTYING])
         if not self._is_choked:
-            rates: Vector = self._rate * (
-                on * fill * (supply - gauge) - (1.0 - on) * empty * gauge
-            )
+            rates: Vector = self._rate * (on * fill * (supply - gauge) - (1.0 - on) * empty * gauge)
             return rates
         atmosphere = self._sheet.air.atmosphere_pa
         pressure, before = gauge + atmosphere, supply + atmosphere
@@ -346,4 +346,6 @@ def time_constant_s(
         )
     else:
         flow = pressure * flow_share(atmosphere_pa / pressure, critical)
-    return np.asarray(np.trapezoid(supply_pa / flow, np.abs(shares - shares[0]), axis=0) / rates_per_s)
+    return np.asarray(
+        np.trapezoid(supply_pa / flow, np.abs(shares - shares[0]), axis=0) / rates_per_s
+    )

@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.identification.brake_course import (
-    COUNT,
     GRID_S,
     BrakeCourses,
     Course,
@@ -110,15 +109,13 @@ def fit(courses: list[Course], sheet: GearboxSheet, is_choked: bool, omega_ref: 
             break
     used = heed > 0.0
     parts = [part for part, share in zip(parts, heed, strict=True) if share > 0.0]
-    without = np.array([_without(at, prior, weight, normal, right, part) for part in parts])
+    without = np.array([_without(at, normal, right, part) for part in parts])
     misfit = sum(part.squares for part in parts) / max(1, sum(part.values for part in parts))
     covariance = np.linalg.inv(normal)
     return BrakeFit(at, without, covariance, prior, misfit, omega, used)
 
 
-def _without(
-    at: Vector, prior: Prior, weight: Vector, normal: Vector, right: Vector, part: RunFit
-) -> Vector:
+def _without(at: Vector, normal: Vector, right: Vector, part: RunFit) -> Vector:
     """The parameters without one run, by one step from the optimum of all."""
     return np.asarray(at + np.linalg.solve(normal - part.normal, right - part.right))
 
@@ -166,9 +163,7 @@ def _equations(
         nodes = course.nodes
         told = np.einsum("bn,nl->bl", course.weights[:, :, 0], angles[:nodes, :, number])
         told += np.einsum("bn,nl->bl", course.weights[:, :, 1], speeds[:nodes, :, number])
-        by_omega = course.weights[:, :, 0] @ (
-            moved[:nodes, 0, number] - angles[:nodes, 0, number]
-        )
+        by_omega = course.weights[:, :, 0] @ (moved[:nodes, 0, number] - angles[:nodes, 0, number])
         slopes = (told[:, 1:] - told[:, :1]) / probes
         residual = course.angle - told[:, 0]
         white = whitenings[number]
@@ -195,4 +190,3 @@ def _pressures(course: Course, felts: Vector, probes: Vector) -> tuple[Vector, V
     told = felts[node] * (1.0 - part) + felts[node + 1] * part
     residual = (course.pressure_pa[inside] - told[:, 0]) / PRESSURE_SD_PA
     return residual, (told[:, 1:] - told[:, :1]) / probes / PRESSURE_SD_PA
-

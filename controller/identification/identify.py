@@ -99,11 +99,10 @@ class Identified:
 Tell = Callable[[str], None]
 
 
-def identify(
-    content: LogContent, sheet: GearboxSheet, tell: Tell = lambda step: None
-) -> Identified:
+def identify(content: LogContent, sheet: GearboxSheet, tell: Tell | None = None) -> Identified:
     """Everything that can be told. tell: is called with the name of each step."""
     found = Identified()
+    tell = tell or _silent
     tell("teeth")
     zero_pa = _zero_pa(content, sheet)
     _fit_teeth(found, content, sheet, zero_pa)
@@ -116,6 +115,10 @@ def identify(
     _clutch(found, content, sheet)
     _never(found)
     return found
+
+
+def _silent(_step: str) -> None:
+    """Nobody is told."""
 
 
 def _zero_pa(content: LogContent, sheet: GearboxSheet) -> float:
@@ -274,13 +277,13 @@ def _courses(
 
 def _reference(courses: list[Course]) -> float:
     """The mean speed of the runs, in whole tens of rpm."""
-    speeds = [(course.angle[-1] - course.angle[0]) / (5e-3 * course.angle.size) for course in courses]
+    speeds = [
+        (course.angle[-1] - course.angle[0]) / (5e-3 * course.angle.size) for course in courses
+    ]
     return float(round(np.median(speeds) / RPM / 10.0) * 10.0 * RPM)
 
 
-def _fitted(
-    courses: list[Course], sheet: GearboxSheet, omega_ref: float
-) -> tuple[BrakeFit, bool]:
+def _fitted(courses: list[Course], sheet: GearboxSheet, omega_ref: float) -> tuple[BrakeFit, bool]:
     choked = fit(courses, sheet, True, omega_ref)
     if choked.misfit < FIRST_ORDER_FROM:
         return choked, True
@@ -339,14 +342,18 @@ def _tell_brake(
     omega_ref = found.omega_ref_rad_s
     values = _derived(best.parameters[None], is_choked, sheet, omega_ref)
     without = _derived(best.without, is_choked, sheet, omega_ref)
-    draws = best.parameters + np.random.Generator(np.random.PCG64(0)).standard_normal(
-        (400, best.parameters.size)
-    ) @ np.linalg.cholesky(best.covariance).T
+    draws = (
+        best.parameters
+        + np.random.Generator(np.random.PCG64(0)).standard_normal((400, best.parameters.size))
+        @ np.linalg.cholesky(best.covariance).T
+    )
     drawn = _derived(draws, is_choked, sheet, omega_ref)
     before = prior_of(sheet)
-    wide = before.mean + np.random.Generator(np.random.PCG64(1)).standard_normal(
-        (400, before.mean.size)
-    ) * before.sd
+    wide = (
+        before.mean
+        + np.random.Generator(np.random.PCG64(1)).standard_normal((400, before.mean.size))
+        * before.sd
+    )
     known = _derived(wide, is_choked, sheet, omega_ref)
     freedom = len(courses) - 1
     one_split = len({course.i_split for course in courses}) == 1
@@ -376,7 +383,9 @@ def _sleeves(
 ) -> None:
     sleeve = sheet.sleeve
     spread = ("sleeve delay spread", "ms", sleeve.delay_sd_s / MS)
-    names = [(f"sleeve delay {gear.name.lower()}", "ms", sleeve.delay_s / MS) for gear in MAIN_GEARS]
+    names = [
+        (f"sleeve delay {gear.name.lower()}", "ms", sleeve.delay_s / MS) for gear in MAIN_GEARS
+    ]
     if fitted is None:
         why = "no stroke of a main sleeve in the log"
         if not content.messages["ValveCommand"]:
@@ -403,9 +412,7 @@ def _sleeves(
             of_sheet.append((delays - sleeve.delay_s) / MS)
     if kept_out:
         found.held_out.append(
-            check_samples(
-                "sleeve delay", "ms", np.concatenate(kept_out), np.concatenate(of_sheet)
-            )
+            check_samples("sleeve delay", "ms", np.concatenate(kept_out), np.concatenate(of_sheet))
         )
     if fitted.freedom < 2:
         _untold(found, "too few strokes into one gear", spread)
@@ -424,9 +431,7 @@ def _tell_mean(
         _untold(found, "too few samples of it in the log", (name, unit, by_sheet))
         return
     mean, count = float(samples.mean()), samples.size
-    half = math.hypot(
-        student(count - 1) * float(samples.std(ddof=1)) / math.sqrt(count), 1.96 * sd
-    )
+    half = math.hypot(student(count - 1) * float(samples.std(ddof=1)) / math.sqrt(count), 1.96 * sd)
     found.figures.append(Figure(name, unit, mean, mean - half, mean + half, by_sheet, count))
 
 
@@ -455,8 +460,8 @@ def _never(found: Identified) -> None:
     )
     _untold(
         found,
-        "no angle beyond the propeller shaft is measured, and the frequency with which the driveline "
+        "no angle beyond the propeller shaft is measured; the frequency with which the driveline "
         "swings in neutral is one of stiffness over inertias that the data sheet does not have, "
-        "lower the more backlash it has",
+        "and is the lower the more backlash it has",
         ("driveline stiffness", "Nm/rad", None),
     )

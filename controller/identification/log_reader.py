@@ -314,9 +314,7 @@ class _Strokes:
         self._moved_us: dict[int, int] = {}
         self._rest_m: dict[int, float] = {}
 
-    def step(
-        self, view: GearboxView, valves: ValveSwitches, now_us: int, supply_pa: float
-    ) -> None:
+    def step(self, view: GearboxView, valves: ValveSwitches, now_us: int, supply_pa: float) -> None:
         """One read of the sleeves."""
         for gear in MAIN_GEARS:
             side = SLEEVE_OF_MAIN[gear]
@@ -396,4 +394,3 @@ class _ClosingTrack:
         if len(inside) > 5:
             engine = np.array(inside).T
             self._content.closings.add(Closing(times, shares, engine[0], engine[1]))
-

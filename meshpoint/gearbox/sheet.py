@@ -364,7 +364,9 @@ def _tables(path: Path, overlays: int) -> dict[str, Any]:
     if not isinstance(base, str):
         raise TableError(f"{path.name}: {BASED_ON} = {base!r}, allowed is a sheet's name or file")
     if overlays == 0:
-        raise TableError(f"{path.name}: {BASED_ON}: more than {MOST_OVERLAYS} sheets one on another")
+        raise TableError(
+            f"{path.name}: {BASED_ON}: more than {MOST_OVERLAYS} sheets one on another"
+        )
     if base in SHEET_NAMES:
         source = resources.files("meshpoint.gearbox") / "sheets" / f"{base}.toml"
         with resources.as_file(source) as below:

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from meshpoint.bus.logs.files import log_files
-from meshpoint.controller.identification.identify import Figure, Identified, identify
+from meshpoint.controller.identification.identify import Identified, identify
 from meshpoint.controller.identification.log_reader import LogReader
 from meshpoint.controller.identification.overlay import overlay
 from meshpoint.gearbox import GearboxSheet, load_sheet
@@ -161,7 +161,9 @@ def _show(out: Console, found: Identified, log: LoggedFrames) -> None:
         out.print(table)
     rpm = found.omega_ref_rad_s / RPM
     if rpm:
-        out.print(f"torque and drag at {rpm:.0f} rpm of the layshaft, over the inertia of the sheet")
+        out.print(
+            f"torque and drag at {rpm:.0f} rpm of the layshaft, over the inertia of the sheet"
+        )
     if found.supply_pa:
         out.print(f"sleeve delays at {found.supply_pa / 1e5:.2f} bar of supply (absolute)")
     for line in found.notes:
@@ -186,4 +188,3 @@ def _show_checks(out: Console, found: Identified) -> None:
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.4g}"
-

@@ -85,9 +85,7 @@ def _conclude(given: Given[Settings]) -> Finding:
         "coverage": share,
         "coverage_interval": list(interval),
         "edges_covered": edges,
-        "by_figure": {
-            row[0]: dict(zip(COLUMNS[1:], row[1:], strict=True)) for row in rows
-        },
+        "by_figure": {row[0]: dict(zip(COLUMNS[1:], row[1:], strict=True)) for row in rows},
         "held_out": {row[0]: dict(zip(CHECKS[1:], row[1:], strict=True)) for row in checks},
     }
     tables = (

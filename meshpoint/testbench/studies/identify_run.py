@@ -156,9 +156,7 @@ class _Truth:
         faster = built["disc.fade_per_1000_rpm"]
         by_speed = 1.0 + faster * (omega / RPM - built["disc.reference_rpm"]) / 1000.0
         share = (1.0 - built["disc.fade_per_k"] * warmer_k) * by_speed
-        thicker = thickening(
-            built["oil.temperature_c"] + CELSIUS, built["drag.thicker_per_k"]
-        )
+        thicker = thickening(built["oil.temperature_c"] + CELSIUS, built["drag.thicker_per_k"])
         inertia = real.shafts.layshaft_inertia_kgm2 / sheet.shafts.layshaft_inertia_kgm2
         i2 = sheet.split_mesh(Split.HIGH).ratio ** -2
         viscous = real.shafts.friction_nms + built["drag.input_nms"] * i2
@@ -193,9 +191,7 @@ class _Truth:
         air, critical = self._sheet.air, self._built["air.critical_ratio"]
         pressure, steps = air.supply_gauge_pa + air.atmosphere_pa, 0
         while pressure - air.atmosphere_pa > math.exp(-1.0) * air.supply_gauge_pa:
-            pressure -= STEP_S * rate * pressure * flow_share(
-                pressure, air.atmosphere_pa, critical
-            )
+            pressure -= STEP_S * rate * pressure * flow_share(pressure, air.atmosphere_pa, critical)
             steps += 1
         return steps * STEP_S
 
@@ -223,9 +219,7 @@ class _Truth:
         """What the rest before each stroke into a gear added."""
         most_s, tau_s = self._built["sleeve.stiction_ms"] * MS, self._built["sleeve.stiction_s"]
         rests = [stroke.rested_s for stroke in self._content.strokes if stroke.gear is gear]
-        return [
-            most_s if rest is None else -most_s * math.expm1(-rest / tau_s) for rest in rests
-        ]
+        return [most_s if rest is None else -most_s * math.expm1(-rest / tau_s) for rest in rests]
 
     def _of_wheels(self) -> dict[str, float]:
         found = {}
