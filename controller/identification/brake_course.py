@@ -6,7 +6,8 @@
 
 on absolute pressure, psi(x) = sqrt(1 - ((x - b) / (1 - b))^2) above the critical ratio b and 1
 below it; or p' = (u p_s - p) / tau on gauge pressure (thesis 4.1). Each valve acts its delay after
-its switch. T_c is the drag of the open clutch toward the engine's speed w_E. Torque and inertia are seen as a quotient alone, so J is that of the data sheet.
+its switch. T_c is the drag of the open clutch toward the engine's speed w_E. Torque and inertia are
+seen as a quotient alone, so J is that of the data sheet.
 """
 
 from __future__ import annotations
@@ -25,10 +26,11 @@ from meshpoint.gearbox.gears import Split
 from meshpoint.units import BAR, MS, RPM, US
 
 GRID_S: Final = 1e-3
-LEAD_S: Final = 0.3
+LEAD_S: Final = 0.15
 """Before the run, so that a brake that was switched on or off just before it is known."""
 BIN_S: Final = 5e-3
 LEAST_BINS: Final = 12
+TYPICAL_LAG_S: Final = 3e-3
 LAMINAR_FROM: Final = 0.99
 SOFT_RAD_S: Final = 2.0
 """Plates that slip less than this drag less: the sign is no step."""
@@ -64,7 +66,7 @@ class P(IntEnum):
     SUPPLY = 11
     """true supply pressure less the measured one, bar"""
     SENSOR_LAG = 12
-    """of the pressure sensor at the brake, s"""
+    """log of the lag of the pressure sensor at the brake over `TYPICAL_LAG_S`"""
     CRITICAL = 13
     """pressure ratio up to which the valve's flow is choked"""
     INPUT_VISCOUS = 14
@@ -101,7 +103,7 @@ def prior_of(sheet: GearboxSheet) -> Prior:
         (P.EMPTYING, 0.0, 0.7),
         (P.TOUCH, 0.2, 0.3),
         (P.SUPPLY, 0.0, 0.2),
-        (P.SENSOR_LAG, 3.0 * MS, 5.0 * MS),
+        (P.SENSOR_LAG, 0.0, 1.0),
         (P.CRITICAL, CRITICAL, 0.08),
         (P.INPUT_VISCOUS, 0.0, 0.01),
         (P.PLATES, 0.0, 2.0),
@@ -235,9 +237,13 @@ class BrakeCourses:
         self._ratio = shares.input_inertia_kgm2 / shares.layshaft_inertia_kgm2
         self._i2 = np.array([course.i_split**-2 for course in courses])
         self._split = np.array([course.i_split for course in courses])
-        self._engine = np.full((self._nodes, len(courses)), np.nan)
+        # Where the engine's speed is not known the plates are taken to turn with the shaft's own.
+        self._engine = np.zeros((self._nodes, len(courses)))
+        self._knows = np.zeros(len(courses))
         for number, course in enumerate(courses):
-            self._engine[: course.nodes, number] = course.engine_rad_s
+            known = bool(np.isfinite(course.engine_rad_s).all())
+            self._knows[number] = float(known)
+            self._engine[: course.nodes, number] = course.engine_rad_s if known else 0.0
         self._late = np.array([course.share_of_log for course in courses])
         self._measured_pa = np.array([course.supply_pa for course in courses])
 
@@ -255,8 +261,8 @@ class BrakeCourses:
         inertia = sheet.shafts.layshaft_inertia_kgm2 * (1.0 + ratio * self._i2)
         drag, touch = p[:, P.DRAG], p[:, P.TOUCH] * BAR
         viscous = p[:, P.VISCOUS] + p[:, P.INPUT_VISCOUS] * self._i2
-        plates = p[:, P.PLATES] / self._split
-        lag_share = np.maximum(p[:, P.SENSOR_LAG], 1e-4) / GRID_S
+        plates = p[:, P.PLATES] / self._split * self._knows
+        lag_share = TYPICAL_LAG_S * np.exp(np.clip(p[:, P.SENSOR_LAG], -5.0, 4.0)) / GRID_S
         shape = supply.shape
         pressure, felt = np.zeros(shape), np.zeros(shape)
         omega, theta = np.broadcast_to(omega_rad_s, shape).copy(), np.zeros(shape)
@@ -268,7 +274,7 @@ class BrakeCourses:
             slope = self._rates(pressure, on, supply, p)
             middle = pressure + 0.5 * GRID_S * slope
             after = pressure + GRID_S * self._rates(middle, on, supply, p)
-            after = np.clip(after, 0.0, supply)
+            after = np.minimum(np.maximum(after, 0.0), supply)
             mean = 0.5 * (pressure + after)
             lagging = (after - pressure) * lag_share
             felt = after - lagging + (felt - pressure + lagging) * keep
@@ -276,7 +282,7 @@ class BrakeCourses:
                 torque = gain * np.maximum(mean - touch, 0.0)
                 half = omega
                 ahead = self._engine[node] - omega / self._split
-                pulled = plates * np.nan_to_num(np.tanh(ahead / SOFT_RAD_S), nan=0.0)
+                pulled = plates * np.tanh(ahead / SOFT_RAD_S)
                 for _ in range(2):  # torque by the speed in the middle of the step
                     friction = 1.0 + by_speed * (half - self.omega_ref)
                     slowing = (torque * friction + drag - pulled + viscous * half) / inertia
@@ -306,18 +312,22 @@ class BrakeCourses:
         atmosphere = self._sheet.air.atmosphere_pa
         pressure, before = gauge + atmosphere, supply + atmosphere
         critical = np.clip(p[:, P.CRITICAL], 0.0, 0.6)
-        filling = fill * before * flow_share(pressure / before, critical)
-        emptying = empty * pressure * flow_share(atmosphere / pressure, critical)
-        rates = self._rate * (on * filling - (1.0 - on) * emptying)
+        rates = np.zeros(gauge.shape)
+        if on.any():
+            rates += on * fill * before * flow_share(pressure / before, critical)
+        if not on.all():
+            emptying = empty * pressure * flow_share(atmosphere / pressure, critical)
+            rates -= (1.0 - on) * emptying
+        rates *= self._rate
         return rates
 
 
 def flow_share(ratio: Vector, critical: Vector) -> Vector:
     """Mass flow over that of the choked valve, by the ratio of the pressures behind and before."""
-    part = np.clip((np.minimum(ratio, LAMINAR_FROM) - critical) / (1.0 - critical), 0.0, 1.0)
+    part = np.maximum((np.minimum(ratio, LAMINAR_FROM) - critical) / (1.0 - critical), 0.0)
     share = np.sqrt(1.0 - part * part)
-    laminar = np.clip((1.0 - ratio) / (1.0 - LAMINAR_FROM), 0.0, 1.0)
-    found: Vector = np.where(ratio > LAMINAR_FROM, share * laminar, share)
+    laminar = np.maximum((1.0 - ratio) / (1.0 - LAMINAR_FROM), 0.0)
+    found: Vector = share * np.minimum(laminar, 1.0)
     return found
 
 

@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.identification.brake_course import (
-    COUNT,
     GRID_S,
     BrakeCourses,
     Course,
@@ -110,15 +109,13 @@ def fit(courses: list[Course], sheet: GearboxSheet, is_choked: bool, omega_ref: 
             break
     used = heed > 0.0
     parts = [part for part, share in zip(parts, heed, strict=True) if share > 0.0]
-    without = np.array([_without(at, prior, weight, normal, right, part) for part in parts])
+    without = np.array([_without(at, normal, right, part) for part in parts])
     misfit = sum(part.squares for part in parts) / max(1, sum(part.values for part in parts))
     covariance = np.linalg.inv(normal)
     return BrakeFit(at, without, covariance, prior, misfit, omega, used)
 
 
-def _without(
-    at: Vector, prior: Prior, weight: Vector, normal: Vector, right: Vector, part: RunFit
-) -> Vector:
+def _without(at: Vector, normal: Vector, right: Vector, part: RunFit) -> Vector:
     """The parameters without one run, by one step from the optimum of all."""
     return np.asarray(at + np.linalg.solve(normal - part.normal, right - part.right))
 

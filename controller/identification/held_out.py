@@ -7,7 +7,6 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from meshpoint.controller.identification.brake_course import (
-    BIN_S,
     GRID_S,
     BrakeCourses,
     Course,
@@ -48,7 +47,7 @@ def check_runs(
 ) -> HeldOut:
     """The layshaft's speed at the end of each run, from that at its beginning."""
     by_sheet = prior_of(sheet).mean.copy()
-    by_sheet[P.TOUCH] = by_sheet[P.SENSOR_LAG] = 0.0
+    by_sheet[P.TOUCH] = 0.0
     omega = best.omega_rad_s[best.used.astype(bool)]
     errors = []
     for number, parameters in enumerate(best.without):
@@ -75,6 +74,3 @@ def _end_errors(course: Course, angles: Vector, speeds: Vector) -> Vector:
     begin, end = rest[:ENDS], rest[-ENDS:]
     at_begin, at_end = seconds[:ENDS] - seconds[0], seconds[-ENDS:] - seconds[-1]
     return np.asarray(np.polyfit(at_end, end, 1)[0] - np.polyfit(at_begin, begin, 1)[0])
-
-
-__all__ = ["BIN_S", "HeldOut", "check_runs", "check_samples"]

@@ -99,11 +99,10 @@ class Identified:
 Tell = Callable[[str], None]
 
 
-def identify(
-    content: LogContent, sheet: GearboxSheet, tell: Tell = lambda step: None
-) -> Identified:
+def identify(content: LogContent, sheet: GearboxSheet, tell: Tell | None = None) -> Identified:
     """Everything that can be told. tell: is called with the name of each step."""
     found = Identified()
+    tell = tell or _silent
     tell("teeth")
     zero_pa = _zero_pa(content, sheet)
     _fit_teeth(found, content, sheet, zero_pa)
@@ -116,6 +115,10 @@ def identify(
     _clutch(found, content, sheet)
     _never(found)
     return found
+
+
+def _silent(_step: str) -> None:
+    """Nobody is told."""
 
 
 def _zero_pa(content: LogContent, sheet: GearboxSheet) -> float:
@@ -457,8 +460,8 @@ def _never(found: Identified) -> None:
     )
     _untold(
         found,
-        "no angle beyond the propeller shaft is measured, and the frequency with which the driveline "
+        "no angle beyond the propeller shaft is measured; the frequency with which the driveline "
         "swings in neutral is one of stiffness over inertias that the data sheet does not have, "
-        "lower the more backlash it has",
+        "and is the lower the more backlash it has",
         ("driveline stiffness", "Nm/rad", None),
     )

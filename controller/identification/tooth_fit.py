@@ -8,6 +8,7 @@ is fitted beside them.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -53,8 +54,8 @@ class ToothFit:
     without: Vector
     """(groups, 2 z)"""
     judder: Vector
-    """Amplitudes of what the brake adds, at 100 rad/s and full pressure: cosine and sine once a turn,
-    then twice (rad)."""
+    """Amplitudes of what the brake adds, at 100 rad/s and full pressure: cosine and sine once a
+    turn, then twice (rad)."""
     held_out_rad: float = 0.0
     """RMS of the angles' errors in groups of runs, by what the others say of the teeth;"""
     nominal_rad: float = 0.0
@@ -230,7 +231,7 @@ def _spans(wheel: Wheel, edges: int, pressure: Vector | None) -> list[_Span]:
     cuts = np.linspace(0, theta.size, count + 1).astype(int)
     return [
         _Span(wheel.time_us[a:b], theta[a:b], wheel.place[a:b], edges, pressure)
-        for a, b in zip(cuts[:-1], cuts[1:], strict=True)
+        for a, b in itertools.pairwise(cuts.tolist())
         if b - a >= LEAST_EDGES
     ]
 

@@ -16,6 +16,7 @@ from meshpoint.testbench.studies import prediction
 from meshpoint.testbench.studies.counterfactual_run import Compared as Landing
 from meshpoint.testbench.studies.excitation import BrakePoint, Figures, figures, matched
 from meshpoint.testbench.studies.hardware import Bought, certainty
+from meshpoint.testbench.studies.identify_run import Gearbox, Told
 from meshpoint.testbench.studies.jobs import ShiftErrors
 from meshpoint.testbench.studies.record import Finding, Given, Statement, ThesisVerdict
 from meshpoint.testbench.studies.registry import load
@@ -168,3 +169,22 @@ def test_landings_agree_where_nine_to_ten_of_ten_intervals_hold_the_truth(
     assert finding.figures["told"] == 20
     assert finding.figures["coverage"] == pytest.approx(1.0 - outside / 20)
     assert finding.figures["not_told"] == {"known to within n deg only": 1}
+
+
+@pytest.mark.parametrize(("outside", "agrees"), [(0, True), (2, True), (3, False)])
+def test_identified_figures_agree_where_nine_of_ten_intervals_hold_what_was_built(
+    outside: int, agrees: bool
+) -> None:
+    """What a log does not tell is counted as not told, not as right."""
+    start = given("identify")
+    start = replace(start, own=replace(start.own, gearboxes=1))
+    (job,) = load("identify").jobs(start)
+    nan = float("nan")
+    told = [Told("drag", "Nm", 6.0, 5.0, 7.0, 8.0, 7.5 if k < outside else 6.5) for k in range(20)]
+    box = Gearbox((*told, Told("drag", "Nm", None, nan, nan, 8.0, 6.5)), (("main", 90, 81),), ())
+    finding = load("identify").conclude(replace(start, results={job: box}))
+    assert finding.verdict is (ThesisVerdict.AGREES if agrees else ThesisVerdict.DIFFERS)
+    assert finding.figures["told"] == 20
+    assert finding.figures["coverage"] == pytest.approx(1.0 - outside / 20)
+    assert finding.figures["by_figure"]["drag"]["half interval"] == pytest.approx(1.0)
+    assert finding.figures["edges_covered"] == {"main": pytest.approx(0.9)}

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from meshpoint.bus.logs.files import log_files
-from meshpoint.controller.identification.identify import Figure, Identified, identify
+from meshpoint.controller.identification.identify import Identified, identify
 from meshpoint.controller.identification.log_reader import LogReader
 from meshpoint.controller.identification.overlay import overlay
 from meshpoint.gearbox import GearboxSheet, load_sheet
