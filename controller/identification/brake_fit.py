@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from meshpoint.controller.identification.brake_course import (
     GRID_S,
@@ -77,7 +78,7 @@ class BrakeFit:
     """Squared weighed residuals over their number."""
     omega_rad_s: Vector
     """At each run's first node."""
-    used: Vector
+    used: NDArray[np.bool_]
     """(runs,): False for those that do not fit the others and were left out."""
 
 
@@ -101,7 +102,7 @@ def fit(courses: list[Course], sheet: GearboxSheet, is_choked: bool, omega_ref: 
         parts = [part.weighed(share) for part, share in zip(parts, heed, strict=True)]
         normal = weight + sum(part.normal for part in parts)
         right = weight @ (prior.mean - at) + sum(part.right for part in parts)
-        step = np.linalg.solve(normal, right)
+        step = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
         step /= max(1.0, float(np.max(np.abs(step) / prior.sd)) / MOST_STEP)
         at = at + step
         omega = omega + np.array([one(step) for one in own])
@@ -111,7 +112,7 @@ def fit(courses: list[Course], sheet: GearboxSheet, is_choked: bool, omega_ref: 
     parts = [part for part, share in zip(parts, heed, strict=True) if share > 0.0]
     without = np.array([_without(at, normal, right, part) for part in parts])
     misfit = sum(part.squares for part in parts) / max(1, sum(part.values for part in parts))
-    covariance = np.linalg.inv(normal)
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     return BrakeFit(at, without, covariance, prior, misfit, omega, used)
 
 

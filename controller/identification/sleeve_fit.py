@@ -108,7 +108,7 @@ class SleeveFit:
             return LEAST_CORRELATION
         found = sum(float(np.sum(one[1:] * one[:-1])) for one in pairs) / squares
         # Deviations from a mean of n are correlated by -1 / n of themselves.
-        return min(max(found + len(pairs) / strokes, LEAST_CORRELATION), MOST_CORRELATION)
+        return float(min(max(found + len(pairs) / strokes, LEAST_CORRELATION), MOST_CORRELATION))
 
 
 def _squares_expected(count: int, correlation: float) -> float:

@@ -160,7 +160,8 @@ def _fit_spans(
     for group, span in spans:
         normal[group] += span.picked.T @ span.picked - span.coupled.T @ span.coupled
         right[group] += span.picked.T @ span.left
-    whole, all_right = normal.sum(axis=0), right.sum(axis=0)
+    whole: Vector = normal.sum(axis=0)
+    all_right: Vector = right.sum(axis=0)
     if np.any(np.diag(whole)[:edges] == 0.0):
         return None
     weak = weight * np.eye(size)
@@ -172,7 +173,7 @@ def _fit_spans(
 
 
 def _solved(normal: Vector, right: Vector) -> Vector:
-    error: Vector = np.linalg.solve(normal, right)
+    error = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
     error[:-JUDDER] -= error[:-JUDDER].mean()
     return error
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,7 +12,8 @@ from rich.console import Console
 from rich.table import Table
 
 from meshpoint.bus.logs.files import log_files
-from meshpoint.controller.identification.identify import Identified, identify
+from meshpoint.controller.identification.held_out import HeldOut
+from meshpoint.controller.identification.identify import Figure, Identified, identify
 from meshpoint.controller.identification.log_reader import LogReader
 from meshpoint.controller.identification.overlay import overlay
 from meshpoint.gearbox import GearboxSheet, load_sheet
@@ -145,20 +147,9 @@ def _values(
 def _show(out: Console, found: Identified, log: LoggedFrames) -> None:
     for line in log.account.words():
         out.print(f"log: {line}", markup=False)
-    table = Table(title="identified", title_justify="left", box=None, pad_edge=False)
-    for column in COLUMNS:
-        left = column in ("figure", "unit")
-        table.add_column(column, justify="left" if left else "right", no_wrap=True)
-    untold = []
-    for one in found.figures:
-        if one.value is None:
-            untold.append(one)
-            continue
-        interval = f"{_number(one.low)} to {_number(one.high)}"
-        sheet, samples = _number(one.sheet), str(one.samples)
-        table.add_row(one.name, one.unit, _number(one.value), interval, sheet, samples)
-    if table.row_count:
-        out.print(table)
+    told = [one for one in found.figures if one.value is not None]
+    if told:
+        out.print(figures_table(told))
     rpm = found.omega_ref_rad_s / RPM
     if rpm:
         out.print(
@@ -168,22 +159,36 @@ def _show(out: Console, found: Identified, log: LoggedFrames) -> None:
         out.print(f"sleeve delays at {found.supply_pa / 1e5:.2f} bar of supply (absolute)")
     for line in found.notes:
         out.print(line, markup=False)
-    _show_checks(out, found)
-    for one in untold:
-        out.print(f"not told: {one.name}: {one.why}", markup=False)
+    if found.held_out:
+        out.print(checks_table(found.held_out))
+    for one in found.figures:
+        if one.value is None:
+            out.print(f"not told: {one.name}: {one.why}", markup=False)
 
 
-def _show_checks(out: Console, found: Identified) -> None:
-    if not found.held_out:
-        return
+def figures_table(figures: Sequence[Figure]) -> Table:
+    """What the log tells, with intervals, beside the data sheet."""
+    table = Table(title="identified", title_justify="left", box=None, pad_edge=False)
+    for column in COLUMNS:
+        left = column in ("figure", "unit")
+        table.add_column(column, justify="left" if left else "right", no_wrap=True)
+    for one in figures:
+        interval = f"{_number(one.low)} to {_number(one.high)}"
+        sheet, samples = _number(one.sheet), str(one.samples)
+        table.add_row(one.name, one.unit, _number(one.value), interval, sheet, samples)
+    return table
+
+
+def checks_table(checks: Sequence[HeldOut]) -> Table:
+    """Errors of predictions, each by the samples that were kept out."""
     table = Table(title="RMS errors", title_justify="left", box=None, pad_edge=False)
     for column in CHECK_COLUMNS:
         left = column in CHECK_COLUMNS[:2]
         table.add_column(column, justify="left" if left else "right", no_wrap=True)
-    for one in found.held_out:
+    for one in checks:
         own, by_sheet = _number(one.identified), _number(one.by_sheet)
         table.add_row(one.name, one.unit, own, by_sheet, str(one.samples))
-    out.print(table)
+    return table
 
 
 def _number(value: float | None) -> str:
