@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: swarm faults planted demo test installed acceptance vcan test-containers lint types reference contracts stubs bench clean
+.PHONY: swarm faults planted mutants demo docs test installed acceptance vcan test-containers lint types reference contracts stubs bench clean
 
 # --no-compile: of some 100 MB of Python a run imports a tenth, and compiles that as it does.
 $(VENV)/run.stamp: pyproject.toml setup.py constraints.txt
@@ -55,6 +55,11 @@ faults: $(VENV)/test.stamp
 planted: $(VENV)/test.stamp
 	$(BIN)/python tests/planted/run_planted.py
 
+# Small mistakes in what must not fail, one at a time: does a test catch each? CHANGED=1: only lines
+# that differ from where this branch left origin/main; ARGS: see tests/mutation/run_mutants.py.
+mutants: $(VENV)/test.stamp
+	$(BIN)/python tests/mutation/run_mutants.py $(if $(CHANGED),--changed) $(ARGS)
+
 test-containers:
 	tools/test-containers
 
@@ -71,6 +76,15 @@ types: $(VENV)/test.stamp
 reference: $(VENV)/test.stamp
 	$(BIN)/python -m meshpoint.testbench.commands.reference docs/reference
 	$(BIN)/python -m meshpoint.api.reference docs/reference/api.md
+
+$(VENV)/docs.stamp: pyproject.toml constraints.txt
+	test -d $(VENV) || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --no-compile -c constraints.txt -e ".[docs]"
+	touch $@
+
+# The documentation as a site in build/site. A link that leads nowhere is an error.
+docs: $(VENV)/docs.stamp
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
 
 contracts: $(VENV)/test.stamp
 	tools/linked-tree

@@ -14,6 +14,8 @@ from meshpoint.dbc.layout import CODECS
 CONTROLLER: Final = 0x03
 """Source address of transmission 1."""
 GLOBAL: Final = 0xFF
+ADDRESS_CLAIM: Final = 0xEE00
+"""Parameter group of J1939-81's address claimed."""
 PDU1_TOP: Final = 240
 """PDU formats below this have a destination in the identifier's second byte."""
 REQUEST_ID: Final = CODECS["TC1"].spec.can_id

@@ -166,8 +166,7 @@ class LiveBench(Watching):
             self._ready.set()
 
     async def _main(self) -> None:
-        async with live_session(self._run, self._operator) as session:
-            self._monitor = session.result.monitor
+        async with live_session(self._run, self._operator, self._monitor) as session:
             self._session = session
             self._ready.set()
             while not self._ending.is_set():
@@ -177,7 +176,7 @@ class LiveBench(Watching):
                     self._orders.pop(0)()
 
     def _see(self, frame: Frame) -> None:
-        self._latest[frame.can_id] = frame  # the session's own monitor takes it as well
+        self._latest[frame.can_id] = frame  # the session has the monitor take it
 
     # --------------------------------------------------- the caller's thread ----
 

@@ -22,7 +22,7 @@ from meshpoint.gearbox.tables import TableError
 from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import report_provenance, write_report
-from meshpoint.testbench.results.monitor import Monitor
+from meshpoint.testbench.results.monitor import RowMonitor
 from meshpoint.testbench.results.rows import ShiftRow
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ class Log:
 
         gearbox: the data sheet, where the log has no run header beside it."""
         sheet, settings = self._sheet(gearbox)
-        monitor = Monitor(sheet, settings)
+        monitor = RowMonitor(sheet, settings)
         for _, frame in self:
             monitor.take(frame)
         return monitor.rows.rows

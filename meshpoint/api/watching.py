@@ -28,7 +28,7 @@ from meshpoint.testbench.loop.bench import BenchCore, PlannedShift, plan_shifts
 from meshpoint.testbench.loop.schedules import check_preset
 from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S
 from meshpoint.testbench.results.faults import explain
-from meshpoint.testbench.results.monitor import Monitor
+from meshpoint.testbench.results.monitor import RowMonitor
 from meshpoint.testbench.results.output import folder_for
 from meshpoint.testbench.results.rows import ShiftRow
 
@@ -54,7 +54,7 @@ class Watching(ABC):
         """The controller's settings."""
         self._preset = preset
         self._gear = gear
-        self._monitor = Monitor(sheet, settings)
+        self._monitor = RowMonitor(sheet, settings)
         self._operator = BenchCore([])
         self._planned: list[PlannedShift] = []
         self._latest: dict[int, Frame] = {}

@@ -19,6 +19,7 @@ from meshpoint.bus.kernel_drops import lost_frames
 from meshpoint.bus.reception import Reception, receive_from
 from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.j1939 import ADDRESS_CLAIM, group_of
 
 RECONNECT_S = 0.5
 _REPORT_EVERY_S = 1.0
@@ -205,7 +206,7 @@ class _Node:
                 self._say(
                     f"remote frames on the bus, the first 0x{message.arbitration_id:X}: ignored"
                 )
-        elif message.is_extended_id and message.arbitration_id & 0xFF in self._own_addresses:
+        elif self._is_own(message):
             counts.own_address_frames += 1
             if counts.own_address_frames == 1 and type(self._bus).__name__ not in _ECHOING:
                 self._say(
@@ -216,6 +217,13 @@ class _Node:
             counts.frames_received += 1
             self._clock.heard()
             self._core.receive(frame_of(message))
+
+    def _is_own(self, message: can.Message) -> bool:
+        """Under a source address of ours. Claims of the address are heard all the same: whose it
+        is must be settled."""
+        if not message.is_extended_id or message.arbitration_id & 0xFF not in self._own_addresses:
+            return False
+        return group_of(message.arbitration_id) != ADDRESS_CLAIM
 
     def _send(self, frames: list[Frame], timeout_s: float = 0.0) -> None:
         counts = self.statistics

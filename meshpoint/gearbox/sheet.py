@@ -40,6 +40,9 @@ from meshpoint.units import BAR, DEG, MM, MS, RPM
 SHEET_NAMES: Final = ("thesis", "truck12")
 SENSOR_SD_PA: Final = 0.01 * BAR
 """Noise of the brake's pressure sensor where a sheet does not say: a thousandth of 10 bar."""
+BASED_ON: Final = "based_on"
+"""A key of a sheet's file: the sheet that holds what this one leaves out."""
+MOST_OVERLAYS: Final = 8
 LEAST_RUN: Final = 6
 """Teeth in a row that a sensor wheel needs somewhere, to see its speed."""
 _MAIN_FIELD: Final = {gear: gear.name.lower() for gear in MAIN_GEARS}
@@ -376,9 +379,39 @@ def load_sheet(name_or_path: str | Path) -> GearboxSheet:
 
 def _read_sheet(path: Path) -> GearboxSheet:
     try:
-        return read_group(GearboxSheet, load_toml(path), path.name)
+        return read_group(GearboxSheet, _tables(path, MOST_OVERLAYS), path.name)
     except TableError as error:
         raise SheetError(str(error)) from error
+
+
+def _tables(path: Path, overlays: int) -> dict[str, Any]:
+    """A file's tables; over those of the sheet that it is `based_on`, where it names one: a sheet
+    of ours, or a file beside it."""
+    tables = load_toml(path)
+    base = tables.pop(BASED_ON, None)
+    if base is None:
+        return tables
+    if not isinstance(base, str):
+        raise TableError(f"{path.name}: {BASED_ON} = {base!r}, allowed is a sheet's name or file")
+    if overlays == 0:
+        raise TableError(
+            f"{path.name}: {BASED_ON}: more than {MOST_OVERLAYS} sheets one on another"
+        )
+    if base in SHEET_NAMES:
+        source = resources.files("meshpoint.gearbox") / "sheets" / f"{base}.toml"
+        with resources.as_file(source) as below:
+            return _laid_over(load_toml(below), tables)
+    return _laid_over(_tables(path.parent / base, overlays - 1), tables)
+
+
+def _laid_over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Tables with what is in `above` in place of the same key in `below`."""
+    laid = dict(below)
+    for key, value in above.items():
+        under = laid.get(key)
+        both = isinstance(value, dict) and isinstance(under, dict)
+        laid[key] = _laid_over(under, value) if both else value  # type: ignore[arg-type]
+    return laid
 
 
 def sheet_from_canonical(values: dict[str, Any]) -> GearboxSheet:

@@ -46,6 +46,12 @@ def add_parser(commands: Any) -> None:
     arguments.add_calibration(controller)
     add_header_dir(controller)
     controller.add_argument(
+        "--diagnosis",
+        action="store_true",
+        help="what a garage's tool expects of a node: claims its J1939 address, tells trouble "
+        "codes (DM1), clears them (DM3, DM11), and answers UDS over ISO-TP (docs/diagnosis.md)",
+    )
+    controller.add_argument(
         "--shadow",
         action="store_true",
         help="computes, logs and tells what it would have done beside what the production "
@@ -77,7 +83,8 @@ def add_header_dir(parser: arguments.Arguments) -> None:
         "--header-dir",
         type=Path,
         metavar="DIR",
-        help="save the run header here; replay wants it beside the log",
+        help="save the run header here, and what a link outage keeps from the log; replay wants "
+        "both beside the log",
     )
 
 
@@ -141,6 +148,8 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     stop=stop,
                     keep=writer,
                     keys=keys,
+                    diagnosis=namespace.diagnosis,
+                    record=namespace.header_dir,
                 )
 
     run_loop(run())
@@ -156,7 +165,7 @@ def run_shadow(namespace: argparse.Namespace) -> int:
     from meshpoint.controller.warm_up import warm_up
     from meshpoint.testbench.shadow.core import ShadowCore
 
-    for name in ("arm", "keys", "calibration"):
+    for name in ("arm", "keys", "calibration", "diagnosis"):
         if getattr(namespace, name):
             raise CommandError(f"--{name}: a shadow sends nothing and keeps nothing")
     sheet, settings = arguments.sheet_of(namespace), arguments.settings_of(namespace)

@@ -19,8 +19,11 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.interrupt import interruptible
+from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import start_log, written
+from meshpoint.testbench.loop.adapter import AdapterProfile
+from meshpoint.testbench.loop.adapter_profiles import PROFILES, unfit
 from meshpoint.testbench.loop.simulate import Result, Setup, simulate
 from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.comparison import compare, comparison_table, explain
@@ -119,6 +122,24 @@ def _add_bus(parser: argparse.ArgumentParser) -> None:
         "SocketCAN interface; or by priority, for which worst responses have the least bounds, but "
         "frames of two steps may be mixed, which --verify does not take (default: %(default)s)",
     )
+    parser.add_argument(
+        "--adapter",
+        choices=tuple(PROFILES),
+        help="what lies between controller and bus: delays, bundles, pauses, queues and clocks as "
+        "they are reported of adapters (docs/bench.md); one through which our messages do not fit "
+        "is refused with the reason (default: nothing)",
+    )
+
+
+def _adapter(namespace: argparse.Namespace) -> AdapterProfile | None:
+    """The profile that is asked for; CommandError where our messages do not fit through it."""
+    if namespace.adapter is None:
+        return None
+    profile = PROFILES[namespace.adapter]
+    why = unfit(profile)
+    if why is not None:
+        raise CommandError(f"--adapter {profile.name} cannot work: {why}")
+    return profile
 
 
 def _load(text: str) -> float:
@@ -211,6 +232,7 @@ def _setup(
         calibration=calibration,
         keys=arguments.keys_of(namespace),
         bus_load=namespace.bus_load,
+        adapter=_adapter(namespace),
         bus_queue=QueueOrder(namespace.bus_queue),
     )
 

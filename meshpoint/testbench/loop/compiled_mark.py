@@ -17,8 +17,7 @@ from typing import Final
 import numba
 from numba.core.registry import cpu_target
 
-import meshpoint
-from meshpoint import rig_sim
+from meshpoint import rig_sim, units
 from meshpoint.kernel_cache import folders
 
 SHARED: Final = ("units.py", "kernel_cache.py", "gearbox")
@@ -60,5 +59,5 @@ def _digest(package: Path) -> str:
 def _sources(package: Path) -> Iterator[Path]:
     yield from package.rglob("*.py")
     for name in SHARED:
-        path = Path(meshpoint.__file__).parent / name
+        path = Path(units.__file__).parent / name
         yield from path.rglob("*.py") if path.is_dir() else (path,)

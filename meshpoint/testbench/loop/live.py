@@ -163,10 +163,12 @@ async def run_live(run: LiveRun) -> LiveResult:
 
 
 @asynccontextmanager
-async def live_session(run: LiveRun, bench: BenchCore) -> AsyncIterator[LiveSession]:
+async def live_session(
+    run: LiveRun, bench: BenchCore, monitor: Monitor | None = None
+) -> AsyncIterator[LiveSession]:
     """Starts the nodes, waits until they are heard, and has the bench begin; at the end all nodes
     have ended, with their valves off. RunError when they do not start."""
-    result = LiveResult(Monitor(run.header.sheet, run.header.settings), bench)
+    result = LiveResult(monitor or Monitor(run.header.sheet, run.header.settings), bench)
     stop_listening, stop_bench, stop_nodes = asyncio.Event(), asyncio.Event(), asyncio.Event()
 
     def report(line: str) -> None:

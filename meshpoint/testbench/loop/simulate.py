@@ -28,6 +28,7 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import ScheduledFault
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile, RigSettings
+from meshpoint.testbench.loop.adapter import AdapterCore, AdapterProfile
 from meshpoint.testbench.loop.bench import TICK_US, BenchCore, PlannedShift, plan_shifts
 from meshpoint.testbench.loop.loaded_bus import LoadedBus
 from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs
@@ -63,6 +64,8 @@ class Setup:
     bus_load: float | None = None
     """The load of the bus, other nodes' traffic included; None: a bus of our own frames, of average
     length."""
+    adapter: AdapterProfile | None = None
+    """What lies between the controller and the bus; None: nothing."""
     bus_queue: QueueOrder = QueueOrder.FIFO
     """In which order a node's waiting frames leave, where the bus has a load."""
 
@@ -91,6 +94,8 @@ class Result:
 
     interrupted: bool = False
     """It was ended before its last shift."""
+    adapter: Mapping[str, Any] | None = None
+    """What the adapter did to the controller's frames; None: there was none."""
     bus: Mapping[str, Any] | None = None
     """What the frames went through on a loaded bus."""
 
@@ -100,6 +105,7 @@ class Result:
         more = errors | ({} if self.as_built is None else {"as_built": self.as_built})
         more |= {"interrupted": True} if self.interrupted else {}
         more |= {} if self.bus is None else {"bus": dict(self.bus)}
+        more |= {} if self.adapter is None else {"adapter": dict(self.adapter)}
         return {
             "shifts": [row.to_json() for row in self.rows],
             "summary": summarise(strategy, self.rows).to_json(),
@@ -196,6 +202,9 @@ def simulate(
     if setup.keys is not None:
         controller = ProvingCore(controller, setup.keys)
         gearbox = VerifyingCore(rig, setup.keys, _challenges(setup.seed))
+    adapter = None
+    if setup.adapter is not None:
+        controller = adapter = AdapterCore(controller, setup.adapter, setup.seed)
     cores: list[Core] = [controller, gearbox, bench]
     filters = [
         frozenset[int](),
@@ -206,6 +215,8 @@ def simulate(
     if setup.bus_load is not None:
         bus = LoadedBus(setup.bus_load, setup.seed, setup.bus_queue)
     driver = VirtualTime(cores, tick_phases(setup.seed), take, on_event, filters, bus)
+    if adapter is not None:
+        adapter.now_us = lambda: driver.now_us
     settle()
     if plan:
         driver.run(lambda: bench.done or stop(), LIMIT_US_PER_SHIFT * len(plan))
@@ -221,5 +232,6 @@ def simulate(
         cold_start=setup.calibration is None,
         strategy_errors=core.strategy_errors,
         interrupted=bool(plan) and not bench.done and stop(),
+        adapter=None if adapter is None else adapter.figures(),
         bus=None if bus is None else bus.figures(),
     )
