@@ -345,18 +345,17 @@ class Observer:
             return  # a step between two reads has nothing new to look at
         self._looked_us = max(newest)
         layshaft, main = self.layshaft_at(max(newest)), self.main_at(max(newest))
-        if layshaft is None or main is None or not self._sees_flanks(gear, layshaft, main):
+        if layshaft is None or main is None:
+            return
+        sd_rad = self._phase_sd_rad(gear, layshaft, main)
+        self.references.see(gear, layshaft.theta_rad, main.theta_rad, sd_rad)
+        if sd_rad >= LOOK_SHARE * self._sheet.dog.backlash_rad:
             return
         pulled = self._drag_pulls(gear, main)
         if self.references.watch(gear, layshaft.theta_rad, main.theta_rad, pulled):
             events.append(f"phase reference of {gear.name.lower()} learned")
             if self.recovery is not None:
-                self.recovery.learned(gear, self._phase_sd_rad(gear, layshaft, main), events)
-
-    def _sees_flanks(self, gear: MainGear, layshaft: LayshaftState, main: ShaftState) -> bool:
-        """Whether the angles are good enough to tell the gap's flanks apart."""
-        sd_rad = self._phase_sd_rad(gear, layshaft, main)
-        return sd_rad < LOOK_SHARE * self._sheet.dog.backlash_rad
+                self.recovery.learned(gear, sd_rad, events)
 
     def _phase_sd_rad(self, gear: MainGear, layshaft: LayshaftState, main: ShaftState) -> float:
         ratio = self._sheet.main_mesh(gear).ratio

@@ -9,6 +9,8 @@ between counted angles and phase follows once it is known which flank.
   in; in a gearbox where teeth have been observed to move, where the layshaft's drag pulls it.
 - With very little torque a tooth floats. Its lowest and highest phase between lock and release then
   bound the gap, which is as wide as that range or slightly wider.
+- On a driveline that swings a tooth goes from flank to flank. Then all looks together tell where
+  the gap is (`gap_posterior`).
 
 An observation of the phase of a gear in mesh is called a look. Counting teeth keeps the reference
 exact; it is lost when the count of either wheel is lost.
@@ -21,6 +23,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 from meshpoint.controller.motion.kinematics import raw_phase_rad, wrap_to_pitch
+from meshpoint.controller.phase.gap_posterior import GapPosterior
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import GearboxSheet, MainGear
 
@@ -179,6 +182,8 @@ class PhaseReferences:
         """Whether a tooth of this gearbox has been seen not to move."""
         self._floated_rad: dict[MainGear, tuple[float, float]] = {}
         """Lowest and highest raw phase (rad) of floating teeth, by gear."""
+        self._gaps: dict[MainGear, GapPosterior] = {}
+        """What all looks at a gear tell of where its gap is."""
         self._likely_rad: dict[MainGear, float] = {}
         """Constants that are valid if teeth of this gearbox stay where the slip carried them."""
 
@@ -216,6 +221,14 @@ class PhaseReferences:
         """The gear in mesh whose reference is being learned; the same object as long as it is the
         same lock."""
         return self._learning
+
+    def see(self, gear: MainGear, theta_layshaft: float, theta_main: float, sd_rad: float) -> None:
+        """One look at the gear in mesh, however vague: it counts by its standard deviation."""
+        dog = self._sheet.dog
+        if gear not in self._gaps:
+            self._gaps[gear] = GapPosterior(dog.pitch_rad, dog.backlash_rad)
+        ratio = self._sheet.main_mesh(gear).ratio
+        self._gaps[gear].look(raw_phase_rad(ratio, theta_layshaft, theta_main), sd_rad)
 
     def watch(
         self, gear: MainGear, theta_layshaft: float, theta_main: float, pulled: bool = False
@@ -260,6 +273,7 @@ class PhaseReferences:
         floated = learning.floated(backlash_rad)
         if floated is not None:
             self._bound(learning.gear, *floated)
+        self._weigh(learning.gear)
         if learning.done:
             return None
         if learning.stayed(backlash_rad):
@@ -289,6 +303,20 @@ class PhaseReferences:
                 self._offset_rad[gear] = middle
                 self._adopted.pop(gear, None)
 
+    def _weigh(self, gear: MainGear) -> None:
+        """Determines the reference of a gear that leaves the mesh from all looks at it, where it
+        was not known, or where it took one flank for the other."""
+        gap = self._gaps.get(gear)
+        middle = None if gap is None else gap.middle()
+        if middle is None:
+            return
+        dog = self._sheet.dog
+        known = self._offset_rad.get(gear)
+        off = 0.0 if known is None else wrap_to_pitch(known - middle.raw_rad, dog.pitch_rad)
+        if known is None or abs(off) > OTHER_SHARE * dog.backlash_rad:
+            self._offset_rad[gear], self._sd_rad[gear] = middle
+            self._adopted.pop(gear, None)
+
     @property
     def offsets_rad(self) -> dict[MainGear, float]:
         """The known constants by gear."""
@@ -308,6 +336,7 @@ class PhaseReferences:
         """Drops one gear's constant, because it was wrong."""
         self._offset_rad.pop(gear, None)
         self._adopted.pop(gear, None)
+        self._gaps.pop(gear, None)
 
     def lose_all(self) -> None:
         """Drops all constants, because a wheel's count was lost."""
@@ -315,6 +344,7 @@ class PhaseReferences:
         self._adopted.clear()
         self._likely_rad.clear()
         self._floated_rad.clear()
+        self._gaps.clear()
         self._learning = None
 
     @property

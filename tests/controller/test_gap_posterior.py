@@ -1,0 +1,95 @@
+"""Where a gear's gap is, by looks at a tooth that a driveline throws from flank to flank."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from meshpoint.controller.motion.kinematics import wrap_to_pitch
+from meshpoint.controller.phase.gap_posterior import GapPosterior
+from meshpoint.controller.phase.reference import PhaseReferences
+from meshpoint.gearbox import MainGear, load_sheet
+
+SHEET = load_sheet("thesis")
+PITCH, BACKLASH = SHEET.dog.pitch_rad, SHEET.dog.backlash_rad
+SD = 0.1 * BACKLASH
+
+
+def looks(
+    rng: np.random.Generator,
+    middle: float,
+    count: int,
+    flanks: tuple[float, ...],
+    sd: float = SD,
+) -> np.ndarray:
+    """Raw phases: the tooth stays at a flank for 50 ms, five looks, or crosses the gap in one."""
+    at = np.repeat(rng.choice(flanks, size=count // 5 + 1), 5)[:count] * BACKLASH / 2.0
+    crossing = rng.random(count) < 0.2
+    at[crossing] = rng.uniform(min(flanks), max(flanks), crossing.sum()) * BACKLASH / 2.0
+    turned = PITCH * rng.integers(-50, 50, count)
+    return np.asarray(middle + at + sd * rng.standard_normal(count) + turned)
+
+
+def posterior(raw: np.ndarray, sd: float = SD) -> GapPosterior:
+    found = GapPosterior(PITCH, BACKLASH)
+    for phase in raw:
+        found.look(float(phase), sd)
+    return found
+
+
+def test_a_tooth_thrown_from_flank_to_flank_tells_its_gap_as_well_as_is_said() -> None:
+    rng = np.random.default_rng(4)
+    squares = []
+    for _ in range(60):
+        middle = rng.uniform(0.0, PITCH)
+        found = posterior(looks(rng, middle, 60, (-1.0, 1.0))).middle()
+        if found is None:
+            continue
+        off = wrap_to_pitch(found.raw_rad - middle, PITCH)
+        assert abs(off) < 0.15 * BACKLASH
+        squares.append((off / found.sd_rad) ** 2)
+    assert len(squares) > 50
+    assert np.mean(squares) < 2.0
+
+
+@pytest.mark.parametrize("flanks", [(1.0,), (-1.0,)])
+def test_looks_at_one_flank_alone_decide_nothing(flanks: tuple[float, ...]) -> None:
+    rng = np.random.default_rng(5)
+    assert posterior(looks(rng, 0.3 * PITCH, 400, flanks)).middle() is None
+
+
+def test_a_gap_wider_than_the_sheets_is_none() -> None:
+    rng = np.random.default_rng(6)
+    assert posterior(looks(rng, 0.3 * PITCH, 200, (-1.6, 1.6))).middle() is None
+
+
+def test_vague_looks_count_for_less_and_too_vague_ones_for_nothing() -> None:
+    raw = looks(np.random.default_rng(7), 0.3 * PITCH, 40, (-1.0, 1.0))
+    sharp, vague = posterior(raw).middle(), posterior(np.tile(raw, 4), 2.0 * SD).middle()
+    assert sharp is not None and vague is not None
+    assert vague.sd_rad > 1.2 * sharp.sd_rad / math.sqrt(4.0)
+    assert posterior(np.tile(raw, 20), 0.3 * BACKLASH).middle() is None
+
+
+def test_a_reference_is_known_after_one_engagement_on_a_driveline_that_swings() -> None:
+    """The tooth never lies still for the looks that a flank by itself would take, and these scatter
+    too much for their lowest and highest to bound the gap."""
+    rng, gear, middle = np.random.default_rng(8), MainGear.SECOND, 0.4 * PITCH
+    references, ratio = PhaseReferences(SHEET), SHEET.main_mesh(gear).ratio
+    references.locked(gear, 0.5, straight=False)
+    sd = 1.6 * SD
+    for raw in looks(rng, middle, 60, (-1.0, 1.0), sd):
+        theta_main = 40.0 * rng.random()
+        theta_layshaft = (raw + theta_main) / ratio
+        references.see(gear, theta_layshaft, theta_main, sd)
+        references.watch(gear, theta_layshaft, theta_main)
+    references.released()
+    assert references.known(gear)
+    phase = references.phase_rad(gear, 0.0, 0.0)
+    assert abs(wrap_to_pitch(phase + middle, PITCH)) < 0.15 * BACKLASH
+    references.lose_all()
+    references.locked(gear, 0.0)
+    references.released()
+    assert not references.known(gear)
