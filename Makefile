@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: swarm faults planted demo test installed acceptance vcan test-containers lint types reference contracts stubs bench clean
+.PHONY: swarm faults planted mutants demo docs test installed acceptance vcan vcan-alone test-containers lint types reference contracts stubs bench clean
 
 # --no-compile: of some 100 MB of Python a run imports a tenth, and compiles that as it does.
 $(VENV)/run.stamp: pyproject.toml setup.py constraints.txt
@@ -41,6 +41,11 @@ vcan: $(VENV)/test.stamp
 	NUMBA_DISABLE_JIT=1 tools/with-vcan --timeout 3600 $(CURDIR)/$(BIN)/python -u -m pytest \
 	    tests/vcan -v --durations=0
 
+# with-vcan as other projects have it, and python-can's own SocketCAN tests in it.
+vcan-alone: $(VENV)/test.stamp
+	tools/vcan/test-with-vcan
+	tools/vcan/test-python-can $(CURDIR)/$(BIN)/python
+
 # Worlds in which anything may fail, for so many seconds; says how many hours were simulated.
 SWARM_WALL_S ?= 60
 SWARM_SEED ?= 1
@@ -54,6 +59,11 @@ faults: $(VENV)/test.stamp
 # Each bug of tests/planted in a copy of the product: is it caught?
 planted: $(VENV)/test.stamp
 	$(BIN)/python tests/planted/run_planted.py
+
+# Small mistakes in what must not fail, one at a time: does a test catch each? CHANGED=1: only lines
+# that differ from where this branch left origin/main; ARGS: see tests/mutation/run_mutants.py.
+mutants: $(VENV)/test.stamp
+	$(BIN)/python tests/mutation/run_mutants.py $(if $(CHANGED),--changed) $(ARGS)
 
 test-containers:
 	tools/test-containers
@@ -70,6 +80,16 @@ types: $(VENV)/test.stamp
 # docs/reference/, from the code
 reference: $(VENV)/test.stamp
 	$(BIN)/python -m meshpoint.testbench.commands.reference docs/reference
+	$(BIN)/python -m meshpoint.api.reference docs/reference/api.md
+
+$(VENV)/docs.stamp: pyproject.toml constraints.txt
+	test -d $(VENV) || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --no-compile -c constraints.txt -e ".[docs]"
+	touch $@
+
+# The documentation as a site in build/site. A link that leads nowhere is an error.
+docs: $(VENV)/docs.stamp
+	NO_MKDOCS_2_WARNING=1 $(BIN)/python -m mkdocs build
 
 contracts: $(VENV)/test.stamp
 	tools/linked-tree

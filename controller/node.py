@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Final
 
 from meshpoint.bus.authentication.cores import ProvingCore
@@ -18,6 +19,7 @@ from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.controller.calibration_keeper import CalibrationKeeper, Keep
 from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.header import RunHeader
+from meshpoint.controller.outage_record import OutageRecord
 from meshpoint.controller.warm_up import warm_up
 from meshpoint.dbc.messages import Estimator
 
@@ -34,15 +36,20 @@ async def run_controller(
     keep: Keep | None = None,
     keys: CommandKeys | None = None,
     diagnosis: bool = False,
+    record: Path | None = None,
 ) -> NodeStatistics:
     """Runs a controller until `stop` is set; its last frames switch all valves off.
 
     `keep` gets the calibration whenever more is known, and at the end. With `keys` commands are
     proven to be ours. With `diagnosis` it claims its address, tells its trouble codes and answers
-    testers (docs/diagnosis.md)."""
+    testers (docs/diagnosis.md). `record`: a folder, that of the run header, for what a replay needs
+    to know of link outages."""
     warm_up(baselines=header.settings.estimator is not Estimator.CROSSING)
     core = ControllerCore(header)
     kept: Core = core if keep is None else CalibrationKeeper(core, keep, _utc)
+    statistics = NodeStatistics()
+    if record is not None:
+        kept = OutageRecord(kept, record, header.run_hash, lambda: statistics.frames_discarded)
     node: Core = kept if keys is None else ProvingCore(kept, keys)
     settle()
     return await run_node(
@@ -53,6 +60,7 @@ async def run_controller(
         stop=stop,
         name="controller",
         own_addresses=ADDRESSES,
+        statistics=statistics,
     )
 
 

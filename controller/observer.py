@@ -70,7 +70,7 @@ class Observer:
         brake: BrakeInput,
         estimator: Estimator,
     ) -> None:
-        wheels, tuning = sheet.wheels, settings.crossing_filter
+        wheels, tuning = sheet.wheels, settings.crossing_filter.of(sheet)
         self._sheet = sheet
         self._tuning = tuning
         self._brake_input = brake

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.dbc.messages import Estimator, Strategy
+from meshpoint.gearbox.sheet import SENSOR_SD_PA, Driveline, GearboxSheet
 from meshpoint.gearbox.tables import (
     TableError,
     count,
@@ -253,8 +254,6 @@ class CrossingFilterTuning:
     """By how much the drag wanders in a second."""
     drag_pause_nm: float = quantity("drag_pause_nm", 0.0, 100.0, default=0.5)
     """Standard deviation that the pause between two shifts adds to the drag."""
-    pressure_sd_pa: float = quantity("pressure_sd_bar", 1e-4, 5.0, 1e5, default=0.01e5)
-    """Standard deviation of the measured brake pressure."""
     pressure_start_sd_pa: float = quantity("pressure_start_sd_bar", 0.0, 5.0, 1e5, default=0.2e5)
     """Standard deviation of the brake pressure when its model begins to hold."""
     pressure_walk_pa: float = quantity("pressure_walk_bar", 0.0, 50.0, 1e5, default=0.5e5)
@@ -277,8 +276,6 @@ class CrossingFilterTuning:
     """Typical frequency at which the driveline swings on tyres and half shafts."""
     far_factor: float = quantity("far_factor", 1.01, 4.0, default=1.4)
     """That of the tyres is higher or lower by this factor, one standard deviation."""
-    lash_rad: float = quantity("lash_deg", 0.0, 90.0, DEG, default=2.0 * DEG)
-    """Typical backlash of the driveline at the propeller shaft; the real one is learned."""
     swing_damping: float = quantity("swing_damping_percent", 0.1, 90.0, 0.01, default=0.05)
     """Typical damping of a swing, over the critical one."""
     near_rad_s: float = quantity("near_rpm", 0.01, 500.0, RPM, default=10.0 * RPM)
@@ -299,6 +296,21 @@ class CrossingFilterTuning:
     """By how much that angle changes where the mesh goes to its other flank."""
     mesh_side_s: float = quantity("mesh_side_ms", 1.0, 5000.0, 1e-3, default=0.03)
     """How long after a switch of the brake the mesh may go to its other flank."""
+    pressure_sd_pa: float = SENSOR_SD_PA
+    """Standard deviation of the measured brake pressure: the data sheet's."""
+    lash_rad: float = Driveline().backlash_rad
+    """Backlash of the driveline at the propeller shaft: the data sheet's. It is learned."""
+    lash_factor: float = Driveline().backlash_factor
+    """The real one is larger or smaller by this factor, one standard deviation."""
+
+    def of(self, sheet: GearboxSheet) -> CrossingFilterTuning:
+        """The same with what this data sheet says."""
+        return dataclasses.replace(
+            self,
+            pressure_sd_pa=sheet.air.sensor_sd_pa,
+            lash_rad=sheet.driveline.backlash_rad,
+            lash_factor=sheet.driveline.backlash_factor,
+        )
 
 
 @dataclass(frozen=True)
@@ -352,7 +364,8 @@ class ControllerSettings:
         return dataclasses.replace(self, strategy_name=name, strategy_file=file)
 
     def values(self) -> dict[str, Any]:
-        """All of them by attribute (SI), without the text of a user's strategy."""
+        """All of them by attribute (SI), without the text of a user's strategy and without what
+        is the data sheet's."""
         return dataclasses.asdict(
             dataclasses.replace(self, strategy_file=None), dict_factory=_plain
         )
@@ -363,8 +376,17 @@ class ControllerSettings:
         return ESTIMATOR_NAMES[self.estimator_name]
 
 
+NO_KEYS: Final = frozenset(
+    field.name
+    for group_of in (ControllerSettings, CrossingFilterTuning)
+    for field in dataclasses.fields(group_of)
+    if not field.metadata
+)
+"""Fields that no settings file has: a user's strategy, and what the data sheet says."""
+
+
 def _plain(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    return {key: value for key, value in pairs if key != "strategy_file"}
+    return {key: value for key, value in pairs if key not in NO_KEYS}
 
 
 @dataclass(frozen=True)

@@ -35,9 +35,8 @@ RATES: Final = len(EMPTYING) - 1
 OFF_DELAY, ON_DELAY = 2 * RATES, 2 * RATES + 1
 PARAMETERS: Final = 2 * RATES + 2
 """Logarithms of the emptying rates at knots 1.., of the filling rates at knots 0.., two delays."""
-COMMON_SD: Final = 0.2
 OWN_SD: Final = 0.15
-DELAY_SD_SHARE: Final = 0.15
+"""By how much a knot's rate differs from what the others let expect, logarithm."""
 LEAST_DELAY_SD_S: Final = 5e-4
 FIT_PA: Final = 0.03e5
 """Standard deviation of the measured pressure from the fitted law."""
@@ -77,13 +76,12 @@ class BrakeModel:
         self.touch_pa = Carried(0.0, TOUCH_SD_PA)
         """Gauge pressure at which the pads touch."""
         delay = sheet.brake.valve_delay_s
+        delay_sd_s = max(sheet.brake.valve_delay_tolerance * delay, LEAST_DELAY_SD_S)
         self._mean: Vector = np.zeros(PARAMETERS)
         self._mean[[OFF_DELAY, ON_DELAY]] = delay
-        self._covariance = np.diag(
-            [OWN_SD**2] * 2 * RATES + [max(DELAY_SD_SHARE * delay, LEAST_DELAY_SD_S) ** 2] * 2
-        )
+        self._covariance = np.diag([OWN_SD**2] * 2 * RATES + [delay_sd_s**2] * 2)
         for half in (slice(0, RATES), slice(RATES, 2 * RATES)):
-            self._covariance[half, half] += COMMON_SD**2
+            self._covariance[half, half] += sheet.brake.time_constant_tolerance**2
         self.shifts = 0
         """From how many shifts the law was learned."""
 

@@ -95,7 +95,7 @@ class SwingFigures:
         ]
         hill = prior(tuning.main_start_rad_s2, 4.0, (1e-2, 1e3), 0.3)
         half = 0.5 * tuning.lash_rad / ratio
-        lash = prior(half, 2.0, (0.25 * half, 4.0 * half), 0.03)
+        lash = prior(half, tuning.lash_factor, (0.25 * half, 4.0 * half), 0.03)
         self._figures = [*modes, noise, hill, lash]
         self.edge_time = prior(tuning.edge_time_s, 2.0, (1e-6, 2e-4), 0.03)
         """Standard deviation (s) of an edge's time by this model."""

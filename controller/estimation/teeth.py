@@ -37,6 +37,11 @@ USABLE_SD: Final = 0.5
 sd."""
 DISAGREES: Final = 3.0
 """Squared residuals over their expectation at which a window does not fit the teeth."""
+UNLIKE_MODEL: Final = 2.0
+"""Squared residuals over their expectation, with the errors that suit a window best, at which the
+shaft did not move as its model has it: what that left over would be taken for errors of teeth."""
+LARGEST_SD: Final = 3.0
+"""Errors of that many standard deviations of an unlearned tooth are still possible ones."""
 WINDOWS_TO_FORGET: Final = 2
 WINDOWS_TO_TELL: Final = 3
 """A remembered pattern that is not recognised after this many windows with learned teeth is
@@ -187,7 +192,7 @@ class WheelTeeth:
     def end_window(self) -> str | None:
         """A window has ended: learns from it, or forgets. Returns a line for the log."""
         window = self.learner.end()
-        if window is None:
+        if window is None or self._best_misfit(window) > UNLIKE_MODEL:
             return None
         if self.learned and self._is_a_stranger_s(window):
             self._strangers += 1
@@ -289,6 +294,14 @@ class WheelTeeth:
         better than a wheel without errors would."""
         misfit = self._misfit(window)
         return misfit > DISAGREES and misfit > window.squares / window.edges
+
+    def _best_misfit(self, window: PatternEquations) -> float:
+        """Squared residuals a window has, over their expectation, with the errors that suit it
+        best; infinite where it has no solution."""
+        prior = (LARGEST_SD * self._unlearned_sd_rad) ** -2
+        covariance = inverse_of_positive(window.normal + prior * np.eye(self._edges))
+        squares = window.squares - float(window.right @ covariance @ window.right)
+        return squares / window.edges if math.isfinite(squares) else math.inf
 
     def _misfit(self, window: PatternEquations) -> float:
         e = self.error_rad

@@ -35,9 +35,14 @@ from meshpoint.gearbox.tables import (
     text,
     to_table,
 )
-from meshpoint.units import BAR, MM, MS, RPM
+from meshpoint.units import BAR, DEG, MM, MS, RPM
 
 SHEET_NAMES: Final = ("thesis", "truck12")
+BASED_ON: Final = "based_on"
+"""A key of a sheet's file: the sheet that holds what this one leaves out."""
+MOST_OVERLAYS: Final = 8
+SENSOR_SD_PA: Final = 0.01 * BAR
+"""Noise of the brake's pressure sensor where a sheet does not say: a thousandth of 10 bar."""
 LEAST_RUN: Final = 6
 """Teeth in a row that a sensor wheel needs somewhere, to see its speed."""
 _MAIN_FIELD: Final = {gear: gear.name.lower() for gear in MAIN_GEARS}
@@ -185,6 +190,14 @@ class Brake:
     """From the valve's current to the first change of pressure."""
     time_constant_s: float = quantity("time_constant_ms", 1.0, 500.0, MS)
     """Time constant of the pressure's rise and fall."""
+    valve_delay_tolerance: float = quantity(
+        "valve_delay_tolerance_percent", 0.1, 100.0, 0.01, default=0.15
+    )
+    """By how much the valve's delay may differ, from valve to valve and with temperature."""
+    time_constant_tolerance: float = quantity(
+        "time_constant_tolerance_percent", 0.1, 100.0, 0.01, default=0.2
+    )
+    """By how much the pressure may rise and fall faster or slower, from pipe to pipe."""
 
 
 @dataclass(frozen=True)
@@ -195,6 +208,8 @@ class Air:
     """Supply pressure above that of the air around."""
     atmosphere_pa: float = quantity("atmosphere_bar", 0.5, 1.2, BAR)
     """Pressure of the air around, absolute."""
+    sensor_sd_pa: float = quantity("sensor_sd_bar", 1e-4, 5.0, BAR, default=SENSOR_SD_PA)
+    """Noise of the brake's pressure sensor, standard deviation of a sample."""
 
 
 @dataclass(frozen=True)
@@ -255,6 +270,23 @@ class Clutch:
 
 
 @dataclass(frozen=True)
+class Driveline:
+    """Propeller shaft, final drive and half-shafts, behind the gearbox."""
+
+    backlash_rad: float = quantity("backlash_deg", 1e-3, 45.0, DEG, default=2.0 * DEG)
+    """Backlash from the gearbox to the wheels, felt at the propeller shaft, whole width."""
+    backlash_tolerance_rad: float = quantity(
+        "backlash_tolerance_deg", 1e-3, 45.0, DEG, default=2.0 * DEG
+    )
+    """By how much that may be more, from axle to axle and with wear."""
+
+    @property
+    def backlash_factor(self) -> float:
+        """The largest backlash of the tolerance over the sheet's."""
+        return (self.backlash_rad + self.backlash_tolerance_rad) / self.backlash_rad
+
+
+@dataclass(frozen=True)
 class SheetLimits:
     """What the shafts must not exceed."""
 
@@ -279,6 +311,7 @@ class GearboxSheet:
     sleeve: SleeveActuator = group(SleeveActuator)
     clutch: Clutch = group(Clutch)
     limits: SheetLimits = group(SheetLimits)
+    driveline: Driveline = group(Driveline, default=Driveline())
 
     def __post_init__(self) -> None:
         ratios = [self.main_mesh(gear).ratio for gear in MAIN_GEARS]
@@ -346,9 +379,39 @@ def load_sheet(name_or_path: str | Path) -> GearboxSheet:
 
 def _read_sheet(path: Path) -> GearboxSheet:
     try:
-        return read_group(GearboxSheet, load_toml(path), path.name)
+        return read_group(GearboxSheet, _tables(path, MOST_OVERLAYS), path.name)
     except TableError as error:
         raise SheetError(str(error)) from error
+
+
+def _tables(path: Path, overlays: int) -> dict[str, Any]:
+    """A file's tables; over those of the sheet that it is `based_on`, where it names one: a sheet
+    of ours, or a file beside it."""
+    tables = load_toml(path)
+    base = tables.pop(BASED_ON, None)
+    if base is None:
+        return tables
+    if not isinstance(base, str):
+        raise TableError(f"{path.name}: {BASED_ON} = {base!r}, allowed is a sheet's name or file")
+    if overlays == 0:
+        raise TableError(
+            f"{path.name}: {BASED_ON}: more than {MOST_OVERLAYS} sheets one on another"
+        )
+    if base in SHEET_NAMES:
+        source = resources.files("meshpoint.gearbox") / "sheets" / f"{base}.toml"
+        with resources.as_file(source) as below:
+            return _laid_over(load_toml(below), tables)
+    return _laid_over(_tables(path.parent / base, overlays - 1), tables)
+
+
+def _laid_over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """Tables with what is in `above` in place of the same key in `below`."""
+    laid = dict(below)
+    for key, value in above.items():
+        under = laid.get(key)
+        both = isinstance(value, dict) and isinstance(under, dict)
+        laid[key] = _laid_over(under, value) if both else value  # type: ignore[arg-type]
+    return laid
 
 
 def sheet_from_canonical(values: dict[str, Any]) -> GearboxSheet:

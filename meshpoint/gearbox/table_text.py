@@ -28,7 +28,7 @@ def _table(values: Any, name: str) -> Iterator[str]:
     for field in dataclasses.fields(values):
         value = getattr(values, field.name)
         rule: Rule | None = field.metadata.get("rule")
-        if value is None:
+        if value is None or not field.metadata:
             continue
         if rule is None:
             groups.append((f"{name}.{key_of(field)}".lstrip("."), value))

@@ -24,6 +24,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     command = next((word for word in given if not word.startswith("-")), None)
     if command not in MODULES or ABOUT_ALL & set(given[: given.index(command)]):
         front_parser().parse_args(given)  # ends here, whatever it says
+    from meshpoint.bus.light_can import load_can
+
+    load_can()
     parser = build_parser(command)
     namespace, unknown = parser.parse_known_args(given)
     if unknown:
@@ -46,7 +49,7 @@ def _run(namespace: argparse.Namespace) -> int:
     from meshpoint.testbench.results.output import check_writable
 
     try:
-        for target in ("json", "report"):
+        for target in ("json", "report", "junit", "markdown"):
             path = getattr(namespace, target, None)
             check_writable(None if path is None else str(path))
         code: int = namespace.run(namespace)

@@ -47,6 +47,7 @@ LATER: Final = (
         "pressure.",
         "disturbance.",
     ),
+    ("driveline.tyre_relaxation_m", "drag.propeller_nm"),
 )
 """What was added later, in the order of its coming: all names that begin so. It is drawn last, so
 that a seed still gives the same gearbox as before."""

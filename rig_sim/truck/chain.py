@@ -10,13 +10,29 @@ on the groups' inertias felt at the link. A body whose speed the bench gives has
 
 from __future__ import annotations
 
-from typing import Final
+import ctypes
+from typing import Any, Final, NamedTuple, cast
 
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.driveline import longest_step_us
 from meshpoint.rig_sim.truck.layout import Rig
 
 UNLIMITED: Final = float("inf")
+MOST_KNOWN: Final = 64
+"""Links and accelerations kept; the bench prescribes another acceleration each time."""
+
+
+class _Linked(NamedTuple):
+    """What follows from the links and the prescribed accelerations. Teeth that rattle come back to
+    the same two over and over, so it is kept."""
+
+    bodies: bytes
+    """All of `Connections.bodies`."""
+    swing_us: float
+    led: tuple[tuple[int, float, int], ...]
+    """Body, speed over that of its leader, leader; leaders left out."""
+    felt: dict[int, tuple[float, dict[int, float]]]
+    """What `_feel` has found."""
 
 
 class BodyChain:
@@ -26,11 +42,11 @@ class BodyChain:
         self._p, self._y, self._g = rig.p, rig.y, rig.g
         self._ratios: list[float | None] = [None] * at.LINKS
         self._forced: dict[int, float] = {}
+        self._known: dict[tuple[float | None, ...], _Linked] = {}
         self._felt: dict[int, tuple[float, dict[int, float]]] = {}
-        """What `_feel` has found since the last change of the links."""
         for link in range(at.LINKS):
             self._limit(link, -UNLIMITED, UNLIMITED)
-        self.rebuild()
+        self._relink()
 
     def is_rigid(self, link: int) -> bool:
         """Whether a link is rigid, so that the bodies at its sides move as one."""
@@ -52,18 +68,18 @@ class BodyChain:
     def force(self, body: int, accel_rad_s2: float) -> None:
         """Prescribes the body's acceleration from now on."""
         self._forced[body] = accel_rad_s2
-        self.rebuild()
+        self._relink()
 
     def free(self, body: int) -> None:
         """Ends a prescribed acceleration: torques move the body again."""
         self._forced.pop(body, None)
-        self.rebuild()
+        self._relink()
 
     def open(self, link: int) -> None:
         """Opens a link: it carries no torque."""
         self._ratios[link] = None
         self._limit(link, -UNLIMITED, UNLIMITED)
-        self.rebuild()
+        self._relink()
 
     def join(
         self, link: int, ratio: float, low_nm: float = -UNLIMITED, high_nm: float = UNLIMITED
@@ -72,13 +88,13 @@ class BodyChain:
         low..high is an event."""
         self._ratios[link] = ratio
         self._limit(link, low_nm, high_nm)
-        self.rebuild()
+        self._relink()
 
     def place(self, link: int, ratio: float) -> None:
         """Links rigidly without an impact, as the bench does: the side of smaller inertia takes the
         other side's speed."""
         self._ratios[link] = ratio
-        self.rebuild()
+        self._relink()
 
     def impact(self, link: int, ratio: float, restitution: float) -> float:
         """An impact at a link that is not rigid. Returns the energy lost, J."""
@@ -109,18 +125,40 @@ class BodyChain:
         return 0.5 * twice_j
 
     def rebuild(self) -> None:
+        """Inertias have changed: groups anew."""
+        self._known.clear()
+        self._relink()
+
+    def _relink(self) -> None:
         """Groups, inertias and accelerations into g; speeds in a group brought in line."""
-        self._felt.clear()
-        body = 0
-        while body < at.BODIES:
-            members = self.group(body)
-            self._lead(members)
-            body = members.stop
+        forced = self._forced
+        key = (*self._ratios, *forced, *forced.values())
+        known = self._known.get(key)
+        if known is None:
+            if len(self._known) >= MOST_KNOWN:
+                self._known.clear()
+            known = self._known[key] = self._find_groups()
+        else:
+            ctypes.memmove(cast(Any, self._g.bodies), known.bodies, len(known.bodies))
+        self._felt = known.felt
+        self._g.swing_us = known.swing_us
+        speed = self._y.speed_rad_s
+        for body, rate, lead in known.led:
+            speed[body] = rate * speed[lead]
         for link, ratio in enumerate(self._ratios):
             self._g.links[link].carried = ratio or 0.0
+
+    def _find_groups(self) -> _Linked:
+        """What `_relink` needs of the present links; into `g.bodies` as well."""
+        body, led = 0, []
+        while body < at.BODIES:
+            members = self.group(body)
+            led += self._lead(members)
+            body = members.stop
         propeller = self._g.bodies[at.PROPELLER]
         gearbox_kgm2 = self._g.bodies[propeller.lead].group_kgm2 / propeller.rate**2
-        self._g.swing_us = longest_step_us(self._p.step_us, self._p.twisting, gearbox_kgm2)
+        swing_us = longest_step_us(self._p.step_us, self._p.twisting, gearbox_kgm2)
+        return _Linked(bytes(cast(Any, self._g.bodies)), swing_us, tuple(led), {})
 
     def rates(self, members: range, lead: int) -> dict[int, float]:
         """Speed of each body of a group over that of its leader."""
@@ -131,8 +169,8 @@ class BodyChain:
             found[k - 1] = found[k] / (self._ratios[k - 1] or 1.0)
         return found
 
-    def _lead(self, members: range) -> None:
-        bodies, p, speed = self._g.bodies, self._p, self._y.speed_rad_s
+    def _lead(self, members: range) -> list[tuple[int, float, int]]:
+        bodies, p, led = self._g.bodies, self._p, []
         forced = [k for k in members if k in self._forced]
         # the vehicle's side leads where both are given: a locked layshaft follows the main shaft
         lead = forced[-1] if forced else members.start
@@ -142,11 +180,13 @@ class BodyChain:
         for k, rate in self.rates(members, lead).items():
             bodies[k].lead, bodies[k].rate = lead, rate
             inertia += p.inertia_kgm2[k] * rate**2
-            speed[k] = rate * speed[lead]
+            if k != lead:
+                led.append((k, rate, lead))
         leader = bodies[lead]
         leader.group_kgm2 = inertia
         leader.forced = int(bool(forced))
         leader.accel_rad_s2 = self._forced[lead] if forced else 0.0
+        return led
 
     def _feel(self, body: int) -> tuple[float, dict[int, float]]:
         """1 / inertia of the body's group, felt at the body, and the speeds of the group's bodies

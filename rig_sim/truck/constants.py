@@ -56,6 +56,7 @@ def _load_shafts(p: PlantParameters, sheet: GearboxSheet, built: AsBuilt) -> Non
     p.drag_nms = sheet.shafts.friction_nms * thicker
     p.drag_nm = built["drag.constant_nm"] * thicker
     p.drag_main_nms = built["drag.main_nms"] * thicker
+    p.drag_propeller_nm = built["drag.propeller_nm"] * thicker
     p.input_lash.half_rad = math.radians(built["lash.splitter_deg"]) / 2.0
     p.main_lash.half_rad = math.radians(built["lash.main_deg"]) / 2.0
     p.input_lash.rate = p.main_lash.rate = 1e3 / built["lash.settle_ms"]
@@ -84,6 +85,7 @@ def _load_vehicle(p: PlantParameters, built: AsBuilt) -> None:
         return
     twisting.tyre_nm_rad = built["driveline.tyre_nm_rad"]
     twisting.tyre_nms = built["driveline.tyre_nms"]
+    twisting.relaxation_m = built["driveline.tyre_relaxation_m"]
 
 
 def _load_air(p: PlantParameters, sheet: GearboxSheet, built: AsBuilt) -> None:

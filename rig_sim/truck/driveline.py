@@ -1,16 +1,19 @@
 """Shafts and tyres that twist, and the vehicle behind them.
 
-    P --k, d, backlash--> A --k_t, d_t--> V
+    P --k, d, backlash--> A --k_t, d_t--contact--> V
 
 P is the propeller shaft with what is linked to it, A the driven wheels, V the vehicle, all felt at
 the propeller shaft; P to A the propeller and half-shafts with the final drive's backlash b, A to V
-the tyres:
+the tyres, carcass and contact patch in series:
 
     u = theta_P - theta_A beyond +-b/2       T = k u + d (w_P - w_A) min(1, k |u| / T_c)
-    T_t = k_t (theta_A - theta_V) + d_t (w_A - w_V)
+    T_t = k_t u_t + d_t du_t/dt              du_t/dt = w_A - w_V - (v / sigma) T_t / k_t
     J_A dw_A/dt = T - T_t                    J_V dw_V/dt = T_t - F r / i_axle
 
-T is never of the other sign than u: flanks push. Without backlash T = k u + d (w_P - w_A). With
+T is never of the other sign than u: flanks push. Without backlash T = k u + d (w_P - w_A). A tyre
+that rolls at v slips by T_t v / (k_t sigma), with sigma = C_kappa / k_x its relaxation length: what
+its contact patch lays down untwisted lets its twist go after some sigma of road (Pacejka, Tire and
+Vehicle Dynamics, 7.2; Rill, Road Vehicle Dynamics, 3.5). At standstill it sticks. With
 k_t = 0 the tyres are rigid and A is the vehicle, with k = 0 all of it is part of P. While the bench
 drives the propeller shaft it drives wheels and vehicle along with it, so that its script twists
 nothing.
@@ -47,6 +50,17 @@ def _shaft_nm(twist_rad: float, slip_rad_s: float, shafts: TwistingShafts) -> tu
     spring = shafts.stiff_nm_rad * beyond
     torque = spring + side * shafts.damping_nms * slip_rad_s * min(spring / FILM_NM, 1.0)
     return side * max(torque, 0.0), side * spring
+
+
+@inlined
+def _tyre_nm(
+    tyre_rad: float, creep_rad_s: float, rolling_m_s: float, shafts: TwistingShafts
+) -> tuple[float, float]:
+    """What the twisted tyres put on the vehicle, and the rate of their twist, rad/s."""
+    released = rolling_m_s / shafts.relaxation_m
+    rate = creep_rad_s - released * tyre_rad
+    rate /= 1.0 + released * shafts.tyre_nms / shafts.tyre_nm_rad
+    return shafts.tyre_nm_rad * tyre_rad + shafts.tyre_nms * rate, rate
 
 
 @inlined
@@ -96,17 +110,15 @@ def load_propeller(y: RigState, rate: RigState, rig: Rig) -> None:
         torque += chance
         rate.work_j += chance * y.wheels_rad_s
     creep = y.wheels_rad_s - omega
-    damping = shafts.tyre_nms * creep
-    traction = tyre * y.tyre_rad + damping
-    rate.tyre_rad = creep
-    rate.twist_j += damping * creep
+    traction, rate.tyre_rad = _tyre_nm(y.tyre_rad, creep, abs(speed), shafts)
+    rate.twist_j += traction * creep - tyre * y.tyre_rad * rate.tyre_rad
     rate.wheels_rad_s = (torque - traction) / shafts.wheels_kgm2
     rate.vehicle_rad_s = (traction - resisting) / shafts.vehicle_kgm2
 
 
 def modes_rad_s(shafts: TwistingShafts, gearbox_kgm2: float) -> tuple[float, ...]:
-    """Natural frequencies without damping and backlash, ascending, with this inertia (kg m2, at the
-    propeller shaft) on the gearbox's side; one where the tyres are rigid, none for rigid shafts."""
+    """Natural frequencies without damping, slip and backlash, ascending, with this inertia (kg m2,
+    at the propeller shaft) behind the shafts; one with rigid tyres, none with rigid shafts."""
     stiff, tyre = shafts.stiff_nm_rad, shafts.tyre_nm_rad
     if stiff == 0.0:
         return ()

@@ -105,6 +105,9 @@ class Faultable(Protocol):
     def later(self, delay_us: float, action: Callable[[], None]) -> None:
         """Does something this much after the plant's present instant."""
 
+    def switch(self, valve: Valve, on: bool) -> None:
+        """A valve's coil is switched at the plant's present instant."""
+
 
 class FaultInjector:
     """Starts and ends the faults of one world, at the plant's present time."""
@@ -114,6 +117,8 @@ class FaultInjector:
         self.edges: Freezer[list[EdgeRead]] = Freezer()
         self.slow: Freezer[SensorRead] = Freezer()
         self._stuck: set[Valve] = set()
+        self._missed: dict[Valve, bool] = {}
+        """Stuck valves whose coil is not as they are."""
         self._slow_us: dict[Valve, float] = {}
         self._ends: dict[tuple[RigFault, int], Callable[[], None]] = {}
         self._begun = 0
@@ -127,6 +132,11 @@ class FaultInjector:
     def valve_delay_us(self, valve: Valve) -> float | None:
         """Delay (us) between a valve's coil and the valve; None if it is stuck."""
         return None if valve in self._stuck else self._slow_us.get(valve, 0.0)
+
+    def miss(self, valve: Valve, on: bool) -> None:
+        """The coil of a stuck valve has changed."""
+        if self._missed.pop(valve, None) is None:
+            self._missed[valve] = on
 
     def begin(self, order: FaultOrder) -> None:
         """Starts a fault now. An unknown one is reported in the log and changes nothing."""
@@ -162,13 +172,16 @@ class FaultInjector:
             self.end(*key)
 
     def stick(self, valve: Valve) -> Callable[[], None]:
-        """The valve stops following its coil. When the fault ends it follows from the next change
-        on."""
+        """The valve stops following its coil. When the fault ends its spring, or the coil, moves it
+        to where it should be."""
         self._stuck.add(valve)
         return partial(self._loosen, valve)
 
     def _loosen(self, valve: Valve) -> None:
         self._stuck.discard(valve)
+        on = self._missed.pop(valve, None)
+        if on is not None:
+            self._world.switch(valve, on)
 
     def slow_down(self, valve: Valve, delay_us: float) -> Callable[[], None]:
         """The valve follows late."""

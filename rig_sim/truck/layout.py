@@ -76,8 +76,8 @@ class RigState(Vector):
     wheels_rad_s: float  # driven wheels, at the propeller shaft; only where shafts twist
     twist_rad: float  # how far the propeller shaft is ahead of the wheels
     vehicle_rad_s: float  # vehicle's speed, at the propeller shaft; only where tyres twist too
-    tyre_rad: float  # how far the wheels are ahead of the vehicle
-    twist_j: float  # turned into heat by shafts and tyres
+    tyre_rad: float  # how far the tyres are twisted
+    twist_j: float  # turned into heat by shafts, tyres and the tyres' slip
 
 
 class TwistingShafts(Record):
@@ -89,6 +89,7 @@ class TwistingShafts(Record):
     wheels_kgm2: float  # with rigid tyres the vehicle as well
     tyre_nm_rad: float  # 0: rigid tyres
     tyre_nms: float
+    relaxation_m: float  # road after which a rolling tyre's twist has faded to 1/e
     vehicle_kgm2: float
 
 
@@ -104,6 +105,7 @@ class PlantParameters(Record):
     drag_nms: float  # at the layshaft, oil temperature included
     drag_nm: float
     drag_main_nms: float
+    drag_propeller_nm: float  # of the axle's pinion
     gear_inertia_kgm2: float
     gear_drag_nms: float
     input_lash: Backlash

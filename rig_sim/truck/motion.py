@@ -47,6 +47,10 @@ def _load_bodies(y: RigState, rate: RigState, rig: Rig) -> float:
     rate.drag_j = (
         drag_input * speed[at.INPUT] + drag * speed[at.LAYSHAFT] + drag_main * speed[at.MAIN]
     )
+    if p.drag_propeller_nm > 0.0:
+        drag_pinion = drag_nm(speed[at.PROPELLER], p.drag_propeller_nm, 0.0)
+        torques.body_nm[at.PROPELLER] -= drag_pinion
+        rate.drag_j += drag_pinion * speed[at.PROPELLER]
     return brake
 
 

@@ -26,7 +26,7 @@ from meshpoint.rig_sim.truck.chain import UNLIMITED, BodyChain
 from meshpoint.rig_sim.truck.constants import SHAKEN, load_parameters
 from meshpoint.rig_sim.truck.edges import TruckEdges
 from meshpoint.rig_sim.truck.kernels import advance, sample
-from meshpoint.rig_sim.truck.layout import Contact, PhaseWatch, Rig
+from meshpoint.rig_sim.truck.layout import Contact, Rig
 
 CHANCE_STREAM: Final = 0xC4A
 INDEX: Final = {gear: index for index, gear in enumerate(MAIN_GEARS)}
@@ -261,7 +261,9 @@ class TruckPlant:
         middle = (span[0] + span[1]) / 2.0
         offset = wrapped(phase - middle, self._sheet.dog.pitch_rad) + middle - phase
         low, high = min(span[0], phase + offset), max(span[1], phase + offset)
-        self.rig.watches[row] = PhaseWatch(index, low, high, offset, with_lash)
+        watch = self.rig.watches[row]
+        watch.gear, watch.bottom_rad, watch.top_rad = index, low, high
+        watch.offset_rad, watch.with_lash = offset, int(with_lash)
 
     def unwatch(self, row: int) -> None:
         """No more events of that row."""

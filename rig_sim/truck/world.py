@@ -305,12 +305,13 @@ class TruckWorld:
         # A clock that has jumped ahead may leave an activation behind: it is switched now.
         time_us = max(time_us, self.plant.time_us)
         for change in changes:
-            self._at(time_us, partial(self._switch, change.valve, change.on))
+            self._at(time_us, partial(self.switch, change.valve, change.on))
 
-    def _switch(self, valve: Valve, on: bool) -> None:
+    def switch(self, valve: Valve, on: bool) -> None:
         """The valve's coil is switched now; what the air does comes later."""
         extra_us = self.faults.valve_delay_us(valve)
         if extra_us is None:
+            self.faults.miss(valve, on)
             return
         if extra_us > 0.0:
             self.later(extra_us, partial(self._open, valve, on))

@@ -266,6 +266,15 @@ def test_asammdf_finds_our_signals_in_an_mf4_of_our_log(tmp_path: Path) -> None:
     assert speed.tolist() == [pytest.approx(rpm)]
 
 
+def test_an_mf4_is_read_though_python_can_was_loaded_without_asammdf(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = bus_frames()
+    path = theirs(tmp_path / "a.mf4", frames)
+    monkeypatch.setattr(can.io.mf4, "asammdf", None)
+    assert [frame for _, frame in read_log(path)] == [frame for _, frame in frames]
+
+
 def test_results_have_names_in_both(tmp_path: Path) -> None:
     """A value table of the DBC by cantools and by us."""
     database = cantools.database.load_file(DBC_PATH, strict=False)

@@ -148,7 +148,7 @@ def test_a_goal_that_says_nothing_is_an_error_that_says_what_is_allowed(
 
 def campaign(folder: Path, *more: str) -> int:
     return main([
-        "campaign", "--preset", "thesis", "--learn", "4", "--judged", "1", "--seed", "5",
+        "campaign", "--preset", "thesis", "--learn", "2", "--judged", "1", "--seed", "5",
         "--jobs", "1", *more, "--json", str(folder / "x.json"),
     ])  # fmt: skip
 

@@ -20,6 +20,7 @@ from meshpoint.controller.estimation.driveline_swing import (
 )
 from meshpoint.controller.estimation.likelihood import prior
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
+from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.motion.swing import ModeRates, ShaftState, Swing, SwingMotion
 from meshpoint.controller.motion.swing_kernels import SWING_STATES
 from meshpoint.controller.records import Vector
@@ -260,6 +261,40 @@ def test_backlash_is_believed_where_it_is_seen_and_its_width_is_learned() -> Non
     assert record is not None and record.has_lash
     assert swing.used._figures[LASH].value == pytest.approx(half, rel=0.1)
     assert swing.used._figures[NATURAL].value == pytest.approx(masses.natural_rad_s, rel=0.03)
+
+
+def test_a_motion_that_the_model_does_not_have_is_not_taken_for_teeth() -> None:
+    """A driveline that knocks about in its backlash, by a model that knows none: what is left over
+    is none of the wheel's."""
+    masses, half = TwoMasses(spring_nm_rad=12_000.0), math.radians(4.0)
+    real, rng = model_of(masses, lash=half), np.random.default_rng(3)
+    errors = np.radians(0.1) * rng.standard_normal(EDGES)
+    errors -= errors.mean()
+
+    def learned(model: SwingMotion, slips: tuple[float, ...]) -> WheelTeeth:
+        teeth = WheelTeeth(EDGES // 2, TUNING, (), MAIN_FILTER)
+        for slip in slips:
+            x = np.array([0.0, OMEGA + slip, 0.0, half + 0.02, slip, 0.0, 0.0])
+            found = np.empty((2, 20_001))
+            Swing(x, np.zeros((7, 7)), real).course(0.0, 4e-5, found)
+            passed = np.arange(1, int(found[0, -1] / (2.0 * math.pi / EDGES)) - 1)
+            places = passed % EDGES
+            times = np.interp(
+                2.0 * math.pi / EDGES * passed + errors[places], found[0], np.arange(20_001) * 40.0
+            )
+            times += 5.0 * rng.standard_normal(times.size)
+            edges = np.array((times, passed * 2.0 * math.pi / EDGES))
+            x0, p0 = x.copy(), np.diag([0.03**2, 5.0**2, 1.0, 0.05**2, 4.0**2, 1e-12, 1e-12])
+            teeth.learner.begin(0.0, x0, p0)
+            teeth.learner.take_all(edges, places, model)
+            teeth.end_window()
+        return teeth
+
+    slips = (-3.0, 2.0, -5.0, 4.0)
+    known = learned(real, slips)
+    assert known.learned
+    assert np.abs(known.error_rad - errors).max() < 0.1 * np.abs(errors).max() + 3e-4
+    assert not learned(model_of(masses, noise=1.0), slips).learned
 
 
 def test_what_will_be_known_makes_a_later_contact_surer() -> None:

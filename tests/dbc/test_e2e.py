@@ -1,5 +1,6 @@
 """End-to-end protection: the CRC against the standard, counters and states against rules."""
 
+import copy
 from collections import deque
 from itertools import pairwise
 
@@ -207,3 +208,32 @@ def test_a_stalled_step_that_finds_fresh_frames_is_no_silence() -> None:
 
 def test_a_channel_that_was_never_heard_is_not_silent_but_without_data() -> None:
     assert not Silence(CYCLE_US).tick(10**9, 0)
+
+
+def test_a_machine_says_what_its_newest_frame_was_and_is_steady_only_while_valid_and_full() -> None:
+    machine = StateMachine()
+    assert machine.status is Status.NOT_AVAILABLE
+    assert not machine.is_steady
+    for k in range(10):
+        machine.update(OK)
+        assert machine.status is OK
+        assert machine.is_steady is (k == 9)
+    machine.update(REPEATED)
+    assert machine.status is REPEATED
+    assert not machine.is_steady
+
+
+def test_what_a_channel_remembers_is_copied_with_it() -> None:
+    machine, silence = StateMachine(), Silence(CYCLE_US)
+    for _ in range(5):
+        machine.update(OK)
+    silence.is_heard = True
+    silence.tick(CYCLE_US, 0)
+    other, quiet = copy.deepcopy(machine), copy.deepcopy(silence)
+    assert (other.state, other.status) == (ChannelState.VALID, OK)
+    assert quiet.was_heard
+    for _ in range(3):
+        other.update(ERROR)
+    assert (other.state, machine.state) == (ChannelState.INVALID, ChannelState.VALID)
+    assert quiet.tick(5 * CYCLE_US, 0)
+    assert not silence.tick(4 * CYCLE_US, 0)

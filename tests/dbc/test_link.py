@@ -20,6 +20,7 @@ from meshpoint.dbc.messages import (
     GearboxSensors,
     Message,
     ReferenceEncoder,
+    ReferenceEngagement,
     ShiftOutcome,
     ValveCommand,
 )
@@ -377,3 +378,29 @@ def test_one_silent_message_of_a_sender_is_no_restart() -> None:
         bench.tick(now_us)
     assert bench.state(ClutchCommand) is ChannelState.INVALID
     assert bench.receive(event).verdict is FrameVerdict.REPEATED
+
+
+def test_the_silence_of_one_sender_forgets_no_counter_of_another() -> None:
+    bench = Receiver(Node.BENCH)
+    controller_, other = Transmitter(Node.TRANSMISSION_CONTROL), Transmitter(Node.REFERENCE)
+    events = [controller_.encode(ShiftOutcome(to_gear=10)), other.encode(ReferenceEngagement())]
+    assert verdicts(bench, events) == [FrameVerdict.OK] * 2
+    for now_us in range(0, 200_000, CYCLE_US):
+        if now_us < 100_000:
+            bench.receive(controller_.encode(ValveCommand()))
+        bench.tick(now_us)
+    assert verdicts(bench, events) == [FrameVerdict.OK, FrameVerdict.REPEATED]
+
+
+def test_a_node_that_starts_anew_counts_anew_and_the_others_of_its_transmitter_go_on() -> None:
+    sender = Transmitter(Node.GEARBOX_IO, Node.REFERENCE)
+    for _ in range(3):
+        sender.encode(GearboxSensors())
+        sender.encode(ReferenceEncoder())
+    sender.restart(Node.GEARBOX_IO)
+    assert sender.encode(GearboxSensors()).data[2] == 0
+    assert sender.encode(ReferenceEncoder()).data[2] == 3
+    sender.encode(GearboxSensors())
+    sender.restart(Node.REFERENCE)
+    assert sender.encode(ReferenceEncoder()).data[2] == 0
+    assert sender.encode(GearboxSensors()).data[2] == 2

@@ -137,7 +137,7 @@ def test_the_brake_judders_once_and_twice_a_turn() -> None:
     values = STILL | {"disc.judder_once": 0.05, "disc.judder_twice": 0.03}
     truck = world(linear() | values)
     truck.plant.coast()
-    truck._at(0.0, lambda: truck._switch(Valve.BRAKE, True))
+    truck._at(0.0, lambda: truck.switch(Valve.BRAKE, True))
     run(truck, 300_000)
     angles, torques = [], []
     for now_us in range(301_000, 420_000, 1_000):

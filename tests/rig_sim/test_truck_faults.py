@@ -79,15 +79,29 @@ def test_a_missing_tooth_is_missing_once_a_turn() -> None:
 
 def test_a_stuck_valve_does_not_follow_its_coil_and_a_slow_one_later() -> None:
     truck = with_fault(RigFault.VALVE_STUCK, int(Valve.BRAKE))
-    truck._at(110_000.0, lambda: truck._switch(Valve.BRAKE, True))
+    truck._at(110_000.0, lambda: truck.switch(Valve.BRAKE, True))
     run(truck, 180_000)
     assert truck.plant.brake_gauge_pa < 1e3
     slow = with_fault(RigFault.VALVE_SLOW, int(Valve.BRAKE), value=30.0)
-    slow._at(110_000.0, lambda: slow._switch(Valve.BRAKE, True))
+    slow._at(110_000.0, lambda: slow.switch(Valve.BRAKE, True))
     run(slow, 140_000)
     assert slow.plant.brake_gauge_pa < 1e3
     run(slow, 180_000)
     assert slow.plant.brake_gauge_pa > 1e5
+
+
+@pytest.mark.parametrize("on", [True, False])
+def test_a_valve_that_was_stuck_is_as_its_coil_is_when_the_fault_ends(on: bool) -> None:
+    truck = with_fault(RigFault.VALVE_STUCK, int(Valve.BRAKE), for_us=150_000)
+    for k, now_us in enumerate((50_000.0, 110_000.0, 120_000.0, 130_000.0)):
+        coil = on if k % 2 else not on  # the coil is as at the beginning after two changes
+        truck._at(now_us, lambda coil=coil: truck.switch(Valve.BRAKE, coil))  # type: ignore[misc]
+    run(truck, 240_000)
+    stuck_pa = truck.plant.brake_gauge_pa
+    assert stuck_pa < 1e3 if on else stuck_pa > 1e5
+    run(truck, 600_000)
+    freed_pa = truck.plant.brake_gauge_pa
+    assert freed_pa > 1e5 if on else freed_pa < 1e4
 
 
 def test_the_supply_drops_and_comes_back() -> None:
@@ -100,7 +114,7 @@ def test_the_supply_drops_and_comes_back() -> None:
 
 def test_a_jammed_sleeve_stays_in_its_gear() -> None:
     truck = with_fault(RigFault.SLEEVE_JAMMED, int(Sleeve.FIRST_SECOND), for_us=0)
-    truck._at(150_000.0, lambda: truck._switch(Valve.MAIN_SECOND, True))
+    truck._at(150_000.0, lambda: truck.switch(Valve.MAIN_SECOND, True))
     run(truck, 400_000)
     assert truck.truth.sleeve_state(Sleeve.FIRST_SECOND) is SleeveState.LOCKED
 
@@ -122,10 +136,10 @@ def test_a_jammed_splitter_or_range_stays_at_its_side_for_as_long(
     side = sleeve.side
     other = valves[0] if side > 0 else valves[1]
     truck.plant.chain.open(at.CLUTCH)
-    truck._at(150_000.0, lambda: truck._switch(other, True))
+    truck._at(150_000.0, lambda: truck.switch(other, True))
     run(truck, 290_000)
     assert sleeve.side == side
-    truck._at(350_000.0, lambda: truck._switch(other, True))
+    truck._at(350_000.0, lambda: truck.switch(other, True))
     run(truck, 360_000)
     assert sleeve.side == -side
 

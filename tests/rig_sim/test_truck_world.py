@@ -49,7 +49,7 @@ def go_on_until(met):
         run(truck, now_us)
         assert now_us < 9_000_000
 def switch(valve, on):
-    truck._at(float(now_us), lambda: truck._switch(valve, on))
+    truck._at(float(now_us), lambda: truck.switch(valve, on))
 for _ in range(2):
     switch(SECOND, True)
     go_on_until(lambda: truth.locked_gear is MainGear.NEUTRAL)
@@ -90,8 +90,8 @@ def test_it_does_not_matter_how_often_anybody_asks() -> None:
     rng = np.random.default_rng(1)
     for plant in (truck, asked):
         plant.command_clutch(False, 0)
-        plant._at(30_000.0, lambda plant=plant: plant._switch(Valve.MAIN_SECOND, True))
-        plant._at(90_000.0, lambda plant=plant: plant._switch(Valve.BRAKE, True))
+        plant._at(30_000.0, lambda plant=plant: plant.switch(Valve.MAIN_SECOND, True))
+        plant._at(90_000.0, lambda plant=plant: plant.switch(Valve.BRAKE, True))
     run(truck, 400_000)
     now_us = 0
     while now_us < 400_000:
@@ -131,9 +131,9 @@ def test_a_finer_grid_moves_no_event_by_a_tenth_of_a_microsecond() -> None:
     for step_us in (2000.0, 250.0):
         truck = world({"numerics.step_us": step_us}, seed=9)
         truck.command_clutch(False, 0)
-        truck._at(20_000.0, lambda truck=truck: truck._switch(Valve.MAIN_SECOND, True))
-        truck._at(150_000.0, lambda truck=truck: truck._switch(Valve.BRAKE, True))
-        truck._at(250_000.0, lambda truck=truck: truck._switch(Valve.BRAKE, False))
+        truck._at(20_000.0, lambda truck=truck: truck.switch(Valve.MAIN_SECOND, True))
+        truck._at(150_000.0, lambda truck=truck: truck.switch(Valve.BRAKE, True))
+        truck._at(250_000.0, lambda truck=truck: truck.switch(Valve.BRAKE, False))
         run(truck, 400_000)
         ring = np.array([channel.times_us[:] for channel in truck.plant.rig.captured.channels])
         times.append((truck.plant.y, ring))
@@ -220,7 +220,7 @@ def test_an_open_clutch_leaves_the_engine_to_its_idle_speed() -> None:
 def test_the_splitter_s_valve_changes_the_step_through_its_cone() -> None:
     truck = opened({"clutch.kiss": 1.0})
     before = truck.plant.layshaft_rad_s
-    truck._at(1000.0, lambda: truck._switch(Valve.SPLIT_LOW, True))
+    truck._at(1000.0, lambda: truck.switch(Valve.SPLIT_LOW, True))
     run(truck, 600_000)
     speed = truck.plant.y.speed_rad_s
     low = SHEET.splitter.low.ratio
@@ -232,7 +232,7 @@ def test_the_splitter_s_valve_changes_the_step_through_its_cone() -> None:
 def test_a_splitter_sleeve_is_baulked_until_its_cones_hold() -> None:
     """Its position sensor must not say that the step is in while the speeds still differ."""
     truck = opened({"clutch.kiss": 1.0, "synchro.splitter_nm": 40.0})
-    truck._at(1000.0, lambda: truck._switch(Valve.SPLIT_LOW, True))
+    truck._at(1000.0, lambda: truck.switch(Valve.SPLIT_LOW, True))
     low, differed = SHEET.splitter.low.ratio, 0
     for now_us in range(0, 800_000, 5_000):
         run(truck, now_us)
@@ -254,7 +254,7 @@ def test_a_loaded_sleeve_stays_until_the_torque_goes() -> None:
         if now_us < 500_000:
             truck.command_engine(EngineRequest(None, 0.8), now_us)
         if now_us == 200_000:
-            truck._at(2e5, lambda: truck._switch(Valve.MAIN_SECOND, True))
+            truck._at(2e5, lambda: truck.switch(Valve.MAIN_SECOND, True))
         if now_us == 490_000:
             assert truck.truth.locked_gear is MainGear.FIRST
     assert truck.truth.locked_gear is MainGear.NEUTRAL

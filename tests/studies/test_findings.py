@@ -16,6 +16,7 @@ from meshpoint.testbench.studies import prediction
 from meshpoint.testbench.studies.counterfactual_run import Compared as Landing
 from meshpoint.testbench.studies.excitation import BrakePoint, Figures, figures, matched
 from meshpoint.testbench.studies.hardware import Bought, certainty
+from meshpoint.testbench.studies.identify_run import Gearbox, Told
 from meshpoint.testbench.studies.jobs import ShiftErrors
 from meshpoint.testbench.studies.record import Finding, Given, Statement, ThesisVerdict
 from meshpoint.testbench.studies.registry import load
@@ -47,9 +48,24 @@ def test_zero_order_hold_equals_the_rig_and_a_predictor_that_is_not_it_is_found_
 
 
 def test_friction_costs_too_much_in_our_gearbox_and_not_in_one_that_turns_more_easily() -> None:
-    easy = replace(SHEET, shafts=replace(SHEET.shafts, friction_nms=0.03))
-    assert conclude("parameters").statements[1].verdict is ThesisVerdict.DIFFERS
-    assert conclude("parameters", sheet=easy).statements[1].verdict is ThesisVerdict.AGREES
+    assert conclude("parameters").statements[1].verdict is ThesisVerdict.AGREES
+    common = replace(given("parameters").common, friction_nms=SHEET.shafts.friction_nms)
+    assert conclude("parameters", common=common).statements[1].verdict is ThesisVerdict.DIFFERS
+
+
+def test_one_friction_is_that_of_all_studies_that_depend_on_it() -> None:
+    c = given("parameters").common.friction_nms
+    assert f"c = {c:g} Nms" in conclude("parameters").statements[1].reason
+    for name in ("speed_estimate", "angle_estimate"):
+        asked = given(name)
+        jobs = load(name).jobs(asked)
+        assert {job.sheet.shafts.friction_nms for job in jobs} == {c}
+
+
+def test_no_slip_is_ascribed_to_the_thesis_that_it_does_not_give() -> None:
+    size = conclude("delay_error").statements[0]
+    assert "rpm" not in size.thesis
+    assert "10 to 40 rpm" in size.ours
 
 
 def test_a_gearbox_whose_brake_is_weaker_does_not_reach_the_thesis_s_torque() -> None:
@@ -153,3 +169,22 @@ def test_landings_agree_where_nine_to_ten_of_ten_intervals_hold_the_truth(
     assert finding.figures["told"] == 20
     assert finding.figures["coverage"] == pytest.approx(1.0 - outside / 20)
     assert finding.figures["not_told"] == {"known to within n deg only": 1}
+
+
+@pytest.mark.parametrize(("outside", "agrees"), [(0, True), (2, True), (3, False)])
+def test_identified_figures_agree_where_nine_of_ten_intervals_hold_what_was_built(
+    outside: int, agrees: bool
+) -> None:
+    """What a log does not tell is counted as not told, not as right."""
+    start = given("identify")
+    start = replace(start, own=replace(start.own, gearboxes=1))
+    (job,) = load("identify").jobs(start)
+    nan = float("nan")
+    told = [Told("drag", "Nm", 6.0, 5.0, 7.0, 8.0, 7.5 if k < outside else 6.5) for k in range(20)]
+    box = Gearbox((*told, Told("drag", "Nm", None, nan, nan, 8.0, 6.5)), (("main", 90, 81),), ())
+    finding = load("identify").conclude(replace(start, results={job: box}))
+    assert finding.verdict is (ThesisVerdict.AGREES if agrees else ThesisVerdict.DIFFERS)
+    assert finding.figures["told"] == 20
+    assert finding.figures["coverage"] == pytest.approx(1.0 - outside / 20)
+    assert finding.figures["by_figure"]["drag"]["half interval"] == pytest.approx(1.0)
+    assert finding.figures["edges_covered"] == {"main": pytest.approx(0.9)}

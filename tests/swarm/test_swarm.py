@@ -15,6 +15,7 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.swarm.aimed import AIMS, Aim
 from meshpoint.testbench.swarm.deeds import DEEDS
 from meshpoint.testbench.swarm.draw import TIGHT, draw_world
 from meshpoint.testbench.swarm.episode import Episode, EpisodeResult, declared, settings_with
@@ -26,9 +27,9 @@ from meshpoint.testbench.swarm.events import (
     load_world,
     save_world,
 )
-from meshpoint.testbench.swarm.invariants import Broken
+from meshpoint.testbench.swarm.invariants import Broken, Invariants
 from meshpoint.testbench.swarm.shrink import shrink
-from meshpoint.testbench.swarm.swarm import SwarmSpec, breaks, run_seed
+from meshpoint.testbench.swarm.swarm import SwarmSpec, breaks, run_seed, world_of
 
 SHEET, SETTINGS = load_sheet("truck12"), ControllerSettings()
 SPEC = SwarmSpec(SHEET, SETTINGS, 1)
@@ -38,7 +39,7 @@ def run(world: World) -> EpisodeResult:
     return Episode(SHEET, SETTINGS, world).run()
 
 
-def world_of(name: str) -> World:
+def deed_alone(name: str) -> World:
     """A deed alone, with a request after it."""
     deed = DEEDS[name]
     at_ms = 0 if deed.begins is None else 900
@@ -50,7 +51,7 @@ def world_of(name: str) -> World:
 
 @pytest.mark.parametrize("name", DEEDS)
 def test_a_deed_meets_its_row_of_the_guard_does_no_harm_and_shifts_come_back(name: str) -> None:
-    result = run(world_of(name))
+    result = run(deed_alone(name))
     assert result.broken == []
     row = DEEDS[name].row
     assert result.reached.faults[name] == 1
@@ -101,6 +102,53 @@ def test_what_a_blind_guard_lets_through_is_seen_made_small_and_repeated_from_a_
     assert main(arguments) == 0
 
 
+SHOWN = [aim for aim in AIMS if aim.reaches in
+         ("disengage_refused", "clutch_parting+gave_up", "retracting+gear_unknown")
+         and not aim.settings]  # fmt: skip
+"""All of them are run by each swarm."""
+
+
+@pytest.mark.parametrize("aim", SHOWN, ids=lambda aim: aim.reaches)
+def test_an_aimed_world_reaches_what_it_aims_at(aim: Aim) -> None:
+    result = run(aim.world(5))
+    assert result.broken == []
+    assert result.reached.transitions[aim.reaches] + result.reached.fault_codes[aim.reaches] > 0
+
+
+def test_a_swarm_begins_with_the_aimed_worlds_and_goes_on_with_drawn_ones() -> None:
+    everything = {name for kind in ("fault_codes", "transitions") for name in declared()[kind]}
+    assert {aim.reaches for aim in AIMS} <= everything
+    base = 7_000_000
+    assert [world_of(base + k) for k in range(len(AIMS))] == [
+        aim.world(base + k) for k, aim in enumerate(AIMS)
+    ]
+    assert world_of(base + len(AIMS)) == draw_world(base + len(AIMS))
+
+
+def test_a_controller_that_starts_while_old_frames_fill_the_bus_is_no_violation() -> None:
+    """What waited while the gearbox's node hung comes at once; nobody can tell its age."""
+    events = (
+        Event(300, REQUEST, 0, 4.0),
+        Event(700, "node_restart", 0, 0.0, 500),
+        Event(1_600, "node_stalled", 0, 0.0, 1_500),
+        Event(3_600, "controller_restarted"),
+    )
+    assert run(World(1_000_151, 5, 913.0, {}, events, 3_800)).broken == []
+
+
+@pytest.mark.parametrize(("error_us", "is_broken"), [(-28_000, False), (-31_000, True)])
+def test_a_small_step_of_the_clock_may_be_followed_late_a_larger_one_not(
+    error_us: int, is_broken: bool
+) -> None:
+    broken: list[Broken] = []
+    invariants = Invariants(SHEET, broken)
+    invariants._speeds.extend([(0, (0.0,) * 4)] * 2)
+    for now_us, active in ((1_000_000, {"clock_step"}), (1_010_000, set()), (6_010_000, set())):
+        late_us = error_us if now_us > 6_000_000 else 0
+        invariants._time(now_us + late_us, now_us, frozenset(active))
+    assert bool(broken) is is_broken
+
+
 def test_a_crash_of_a_node_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Guard, "passes", lambda self, payload, seen: 1 // 0)
     (broken,) = run(World(6, events=(), safety_ms=500)).broken
@@ -139,6 +187,7 @@ def test_shrinking_keeps_to_its_budget() -> None:
         ({"events": [Event(0, "valve_stuck", 9)._asdict()]}, "target"),
         ({"safety_ms": float("nan")}, "safety_ms"),
         ({"events": 5}, "events"),
+        ({"events": [Event(0, "valve_stuck", 1)._asdict() | {"state": "asleep"}]}, "asleep"),
     ],
 )
 def test_a_bad_scenario_is_refused_by_name(

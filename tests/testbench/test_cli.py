@@ -212,6 +212,18 @@ def test_a_line_that_names_no_command_loads_none(arguments: str) -> None:
     assert len(loaded) < 180
 
 
+@pytest.mark.parametrize("command", ["campaign", "replay", "controller"])
+def test_a_command_loads_no_library_that_one_file_format_or_one_figure_needs(command: str) -> None:
+    """asammdf with pandas is for MF4 logs, all of scipy's statistics for one quantile."""
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED, command, "--help"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    loaded = set(done.stderr.splitlines()[-1].split())
+    assert "can" in loaded
+    assert not loaded & {"asammdf", "pandas", "scipy.stats", "matplotlib"}
+
+
 def test_help_before_a_command_is_loaded_is_the_same() -> None:
     assert list(SUMMARIES) == list(MODULES)
     assert front_parser().format_help() == build_parser().format_help()

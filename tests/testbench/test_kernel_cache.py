@@ -16,7 +16,7 @@ import pytest
 from meshpoint import kernel_cache
 from meshpoint.kernel_cache import KernelCache, digest_of
 from meshpoint.kernel_watch import CacheWatch
-from meshpoint.testbench.loop import compiling
+from meshpoint.testbench.loop import compiled_mark, compiling
 
 pytestmark = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled here")
 KERNELS = {
@@ -235,3 +235,35 @@ def test_the_digest_is_the_same_in_every_process(module: str) -> None:
         for text, seed in ((script, "1"), (before + script, "2"))
     ]  # fmt: skip
     assert seen[0] == seen[1] and len(seen[0]) == 65
+
+
+def test_the_rigs_kernels_are_looked_for_once_and_again_when_its_source_changes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process of its own to find them all on disk took each command more than a second."""
+    monkeypatch.setattr(kernel_cache.numba_config, "CACHE_DIR", str(tmp_path))
+    (tmp_path / "rig_sim").mkdir()
+    asked: list[bool] = []
+
+    def both_sides(_progress: object, thesis: bool, _baselines: bool) -> int:
+        asked.append(thesis)
+        return 0
+
+    monkeypatch.setattr(compiling, "_both_sides", both_sides)
+    monkeypatch.setattr(compiling, "_warm_up", lambda *_given: None)
+    for thesis in (False, False, True, True):
+        compiling.prepare(thesis)
+    assert asked == [False, True]
+    monkeypatch.setattr(compiled_mark, "_digest", lambda _package: "another source")
+    compiling.prepare(False)
+    assert asked == [False, True, False]
+
+
+def test_kernels_that_could_not_be_compiled_leave_no_mark(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(kernel_cache.numba_config, "CACHE_DIR", str(tmp_path))
+    (tmp_path / "rig_sim").mkdir()
+    monkeypatch.setattr(compiling, "_both_sides", lambda *_given: 1)
+    compiling.prepare()
+    assert list((tmp_path / "rig_sim").iterdir()) == []

@@ -17,7 +17,7 @@ from meshpoint.testbench.commands.replay_rows import ReplayRows
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.logged_frames import expected_frames
 
-SHORT, LONG = 2, 5
+SHORT, LONG = 1, 3
 SHIFTS_OF_A_DAY = 24 * 120
 """One shift each half minute."""
 LEFT_BYTES = 100e6
@@ -91,7 +91,7 @@ def test_ctrl_c_leaves_what_there_is_and_says_so(
 
     def count(self: Any, frame: Any) -> None:
         seen[0] += 1
-        if seen[0] == 9_000:
+        if seen[0] == 5_500:
             os.kill(os.getpid(), signal.SIGINT)
         logged(self, frame)
 

@@ -17,6 +17,8 @@ from rich.table import Table
 import meshpoint.testbench
 from meshpoint.controller.calibration.file import read_file
 from meshpoint.controller.calibration.learned import Calibration
+from meshpoint.controller.identification.held_out import HeldOut
+from meshpoint.controller.identification.identify import Figure
 from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import load_sheet
@@ -36,6 +38,7 @@ from meshpoint.testbench.commands import gearbox as gearbox_command
 from meshpoint.testbench.commands import study as study_command
 from meshpoint.testbench.commands.check import findings_table
 from meshpoint.testbench.commands.describe import faults_table, parameters_table
+from meshpoint.testbench.commands.identify import checks_table, figures_table
 from meshpoint.testbench.commands.sensor_replay import seen_table
 from meshpoint.testbench.commands.swarm import reached_table
 from meshpoint.testbench.logs.captures import CaptureRow
@@ -152,6 +155,12 @@ TABLES: dict[str, Callable[[], Table]] = {
                 "shafts", "layshaft to propeller, main gear second", Verdict.UNKNOWN, "of " * 50
             )
         ]
+    ),
+    "commands.identify.figures_table": lambda: figures_table(
+        [Figure("brake.valve_time_constant", "ms", 12.34, 11.98, 12.71, 12.5, 120)]
+    ),
+    "commands.identify.checks_table": lambda: checks_table(
+        [HeldOut("sleeve delay, first gear", "ms", 120, 0.1234, 0.5678)]
     ),
     "commands.captures.counts_table": lambda: captures_command.counts_table([CAPTURE]),
     "commands.captures.errors_table": lambda: captures_command.errors_table([CAPTURE]),

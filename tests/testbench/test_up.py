@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import shutil
 import signal
@@ -22,6 +23,7 @@ from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.cli import main
+from meshpoint.testbench.commands.up import _commands, add_parser
 
 READY = "in gear 8, ready"
 PROC = Path("/proc")
@@ -102,6 +104,17 @@ def test_a_request_from_elsewhere_shifts_and_ctrl_c_ends_both(
     actions = [v for name, v in last._asdict().items() if name.endswith("_action")]
     assert set(actions) == {ValveAction.OFF_NOW}
     assert main(["replay", str(log), "--verify"]) == 0
+
+
+def test_both_nodes_get_the_keys_by_which_commands_are_proven(tmp_path: Path) -> None:
+    parser = argparse.ArgumentParser()
+    add_parser(parser.add_subparsers())
+    namespace = parser.parse_args(["up", "--keys", "k.toml", "--seed", "3"])
+    _, (_, rig), (_, controller) = _commands(namespace, tmp_path / "pace")
+    for command in (rig, controller):
+        assert command[command.index("--keys") + 1] == "k.toml"
+    without, *_ = [command for _, command in _commands(parser.parse_args(["up"]), tmp_path / "p")]
+    assert "--keys" not in without
 
 
 @pytest.mark.parametrize("name", ["controller", "pace"])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import BinaryIO
 
+from meshpoint.bus.light_can import mf4_module
 from meshpoint.bus.logs.buses import Buses
 from meshpoint.bus.logs.entry import DefectError, Entries, Skipped, checked
 from meshpoint.dbc.frame import Frame
@@ -13,9 +14,7 @@ def mf4_entries(file: BinaryIO, buses: Buses) -> Entries:
     """Every frame, time in seconds since the epoch; raises DefectError. asammdf reads the whole
     index at once, so a file that is cut off gives nothing."""
     try:
-        from can.io.mf4 import MF4Reader
-
-        reader = MF4Reader(file)
+        reader = mf4_module().MF4Reader(file)
     except (ImportError, NotImplementedError) as error:
         raise DefectError("", "MF4 needs asammdf: pip install meshpoint[mf4]") from error
     except Exception as error:  # asammdf leaks errors of many kinds on damaged files

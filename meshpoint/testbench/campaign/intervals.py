@@ -2,12 +2,16 @@
 
 Rates: Wilson's interval (1927) on the effective number of shifts, n over the design effect of the
 clusters (Rao and Scott 1992): it says something at 0 and at 1 too, where resampling says nothing.
+Few runs with a miss say little of how misses go together: the design effect is between the one seen
+and the worst, a whole run like its first shift, by how many such runs there are.
 Means, quantiles and ratios: percentile bootstrap over whole runs, with the same resamples for the
-strategies compared, so that a ratio keeps the pairing (Efron and Tibshirani 1993, ch. 8).
+strategies compared, so that a ratio keeps the pairing (Efron and Tibshirani 1993, ch. 8). A ratio
+of rates of which one has few misses is told from the intervals of both (Donner and Zou 2012).
 """
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -15,12 +19,16 @@ from numpy.typing import NDArray
 
 from meshpoint.testbench.report.overview import wilson
 
+FEW_RUNS: Final = 5
+"""So many runs with a miss, and with a hit, before resampling shows how rates vary."""
 RESAMPLES: Final = 1000
 SEED: Final = 0xB007
 AT_ONCE: Final = 4_000_000
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Interval = tuple[float, float]
+Rate = tuple[float, float, float]
+"""A share of shifts and the ends of its interval."""
 
 
 def rate_interval(hits: NDArray[np.bool_], clusters: Integers) -> Interval:
@@ -33,16 +41,42 @@ def rate_interval(hits: NDArray[np.bool_], clusters: Integers) -> Interval:
 
 
 def design_effect(hits: NDArray[np.bool_], clusters: Integers) -> float:
-    """Variance of the rate over what independent shifts would have; never taken below 1."""
+    """Variance of the rate over what independent shifts would have; never taken below 1. Of k runs
+    that show how they differ, the worst counts 1 / (1 + k)."""
     n, rate = hits.size, float(hits.mean())
     count = int(clusters.max()) + 1
+    worst = n / count
     if rate in (0.0, 1.0):
-        return n / count  # nothing is seen of the differences between runs: the worst is taken
+        return worst
     if count == 1:
         return 1.0
     residual = np.bincount(clusters, hits - rate, minlength=count)
     variance = count / (count - 1) * float(residual @ residual) / n**2
-    return max(1.0, variance * n / (rate * (1.0 - rate)))
+    seen = max(1.0, variance * n / (rate * (1.0 - rate)))
+    doubt = 1.0 / (1.0 + telling_runs(hits, clusters))
+    return max(seen, doubt * worst + (1.0 - doubt) * seen)
+
+
+def telling_runs(hits: NDArray[np.bool_], clusters: Integers) -> int:
+    """How many runs have a miss, or have a hit, whichever are fewer."""
+    return min(np.unique(clusters[~hits]).size, np.unique(clusters[hits]).size)
+
+
+def rate_ratio_interval(of: Rate, to: Rate) -> list[float | None]:
+    """Interval of a ratio of two rates from the intervals of both (MOVER), as if they were
+    independent: too wide rather than too narrow for shifts on the same draws. None at a rate that
+    may be zero."""
+    (a, a_low, a_high), (b, b_low, b_high) = of, to
+    if b_low <= 0.0:
+        return [None, None]
+    middle = a * b
+
+    def end(a_end: float, b_end: float, side: float) -> float:
+        product = a_end * b_end * (2.0 * a - a_end) * (2.0 * b - b_end)
+        root = math.sqrt(max(0.0, middle * middle - product))
+        return (middle + side * root) / (b_end * (2.0 * b - b_end))
+
+    return [finite(end(a_low, b_high, -1.0)), finite(end(a_high, b_low, 1.0))]
 
 
 class Bootstrap:

@@ -101,6 +101,11 @@ class ClosedLoop:
         return self._driver.now_us / 1e6
 
     @property
+    def rig_truth(self) -> Any:
+        """What the rig knows of itself, for studies in the same process."""
+        return self._rig.truth
+
+    @property
     def as_built(self) -> dict[str, Any]:
         """What was drawn for the rig; nothing for the preset thesis."""
         return self._rig.as_built or {}

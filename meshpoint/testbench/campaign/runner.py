@@ -6,15 +6,14 @@ put in order of their jobs.
 
 from __future__ import annotations
 
-import multiprocessing
-import signal
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
 from contextlib import contextmanager
 from typing import Any, Final
 
 from meshpoint.testbench.campaign.run import RunResult, run_many
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
+from meshpoint.testbench.campaign.workers import worker_pool
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.results.output import complain
 
@@ -28,13 +27,8 @@ def executor(workers: int, dask: str | None) -> Iterator[Executor]:
         with _dask(dask) as over_dask:
             yield over_dask
     else:
-        # spawned, not forked: the same on every system, and threads are not copied half alive
-        context = multiprocessing.get_context("spawn")
-        pool = ProcessPoolExecutor(workers, context, initializer=_leave_interrupts_to_the_parent)
-        try:
+        with worker_pool(workers) as pool:
             yield pool
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
 
 
 @contextmanager
@@ -50,10 +44,6 @@ def _dask(address: str) -> Iterator[Executor]:
         raise CommandError(f"--dask {address}: cannot be reached: {error}") from error
     with client, client.get_executor(pure=False) as over_dask:
         yield over_dask
-
-
-def _leave_interrupts_to_the_parent() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from meshpoint.testbench.campaign.record import JudgedShift
 
@@ -134,7 +134,7 @@ def paired_estimate(kind: str, a: Floats, a_n: Floats, b: Floats, b_n: Floats) -
         parts = (part_a - value * part_b) / mean_b
     variance = float(parts @ parts) / (runs - 1) / runs
     least = 0.5 / runs**2 / (1.0 if kind == "difference" else mean_b**2)
-    margin = float(student.ppf(0.5 + NOMINAL / 2.0, runs - 1))
+    margin = float(stdtrit(runs - 1, 0.5 + NOMINAL / 2.0))
     return Estimate(float(value), margin * math.sqrt(max(variance, least)), runs)
 
 

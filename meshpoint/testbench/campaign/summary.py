@@ -8,13 +8,17 @@ from typing import Any, Final
 import numpy as np
 
 from meshpoint.testbench.campaign.intervals import (
+    FEW_RUNS,
     Bootstrap,
     Floats,
     Integers,
+    Rate,
     finite,
     interval,
     quantile,
     rate_interval,
+    rate_ratio_interval,
+    telling_runs,
 )
 from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.spec import TRUE_STATE
@@ -40,6 +44,10 @@ class Shots:
     def gaps(self) -> tuple[Floats, Integers]:
         """1 where the first contact was in a gap, and the runs."""
         return self.is_gap.astype(np.float64), self.cluster
+
+    def gap_rate(self) -> Rate:
+        """Share of first contacts in a gap, with its interval."""
+        return (float(self.is_gap.mean()), *rate_interval(self.is_gap, self.cluster))
 
     def impacts(self) -> tuple[Floats, Integers]:
         """Loss in flank impacts, J, and the runs."""
@@ -125,6 +133,8 @@ def ratios(of: Shots, to: Shots, bootstrap: Bootstrap) -> dict[str, Any]:
         with np.errstate(invalid="ignore", divide="ignore"):
             resampled = bootstrap.means(a, a_runs) / bootstrap.means(b, b_runs)
         found[name] = _ratio(_mean(a), _mean(b), resampled)
+    if any(telling_runs(shots.is_gap, shots.cluster) < FEW_RUNS for shots in (of, to)):
+        found["first_contact_gap_rate"]["ci95"] = rate_ratio_interval(of.gap_rate(), to.gap_rate())
     (a, a_runs), (b, b_runs) = of.durations(), to.durations()
     if a.size and b.size:
         resampled = bootstrap.quantiles(a, a_runs, P99) / bootstrap.quantiles(b, b_runs, P99)

@@ -81,7 +81,7 @@ def _with_setting(settings: ControllerSettings, point: SweepPoint) -> Controller
     rules: dict[str, tuple[str, Rule]] = {
         field.metadata["rule"].key: (field.name, field.metadata["rule"])
         for field in dataclasses.fields(group)
-        if field.metadata["rule"].kind in (int, float)
+        if field.metadata and field.metadata["rule"].kind in (int, float)
     }
     if key not in rules:
         raise TableError(f"keys of '{group_name}' are {', '.join(rules)}")

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
-from xml.sax.saxutils import escape, quoteattr
 
 from meshpoint.testbench.campaign.verdict import Verdict
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.results import junit
 
 
 def is_worse(values: dict[str, Any]) -> bool:
@@ -48,22 +47,4 @@ def write_junit(path: Path, values: dict[str, Any]) -> None:
     if "against" in values:
         worse = stopped_words(values)[-1] if is_worse(values) else ""
         cases.append(("first contact in a gap is not worse than before", worse))
-    text = "\n".join(
-        [
-            '<?xml version="1.0" encoding="utf-8"?>',
-            f'<testsuite name="meshpoint campaign" tests="{len(cases)}" '
-            f'failures="{sum(bool(why) for _, why in cases)}">',
-            *(_case(name, why) for name, why in cases),
-            f"<system-out>{escape('; '.join(stopped_words(values)))}</system-out>",
-            "</testsuite>\n",
-        ]
-    )
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
-
-
-def _case(name: str, why: str) -> str:
-    begin = f'<testcase classname="meshpoint.campaign" name={quoteattr(name)}'
-    return f"{begin}><failure message={quoteattr(why)}/></testcase>" if why else f"{begin}/>"
+    junit.write_junit(path, "campaign", cases, "; ".join(stopped_words(values)))

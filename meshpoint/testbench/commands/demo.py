@@ -68,6 +68,7 @@ def add_parser(commands: Any) -> None:
     arguments.add_rig(parser)
     arguments.add_gearbox(parser)
     arguments.add_controller(parser, strategy=False)
+    arguments.add_keys(parser)
     arguments.add_speed(parser)
     parser.add_argument(
         "--wall-clock",
@@ -184,7 +185,8 @@ def _live_run(
         speed=namespace.speed,
         in_process=in_process,
         paced=not namespace.wall_clock,
-        node_arguments=[*bus, "--gearbox", namespace.gearbox],
+        node_arguments=[*bus, "--gearbox", namespace.gearbox, *_given(namespace, "keys")],
+        keys=arguments.keys_of(namespace),
         controller_arguments=controller,
         rig_arguments=_given(namespace, "as_built", "faults"),
     )

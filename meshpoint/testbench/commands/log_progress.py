@@ -20,12 +20,12 @@ from meshpoint.testbench.results.output import complain, console
 
 @contextmanager
 def logged_frames(
-    files: list[Path], bus: str | None, stop: Callable[[], bool]
+    files: list[Path], bus: str | None, stop: Callable[[], bool], doing: str = "replaying"
 ) -> Iterator[LoggedFrames]:
     """The frames of a log, shown on standard error as they are read."""
     with Progress(
         SpinnerColumn(),
-        TextColumn("replaying"),
+        TextColumn(doing),
         BarColumn(),
         TextColumn("{task.completed} frames"),
         TimeRemainingColumn(),

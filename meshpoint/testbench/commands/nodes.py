@@ -83,7 +83,8 @@ def add_header_dir(parser: arguments.Arguments) -> None:
         "--header-dir",
         type=Path,
         metavar="DIR",
-        help="save the run header here; replay wants it beside the log",
+        help="save the run header here, and what a link outage keeps from the log; replay wants "
+        "both beside the log",
     )
 
 
@@ -148,6 +149,7 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     keep=writer,
                     keys=keys,
                     diagnosis=namespace.diagnosis,
+                    record=namespace.header_dir,
                 )
 
     run_loop(run())

@@ -34,6 +34,10 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint report out/demo/speed_window.log",
         "meshpoint report bench/ --strategy target_phase --json report.json",
     ),
+    "identify": (
+        "meshpoint identify out/demo/target_phase.log --gearbox truck12",
+        "meshpoint identify bench.blf --gearbox own.toml -o identified.toml --json -",
+    ),
     "tell": (
         "meshpoint tell out/demo/target_phase.log",
         "meshpoint tell run.log --only driver truth --json",
@@ -82,6 +86,10 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint settings show --toml > own.toml",
     ),
     "dbc": ("meshpoint dbc", "meshpoint dbc ValveCommand", "meshpoint dbc --path"),
+    "completion": (
+        "meshpoint completion bash > ~/.meshpoint-completion.bash",
+        "meshpoint completion fish > ~/.config/fish/completions/meshpoint.fish",
+    ),
     "help": ("meshpoint help simulate", "meshpoint help bus"),
 }
 """The end of each command's help."""

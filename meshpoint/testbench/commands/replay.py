@@ -47,6 +47,7 @@ from meshpoint.testbench.results.output import (
 
 EXIT_OF = {
     Verification.IDENTICAL: Exit.DONE,
+    Verification.IN_PARTS: Exit.NOT_VERIFIABLE,
     Verification.DIFFERS: Exit.FAILED,
     Verification.NOT_VERIFIABLE: Exit.NOT_VERIFIABLE,
 }
@@ -273,17 +274,17 @@ def _fed(log: LoggedFrames, rows: ReplayRows) -> Iterator[Frame]:
 
 def _end_early(session: Session, why: str) -> None:
     """A log that is not read to its end is verified as far as it goes, and says so."""
-    if session.verdict is Verification.IDENTICAL:
+    if session.goes_on:
         session.verdict = Verification.NOT_VERIFIABLE
         session.step = session.steps
         session.reason = f"every step before it agrees; {why}"
 
 
 def _exit_code(sessions: list[Session], verify: bool) -> int:
-    codes = [EXIT_OF[session.verdict] for session in sessions]
     if verify:
+        codes = [EXIT_OF[session.verdict] for session in sessions]
         return max(codes, key=lambda code: (code is Exit.FAILED, code))
-    broken = all(code is Exit.NOT_VERIFIABLE for code in codes)
+    broken = all(session.verdict is Verification.NOT_VERIFIABLE for session in sessions)
     return Exit.NOT_VERIFIABLE if broken else Exit.DONE
 
 
@@ -360,6 +361,7 @@ def _session_json(session: Session) -> dict[str, Any]:
         "reason": session.reason,
         "steps": session.steps,
         "frames": session.frames,
+        "holes": [hole._asdict() for hole in session.holes],
         "run_hash": f"{session.run_hash:016x}",
         "intruders": {f"{can_id:08X}": n for can_id, n in sorted(session.intruders.items())},
     }

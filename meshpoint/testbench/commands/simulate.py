@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -14,6 +15,7 @@ from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.calibration_keeper import CalibrationWriter, Keep
 from meshpoint.dbc.frame import Frame
+from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.interrupt import interruptible
@@ -33,6 +35,15 @@ from meshpoint.testbench.report.write import (
     report_provenance,
     write_report,
 )
+from meshpoint.testbench.results.gates import (
+    MEANINGS,
+    Gate,
+    Judged,
+    judge,
+    markdown,
+    parse_gate,
+)
+from meshpoint.testbench.results.junit import write_junit, write_text
 from meshpoint.testbench.results.output import (
     complain,
     complain_of_strategy,
@@ -40,7 +51,7 @@ from meshpoint.testbench.results.output import (
     rows_table,
     write_json,
 )
-from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.results.rows import ShiftRow, summarise
 
 LOG_CHANNEL = "virtual"
 LEAST_LOAD = 0.1
@@ -63,7 +74,34 @@ def add_parser(commands: Any) -> None:
     arguments.add_log(parser)
     arguments.add_json(parser)
     arguments.add_report(parser)
+    _add_gates(parser)
     parser.set_defaults(run=run)
+
+
+def _add_gates(parser: argparse.ArgumentParser) -> None:
+    """--fail-if, --junit and --markdown."""
+    parser.add_argument(
+        "--fail-if",
+        type=_gate,
+        action="append",
+        default=[],
+        metavar='"FIGURE < LIMIT"',
+        help='exit code 1 where a figure of the run is so, as "first_contact_gap < 0.95", or '
+        f'"... < 95%%"; may be repeated; figures: {", ".join(MEANINGS)} (docs/ci.md)',
+    )
+    parser.add_argument(
+        "--junit", type=Path, metavar="FILE", help="the result as JUnit XML, for a CI server"
+    )
+    parser.add_argument(
+        "--markdown", type=Path, metavar="FILE", help="figures and shifts as Markdown, for people"
+    )
+
+
+def _gate(text: str) -> Gate:
+    try:
+        return parse_gate(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
 
 
 def _add_bus(parser: argparse.ArgumentParser) -> None:
@@ -119,23 +157,7 @@ def run(namespace: argparse.Namespace) -> int:
     sheet, preset = arguments.sheet_of(namespace), Preset(namespace.preset)
     calibration, writer = arguments.calibration_of(namespace, sheet, threaded=False, tell=complain)
     unwritten: list[str] = []
-    built = arguments.as_built_of(namespace)
-    setup = Setup(
-        sheet=sheet,
-        settings=arguments.settings_of(namespace),
-        preset=preset,
-        seed=namespace.seed,
-        shifts=namespace.shifts,
-        pairs=arguments.pairs_of(namespace, sheet, preset),
-        profile=built.profile,
-        as_built=built.fixed,
-        faults=arguments.faults_of(namespace),
-        calibration=calibration,
-        keys=arguments.keys_of(namespace),
-        bus_load=namespace.bus_load,
-        adapter=_adapter(namespace),
-        bus_queue=QueueOrder(namespace.bus_queue),
-    )
+    setup = _setup(namespace, sheet, preset, calibration)
     out = console(namespace.json)
     check_report(namespace.report)
     collector = None
@@ -169,18 +191,72 @@ def run(namespace: argparse.Namespace) -> int:
         result = simulate(setup, on_frame, on_row, keep=_keep(writer, unwritten), stop=stop)
     if collector is not None:
         write_report(namespace.report, _report(setup, result, collector))
-    if namespace.json is not None:
-        write_json(namespace.json, result.to_json(setup.settings.strategy_name))
+    judged = judge(
+        namespace.fail_if,
+        summarise(setup.settings.strategy_name, result.rows),
+        result.rows,
+    )
+    _write_results(namespace, setup, result, judged)
     if log is not None:
         out.print(f"log {written(log)}", markup=False)
     if namespace.json != "-":
         _show(out, setup, result)
     complain_of_strategy(result.strategy_errors)
+    for each in judged:
+        (complain if each.failed else out.print)(each.words)
     if result.interrupted:
         complain(f"interrupted: {len(result.rows)} of {setup.shifts} shifts are in the results")
         return Exit.INTERRUPTED
     failed = result.stuck or unwritten or result.strategy_errors
-    return Exit.FAILED if failed else Exit.DONE
+    return Exit.FAILED if failed or any(each.failed for each in judged) else Exit.DONE
+
+
+def _setup(
+    namespace: argparse.Namespace,
+    sheet: GearboxSheet,
+    preset: Preset,
+    calibration: Calibration | None,
+) -> Setup:
+    """The run asked for."""
+    built = arguments.as_built_of(namespace)
+    return Setup(
+        sheet=sheet,
+        settings=arguments.settings_of(namespace),
+        preset=preset,
+        seed=namespace.seed,
+        shifts=namespace.shifts,
+        pairs=arguments.pairs_of(namespace, sheet, preset),
+        profile=built.profile,
+        as_built=built.fixed,
+        faults=arguments.faults_of(namespace),
+        calibration=calibration,
+        keys=arguments.keys_of(namespace),
+        bus_load=namespace.bus_load,
+        adapter=_adapter(namespace),
+        bus_queue=QueueOrder(namespace.bus_queue),
+    )
+
+
+def _write_results(
+    namespace: argparse.Namespace, setup: Setup, result: Result, judged: list[Judged]
+) -> None:
+    """--json, --junit and --markdown."""
+    name = setup.settings.strategy_name
+    if namespace.json is not None:
+        gates = {"gates": [each.to_json() for each in judged]} if judged else {}
+        write_json(namespace.json, result.to_json(name) | gates)
+    summary = summarise(name, result.rows)
+    if namespace.junit is not None:
+        stuck = [f"shift {number + 1} had no outcome" for number in result.stuck]
+        if result.interrupted:
+            stuck.append(f"interrupted after {len(result.rows)} of {setup.shifts} shifts")
+        cases = [("every shift came to an outcome", "; ".join(stuck))]
+        cases += [(f"not {each.gate}", each.words if each.failed else "") for each in judged]
+        said = f"{len(result.rows)} shifts, {name}, seed {setup.seed}"
+        write_junit(namespace.junit, "simulate", cases, said)
+    if namespace.markdown is not None:
+        title = f"meshpoint simulate: {name}, seed {setup.seed}"
+        write_text(namespace.markdown, markdown(title, summary, result.rows, judged))
 
 
 def _show(out: Console, setup: Setup, result: Result) -> None:

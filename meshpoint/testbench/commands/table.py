@@ -32,6 +32,7 @@ MODULES: Final = {
     "campaign": "campaign",
     "replay": "replay",
     "report": "report",
+    "identify": "identify",
     "tell": "tell",
     "compare": "compare",
     "up": "up",
@@ -51,6 +52,7 @@ MODULES: Final = {
     "study": "study",
     "settings": "settings",
     "dbc": "dbc",
+    "completion": "completion",
     "help": "help",
 }
 """The module of `meshpoint.testbench.commands` that holds each command, in the order of the
@@ -62,6 +64,7 @@ SUMMARIES: Final = {
     "campaign": "many seeded runs: strategies compared on the same draws, with intervals",
     "replay": "a recorded log through the same controller",
     "report": "would another strategy have met the gap more often in a recorded log",
+    "identify": "brake, drag, delays, teeth of the gearbox that a log is of, as a data sheet",
     "tell": "a log in plain words, one line an event",
     "compare": "two logs, two --json records, or two settings files",
     "up": "rig and controller in one terminal, until Ctrl-C",
@@ -81,6 +84,7 @@ SUMMARIES: Final = {
     "study": "the thesis's figures and tables reproduced, ours beside them",
     "settings": "show every setting of the controller: unit, range, default, meaning",
     "dbc": "the DBC: where it is, its messages, the signals of one",
+    "completion": "what a shell needs to complete our command lines",
     "help": "help on a command, or on which bus (`help bus`)",
 }
 """What each command does, in a line of the help."""

@@ -42,6 +42,7 @@ def add_parser(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser("up", description=DESCRIPTION)
     both = parser.add_argument_group("both nodes")
     arguments.add_gearbox(both)
+    arguments.add_keys(both)
     arguments.add_speed(both)
     both.add_argument(
         "-q", "--quiet", action="store_true", help="only errors, not the nodes' lines"
@@ -71,7 +72,9 @@ def _forwarded(group: argparse._ArgumentGroup, but: str = "") -> list[argparse.A
 
 def run(namespace: argparse.Namespace) -> int:
     """Runs both until a signal."""
-    arguments.armed_of(namespace)  # bad settings are found before anything is started
+    # Bad settings and keys are found before anything is started.
+    arguments.armed_of(namespace)
+    arguments.keys_of(namespace)
     with open_bus_from(namespace) as bus:
         _check_free(bus)
         return asyncio.run(_run(namespace, bus))

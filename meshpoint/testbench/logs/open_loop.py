@@ -217,6 +217,12 @@ class OpenLoop:
         copied.strategy_errors = {}
         return copied
 
+    def unheard(self, core: ControllerCore, time_us: int, consumed: list[Frame]) -> None:
+        """A shift into whose time an outage falls is not judged: nothing was sent of it."""
+        self.end()
+        if self._follower is not None and core.snapshot is not None:
+            self._follower.step(consumed, time_us, core.sequence, core.snapshot)
+
     def after(self, status: ControllerStatus, sent: list[Frame], made: list[Frame]) -> None:
         """The step has been repeated: `made` instead of `sent`."""
         now = status.step_time_us

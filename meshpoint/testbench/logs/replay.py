@@ -2,7 +2,9 @@
 
 A log is enough to repeat a live run byte for byte: each status frame says when its step was, how
 many frames it consumed and their CRC, and which run header it belongs to. `verify` says one of
-three things: identical; differs at step n; not verifiable, and why.
+three things: identical; differs at step n; not verifiable, and why. Steps of a link outage are not
+in the log: where the controller has kept what they were made of (`controller/outage_record.py`),
+they are repeated from that, and what follows is verified again: identical in parts.
 """
 
 from __future__ import annotations
@@ -14,12 +16,13 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final, NamedTuple, Protocol
 
 from meshpoint.bus.authentication.frames import PROOF
 from meshpoint.bus.diagnosis.core import SENT_GROUPS
 from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.header import HeaderError, RunHeader, architecture, load_header
+from meshpoint.controller.outage_record import OutageError, load_outages
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame
@@ -51,8 +54,24 @@ class Verification(Enum):
     """What a log's verification came to."""
 
     IDENTICAL = "identical"
+    IN_PARTS = "identical in parts"
+    """Before and after link outages, whose steps are not in the log."""
     DIFFERS = "differs"
     NOT_VERIFIABLE = "not verifiable"
+
+
+class Hole(NamedTuple):
+    """Steps that are not in the log, from `first` to `last`, repeated from the record of an
+    outage; `from_us` and `to_us` are the times of these two."""
+
+    first: int
+    last: int
+    from_us: int
+    to_us: int
+
+    def __str__(self) -> str:
+        lasted_s = (self.to_us - self.from_us) / 1e6
+        return f"{self.first} to {self.last} ({lasted_s:.2f} s)"
 
 
 @dataclass
@@ -71,6 +90,17 @@ class Session:
     """What was wrong with a user's own strategy, and how many shifts ended of it."""
     intruders: Counter[int] = field(default_factory=Counter)
     """Frames under the controller's address that are damaged or not its own, by identifier."""
+    holes: list[Hole] = field(default_factory=list)
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether all that was compared so far is identical."""
+        return self.verdict in (Verification.IDENTICAL, Verification.IN_PARTS)
+
+    @property
+    def compared_steps(self) -> int:
+        """Those of the log."""
+        return self.steps - sum(hole.last - hole.first + 1 for hole in self.holes)
 
     def __str__(self) -> str:
         return self._verdict_text() + self.intruders_text
@@ -78,8 +108,15 @@ class Session:
     def _verdict_text(self) -> str:
         if self.verdict is Verification.IDENTICAL:
             return f"identical: {self.steps} steps, {self.frames} frames"
+        holes = ", ".join(map(str, self.holes))
+        if self.verdict is Verification.IN_PARTS:
+            return (
+                f"identical in parts: {self.compared_steps} steps, {self.frames} frames; not in "
+                f"the log, for a link outage, and repeated from its record: steps {holes}"
+            )
         where = "" if self.step is None else f" at step {self.step}"
-        return f"{self.verdict.value}{where}: {self.reason}"
+        outage = f"; steps {holes} were repeated from the record of a link outage" if holes else ""
+        return f"{self.verdict.value}{where}: {self.reason}{outage}"
 
     @property
     def intruders_text(self) -> str:
@@ -123,6 +160,9 @@ class Onlooker(Protocol):
 
     def after(self, status: ControllerStatus, sent: list[Frame], made: list[Frame]) -> None:
         """It has been: `made` instead of `sent`."""
+
+    def unheard(self, core: ControllerCore, time_us: int, consumed: list[Frame]) -> None:
+        """A step that the log does not hold has been repeated from the record of an outage."""
 
     def end(self) -> None:
         """The session cannot go on, or the log has ended."""
@@ -200,9 +240,9 @@ class LogReplay:
                 self._start(step.status)
             session = self.sessions[-1]
             self._tell_intruders()
-            if session.verdict is Verification.IDENTICAL:
+            if session.goes_on:
                 self._repeat(session, step)
-        except (NotVerifiableError, HeaderError) as error:
+        except (NotVerifiableError, HeaderError, OutageError) as error:
             self._end(Verification.NOT_VERIFIABLE, number, str(error))
         except DiffersError as error:
             self._end(Verification.DIFFERS, number, str(error))
@@ -242,9 +282,8 @@ class LogReplay:
         if core is None:
             raise RuntimeError("a session without a core")
         if status.step_number != session.steps:
-            raise NotVerifiableError(
-                f"step {session.steps} is missing: frames were lost between bus and log"
-            )
+            self._bridge(core, session, status.step_number)
+            step.frames = _last_step(step.frames)
         consumed = self._consumed(status)
         if self._onlooker is not None:
             self._onlooker.before(core, status, step.frames, consumed)
@@ -265,6 +304,35 @@ class LogReplay:
             own, others = _without_unprotected_intruders(made.frames, step.frames)
             session.intruders += others
             _compare(made.frames, own)
+
+    def _bridge(self, core: ControllerCore, session: Session, number: int) -> None:
+        """Repeats the steps before `number` that the log does not hold, from the record that the
+        controller has kept of an outage."""
+        kept = load_outages(self._folder, session.run_hash) if number > session.steps else {}
+        missing = range(session.steps, number)
+        lost = next((each for each in missing if each not in kept), None)
+        if lost is not None or not missing:
+            raise NotVerifiableError(
+                f"step {session.steps} is missing: frames were lost between bus and log"
+                + (f", and no record of an outage beside it holds step {lost}" if kept else "")
+            )
+        for each in missing:
+            _, time_us, consumed = kept[each]
+            for frame in consumed:
+                core.receive(frame)
+            made = core.step(time_us)
+            if self._onlooker is not None:
+                self._onlooker.unheard(core, time_us, consumed)
+            if self._on_event is not None:
+                for line in made.events:
+                    self._on_event(time_us, line)
+            for status in filter(None, map(_status, made.frames)):
+                self._foreign = status.foreign_frames
+        hole = Hole(missing[0], missing[-1], kept[missing[0]].time_us, kept[missing[-1]].time_us)
+        session.holes.append(hole)
+        session.steps, session.verdict = number, Verification.IN_PARTS
+        # What it has heard meanwhile stands in the record: the log goes on at some later frame.
+        self._aligned, self._passed = False, []
 
     def _consumed(self, status: ControllerStatus) -> list[Frame]:
         """The frames this step consumed, by its count and CRC; foreign ones by its counter."""

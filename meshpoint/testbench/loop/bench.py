@@ -21,6 +21,7 @@ from meshpoint.dbc.messages import (
     ControllerState,
     ControllerStatus,
     EngagementEvent,
+    Message,
     ReferenceEngagement,
     ShiftOutcome,
 )
@@ -118,15 +119,16 @@ class _Seen:
 
 
 class BenchCore:
-    """Runs a plan of shifts."""
+    """Runs a plan of shifts, which may grow."""
 
     def __init__(self, plan: list[PlannedShift], pauses: Pauses | None = None) -> None:
-        self._plan = plan
+        self._plan = list(plan)
         self._pauses = pauses or Pauses()
         self._receiver = Receiver(Node.BENCH)
         self._transmitter = Transmitter(Node.BENCH)
         self._seen = _Seen()
-        self._phase = Phase.RETURNING
+        self._phase = Phase.RETURNING if plan else Phase.DONE
+        self._outbox: list[Frame] = []
         self._since_us: int | None = None
         self._next_us = 0
         self._ticks = 0
@@ -145,6 +147,18 @@ class BenchCore:
     def is_asking(self) -> bool:
         """Whether the new gear is being asked for, or is on its way."""
         return self._phase in (Phase.REQUESTING, Phase.SHIFTING)
+
+    def add(self, shift: PlannedShift) -> None:
+        """One more shift at the end of the plan; a bench that is done goes on with it."""
+        self._plan.append(shift)
+        if self._phase is Phase.DONE:
+            self._phase = Phase.RETURNING
+            self._seen = _Seen(status=self._seen.status)
+            self._since_us = None
+
+    def send(self, message: Message) -> None:
+        """A message of the bench's own, with its next step. EncodeError where it sends no such."""
+        self._outbox.append(self._transmitter.encode(message))
 
     @property
     def next_step_us(self) -> int:
@@ -243,8 +257,8 @@ class BenchCore:
         return []
 
     def _frames(self, now_us: int) -> list[Frame]:
-        frames = []
-        if self._ticks % COMMAND_EVERY == 0:
+        frames, self._outbox = self._outbox, []
+        if self._plan and self._ticks % COMMAND_EVERY == 0:
             frames.append(self._transmitter.encode(self._command()))
         if self._phase is Phase.REQUESTING and now_us - self._asked_us >= REQUEST_EVERY_US:
             self._asked_us = now_us

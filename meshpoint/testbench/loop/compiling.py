@@ -79,26 +79,46 @@ def prepare(thesis: bool = False, baselines: bool = True) -> int:
     estimators `thesis` and `window`, which a run scores beside the one in use."""
     if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
         return 0
+    from meshpoint.testbench.loop.compiled_mark import CompiledMark
+
     progress = Progress()
+    mark = CompiledMark(THESIS if thesis else RIG)
+    if mark.is_there():
+        _warm_up(progress, baselines)
+    elif _both_sides(progress, thesis, baselines) == 0:
+        mark.set()
+    progress.close()
+    return progress.compiled
+
+
+def _warm_up(progress: Progress, baselines: bool) -> None:
+    """The controller's kernels, loaded here or compiled."""
+    before = WATCH.compiling
+    WATCH.compiling = progress.count
+    try:
+        from meshpoint.controller.warm_up import warm_up
+
+        warm_up(baselines)
+    finally:
+        WATCH.compiling = before
+
+
+def _both_sides(progress: Progress, thesis: bool, baselines: bool) -> int:
+    """The controller's kernels here, and beside it the rig's in a process of its own, whose exit
+    code is returned."""
     command = [sys.executable, "-m", "meshpoint.testbench.loop.compiling", RIG]
     command += [THESIS] if thesis else []
-    before = WATCH.compiling
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as rig:  # noqa: S603 (ours)
         reader = threading.Thread(target=_follow, args=(rig.stdout, progress))
         reader.start()
-        WATCH.compiling = progress.count
         try:
-            from meshpoint.controller.warm_up import warm_up
-
-            warm_up(baselines)
+            _warm_up(progress, baselines)
         except BaseException:
             rig.kill()
             raise
         finally:
-            WATCH.compiling = before
             reader.join()
-    progress.close()
-    return progress.compiled
+    return rig.returncode
 
 
 def _follow(lines: IO[str] | None, progress: Progress) -> None:

@@ -11,14 +11,15 @@ import asyncio
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
 
 import can
 
+from meshpoint.bus.authentication.keys import CommandKeys
 from meshpoint.bus.clock import Clock, NodeClock
 from meshpoint.bus.core import Step
 from meshpoint.bus.driver import run_node
@@ -53,6 +54,10 @@ OF_ADDRESS = {
     **dict.fromkeys(rig_node.ADDRESSES, "rig"),
     **dict.fromkeys(controller_node.ADDRESSES, "controller"),
 }
+NODE_NAMES = ("rig", "controller")
+"""In the order in which they are started."""
+Nodes = dict[str, "asyncio.subprocess.Process | asyncio.Task[object]"]
+"""Those that were started here, by name."""
 
 
 @dataclass
@@ -68,13 +73,18 @@ class LiveRun:
     in_process: bool
     paced: bool = True
     """Bus time waits for nodes that the machine keeps from running; else it is wall time."""
+    start: Sequence[str] = NODE_NAMES
+    """The nodes to start; the others are on the bus already."""
     node_arguments: Sequence[str] = ()
-    """Bus and data-sheet arguments for the two processes."""
+    """Bus, data-sheet and key arguments for the two processes."""
     controller_arguments: Sequence[str] = ()
     rig_arguments: Sequence[str] = ()
     """Files the rig's process reads; what they say is in `rig` as well."""
+    keys: CommandKeys | None = None
+    """By which commands are proven to be the controller's; those of `node_arguments`."""
     on_row: Callable[[], None] = lambda: None
     on_event: Callable[[str], None] = lambda _line: None
+    on_frame: Callable[[Frame], None] = lambda _frame: None
 
 
 @dataclass
@@ -93,10 +103,10 @@ class LiveResult:
 class _Recorder:
     """A core that only listens: everything on the bus goes to rows and scores."""
 
-    def __init__(self, result: LiveResult, log: LogWriter, on_row: Callable[[], None]) -> None:
+    def __init__(self, result: LiveResult, log: LogWriter, run: LiveRun) -> None:
         self._result = result
         self._log = log
-        self._on_row = on_row
+        self._on_row, self._on_frame = run.on_row, run.on_frame
         self._rows = 0
         self.next_step_us = 0
 
@@ -107,6 +117,7 @@ class _Recorder:
         if sender is not None:
             self._result.heard.frames[sender] += 1
         self._result.monitor.take(frame)
+        self._on_frame(frame)
 
     def step(self, now_us: int) -> Step:
         """Brings the log to disk, and reports finished shifts."""
@@ -123,11 +134,44 @@ class _Recorder:
         return self.step(now_us)
 
 
+@dataclass
+class LiveSession:
+    """Both nodes at work on a bus, a bench that makes its plan, and the recorder."""
+
+    run: LiveRun
+    result: LiveResult
+    log: LogWriter
+    clocks: _Clocks
+    _tasks: Sequence[asyncio.Task[object]]
+    _nodes: Nodes
+
+    @property
+    def now_us(self) -> int:
+        """Bus time."""
+        return self.clocks.now_us()
+
+    def check(self) -> None:
+        """Raises what ended recorder or bench; RunError where a node or bus time has ended."""
+        for task in self._tasks:
+            _check(task)
+        _check_nodes(self._nodes)
+        self.clocks.check()
+
+
 async def run_live(run: LiveRun) -> LiveResult:
     """Runs the plan; ends the nodes with their valves off. RunError when they do not."""
-    bench = BenchCore(run.plan)
-    monitor = Monitor(run.header.sheet, run.header.settings)
-    result = LiveResult(monitor, bench)
+    async with live_session(run, BenchCore(run.plan)) as session:
+        await _until_done(session)
+    return session.result
+
+
+@asynccontextmanager
+async def live_session(
+    run: LiveRun, bench: BenchCore, monitor: Monitor | None = None
+) -> AsyncIterator[LiveSession]:
+    """Starts the nodes, waits until they are heard, and has the bench begin; at the end all nodes
+    have ended, with their valves off. RunError when they do not start."""
+    result = LiveResult(monitor or Monitor(run.header.sheet, run.header.settings), bench)
     stop_listening, stop_bench, stop_nodes = asyncio.Event(), asyncio.Event(), asyncio.Event()
 
     def report(line: str) -> None:
@@ -140,7 +184,7 @@ async def run_live(run: LiveRun) -> LiveResult:
     ):
         recorder = asyncio.create_task(
             run_node(
-                _Recorder(result, log, run.on_row), run.open_bus, Clock(),
+                _Recorder(result, log, run), run.open_bus, Clock(),
                 on_event=report, stop=stop_listening, name="recorder",
                 on_message=log.write_message,
             )
@@ -155,24 +199,22 @@ async def run_live(run: LiveRun) -> LiveResult:
             stop_listening.set()
             await recorder
             raise
-        clock = clocks.bench
-        begun_us, begun_s = clock.now_us(), perf_counter()
+        begun_us, begun_s = clocks.bench.now_us(), perf_counter()
         task = asyncio.create_task(
             run_node(
-                bench, run.open_bus, clock, on_event=report, stop=stop_bench,
+                bench, run.open_bus, clocks.bench, on_event=report, stop=stop_bench,
                 name="bench", own_addresses=frozenset({BENCH_ADDRESS}),
             )
         )  # fmt: skip
         try:
-            await _until_done(run, result, [recorder, task], nodes, clocks)
+            yield LiveSession(run, result, log, clocks, [recorder, task], nodes)
         finally:
-            result.pace = (clock.now_us() - begun_us) / 1e6 / (perf_counter() - begun_s)
+            result.pace = (clocks.bench.now_us() - begun_us) / 1e6 / (perf_counter() - begun_s)
             stop_bench.set()
             await _end_nodes(nodes, stop_nodes)
             await asyncio.sleep(2 * POLL_S)
             stop_listening.set()
             await asyncio.gather(recorder, task)
-    return result
 
 
 class _Clocks:
@@ -184,6 +226,10 @@ class _Clocks:
         self._file = None if pace_path is None else PaceFile(pace_path)
         self.bench = self.of("bench")
         self.pacemaker: subprocess.Popen[bytes] | None = None
+
+    def now_us(self) -> int:
+        """Bus time, for whoever looks on from another thread."""
+        return self.bench.now_us() if self._file is None else self._file.now_us
 
     def check(self) -> None:
         """RunError where bus time does not go on any more."""
@@ -214,36 +260,32 @@ def _clocks(run: LiveRun) -> Iterator[_Clocks]:
             yield clocks
 
 
-Nodes = list["asyncio.subprocess.Process | asyncio.Task[object]"]
-NODE_NAMES = ("rig", "controller")
-"""In the order in which they are started."""
-
-
 async def _start_nodes(run: LiveRun, clocks: _Clocks, stop: asyncio.Event) -> Nodes:
     if run.in_process:
-        return [
-            asyncio.create_task(
-                run_rig(
-                    run.header.sheet, run.rig, run.open_bus, clocks.of("rig"),
-                    on_event=run.on_event, stop=stop,
-                )
+        tasks = {
+            "rig": lambda: run_rig(
+                run.header.sheet, run.rig, run.open_bus, clocks.of("rig"),
+                on_event=run.on_event, stop=stop, keys=run.keys,
             ),
-            asyncio.create_task(
-                run_controller(
-                    run.header, run.open_bus, clocks.of("controller"),
-                    on_event=run.on_event, stop=stop,
-                )
+            "controller": lambda: run_controller(
+                run.header, run.open_bus, clocks.of("controller"),
+                on_event=run.on_event, stop=stop, keys=run.keys,
             ),
-        ]  # fmt: skip
+        }  # fmt: skip
+        return {
+            name: asyncio.create_task(tasks[name]()) for name in NODE_NAMES if name in run.start
+        }
     pace = [] if clocks.pace_path is None else ["--pace", str(clocks.pace_path)]
     common = [*run.node_arguments, "--speed", str(run.speed), *pace, "--quiet"]
-    rig = [
-        "rig", "--seed", str(run.rig.seed), "--gear", str(run.rig.start_gear),
-        "--main-speed", str(run.rig.main_speed_rpm), "--preset", run.rig.preset.value,
-        *run.rig_arguments, *common,
-    ]  # fmt: skip
-    controller = ["controller", *run.controller_arguments, *common]
-    return [await _spawn(rig), await _spawn(controller)]
+    commands = {
+        "rig": [
+            "rig", "--seed", str(run.rig.seed), "--gear", str(run.rig.start_gear),
+            "--main-speed", str(run.rig.main_speed_rpm), "--preset", run.rig.preset.value,
+            *run.rig_arguments, *common,
+        ],
+        "controller": ["controller", *run.controller_arguments, *common],
+    }  # fmt: skip
+    return {name: await _spawn(commands[name]) for name in NODE_NAMES if name in run.start}
 
 
 async def _spawn(arguments: Sequence[str]) -> asyncio.subprocess.Process:
@@ -257,19 +299,20 @@ async def _until_heard(
 ) -> None:
     """Waits until both nodes are on the bus; each is given a time to run, however long that takes
     on this machine."""
-    own = [OwnTime() for _ in nodes]
+    own = {name: OwnTime() for name in NODE_NAMES}
     while result.monitor.status is None or result.heard.missing():
         before_s = perf_counter()
         await asyncio.sleep(POLL_S)
         _check(recorder)
         _check_nodes(nodes)
         clocks.check()
-        for node, time in zip(nodes, own, strict=True):
-            process = None if isinstance(node, asyncio.Task) else node.pid
+        for name, time in own.items():
+            node = nodes.get(name)
+            process = None if node is None or isinstance(node, asyncio.Task) else node.pid
             passed_s = min(perf_counter() - before_s, 2 * POLL_S)
             time.look(None if process is None else taken(process), passed_s)
         missing = result.heard.missing()
-        late = [name for name, time in zip(NODE_NAMES, own, strict=True) if time.seconds > START_S]
+        late = [name for name, time in own.items() if time.seconds > START_S]
         if late and set(late) & set(missing or late):
             raise RunError(not_started(missing or late))
 
@@ -281,45 +324,37 @@ def _check(task: asyncio.Task[object]) -> None:
 
 
 def _check_nodes(nodes: Nodes) -> None:
-    for name, node in zip(NODE_NAMES, nodes, strict=True):
+    for name, node in nodes.items():
         if isinstance(node, asyncio.Task):
             _check(node)
         elif node.returncode is not None:
             raise RunError(f"{name} ended by itself with exit code {node.returncode}")
 
 
-async def _until_done(
-    run: LiveRun,
-    result: LiveResult,
-    tasks: Sequence[asyncio.Task[object]],
-    nodes: Nodes,
-    clocks: _Clocks,
-) -> None:
+async def _until_done(session: LiveSession) -> None:
     """Waits for the bench; gives up when a node has died or nothing happens any more."""
-    seen, since_us = 0, clocks.bench.now_us()
+    result, clock = session.result, session.clocks.bench
+    seen, since_us = 0, clock.now_us()
     while not result.bench.done:
         await asyncio.sleep(POLL_S)
-        for task in tasks:
-            _check(task)
-        _check_nodes(nodes)
-        clocks.check()
-        now_us, rows = clocks.bench.now_us(), len(result.monitor.rows.rows)
+        session.check()
+        now_us, rows = clock.now_us(), len(result.monitor.rows.rows)
         result.heard.look(now_us)
         if rows != seen:
             seen, since_us = rows, now_us
         if now_us - since_us > SHIFT_SILENCE_US:
-            raise RunError(no_shift(result.heard.silent(now_us), run.paced))
+            raise RunError(no_shift(result.heard.silent(now_us), session.run.paced))
 
 
 async def _end_nodes(nodes: Nodes, stop: asyncio.Event) -> None:
     stop.set()
-    for node in nodes:
+    for node in nodes.values():
         if isinstance(node, asyncio.Task):
             continue
         if node.returncode is None:
             with suppress(ProcessLookupError):
                 node.terminate()
-    for node in nodes:
+    for node in nodes.values():
         if isinstance(node, asyncio.Task):
             await asyncio.wait([node], timeout=END_S)
             continue

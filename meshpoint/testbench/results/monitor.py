@@ -46,6 +46,11 @@ def identifiers(kinds: tuple[type[Message], ...]) -> frozenset[int]:
     return frozenset(CODECS[kind.__name__].spec.can_id for kind in kinds)
 
 
+READ_FOR_ROWS: Final = identifiers(
+    (ControllerStatus, ReferenceEngagement, ReferencePhase, ShiftOutcome)
+)
+
+
 class Monitor:
     """Decodes the whole bus, truth included, and feeds the collectors."""
 
@@ -79,4 +84,19 @@ class Monitor:
             self.status = message
         self.rows.take(message)
         self.estimation.take(message)
+        return message
+
+
+class RowMonitor(Monitor):
+    """Rows and status alone. The estimators are not scored: that costs more than all else here."""
+
+    def take(self, frame: Frame) -> Message | None:
+        """One frame in bus order; returns the message where there is one."""
+        if frame.can_id not in READ_FOR_ROWS:
+            return None
+        message = self._receiver.receive(frame).message
+        if isinstance(message, ControllerStatus):
+            self.status = message
+        if message is not None:
+            self.rows.take(message)
         return message

@@ -174,7 +174,7 @@ class _Bench:
     ) -> None:
         self.scene, self._sheet = scene, sheet
         self.brake = BrakeInput(0)
-        self._estimator, self._tuning = estimator, settings.crossing_filter
+        self._estimator, self._tuning = estimator, settings.crossing_filter.of(sheet)
         if parameters_known:
             self._tuning = replace(self._tuning, **KNOWN)
         self.offset_us = 0.0

@@ -91,14 +91,15 @@ def _size(low: float, high: float, given: Given[Settings]) -> Statement:
         abs(ours - theirs) <= own.tolerance_share * theirs
         for ours, theirs in ((low, LOW_PCT), (high, HIGH_PCT))
     )
+    slips = f"{own.slip_low_rad_s / RPM:g} to {own.slip_high_rad_s / RPM:g} rpm"
     return Statement(
-        f"+-5 ms costs {LOW_PCT:g} to {HIGH_PCT:g} % of a cog gap at 10 to 40 rpm",
-        f"{low:.1f} to {high:.1f} %, the mean of early and late",
+        f"+-5 ms costs around {LOW_PCT:g} to {HIGH_PCT:g} % of a cog gap, by the slip used (6.4.3)",
+        f"{low:.1f} to {high:.1f} % at {slips}, the mean of early and late",
         ThesisVerdict.AGREES if near else ThesisVerdict.DIFFERS,
         f"agrees within {100 * own.tolerance_share:g} %; the mean of both sides is slip times 5 ms "
-        f"over the pitch (here {dog.pitch_rad / DEG:g} deg, {dog.teeth} teeth). The pitch of the "
-        "sheet `thesis` was taken from these figures, so this shows consistency and is no "
-        "independent witness",
+        f"over the pitch (here {dog.pitch_rad / DEG:g} deg, {dog.teeth} teeth). The thesis does "
+        "not give the slips of its curves: chosen ones, and the sheet `thesis` has its pitch "
+        "from the figures with them, so this shows consistency and is no witness",
     )
 
 

@@ -52,11 +52,9 @@ class Settings:
     brake_low_nm: float = quantity("brake_low_nm", 5.0, 1000.0)
     brake_high_nm: float = quantity("brake_high_nm", 5.0, 1000.0)
     brakes: int = count("brakes", 2, 20)
-    friction_nms: float = quantity("friction_nms", 0.0, 2.0)
-    """c_tot of 4.11: as the sheet's it would by itself slow the layshaft more than the thesis's
-    excitation."""
     drag_nm: float = quantity("drag_nm", 0.0, 60.0)
-    """Constant drag of the truck, for the same reason."""
+    """Constant drag of the truck: as drawn it would by itself slow the layshaft more than the
+    thesis's excitation."""
     trucks: int = count("trucks", 1, 50)
     learning_shifts: int = count("learning_shifts", 0, 1000)
     """Shifts before those that count: an estimator may learn."""
@@ -99,7 +97,7 @@ def runs(given: Given[Settings]) -> tuple[LoopJob, ...]:
 
 
 def _run(given: Given[Settings], brake_nm: float, truck: int) -> LoopJob:
-    own, sheet = given.own, given.sheet
+    own, sheet = given.own, given.eased.sheet
     settings = ControllerSettings()
     patient = replace(settings.limits, synchronise_ms=PATIENCE_MS)
     as_built: AsBuilt = (("drag.constant_nm", own.drag_nm),)
@@ -107,7 +105,6 @@ def _run(given: Given[Settings], brake_nm: float, truck: int) -> LoopJob:
     return LoopJob(
         replace(
             sheet,
-            shafts=replace(sheet.shafts, friction_nms=own.friction_nms),
             brake=replace(sheet.brake, max_torque_nm=brake_nm),
         ),
         replace(settings, limits=patient),

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.stats import t as student_t
+from scipy.special import stdtrit
 
 from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.settings import ControllerSettings
@@ -207,7 +207,7 @@ def certainty(ours: Bought, base: Bought) -> str:
     """Whether the phase errors differ: Student's t on the pairs of equal gearboxes, 95 %."""
     changes = np.array(ours.phase_deg2) - np.array(base.phase_deg2)
     change = float(changes.mean())
-    if abs(change) <= float(student_t.ppf(0.975, changes.size - 1)) * _standard_error(changes):
+    if abs(change) <= float(stdtrit(changes.size - 1, 0.975)) * _standard_error(changes):
         return "At contact the difference is within what chance gives from gearbox to gearbox"
     return f"At contact it is {'better' if change < 0.0 else 'worse'} by more than chance gives"
 

@@ -43,7 +43,8 @@ Curve = Callable[[float], float]
 """From a relative error to the angle's error after the delay, % of pitch."""
 
 
-def _conclude(given: Given[Settings]) -> Finding:
+def _conclude(asked: Given[Settings]) -> Finding:
+    given = asked.eased
     own = given.own
     curves = _curves(given)
     errors = np.linspace(-own.widest_share, own.widest_share, own.points)
@@ -125,9 +126,9 @@ def _friction(at: dict[str, float], own: Settings, sheet: GearboxSheet) -> State
         f"an error of c within 10 % costs less than {LIMIT_PCT:g} % of a pitch",
         f"{at[C]:.2f} % at +-{100 * own.compared_share:g} %",
         ThesisVerdict.AGREES if within else ThesisVerdict.DIFFERS,
-        f"the effect goes with c times speed: with the sheet's c = {c:g} Nms, a representative "
-        f"value, that is {1 / share:.2f} times the thesis's limit, which would hold up to about "
-        f"c = {c * share:.3f} Nms at this speed (the thesis does not give its c)",
+        f"the effect goes with c times speed: with c = {c:g} Nms it is {1 / share:.2f} times the "
+        f"limit, which holds up to about c = {c * share:.3f} Nms at this speed. The thesis does "
+        "not give its c; `speed_estimate` and `angle_estimate` have the same value",
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum, StrEnum
 from typing import Any, Final, Generic, Protocol, TypeVar
 
@@ -148,6 +148,9 @@ class Common:
     seed: int = count("seed", 0, 2**31 - 1)
     gearbox: str = text("gearbox")
     profile: str = text("profile", *Profile)
+    friction_nms: float = quantity("friction_nms", 0.0, 2.0)
+    """c_tot of 4.11 where a study is compared with figures that depend on it: the thesis does not
+    give its own."""
     shift: Braking = group(Braking)
 
 
@@ -162,6 +165,12 @@ class Given(Generic[S]):
     own: S
     sheet: GearboxSheet
     results: Mapping[StudyJob, Any] = field(default_factory=dict)
+
+    @property
+    def eased(self) -> Given[S]:
+        """The same on a sheet with the friction of `common`."""
+        shafts = replace(self.sheet.shafts, friction_nms=self.common.friction_nms)
+        return replace(self, sheet=replace(self.sheet, shafts=shafts))
 
     @property
     def profile(self) -> Profile:

@@ -37,6 +37,7 @@ STUDY_NAMES: Final = (
     "target",
     "fusion",
     "counterfactual",
+    "identify",
 )
 """In the order of the thesis, then what goes beyond it."""
 ALL: Final = "all"

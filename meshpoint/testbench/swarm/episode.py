@@ -22,6 +22,7 @@ from meshpoint.dbc.messages import (
     TC1,
     BenchAction,
     BenchCommand,
+    ControllerState,
     FaultCode,
     RigFault,
     ShiftOutcome,
@@ -33,6 +34,7 @@ from meshpoint.rig_sim.orders import FaultOrder
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.loop.bench import plan_shifts
 from meshpoint.testbench.loop.simulate import not_addressed_to, tick_phases
+from meshpoint.testbench.loop.virtual_bus import VirtualBus
 from meshpoint.testbench.loop.virtual_time import VirtualTime
 from meshpoint.testbench.swarm.deeds import DEEDS
 from meshpoint.testbench.swarm.events import BUS_KINDS, REQUEST, RIG_KINDS, Event, Group, World
@@ -49,6 +51,8 @@ SHIFT_US: Final = 6_000_000
 """A shift that was asked for then is made within this time."""
 AFTERMATH_US: Final = 400_000
 """A fault that has ended still shows for so long: a sensor's held value, a position on its way."""
+BACKLOG_FRAMES: Final = 40
+"""So many waiting frames take more than 15 ms to go over the bus."""
 OUTCOME_ID: Final = CODECS[ShiftOutcome.__name__].spec.can_id
 COMMAND_ID: Final = CODECS["ValveCommand"].spec.can_id
 CONTROLLER: Final = 0
@@ -124,6 +128,7 @@ class Episode:
         self._stranger = Stranger()
         self._operator = Operator(self)
         cores: list[Core] = [*self._wires, self._operator, self._stranger]
+        self._bus = VirtualBus()
         self._time = VirtualTime(
             cores,
             [*tick_phases(world.seed), 1],
@@ -135,6 +140,7 @@ class Episode:
                 not_addressed_to(),
                 not_addressed_to(),
             ],
+            bus=self._bus,
         )
         self._tell: Callable[[int, int, str], None] | None = None
         self._active: Counter[str] = Counter()
@@ -177,7 +183,10 @@ class Episode:
 
     @property
     def active(self) -> frozenset[str]:
-        """Kinds of the faults of now, and of those just over."""
+        """Kinds of the faults of now, and of those just over. Frames that wait for the bus in a
+        long queue are late, whatever has brought them there."""
+        if self._bus.waiting > BACKLOG_FRAMES:
+            self._lately["bus_delay"] = self._time.now_us
         if not (self._active or self._lately):
             return NOTHING
         since_us = self._time.now_us - AFTERMATH_US
@@ -197,6 +206,7 @@ class Episode:
             self._active[RigFault(self._with_it.kind).name.lower()] += 1
             self._with_it = None
         self._invariants.controller(core, now_us, self.active)
+        self._operator.look(core.state, now_us)
         if core.transitions:
             reached.transitions.update(f"{s.name}+{t.name}".lower() for s, t in core.transitions)
             core.transitions.clear()
@@ -297,6 +307,8 @@ class Operator:
         world = episode.world
         self._coming = list(world.events)
         self._running: list[tuple[int, Event]] = []
+        self._waiting: list[Event] = []
+        """For the state that each names."""
         self._ends_us = world.safety_ms * 1000
         self._sender = Transmitter(Node.BENCH)
         self.next_step_us = 0
@@ -321,15 +333,29 @@ class Operator:
             event = self._coming.pop(0)
             if event.kind == REQUEST:
                 frames.append(self._sender.encode(TC1(requested_gear=int(event.value))))
+            elif event.state:
+                self._waiting.append(event)
             else:
-                episode.begin(event, now_us)
-                self._running.append((now_us + max(event.for_ms, 1) * 1000, event))
+                self._begin(event, now_us)
         if now_us >= self._ends_us:
             self._ended_us = now_us
             for _, event in self._running:
                 episode.end(event, now_us)
             episode.end_all(now_us)
         return Step(frames, [])
+
+    def _begin(self, event: Event, now_us: int) -> None:
+        self._episode.begin(event, now_us)
+        self._running.append((now_us + max(event.for_ms, 1) * 1000, event))
+
+    def look(self, state: ControllerState, now_us: int) -> None:
+        """The controller has stepped, and its sequence is in this state now."""
+        if not self._waiting or self._ended_us is not None:
+            return
+        name = state.name.lower()
+        for event in [each for each in self._waiting if each.state == name]:
+            self._waiting.remove(event)
+            self._begin(event, now_us)
 
     def _come_back(self, now_us: int) -> list[Frame]:
         since_us = now_us - (self._ended_us or 0)

@@ -13,7 +13,7 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from meshpoint.dbc.messages import RigFault
+from meshpoint.dbc.messages import ControllerState, RigFault
 from meshpoint.gearbox.reading import read_text
 from meshpoint.rig_sim.truck.faults import KINDS
 from meshpoint.testbench.errors import CommandError
@@ -21,6 +21,7 @@ from meshpoint.testbench.swarm.deeds import DEEDS
 
 REQUEST: Final = "request"
 """A gear is asked for: value."""
+STATES: Final = ("", *(state.name.lower() for state in ControllerState))
 FILE_LIMIT_BYTES: Final = 1_000_000
 LONGEST_MS: Final = 600_000
 MOST_EVENTS: Final = 10_000
@@ -67,6 +68,8 @@ class Event(NamedTuple):
     target: int = 0
     value: float = 0.0
     for_ms: int = 0
+    state: str = ""
+    """Where one is named: it waits, from `at_ms` on, until the sequence enters this state."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +140,15 @@ def _event(entry: dict[str, Any]) -> Event:
         int(_number(entry, "target", 0, last)),
         _number(entry, "value", -1e7, 1e7),
         int(_number(entry, "for_ms", 0, LONGEST_MS)),
+        _state(entry),
     )
+
+
+def _state(entry: dict[str, Any]) -> str:
+    state = entry.get("state", "")
+    if state not in STATES:
+        raise ValueError(f"state {state!r}, allowed are {', '.join(STATES[1:])}")
+    return str(state)
 
 
 def _number(values: dict[str, Any], key: str, low: float, high: float) -> float:

@@ -27,6 +27,10 @@ SPEED_ERROR: Final = 0.05
 """A gear that locks jerks its shafts for less time than there is between two looks at the truth."""
 SPEED_ERROR_RAD_S: Final = 2.0
 BLIND_STEPS: Final = 2
+SMALL_US: Final = 30_000
+SMALL_STEP_US: Final = 6_500_000
+"""A sensor clock that has stepped back by less than `SMALL_US` is followed only after six seconds
+(docs/safety.md, Not protected)."""
 LIES: Final = frozenset({"position_offset", "position_frozen", "frozen_payload"})
 SLUGGISH: Final = frozenset({"valve_stuck", "valve_slow"})
 CLOCKS: Final = frozenset({"clock_step", "clock_drift", "node_restart", "node_stalled"})
@@ -55,6 +59,8 @@ class Invariants:
         self._in_shift_us: int | None = None
         self._sensor_us: int | None = None
         self._stepped_us = 0
+        self._clock_wrong_us = -SMALL_STEP_US
+        """When a fault last let sensors' and controller's clock disagree."""
 
     def note(self, what: str, now_us: int, text: str) -> None:
         """Keeps the first of each kind."""
@@ -108,10 +114,14 @@ class Invariants:
     def _time(self, sensor_us: int, now_us: int, active: frozenset[str]) -> None:
         before_us, self._sensor_us = self._sensor_us, sensor_us or None
         passed_us, self._stepped_us = now_us - self._stepped_us, now_us
-        if before_us is None or not sensor_us or active & (CLOCKS | {"bus_delay"}):
+        if active & (CLOCKS | {"bus_delay"}):
+            self._clock_wrong_us = now_us
+            return
+        if before_us is None or not sensor_us:
             return
         error_us = sensor_us - before_us - passed_us
-        if abs(error_us) > 20_000 and len(self._speeds) > 1:
+        is_known = now_us - self._clock_wrong_us < SMALL_STEP_US and -SMALL_US < error_us < 0
+        if abs(error_us) > 20_000 and len(self._speeds) > 1 and not is_known:
             self.note("absurd_time", now_us, f"the guard's clock went wrong by {error_us} us")
 
     def _guard_speeds(self, speeds: Any, now_us: int, active: frozenset[str]) -> None:

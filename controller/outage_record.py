@@ -1,0 +1,169 @@
+"""Keeps what a log cannot hold of a link outage: when each step was, and what it consumed.
+
+While its bus is away a controller goes on deciding, but nothing that it sends reaches a log, and so
+a replay could not go on after the hole. What the lost steps were made of is little: their times,
+and the frames that had still arrived. They are written beside the run header, with those of two
+seconds before (what was sent then may have got stuck on its way) and one second after.
+"""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import IO, Any, Final, NamedTuple
+
+from meshpoint.bus.core import Core, Step
+from meshpoint.dbc.frame import Frame
+from meshpoint.gearbox.reading import read_text
+
+BEFORE_STEPS: Final = 200
+AFTER_STEPS: Final = 100
+MOST_STEPS: Final = 720_000
+"""Two hours; an outage that lasts longer is not kept to its end."""
+RECORD_LIMIT_BYTES: Final = 200_000_000
+MOST_STEP: Final = 1 << 32
+LONGEST_BYTES: Final = 64
+
+
+class OutageError(ValueError):
+    """A record of an outage that cannot be used; names file, line and what is wrong."""
+
+
+class StepInput(NamedTuple):
+    """What one step was made of."""
+
+    number: int
+    time_us: int
+    frames: list[Frame]
+
+
+class OutageRecord:
+    """A core with its memory of the newest steps, which it writes where frames were not sent."""
+
+    def __init__(
+        self, core: Core, folder: Path, run_hash: int, discarded: Callable[[], int]
+    ) -> None:
+        """folder: of the run header. discarded: how many frames the driver could not send so
+        far."""
+        self._core = core
+        self._folder, self._run_hash = folder, run_hash
+        self._discarded = discarded
+        self._discarded_before = 0
+        self._newest: deque[StepInput] = deque(maxlen=BEFORE_STEPS)
+        self._heard: list[Frame] = []
+        self._number = 0
+        self._file: IO[str] | None = None
+        self._left = self._written = 0
+
+    def receive(self, frame: Frame) -> None:
+        """As the core does; kept."""
+        self._heard.append(frame)
+        self._core.receive(frame)
+
+    @property
+    def next_step_us(self) -> int:
+        """As the core says."""
+        return self._core.next_step_us
+
+    def step(self, now_us: int) -> Step:
+        """The core's step; lines of its own where a record begins or ends."""
+        lines = self._look()
+        heard, self._heard = self._heard, []
+        self._take(StepInput(self._number, now_us, heard))
+        self._number += 1
+        step = self._core.step(now_us)
+        return step if not lines else Step(step.frames, [*step.events, *lines])
+
+    def shutdown(self, now_us: int) -> Step:
+        """The core's last frames; closes the record."""
+        lines = self._look()
+        self._close()
+        step = self._core.shutdown(now_us)
+        return Step(step.frames, [*step.events, *lines])
+
+    def _look(self) -> list[str]:
+        """Whether the step before could be sent."""
+        discarded = self._discarded()
+        is_lost = discarded > self._discarded_before
+        self._discarded_before = discarded
+        if not is_lost or self._written >= MOST_STEPS:
+            return []
+        self._left = AFTER_STEPS
+        return [] if self._file is not None else self._open()
+
+    def _open(self) -> list[str]:
+        if not self._newest:
+            return []
+        path = self._folder / record_name(self._run_hash, self._newest[0].number)
+        try:
+            self._file = path.open("w", encoding="utf-8")
+        except OSError as error:
+            return [f"outage not recorded: {path}: {error.strerror or error}"]
+        self._written = 0
+        kept, self._newest = list(self._newest), deque(maxlen=BEFORE_STEPS)
+        for each in kept:
+            self._take(each)
+        return [f"outage: what its steps were made of is kept in {path.name}"]
+
+    def _take(self, step: StepInput) -> None:
+        self._newest.append(step)
+        if self._file is None:
+            return
+        frames = [[f.can_id, f.data.hex(), f.is_fd, f.is_extended] for f in step.frames]
+        try:
+            self._file.write(json.dumps([step.number, step.time_us, frames]) + "\n")
+        except OSError:  # a full disk: a record that ends early says so by itself
+            self._left = 0
+        self._written += 1
+        self._left -= 1
+        if self._left <= 0 or self._written >= MOST_STEPS:
+            self._close()
+
+    def _close(self) -> None:
+        file, self._file = self._file, None
+        if file is not None:
+            file.close()
+
+
+def record_name(run_hash: int, first_step: int) -> str:
+    """File name of the record of an outage."""
+    return f"outage-{run_hash:016x}-{first_step}.jsonl"
+
+
+def load_outages(folder: Path, run_hash: int) -> dict[int, StepInput]:
+    """All steps of a run that its records hold, by number. OutageError for a file that is none; a
+    last line that was cut off is left out."""
+    found: dict[int, StepInput] = {}
+    for path in sorted(folder.glob(record_name(run_hash, 0).replace("-0.", "-*."))):
+        try:
+            lines = read_text(path, RECORD_LIMIT_BYTES).split("\n")
+        except (OSError, ValueError) as error:
+            raise OutageError(f"{path}: {error}") from error
+        for number, line in enumerate(lines[:-1], 1):
+            try:
+                step = _step(json.loads(line))
+            except (ValueError, TypeError, RecursionError) as error:
+                raise OutageError(f"{path}, line {number}: not a step: {error}") from error
+            found[step.number] = step
+    return found
+
+
+def _step(values: Any) -> StepInput:
+    number, time_us, frames = values
+    if not (type(number) is int and 0 <= number < MOST_STEP):
+        raise ValueError(f"step {number!r}")
+    if not (type(time_us) is int and 0 <= time_us < 1 << 63):
+        raise ValueError(f"time {time_us!r}")
+    return StepInput(number, time_us, [_frame(each) for each in frames])
+
+
+def _frame(values: Any) -> Frame:
+    can_id, text, is_fd, is_extended = values
+    if not (type(can_id) is int and 0 <= can_id < 1 << 29):
+        raise ValueError(f"identifier {can_id!r}")
+    data = bytes.fromhex(text)
+    if len(data) > LONGEST_BYTES:
+        raise ValueError(f"{len(data)} bytes of data")
+    return Frame(can_id, data, bool(is_fd), bool(is_extended))

@@ -1,0 +1,63 @@
+"""The Python API: what `import meshpoint` gives (docs/api.md)."""
+
+# First: it says how many threads numpy's libraries may have, before numpy is loaded.
+import meshpoint.testbench  # noqa: F401, I001
+from meshpoint.api.bench import Bench
+from meshpoint.api.live_bench import LiveBench
+from meshpoint.api.logs import Log, shifts_table
+from meshpoint.api.runs import Campaign, Replay, Simulation, campaign, replay, simulate
+from meshpoint.api.choices import load_gearbox, load_settings
+from meshpoint.api.watching import ShiftError
+from meshpoint.bus.core import Core, Step
+from meshpoint.bus.logs.limits import LogError
+from meshpoint.controller.planning.strategies.base import EngagementStrategy, ReleasePlan
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.strategy_file import StrategyError
+from meshpoint.dbc import messages
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.link import Receiver, Transmitter
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.tables import TableError
+from meshpoint.testbench.errors import CommandError, RunError
+from meshpoint.testbench.logs.judged_rows import JudgedRow
+from meshpoint.testbench.logs.replay import Verification
+from meshpoint.testbench.results.rows import ShiftRow, Summary
+from meshpoint.testbench.version import product_version
+
+__version__ = product_version()
+
+__all__ = [
+    "Bench",
+    "Campaign",
+    "CommandError",
+    "ControllerSettings",
+    "Core",
+    "EngagementStrategy",
+    "Frame",
+    "GearboxSheet",
+    "JudgedRow",
+    "LiveBench",
+    "Log",
+    "LogError",
+    "Receiver",
+    "ReleasePlan",
+    "Replay",
+    "RunError",
+    "ShiftError",
+    "ShiftRow",
+    "Simulation",
+    "Step",
+    "StrategyError",
+    "Summary",
+    "TableError",
+    "Transmitter",
+    "Verification",
+    "__version__",
+    "campaign",
+    "load_gearbox",
+    "load_settings",
+    "messages",
+    "replay",
+    "shifts_table",
+    "simulate",
+]

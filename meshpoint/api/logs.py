@@ -1,0 +1,197 @@
+"""`Log`: what was recorded on a bus, as Arrow tables and as shifts."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from meshpoint.api.choices import PathLike, load_gearbox
+from meshpoint.bus.logs.files import log_files, read_logs
+from meshpoint.controller.header import HeaderError, RunHeader, load_header
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.e2e import check_crc
+from meshpoint.dbc.fields import FieldKind, FieldSpec
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS, Codec
+from meshpoint.dbc.messages import ControllerStatus, Message
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.tables import TableError
+from meshpoint.testbench.report.collect import ReportCollector
+from meshpoint.testbench.report.run import Report, ReportRun
+from meshpoint.testbench.report.write import report_provenance, write_report
+from meshpoint.testbench.results.monitor import RowMonitor
+from meshpoint.testbench.results.rows import ShiftRow
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+NAMES: Final = {codec.spec.can_id: name for name, codec in CODECS.items()}
+
+
+def load_arrow() -> Any:
+    """pyarrow, loaded where a table is asked for."""
+    try:
+        import pyarrow as pa
+    except ImportError as error:
+        raise ImportError("Arrow tables need pyarrow: pip install pyarrow") from error
+    return pa
+
+
+class Log:
+    """A recorded bus: `.log` (candump), `.blf`, `.asc`, `.trc`, `.csv` or `.mf4`, each also `.gz`;
+    several files in order, or a folder of logs, are one bus.
+
+    bus: of a log of several buses, the one that is wanted: `can0`, or its number.
+    header_dir: where the run headers are; without it, beside the log.
+
+    Reading raises LogError, which names file, place and what is wrong there; damage ends a log, the
+    frames before it are given first.
+    """
+
+    def __init__(
+        self, *paths: PathLike, bus: str | None = None, header_dir: PathLike | None = None
+    ) -> None:
+        self.files = log_files(Path(path) for path in paths)
+        self._bus = bus
+        self._headers = Path(header_dir) if header_dir is not None else self.files[0].parent
+
+    def __iter__(self) -> Iterator[tuple[float, Frame]]:
+        """Times in s and frames, in order, read anew each time."""
+        return read_logs(self.files, self._bus)
+
+    def counts(self) -> Counter[str]:
+        """How many frames of each message of the DBC; all others as `(foreign)`."""
+        return Counter(NAMES.get(frame.can_id, "(foreign)") for _, frame in self)
+
+    def frames(self) -> pa.Table:
+        """Every frame: time_s, can_id, message (its name in the DBC), is_fd, is_extended, data."""
+        pa, rows = load_arrow(), list(self)
+        return pa.table(
+            {
+                "time_s": pa.array([time_s for time_s, _ in rows], pa.float64()),
+                "can_id": pa.array([f.can_id for _, f in rows], pa.uint32()),
+                "message": pa.array(
+                    [NAMES.get(f.can_id) for _, f in rows], pa.string()
+                ).dictionary_encode(),
+                "is_fd": pa.array([f.is_fd for _, f in rows], pa.bool_()),
+                "is_extended": pa.array([f.is_extended for _, f in rows], pa.bool_()),
+                "data": pa.array([f.data for _, f in rows], pa.binary()),
+            }
+        )
+
+    def messages(self, kind: type[Message] | str) -> pa.Table:
+        """Every message of a type: time_s of the log, and a column for each field.
+
+        kind: a class of `meshpoint.messages`, or its name. Values are SI, the unit ends the field's
+        name; an enumeration's are their names; a row of equal signals is a list. Frames with a
+        wrong length or CRC, or a value outside the DBC's range, are left out. KeyError for a name
+        that the DBC does not have.
+        """
+        name = kind if isinstance(kind, str) else kind.__name__
+        if name not in CODECS:
+            raise KeyError(f"{name}: no message of the DBC; `meshpoint dbc` lists them")
+        codec, times_s, found = CODECS[name], [], []
+        for time_s, frame in self:
+            message = _decoded(codec, frame)
+            if message is not None:
+                times_s.append(time_s)
+                found.append(message)
+        pa = load_arrow()
+        columns = {"time_s": pa.array(times_s, pa.float64())}
+        for field in codec.fields:
+            values = [getattr(message, field.name) for message in found]
+            columns[field.name] = _column(pa, field, values)
+        return pa.table(columns)
+
+    @cached_property
+    def header(self) -> RunHeader:
+        """The run header of the first controller in the log: its data sheet and settings.
+        HeaderError where there is none."""
+        codec = CODECS[ControllerStatus.__name__]
+        for _, frame in self:
+            status = _decoded(codec, frame)
+            if status is not None:
+                run_hash = status.run_hash_high << 32 | status.run_hash_low
+                return load_header(self._headers, run_hash)
+        raise HeaderError(f"{self.files[0]}: holds no controller status frame")
+
+    def shifts(self, gearbox: PathLike | GearboxSheet | None = None) -> list[ShiftRow]:
+        """Every shift: what the controller reported beside the rig's truth, where that is recorded.
+
+        gearbox: the data sheet, where the log has no run header beside it."""
+        sheet, settings = self._sheet(gearbox)
+        monitor = RowMonitor(sheet, settings)
+        for _, frame in self:
+            monitor.take(frame)
+        return monitor.rows.rows
+
+    def report(
+        self,
+        path: PathLike,
+        title: str | None = None,
+        gearbox: PathLike | GearboxSheet | None = None,
+    ) -> Path:
+        """Writes a page with every shift's traces (HTML, offline), and returns where. gearbox: as
+        in `shifts`."""
+        sheet, settings = self._sheet(gearbox)
+        aim_rad = settings.aim.target_rad_share * sheet.dog.backlash_rad / 2.0
+        collector = ReportCollector(sheet, aim_rad, settings)
+        for _, frame in self:
+            collector.receive(frame)
+        report = Report(
+            title=title or f"meshpoint: {self.files[0].name}",
+            subtitle="A recorded bus.",
+            sheet=sheet,
+            runs=[ReportRun(settings.strategy_name, collector.finish())],
+            provenance=report_provenance(sheet, log=", ".join(file.name for file in self.files)),
+        )
+        write_report(Path(path), report)
+        return Path(path)
+
+    def _sheet(
+        self, gearbox: PathLike | GearboxSheet | None
+    ) -> tuple[GearboxSheet, ControllerSettings]:
+        if gearbox is not None:
+            return load_gearbox(gearbox), ControllerSettings()
+        try:
+            return self.header.sheet, self.header.settings
+        except HeaderError as error:
+            raise TableError(f"{error}; gearbox= names the data sheet") from error
+
+
+def _decoded(codec: Codec, frame: Frame) -> Any:
+    """The message, or None where the frame is another or damaged."""
+    spec = codec.spec
+    if frame.can_id != spec.can_id or len(frame.data) != spec.length:
+        return None
+    if spec.data_id is not None and not check_crc(frame.data, spec.data_id):
+        return None
+    return codec.decode(frame.data)
+
+
+def _column(pa: Any, field: FieldSpec, values: list[Any]) -> Any:
+    kinds = {
+        FieldKind.BOOL: pa.bool_(),
+        FieldKind.ENUM: pa.string(),
+        FieldKind.INT: pa.uint64() if field.signals[0].raw_max > 2**63 else pa.int64(),
+        FieldKind.FLOAT: pa.float64(),
+    }
+    kind = kinds[field.kind]
+    if field.is_tuple:
+        return pa.array([list(row) for row in values], pa.list_(kind))
+    if field.kind is FieldKind.ENUM:
+        return pa.array([value.name for value in values], kind).dictionary_encode()
+    return pa.array(values, kind)
+
+
+def shifts_table(rows: Iterable[ShiftRow]) -> pa.Table:
+    """Shifts as a table: a column for each field of `ShiftRow`, and one for each of its phases."""
+    records = []
+    for row in rows:
+        record = row.to_json()
+        record |= record.pop("phases")
+        records.append(record)
+    return load_arrow().Table.from_pylist(records)

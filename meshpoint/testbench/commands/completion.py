@@ -1,0 +1,148 @@
+"""`meshpoint completion`: what a shell needs to complete our command lines, from our own parser."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from typing import Any, Final, NamedTuple
+
+from meshpoint.testbench.exits import Exit
+
+SHELLS: Final = ("bash", "zsh", "fish")
+ZSH: Final = "autoload -U +X bashcompinit && bashcompinit\n"
+"""zsh takes bash's way of completing."""
+
+
+def add_parser(commands: Any) -> None:
+    """The command's arguments."""
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "completion",
+        description="Prints a script that completes commands, options and their values. Where it "
+        "goes: bash, ~/.local/share/bash-completion/completions/meshpoint; zsh, a file that "
+        "~/.zshrc sources; fish, ~/.config/fish/completions/meshpoint.fish.",
+    )
+    parser.add_argument("shell", choices=SHELLS)
+    parser.set_defaults(run=run)
+
+
+def run(namespace: argparse.Namespace) -> int:
+    """Prints it."""
+    from meshpoint.testbench.commands.table import MODULES, build_parser
+
+    commands = _commands(build_parser(), MODULES)
+    if namespace.shell == "fish":
+        print(_fish(commands), end="")
+    else:
+        print((ZSH if namespace.shell == "zsh" else "") + _bash(commands), end="")
+    return Exit.DONE
+
+
+class Option(NamedTuple):
+    """An option of a command."""
+
+    names: tuple[str, ...]
+    takes_value: bool
+    choices: tuple[str, ...]
+    """Values it may have; empty: any, or a file."""
+
+
+class Command(NamedTuple):
+    """A command, its options, and the words that may follow it."""
+
+    name: str
+    summary: str
+    options: tuple[Option, ...]
+    words: tuple[str, ...]
+
+
+def _commands(parser: argparse.ArgumentParser, names: Any) -> list[Command]:
+    """Every command of the parser; options of inner commands (`gearbox show`) are its own."""
+    from meshpoint.testbench.commands.reference import subparsers
+    from meshpoint.testbench.commands.table import SUMMARIES
+
+    found, parsers = [], subparsers(parser)
+    for name in names:
+        inner = subparsers(parsers[name])
+        options = tuple(
+            option for one in (parsers[name], *inner.values()) for option in _options(one)
+        )
+        words = (*inner, *_positional(parsers[name]))
+        if name == "help":
+            words = ("bus", *(other for other in names if other != name))
+        found.append(Command(name, SUMMARIES[name], options, words))
+    return found
+
+
+def _options(parser: argparse.ArgumentParser) -> Iterator[Option]:
+    for action in parser._actions:
+        if action.option_strings and action.dest != "until_eof":
+            choices = tuple(str(choice) for choice in action.choices or ())
+            takes_value = action.nargs != 0
+            yield Option(tuple(action.option_strings), takes_value, choices)
+
+
+def _positional(parser: argparse.ArgumentParser) -> list[str]:
+    """The values of arguments without a dash that have a fixed list of them."""
+    return [
+        str(choice)
+        for action in parser._actions
+        if not action.option_strings and not isinstance(action, argparse._SubParsersAction)
+        for choice in action.choices or ()
+    ]
+
+
+def _bash(commands: list[Command]) -> str:
+    values, words = [], []
+    for command in commands:
+        for option in command.options:
+            pattern = "|".join(f"{command.name}:{name}" for name in option.names)
+            if option.choices:
+                values.append(f'    {pattern}) words="{" ".join(option.choices)}" ;;')
+            elif option.takes_value:
+                values.append(f"    {pattern}) files=1 ;;")
+        names = " ".join(name for option in command.options for name in option.names)
+        words.append(f'    {command.name}) words="{" ".join(command.words)}" options="{names}" ;;')
+    listed = " ".join(command.name for command in commands)
+    return f"""\
+_meshpoint() {{
+  local cur=${{COMP_WORDS[COMP_CWORD]}} prev=${{COMP_WORDS[COMP_CWORD-1]}}
+  local command= word words= options= files=
+  for word in "${{COMP_WORDS[@]:1:COMP_CWORD-1}}"; do
+    if [[ $word != -* ]]; then command=$word; break; fi
+  done
+  case $command:$prev in
+{chr(10).join(values)}
+  esac
+  if [[ -z $words && -z $files ]]; then
+    case $command in
+    "") words="{listed}" options="--help --version" ;;
+{chr(10).join(words)}
+    esac
+    if [[ $cur == -* ]]; then words=$options; elif [[ -n $command ]]; then files=1; fi
+  fi
+  COMPREPLY=($(compgen -W "$words" -- "$cur"))
+  if [[ -n $files ]]; then COMPREPLY+=($(compgen -f -- "$cur")); fi
+  return 0
+}}
+complete -o filenames -F _meshpoint meshpoint
+"""
+
+
+def _fish(commands: list[Command]) -> str:
+    lines = ["complete -c meshpoint -n __fish_use_subcommand -l version -l help"]
+    for command in commands:
+        summary = command.summary.replace("\\", "\\\\").replace("'", "\\'")
+        lines.append(
+            f"complete -c meshpoint -f -n __fish_use_subcommand -a {command.name} -d '{summary}'"
+        )
+        seen = f"complete -c meshpoint -n '__fish_seen_subcommand_from {command.name}'"
+        if command.words:
+            lines.append(f"{seen} -a '{' '.join(command.words)}'")
+        for option in command.options:
+            names = " ".join(
+                f"-l {name[2:]}" if name.startswith("--") else f"-s {name[1:]}"
+                for name in option.names
+            )
+            value = f" -xa '{' '.join(option.choices)}'" if option.choices else ""
+            lines.append(f"{seen} {names}{value or (' -r' if option.takes_value else '')}")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,63 @@
+"""A mark beside the compiled kernels of the rig: all that this source needs were compiled here.
+
+To find that out by loading them takes a process of its own more than a second, at each start. The
+mark names the source by its content, so that a changed file asks for another mark. Where kernels
+are missing or damaged in spite of it, the cache compiles them at their first call, and says so.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+import numba
+from numba.core.registry import cpu_target
+
+from meshpoint import rig_sim, units
+from meshpoint.kernel_cache import folders
+
+SHARED: Final = ("units.py", "kernel_cache.py", "gearbox")
+"""What the rig's kernels use of the product beside its own source."""
+
+
+class CompiledMark:
+    """One for each set of kernels."""
+
+    def __init__(self, kernels: str) -> None:
+        """kernels: the name of the set."""
+        package = Path(rig_sim.__file__).parent
+        digest = _digest(package)
+        self._paths = [folder / f"{kernels}-{digest}.compiled" for folder in folders(package)]
+
+    def is_there(self) -> bool:
+        """Whether they were compiled before."""
+        return any(path.exists() for path in self._paths)
+
+    def set(self) -> None:
+        """They have been compiled. Where nothing can be written they are looked for again at the
+        next start."""
+        for path in self._paths:
+            with suppress(OSError):
+                path.touch()
+                return
+
+
+def _digest(package: Path) -> str:
+    codegen = cpu_target.target_context.codegen()
+    hashed = hashlib.sha256(
+        repr((codegen.magic_tuple(), numba.__version__, sys.version_info[:2])).encode()
+    )
+    for path in sorted(_sources(package)):
+        hashed.update(path.name.encode() + path.read_bytes())
+    return hashed.hexdigest()[:24]
+
+
+def _sources(package: Path) -> Iterator[Path]:
+    yield from package.rglob("*.py")
+    for name in SHARED:
+        path = Path(units.__file__).parent / name
+        yield from path.rglob("*.py") if path.is_dir() else (path,)

@@ -1,0 +1,111 @@
+"""Worlds with which every swarm begins: each is aimed at a corner that chance seldom finds.
+
+A fault strikes when the sequence enters a state: some states last for hundredths of a second, and
+many ways out of them exist for faults alone. The gearbox is as built by the world's own seed.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+from meshpoint.testbench.swarm.events import REQUEST, Event, Group, World
+
+ASKED_MS: Final = 400
+AGAIN_MS: Final = 1_800
+SAFETY_MS: Final = 5_000
+UP_RPM, DOWN_RPM = 1400.0, 1100.0
+SLOW, STATUS = int(Group.SLOW), int(Group.VALVE_STATUS)
+
+
+class Strike(NamedTuple):
+    """A fault that begins when the sequence enters `state`."""
+
+    state: str
+    kind: str
+    target: int = 0
+    value: float = 0.0
+    for_ms: int = 900
+
+
+class Aim(NamedTuple):
+    """A shift, what strikes it, and what has to be reached by it."""
+
+    reaches: str
+    """A transition as `state+trigger`, or a fault code."""
+    strikes: tuple[Strike, ...]
+    from_: int = 8
+    to: int = 10
+    again: int = 0
+    """A gear that is asked for once more, later; 0 none."""
+    settings: tuple[tuple[str, float], ...] = ()
+
+    def world(self, seed: int) -> World:
+        """The world of it."""
+        events = [Event(ASKED_MS, REQUEST, 0, float(self.to))]
+        if self.again:
+            events.append(Event(AGAIN_MS, REQUEST, 0, float(self.again)))
+        events += [Event(ASKED_MS, s.kind, s.target, s.value, s.for_ms, s.state)
+                   for s in self.strikes]  # fmt: skip
+        layshaft_rpm = UP_RPM if self.to > self.from_ else DOWN_RPM
+        events.sort()
+        return World(seed, self.from_, layshaft_rpm, dict(self.settings), tuple(events), SAFETY_MS)
+
+
+def _deaf(state: str) -> tuple[Strike, ...]:
+    """Positions no longer arrive: the shift ends without knowing its gear."""
+    return (Strike(state, "bus_drop", SLOW, 1.0),)
+
+
+def _unlinked(state: str) -> tuple[Strike, ...]:
+    """The valve side's status no longer arrives: the shift ends in the gear it is in."""
+    return (Strike(state, "bus_drop", STATUS, 1.0),)
+
+
+SECOND_STUCK: Final = Strike("synchronising", "valve_stuck", 4, 0.0, 3_000)
+"""The valve of second gear, which 8 -> 10 engages: its sleeve stays in the middle."""
+BETWEEN: Final = Strike("engaging", "position_offset", 1, 5.0, 1_600)
+"""The other sleeve seems to stand between two gears."""
+JAMMED: Final = Strike("clutch_opening", "sleeve_jammed", 0, 0.0, 3_000)
+AT_ONCE: Final = (("limits.blocks", 1.0),)
+"""The first block of the guard ends the shift."""
+BRAKE_STUCK: Final = Strike("synchronising", "valve_stuck", 0, 0.0, 3_000)
+HELD: Final = Strike("clutch_parting", "clutch_stuck", for_ms=2_500)
+
+AIMS: Final = (
+    Aim("clutch_opening+gear_unknown", _deaf("clutch_opening")),
+    Aim("clutch_opening+gave_up", (Strike("clutch_opening", "clutch_stuck", for_ms=2_500),)),
+    Aim("disengaging+gear_unknown", (JAMMED, *_deaf("disengaging"))),
+    Aim("disengaging+gave_up", (JAMMED,)),
+    Aim("splitter_changing+gear_unknown", _deaf("splitter_changing"), 8, 7),
+    Aim("splitter_changing+gave_up", _unlinked("splitter_changing"), 8, 7),
+    Aim("splitter_failed", (Strike("clutch_opening", "sleeve_jammed", 2, 0.0, 4_000),), 8, 7),
+    Aim("range_failed", (Strike("clutch_opening", "sleeve_jammed", 3, 0.0, 4_000),), 6, 8),
+    Aim("steps_changing+gear_unknown", _deaf("steps_changing"), 6, 8),
+    Aim("steps_changing+gave_up", _unlinked("steps_changing"), 6, 8),
+    Aim("synchronising+gear_unknown", _deaf("synchronising")),
+    Aim("speed_raising+gear_unknown", _deaf("speed_raising"), 10, 8),
+    Aim("speed_raising+gave_up", _unlinked("speed_raising"), 10, 8),
+    Aim("clutch_parting+gear_unknown", (HELD, *_deaf("clutch_parting")), 10, 8),
+    Aim("clutch_parting+gave_up", (HELD,), 10, 8),
+    Aim("coasting+gear_unknown", _deaf("coasting")),
+    Aim("coasting+gave_up", _unlinked("coasting")),
+    Aim("engaging+gear_unknown", _deaf("engaging")),
+    Aim("engaging+gave_up", (SECOND_STUCK, *_unlinked("engaging")), settings=AT_ONCE),
+    Aim("retracting+gear_unknown", (BETWEEN,)),
+    Aim("retracting+gave_up", (SECOND_STUCK,), settings=(("limits.attempts", 1.0),)),
+    Aim("clutch_closing+gear_unknown",
+        (Strike("clutch_closing", "position_offset", 0, -6.0, 1_600),)),
+    Aim("faulted+found_in_neutral", _deaf("synchronising")),
+    Aim("starting+found_in_neutral", (Strike("synchronising", "controller_restarted"),)),
+    Aim("disengage_refused", (BRAKE_STUCK,), again=8),
+    Aim("disengage_refused", (BRAKE_STUCK,), again=8, settings=AT_ONCE),
+    Aim("brake_limit", (Strike("synchronising", "brake_fade", 0, 0.0, 2_500),),
+        settings=(*AT_ONCE, ("guard.brake_on_ms", 150.0))),
+    Aim("guard_blocked", (SECOND_STUCK, *_unlinked("engaging")), settings=AT_ONCE),
+    Aim("speed_stale", (Strike("synchronising", "bus_drop", int(Group.EDGES), 1.0),)),
+)  # fmt: skip
+
+
+def aimed_world(seed: int, number: int) -> World | None:
+    """The world of that number, 0 the first, of a swarm; None where the drawn ones begin."""
+    return AIMS[number].world(seed) if number < len(AIMS) else None

@@ -1,0 +1,125 @@
+"""Controller and rig share no number but by the wire contract, the data sheet, or chance.
+
+The rig is written independently of the controller on purpose: a number that both take for granted
+would hide what happens where it is wrong. A new one fails here until it is in the data sheet with a
+tolerance, learned, derived, or in the list below with a reason.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final
+
+import pytest
+from fixed_numbers import alike, constants
+
+ROOT: Final = Path(__file__).parents[2]
+VALVES: Final = "wire contract: number of a valve in the DBC"
+SHARES: Final = "chance: a share without a counterpart in the rig"
+COUNT: Final = "chance: a count"
+DRAWN: Final = "chance: drag and torque of chance are learned; this is where learning begins"
+REASONS: Final = {
+    "settings.py: gain_pause": "chance: the brake's gain; the rig's are gains of sensors",
+    "settings.py: gain_walk": "chance: the brake's gain; the rig's are gains of sensors",
+    "settings.py: drag_pause_nm": DRAWN,
+    "settings.py: drag_walk_nm": DRAWN,
+    "settings.py: drag_sd_nm": DRAWN,
+    "settings.py: torque_disturbance_nm": DRAWN,
+    "settings.py: drag_torque_nm": "chance: the guard's bound on drag, no estimate",
+    "brake_model.py: OWN_SD": "chance: rates of the pressure's law are learned from every stroke",
+    "brake_model.py: EMPTYING": "chance: a knot of a learned law, no rate",
+    "brake_model.py: VARIANCE_GROWTH": SHARES,
+    "likelihood.py: GROWTH": SHARES,
+    "learned.py: PITCH_SHARE": SHARES,
+    "gate_layout.py: AFTER_REJECTED": SHARES,
+    "teeth.py: FORGET": SHARES,
+    "driveline_swing.py: MOST_SD": SHARES,
+    "limits.py: CLUTCH_CLOSED_SHARE": "chance: a position; the rig's is the sine of a threshold",
+    "context.py: SEQUENCE_CLUTCH_CLOSED_SHARE": "chance: as CLUTCH_CLOSED_SHARE",
+    "learned.py: CALIBRATION_FORMAT": COUNT,
+    "driveline_swing.py: SIDES": "chance: a direction, +1 or -1",
+    "models.py: gain": "physical: as the data sheet says",
+    "observer.py: LOOK_SHARE": SHARES,
+    "target_phase.py: CLOSE_OF_GAP": SHARES,
+    "reporter.py: _gear": "chance: a gear's number",
+    "valve_board.py: SPLIT_LOW": VALVES,
+    "case.py: SPLITTER": VALVES,
+    "driveline.py: SPLITTER": VALVES,
+    "driveline.py: CLUTCH_ACTION": "wire contract: bits of the clutch command",
+    "valve_board.py: SPLIT_HIGH": VALVES,
+    "valve_board.py: MAIN_CRAWL": VALVES,
+    "valve_board.py: MAIN_THIRD": VALVES,
+    "valve_board.py: RANGE_LOW": VALVES,
+    "valve_board.py: RANGE_HIGH": VALVES,
+    "listening.py: STAMPS": "wire contract: timestamps in an edge frame",
+    "chain_kernels.py: STAMPS": "wire contract: timestamps in an edge frame",
+    "listening.py: SAMPLE_S": "wire contract: positions are sampled every millisecond",
+    "gearbox_view.py: SAMPLE_US": "wire contract: positions are sampled every millisecond",
+    "clutch_track.py: AHEAD_US": "chance: of the clutch; the rig's is the latest valve activation",
+    "pressure_zero.py: LEAST_SAMPLES": COUNT,
+    "brake_input.py: SWITCHES_KEPT": COUNT,
+    "reference.py: MOVED_LOOKS": COUNT,
+    "driveline_swing.py: LEAST_EDGES": COUNT,
+    "main_tracker.py: MOST_COMPARED": COUNT,
+    "case.py: REACT_US": "chance: a reaction time; the rig's is a deviation of the engine's lag",
+    "own_speed.py: MEASURED_US": "chance: a window; the rig's is a deviation of the engine's lag",
+    "chain_kernels.py: SPAN_US": "chance: a window; the rig's is a deviation of the engine's lag",
+    "valve_switches.py: LATE_US": "wire contract: activations later than this are refused",
+    "valve_switches.py: AHEAD_US": "wire contract: activations further ahead are refused",
+    "brake_course.py: CRITICAL": "ISO 6358: b of valves is 0.2 to 0.4; the fitted rates absorb it",
+    "brake_course.py: LAMINAR_FROM": "numerics: where the root of ISO 6358 is made a line",
+    "identify.py: SENSOR_GAIN_SD": "sensors of 1 %: what a log cannot tell from the brake's gain",
+    "brake_fit.py: CHANCE_RAD2_S3": "chance: a density of noise; the rig's is a correlation",
+    "brake_course.py: BY_SPEED": "chance: the index of a parameter",
+    "brake_course.py: SENSOR_LAG": "chance: the index of a parameter",
+    "brake_course.py: PLATES": "chance: the index of a parameter",
+    "brake_course.py: LEAST_BINS": COUNT,
+    "brake_fit.py: ITERATIONS": COUNT,
+    "tooth_fit.py: LEAST_EDGES": COUNT,
+    "outage_record.py: LONGEST_BYTES": "chance: bytes; the rig's is a number of events",
+}
+"""Names of the controller whose number the rig has too, and why that is no fitting."""
+
+
+def shared() -> dict[str, tuple[str, float]]:
+    """Names of the controller that share a number with the rig, and the rig's name for it."""
+    found = alike(ROOT / "controller", ROOT / "rig_sim")
+    return {mine: (theirs, key[1]) for key, pairs in found.items() for mine, theirs in pairs}
+
+
+def test_controller_and_rig_share_no_number_without_a_reason() -> None:
+    new = {name: other for name, other in shared().items() if name not in REASONS}
+    assert not new, "data sheet with a tolerance, learned, derived, or a reason here"
+
+
+def test_every_reason_is_still_needed() -> None:
+    assert set(REASONS) == set(shared())
+
+
+@pytest.mark.parametrize(
+    ("mine", "theirs", "is_alike"),
+    [
+        ('lash_rad: float = quantity("lash_deg", 0, 90, DEG, default=2.0 * DEG)', 2.0, True),
+        ("LASH_RAD: Final = 2.0 * DEG", 2.0, True),
+        ("LASH_DEG = 2", 2.0, True),
+        ("WINDOW_DEG = 2.3", 2.3, True),  # two digits do not meet by chance
+        ("WINDOW_DEG = 2.0", 2.0, False),
+        ("LASH_MS = 2.0", 2.0, False),
+        ("LASH_DEG = 2.1", 2.0, False),
+    ],
+)
+def test_a_number_is_found_on_both_sides_in_whatever_unit(
+    tmp_path: Path, mine: str, theirs: float, is_alike: bool
+) -> None:
+    for name in ("one", "other"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "one" / "code.py").write_text(mine + "\n")
+    table = f'[driveline]\nbacklash_deg = [{theirs}, 1.0, 0, 9, "x; M"]\n'
+    (tmp_path / "other" / "parts.toml").write_text(table)
+    assert bool(alike(tmp_path / "one", tmp_path / "other")) is is_alike
+
+
+def test_both_sides_are_read() -> None:
+    """The sources of a size that a reader who finds nothing would not have."""
+    assert len(constants(ROOT / "controller")) > 150
+    assert len(constants(ROOT / "rig_sim")) > 200

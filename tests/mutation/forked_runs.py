@@ -1,0 +1,383 @@
+"""A plugin of pytest: it runs the tests not once, but for each mutant those that cover it.
+
+    pytest -p forked_runs ... with MUTATION_TASK naming a JSON file
+
+All tests are collected and all modules loaded once; each mutant then lives in a forked process,
+where the code of its function is replaced, or a constant of its module. A mutant elsewhere (a
+table, the fields of a class, a compiled kernel) gets a process of its own that imports the mutated
+file.
+"""
+
+from __future__ import annotations
+
+import ast
+import gc
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+import types
+from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import pytest
+from mutator import Mutant, Mutants, Where
+from targets import ROOT
+
+TASK: Final = "MUTATION_TASK"
+KILLED, SURVIVED, UNCOVERED = "killed", "survived", "uncovered"
+SPARE_S: Final = 3.0
+TIMES: Final = 5.0
+"""Beyond so many times its tests' own time, and the spare, a mutant never ends."""
+WALL_TIMES: Final = 20.0
+MORE_BYTES: Final = 3 << 30
+FAILED: Final = 1
+START_S: Final = 30.0
+"""What a process of its own takes to load, at most, on a busy machine (processor time)."""
+
+
+class Task:
+    """What to do, from the file; and what came of it, to a file beside it, a line a mutant."""
+
+    def __init__(self, path: Path) -> None:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        self.root = Path(values["root"])
+        self.wanted: dict[str, list[str]] = values["mutants"]
+        """Names, by file."""
+        self.budget_s: float = values["budget_s"]
+        self.map_path = Path(values["map"])
+        self.results = Path(values["results"])
+        self.files = [str(self.root / name) for name in self.wanted]
+
+    def tell(self, **values: Any) -> None:
+        with self.results.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(values) + "\n")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop(session: pytest.Session) -> bool | None:
+    """In place of the run."""
+    if TASK not in os.environ:
+        return None
+    if session.testsfailed:
+        raise session.Interrupted("errors while the tests were collected")
+    task = Task(Path(os.environ[TASK]))
+    _load_kernels()
+    covered = Coverage.of(task, session)
+    runner = _Runner(task, session, covered)
+    for name, wanted in task.wanted.items():
+        source = (task.root / name).read_text(encoding="utf-8")
+        mutants = Mutants(name, source)
+        keep = set(wanted)
+        for mutant in mutants.all:
+            if mutant.name in keep:
+                runner.run(mutants, mutant, task.root / name)
+    return True
+
+
+def _load_kernels() -> None:
+    """Once for all: each process that is forked has them."""
+    from meshpoint.controller.warm_up import warm_up
+    from meshpoint.gearbox import load_sheet
+    from meshpoint.rig_sim.presets import build_world
+    from meshpoint.rig_sim.settings import RigSettings
+
+    warm_up(baselines=True)
+    build_world(load_sheet("truck12"), RigSettings())
+
+
+class Coverage:
+    """Which lines of the mutated files each test runs, and how long it takes (processor time)."""
+
+    def __init__(self, lines: dict[str, dict[str, list[int]]], seconds: dict[str, float]) -> None:
+        self.lines = {
+            path: {test: set(there) for test, there in by_test.items()}
+            for path, by_test in lines.items()
+        }
+        self.seconds = seconds
+
+    @classmethod
+    def of(cls, task: Task, session: pytest.Session) -> Coverage:
+        """From the file that an earlier run has left, or by running all tests twice: for the lines,
+        and for the time."""
+        if not task.map_path.exists():
+            first = _in_a_fork(lambda: _run_and_note(session, task.files))
+            again = _in_a_fork(lambda: _run_and_note(session, []))
+            if first is None or again is None or first["failed"] or again["failed"]:
+                failed = [
+                    *(first or {"failed": ["?"]})["failed"],
+                    *(again or {"failed": []})["failed"],
+                ]
+                raise session.Interrupted(f"tests fail without a mutant: {failed[:5]}")
+            values = {"lines": first["lines"], "seconds": again["seconds"]}
+            task.map_path.write_text(json.dumps(values), encoding="utf-8")
+        values = json.loads(task.map_path.read_text(encoding="utf-8"))
+        return cls(values["lines"], values["seconds"])
+
+    def tests_for(self, path: str, lines: range, budget_s: float) -> list[str]:
+        """Those that run any of these lines, or any of the file if it is none, the shortest first,
+        as many as fit the budget."""
+        found = [
+            test for test, there in self.lines.get(path, {}).items()
+            if not lines or not there.isdisjoint(lines)
+        ]  # fmt: skip
+        found.sort(key=lambda test: self.seconds[test])
+        chosen, sum_s = [], 0.0
+        for test in found:
+            sum_s += self.seconds[test]
+            if chosen and sum_s > budget_s:
+                break
+            chosen.append(test)
+        return chosen
+
+
+def _run_and_note(session: pytest.Session, files: list[str]) -> dict[str, Any]:
+    """All tests: the lines they run of these files, their times, and those that failed."""
+    lines: dict[str, dict[str, list[int]]] = {path: {} for path in files}
+    seconds: dict[str, float] = {}
+    failed: list[str] = []
+    for item, following in _in_turn(session.items):
+        seen: dict[str, set[int]] = {path: set() for path in files}
+        begun_s = time.process_time()
+        if files:
+            sys.settrace(_tracer(seen))
+        is_bad = _fails(session, item, following)
+        sys.settrace(None)
+        seconds[item.nodeid] = time.process_time() - begun_s
+        failed += [item.nodeid] if is_bad else []
+        for path, there in seen.items():
+            if there:
+                lines[path][item.nodeid] = sorted(there)
+    return {"lines": lines, "seconds": seconds, "failed": failed}
+
+
+def _tracer(seen: dict[str, set[int]]) -> Callable[..., Any]:
+    def on_call(frame: types.FrameType, event: str, argument: Any) -> Any:
+        there = seen.get(_real(frame.f_code.co_filename))
+        if there is None:
+            return None
+
+        def on_line(frame: types.FrameType, event: str, argument: Any) -> Any:
+            there.add(frame.f_lineno)
+            return on_line
+
+        return on_line
+
+    return on_call
+
+
+class _Runner:
+    def __init__(self, task: Task, session: pytest.Session, covered: Coverage) -> None:
+        self._task, self._session, self._covered = task, session, covered
+        self._items = {item.nodeid: item for item in session.items}
+        self._functions: dict[tuple[str, str, int], list[types.FunctionType]] = {}
+        for each in gc.get_objects():
+            if isinstance(each, types.FunctionType):
+                code = each.__code__
+                key = (_real(code.co_filename), code.co_qualname, code.co_firstlineno)
+                self._functions.setdefault(key, []).append(each)
+
+    def run(self, mutants: Mutants, mutant: Mutant, path: Path) -> None:
+        """One mutant; what came of it is told."""
+        where = mutant.where
+        lines = where.lines if where.qualname else range(0)
+        tests = self._covered.tests_for(str(path), lines, self._task.budget_s)
+        begun_s = time.monotonic()
+        if not tests:
+            self._task.tell(mutant=mutant.name, outcome=UNCOVERED, by="", wall_s=0.0)
+            return
+        expected_s = sum(self._covered.seconds[test] for test in tests)
+        mutant.apply()
+        try:
+            change = self._change(mutants, where, path)
+            if change is None:
+                by = self._by_itself(mutants, path, tests, expected_s)
+            else:
+                by = self._forked(change, tests, expected_s)
+        finally:
+            mutant.undo()
+        wall_s = round(time.monotonic() - begun_s, 2)
+        outcome = KILLED if by else SURVIVED
+        self._task.tell(mutant=mutant.name, outcome=outcome, by=by, wall_s=wall_s, tests=len(tests))
+
+    def _change(self, mutants: Mutants, where: Where, path: Path) -> Callable[[], None] | None:
+        """What makes the mutant in a process that has loaded everything; None where that needs a
+        process of its own."""
+        if where.constants:
+            return _rebinding(mutants, where, path)
+        key = (str(path), where.qualname, where.first_line)
+        functions = self._functions.get(key, []) if where.is_plain and where.qualname else []
+        if not functions:
+            return None
+        code = _code_of(mutants, path, where.qualname, where.first_line)
+
+        def replace() -> None:
+            for function in functions:
+                function.__code__ = code
+
+        return replace
+
+    def _forked(self, change: Callable[[], None], tests: list[str], expected_s: float) -> str:
+        items = [self._items[test] for test in tests]
+
+        def run() -> dict[str, Any]:
+            _limit(TIMES * expected_s + SPARE_S)
+            change()
+            for item, following in _in_turn(items):
+                if _fails(self._session, item, following):
+                    return {"by": item.nodeid}
+            return {"by": ""}
+
+        done = _in_a_fork(run, WALL_TIMES * (expected_s + SPARE_S))
+        return "never ends, or ends the process" if done is None else str(done["by"])
+
+    def _by_itself(self, mutants: Mutants, path: Path, tests: list[str], expected_s: float) -> str:
+        source = self._task.results.with_suffix(".mutant.py")
+        source.write_text(ast.unparse(mutants.tree), encoding="utf-8")
+        environment = {key: value for key, value in os.environ.items() if key != TASK}
+        environment |= {"MUTATED_FILE": str(path), "MUTATED_SOURCE": str(source)}
+        try:
+            done = subprocess.run(
+                [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider",
+                 "-p", "mutated_import", *tests],
+                env=environment, cwd=self._task.root, stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL, check=False,
+                timeout=WALL_TIMES * (expected_s + START_S),
+                preexec_fn=lambda: _limit(TIMES * expected_s + START_S),
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            return "never ends"
+        return "" if done.returncode == 0 else f"a process of its own, exit code {done.returncode}"
+
+
+def _code_of(mutants: Mutants, path: Path, qualname: str, first_line: int) -> types.CodeType:
+    module = compile(mutants.tree, str(path), "exec")
+
+    def search(code: types.CodeType) -> Iterator[types.CodeType]:
+        for each in code.co_consts:
+            if isinstance(each, types.CodeType):
+                if each.co_qualname == qualname and each.co_firstlineno == first_line:
+                    yield each
+                yield from search(each)
+
+    return next(search(module))
+
+
+def _rebinding(mutants: Mutants, where: Where, path: Path) -> Callable[[], None] | None:
+    """Gives the constants their other values, in their module and where they were imported."""
+    named = ((m, getattr(m, "__file__", None) or "") for m in list(sys.modules.values()))
+    module = next((m for m, file in named if _real(file) == str(path)), None)
+    if module is None:
+        return None
+    statement = next(s for s in mutants.tree.body if s.lineno == where.lines.start)
+    code = compile(ast.Module([statement], []), str(path), "exec")
+
+    def rebind() -> None:
+        before = {name: vars(module)[name] for name in where.constants}
+        exec(code, vars(module))
+        for other in list(sys.modules.values()):
+            if other is module or not _imports_from(other, module.__name__):
+                continue
+            for name, value in before.items():
+                if vars(other).get(name, module) is value:
+                    setattr(other, name, vars(module)[name])
+
+    return rebind
+
+
+@cache
+def _real(path: str) -> str:
+    """The file itself, where a package is linked to its place."""
+    return os.path.realpath(path)
+
+
+@cache
+def _source_of(path: str) -> str:
+    return Path(path).read_text(encoding="utf-8") if path.endswith(".py") else ""
+
+
+def _imports_from(module: types.ModuleType, name: str) -> bool:
+    path = getattr(module, "__file__", None) or ""
+    return (
+        path.startswith(str(ROOT))
+        and ".venv" not in path
+        and f"from {name} import" in _source_of(str(path))
+    )
+
+
+def _in_turn(items: list[pytest.Item]) -> Iterator[tuple[pytest.Item, pytest.Item | None]]:
+    """Each with the one after it, so that what they share is made once."""
+    for k, item in enumerate(items):
+        yield item, items[k + 1] if k + 1 < len(items) else None
+
+
+def _fails(session: pytest.Session, item: pytest.Item, following: pytest.Item | None) -> bool:
+    failed: list[str] = []
+
+    class Watch:
+        def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+            if report.failed:
+                failed.append(report.nodeid)
+
+    watch = Watch()
+    session.config.pluginmanager.register(watch)
+    try:
+        item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
+    finally:
+        session.config.pluginmanager.unregister(watch)
+    return bool(failed)
+
+
+def _limit(cpu_s: float) -> None:
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    until = int(used.ru_utime + used.ru_stime + cpu_s) + 1
+    resource.setrlimit(resource.RLIMIT_CPU, (until, until + 5))
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    most = pages * resource.getpagesize() + MORE_BYTES
+    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+
+
+def _in_a_fork(run: Callable[[], dict[str, Any]], wall_s: float | None = None) -> Any:
+    """What `run` returns in a process of its own; None if that has ended otherwise."""
+    reader, writer = os.pipe()
+    child = os.fork()
+    if child == 0:
+        status = FAILED
+        try:
+            os.close(reader)
+            os.setpgid(0, 0)
+            nothing = os.open(os.devnull, os.O_RDWR)
+            for number in (0, 1, 2):
+                os.dup2(nothing, number)
+            text = json.dumps(run()).encode()
+            with os.fdopen(writer, "wb") as pipe:
+                pipe.write(text)
+            status = 0
+        finally:
+            os._exit(status)
+    os.close(writer)
+    text = _read(reader, child, wall_s)
+    _, status = os.waitpid(child, 0)
+    return json.loads(text) if status == 0 and text else None
+
+
+def _read(reader: int, child: int, wall_s: float | None) -> bytes:
+    import select
+
+    text, until_s = b"", None if wall_s is None else time.monotonic() + wall_s
+    while True:
+        left_s = None if until_s is None else max(0.0, until_s - time.monotonic())
+        if not select.select([reader], [], [], left_s)[0]:
+            os.killpg(child, signal.SIGKILL)
+            break
+        part = os.read(reader, 1 << 16)
+        if not part:
+            break
+        text += part
+    os.close(reader)
+    return text

@@ -1,0 +1,71 @@
+"""What is mutated, and by which tests each part has to be caught."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Final, NamedTuple
+
+ROOT: Final = Path(__file__).parents[2]
+
+
+class Target(NamedTuple):
+    """Files that belong together, and the tests that hold them."""
+
+    name: str
+    files: tuple[str, ...]
+    """Patterns below the repository."""
+    tests: tuple[str, ...]
+    must: bool
+    """Whether every mutant has to be caught or listed as equivalent."""
+
+    def paths(self) -> list[Path]:
+        """The files, sorted."""
+        return sorted({path for each in self.files for path in ROOT.glob(each)})
+
+
+_GUARD_TESTS: Final = (
+    "tests/controller/test_guard.py",
+    "tests/controller/test_guard_clock.py",
+    "tests/controller/test_guard_driveline.py",
+    "tests/controller/test_guard_limits.py",
+    "tests/controller/test_guard_ear.py",
+    "tests/controller/test_staleness.py",
+    "tests/controller/test_survivors.py",
+    "tests/gearbox/test_sheet.py",
+)
+"""The quick ones alone: what they let through shall not wait for a closed loop to find it."""
+TARGETS: Final = (
+    Target("guard", ("controller/guard/*.py",), _GUARD_TESTS, must=True),
+    Target(
+        "e2e", ("dbc/e2e.py",),
+        ("tests/dbc/test_e2e.py", "tests/dbc/test_link.py", "tests/controller/test_staleness.py"),
+        must=True,
+    ),
+    Target(
+        "link", ("dbc/link.py",),
+        ("tests/dbc/test_link.py", "tests/dbc/test_codec.py", "tests/dbc/test_messages.py",
+         "tests/controller/test_staleness.py"),
+        must=True,
+    ),
+    Target(
+        "valves", ("rig_sim/shared/valve_drivers.py",),
+        ("tests/rig_sim/test_valves.py", "tests/rig_sim/test_core.py"),
+        must=True,
+    ),
+    Target(
+        "controller", ("controller/**/*.py",),
+        ("tests/controller", "tests/closed_loop", "tests/campaign/test_open_loop.py"),
+        must=False,
+    ),
+)  # fmt: skip
+"""The last one is looked at by samples: `--sample`; what belongs to an earlier one is left out."""
+
+
+def files_of(target: Target) -> list[Path]:
+    """Its files, without those of the targets before it."""
+    taken: set[Path] = set()
+    for each in TARGETS:
+        if each is target:
+            break
+        taken.update(each.paths())
+    return [path for path in target.paths() if path not in taken]

@@ -1,0 +1,96 @@
+"""The mutator: each mutant differs from the product in one place, is a program, and keeps its name.
+
+Whether the tests catch them takes a run of its own: `make mutants`.
+"""
+
+from __future__ import annotations
+
+import ast
+
+import pytest
+from mutator import Mutants
+from run_mutants import HUNK, equivalents, mutants_of, stale
+from targets import TARGETS
+
+SOURCE = '''
+LIMIT_US = 40_000
+TWICE_US = 2 * LIMIT_US
+class Kind(IntEnum):
+    A = 1
+def late(now_us, heard_us, deaf=False):
+    """Not 1 mutated."""
+    if deaf and -heard_us:
+        raise ValueError(f"{now_us + 1}")
+    self.count += 1
+    return now_us - heard_us >= LIMIT_US or min(now_us, 3.0) < 0
+'''
+EXPECTED = {
+    "-: LIMIT_US = 40000 => LIMIT_US = 50000",
+    "-: LIMIT_US = 40000 => LIMIT_US = 30000",
+    "-: TWICE_US = 2 * LIMIT_US => TWICE_US = 2 / LIMIT_US",
+    "-: TWICE_US = 2 * LIMIT_US => TWICE_US = 3 * LIMIT_US",
+    "-: TWICE_US = 2 * LIMIT_US => TWICE_US = 1 * LIMIT_US",
+    "-: False => True",
+    "late: if deaf and -heard_us => if True",
+    "late: if deaf and -heard_us => if False",
+    "late: deaf and -heard_us => deaf or -heard_us",
+    "late: deaf and -heard_us => deaf and heard_us",
+    "late: self.count += 1 => pass",
+    "late: self.count += 1 => self.count -= 1",
+    "late: self.count += 1 => self.count += 2",
+    "late: self.count += 1 => self.count += 0",
+}
+RETURNED = "late: return now_us - heard_us >= LIMIT_US or min(now_us, 3.0) < 0 => return "
+EXPECTED_RETURNS = {
+    "None",
+    "now_us - heard_us >= LIMIT_US and min(now_us, 3.0) < 0",
+    "now_us + heard_us >= LIMIT_US or min(now_us, 3.0) < 0",
+    "now_us - heard_us > LIMIT_US or min(now_us, 3.0) < 0",
+    "now_us - heard_us < LIMIT_US or min(now_us, 3.0) < 0",
+    "now_us - heard_us >= LIMIT_US or max(now_us, 3.0) < 0",
+    "now_us - heard_us >= LIMIT_US or min(now_us, 3.75) < 0",
+    "now_us - heard_us >= LIMIT_US or min(now_us, 3.0) <= 0",
+    "now_us - heard_us >= LIMIT_US or min(now_us, 3.0) >= 0",
+    "now_us - heard_us >= LIMIT_US or min(now_us, 3.0) < 1",
+}
+
+
+def test_the_mutants_of_a_source_are_these() -> None:
+    names = [mutant.name.removeprefix("f.py::") for mutant in Mutants("f.py", SOURCE).all]
+    assert sorted(names) == sorted(EXPECTED | {RETURNED + each for each in EXPECTED_RETURNS})
+
+
+def test_only_constants_that_nothing_else_in_the_body_uses_are_rebound() -> None:
+    of = {mutant.name: mutant.where.constants for mutant in Mutants("f.py", SOURCE).all}
+    assert of["f.py::-: LIMIT_US = 40000 => LIMIT_US = 50000"] == ()
+    assert of["f.py::-: TWICE_US = 2 * LIMIT_US => TWICE_US = 3 * LIMIT_US"] == ("TWICE_US",)
+
+
+@pytest.mark.parametrize("target", [each for each in TARGETS if each.must], ids=lambda t: t.name)
+def test_each_mutant_is_one_change_that_is_taken_back(target: object) -> None:
+    found = mutants_of(target)  # type: ignore[arg-type]
+    assert sum(map(len, found.values())) > 90
+    for mutants in found.values():
+        assert len({mutant.name for mutant in mutants}) == len(mutants)
+    name, _ = min(found.items(), key=lambda each: (not each[1], len(each[1])))
+    from run_mutants import ROOT
+
+    file = Mutants(name, (ROOT / name).read_text(encoding="utf-8"))
+    before = ast.dump(file.tree)
+    for mutant in file.all:
+        mutant.apply()
+        assert ast.dump(file.tree) != before
+        compile(file.tree, name, "exec")
+        mutant.undo()
+    assert ast.dump(file.tree) == before
+
+
+def test_every_listed_mutant_exists_and_has_a_reason() -> None:
+    listed = equivalents()
+    assert stale(listed) == []
+    assert all(len(reason) > 20 for reason in listed.values())
+
+
+def test_lines_of_a_change_are_read_from_its_hunks() -> None:
+    text = "@@ -3,2 +5,3 @@ def f():\n@@ -9 +12 @@\n@@ -20,2 +22,0 @@\n"
+    assert [(int(m[1]), int(m[2] or 1)) for m in HUNK.finditer(text)] == [(5, 3), (12, 1), (22, 0)]
