@@ -61,7 +61,7 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint check --turn main propeller --json check.json",
     ),
     "commission": (
-        "meshpoint commission -i socketcan -c can0 --gearbox box.toml --out own.toml",
+        "meshpoint commission -i socketcan -c can0 --out measured.toml",
         "meshpoint commission --drawn 20 --gearbox truck12",
     ),
     "play": ("meshpoint play", "meshpoint play --gearbox thesis --out slow.html"),
