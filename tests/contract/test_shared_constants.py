@@ -77,19 +77,6 @@ REASONS: Final = {
     "case.py: REACT_US": "chance: a reaction time; the rig's is a deviation of the engine's lag",
     "own_speed.py: MEASURED_US": "chance: a window; the rig's is a deviation of the engine's lag",
     "chain_kernels.py: SPAN_US": "chance: a window; the rig's is a deviation of the engine's lag",
-    "valve_switches.py: LATE_US": "wire contract: activations later than this are refused",
-    "valve_switches.py: AHEAD_US": "wire contract: activations further ahead are refused",
-    "brake_course.py: CRITICAL": "ISO 6358: b of valves is 0.2 to 0.4; the fitted rates absorb it",
-    "brake_course.py: LAMINAR_FROM": "numerics: where the root of ISO 6358 is made a line",
-    "identify.py: SENSOR_GAIN_SD": "sensors of 1 %: what a log cannot tell from the brake's gain",
-    "brake_fit.py: CHANCE_RAD2_S3": "chance: a density of noise; the rig's is a correlation",
-    "brake_course.py: BY_SPEED": "chance: the index of a parameter",
-    "brake_course.py: SENSOR_LAG": "chance: the index of a parameter",
-    "brake_course.py: PLATES": "chance: the index of a parameter",
-    "brake_course.py: LEAST_BINS": COUNT,
-    "brake_fit.py: ITERATIONS": COUNT,
-    "tooth_fit.py: LEAST_EDGES": COUNT,
-    "outage_record.py: LONGEST_BYTES": "chance: bytes; the rig's is a number of events",
 }
 """Names of the controller whose number the rig has too, and why that is no fitting."""
 
