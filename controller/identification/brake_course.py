@@ -181,7 +181,7 @@ def make_course(
     return Course(
         angle=angle,
         weights=weights,
-        edges=count[used],
+        edges=count[used].astype(np.float64),
         nodes_of_edges=lead + place,
         theta_rad=wheel.theta_rad - wheel.theta_rad[0],
         place=wheel.place,

@@ -172,7 +172,7 @@ def _fit_spans(
 
 
 def _solved(normal: Vector, right: Vector) -> Vector:
-    error: Vector = np.linalg.solve(normal, right)
+    error: Vector = np.linalg.solve(normal, right).astype(np.float64)
     error[:-JUDDER] -= error[:-JUDDER].mean()
     return error
 
