@@ -102,17 +102,17 @@ def fit(courses: list[Course], sheet: GearboxSheet, is_choked: bool, omega_ref: 
         parts = [part.weighed(share) for part, share in zip(parts, heed, strict=True)]
         normal = weight + sum(part.normal for part in parts)
         right = weight @ (prior.mean - at) + sum(part.right for part in parts)
-        step = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
+        step: Vector = np.linalg.solve(normal, right).astype(np.float64)
         step /= max(1.0, float(np.max(np.abs(step) / prior.sd)) / MOST_STEP)
         at = at + step
         omega = omega + np.array([one(step) for one in own])
         if iteration > DOUBTING and np.max(np.abs(step) / prior.sd) < CONVERGED:
             break
-    used = heed > 0.0
+    used = (heed > 0.0).astype(np.float64)
     parts = [part for part, share in zip(parts, heed, strict=True) if share > 0.0]
     without = np.array([_without(at, normal, right, part) for part in parts])
     misfit = sum(part.squares for part in parts) / max(1, sum(part.values for part in parts))
-    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
+    covariance: Vector = np.linalg.inv(normal).astype(np.float64)
     return BrakeFit(at, without, covariance, prior, misfit, omega, used)
 
 

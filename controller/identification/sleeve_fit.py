@@ -108,7 +108,8 @@ class SleeveFit:
             return LEAST_CORRELATION
         found = sum(float(np.sum(one[1:] * one[:-1])) for one in pairs) / squares
         # Deviations from a mean of n are correlated by -1 / n of themselves.
-        return float(min(max(found + len(pairs) / strokes, LEAST_CORRELATION), MOST_CORRELATION))
+        own = float(found + len(pairs) / strokes)
+        return min(max(own, LEAST_CORRELATION), MOST_CORRELATION)
 
 
 def _squares_expected(count: int, correlation: float) -> float:

@@ -173,7 +173,7 @@ def _fit_spans(
 
 
 def _solved(normal: Vector, right: Vector) -> Vector:
-    error = np.asarray(np.linalg.solve(normal, right), dtype=np.float64)
+    error: Vector = np.linalg.solve(normal, right).astype(np.float64)
     error[:-JUDDER] -= error[:-JUDDER].mean()
     return error
 
