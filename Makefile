@@ -6,6 +6,10 @@ BIN := $(VENV)/bin
 
 .PHONY: swarm faults planted mutants demo docs test installed acceptance vcan vcan-alone test-containers lint types reference contracts stubs bench clean
 
+# Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
+# else anew, for seconds.
+unexport PYTHONDONTWRITEBYTECODE
+
 # --no-compile: of some 100 MB of Python a run imports a tenth, and compiles that as it does.
 $(VENV)/run.stamp: pyproject.toml setup.py constraints.txt
 	$(PYTHON) -m venv $(VENV)
