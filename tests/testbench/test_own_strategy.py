@@ -129,7 +129,7 @@ def test_of_its_own_log_another_is_not_asked_without_it(
 def campaign(tmp_path: Path, *arguments: object) -> tuple[int, dict[str, Any]]:
     result = tmp_path / "campaign.json"
     code = run(
-        "campaign", "--preset", "thesis", "--runs", "2", "--learn", "2", "--judged", "1",
+        "campaign", "--preset", "thesis", "--runs", "2", "--learn", "1", "--judged", "1",
         "--json", result, *arguments,
     )  # fmt: skip
     values: dict[str, Any] = json.loads(result.read_text())
