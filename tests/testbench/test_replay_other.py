@@ -8,6 +8,7 @@ from dataclasses import fields
 from typing import Any
 
 import pytest
+from page_data import page_data
 
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.results.rows import ShiftRow
@@ -91,9 +92,7 @@ def test_the_page_counts_outcomes_for_the_logs_strategy_alone(
     aimed = [row for row in simulated["shifts"] if row["reference"] == "known"]
     gap = sum(row["contact"] == "gap" for row in aimed)
     assert f"{gap} of {len(aimed)}" in summary
-    found = re.search(r"<script type='application/json' id='data'>(.*?)</script>", page, re.S)
-    assert found is not None
-    data = json.loads(found[1])
+    data = page_data(page)
     assert {trace["name"] for trace in data["overview"]["contacts"]["data"]} == {RECORDED}
     assert len(data["shifts"]) == SHIFTS
     for shift in data["shifts"].values():
@@ -109,9 +108,7 @@ def test_both_courses_are_drawn_with_the_point_where_they_part(
     replayed: Replayed,
 ) -> None:
     _, values, page = replayed
-    found = re.search(r"<script type='application/json' id='data'>(.*?)</script>", page, re.S)
-    assert found is not None
-    shifts = json.loads(found[1])["shifts"].values()
+    shifts = page_data(page)["shifts"].values()
     for row, shift in zip(values["shifts"], shifts, strict=True):
         names = {trace["name"] for trace in shift["data"]}
         assert {"brake", "brake, replayed"} <= names

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ import pytest
 from browser import browse
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from page_data import page_data
 from scipy.stats import binomtest
 
 from meshpoint.controller.settings import ControllerSettings
@@ -33,6 +33,22 @@ PITCH_DEG = 7.5
 HOSTILE = "</script><script>alert('no')</script><img src=x onerror=alert(1)>.log"
 PLOTLY_STUB = "window.Plotly = {};"
 SIZE_LIMIT = 8_000_000
+COUNT_READ = """<script>
+const parse = JSON.parse;
+const read = [];
+JSON.parse = (text) => { read.push(text); return parse(text); };
+</script>"""
+TELL_READ = """<script>
+addEventListener("load", () => {
+  const before = read.length;
+  document.querySelector("#shift-1-150 a").click();
+  const told = [before, read.length, document.getElementById("title").textContent];
+  const place = document.createElement("pre");
+  place.id = "read-back";
+  place.textContent = told.join("|");
+  document.body.append(place);
+});
+</script>"""
 
 
 @pytest.fixture(scope="module")
@@ -144,10 +160,9 @@ def test_names_from_outside_stay_text(
     text = page(simulated[0], data | {"extra": HOSTILE}, PLOTLY_STUB)
     assert "<script>alert" not in text
     assert "<img" not in text
-    assert text.count("<script") == text.count("</script>") == 5
+    assert text.count("<script") == text.count("</script>") == 5 + len(data["shifts"])
     assert text.count("&lt;/script&gt;") >= 4
-    (embedded,) = re.findall(r"id='data'>(.*?)</script>", text, re.DOTALL)
-    assert json.loads(embedded) == data | {"extra": HOSTILE}
+    assert page_data(text) == data | {"extra": HOSTILE}
 
 
 def test_the_page_refers_to_nothing_outside_itself(
@@ -184,11 +199,8 @@ def test_the_same_bus_gives_the_same_page(tmp_path: Path) -> None:
     ]
     assert main([*arguments, "--report", str(paths[0])]) == 0
     assert main(["replay", str(log), "--report", str(paths[1])]) == 0
-    found = [
-        re.findall(r"id='data'>(.*?)</script>", path.read_text(encoding="utf-8"), re.DOTALL)
-        for path in paths
-    ]
-    assert len(found[0]) == 1
+    found = [page_data(path.read_text(encoding="utf-8")) for path in paths]
+    assert len(found[0]["shifts"]) == 3
     assert found[0] == found[1]
 
 
@@ -236,3 +248,26 @@ def test_a_browser_draws_the_shift_in_the_address_and_complains_of_nothing(
     assert "target_phase, shift 4: gear 10 to 12, tooth met gap" in drawn
     assert drawn.count("main-svg") >= 3
     assert 'id="shift-1-4" class="chosen"' in drawn
+
+
+def test_of_two_hundred_shifts_the_page_reads_the_one_that_it_draws(
+    simulated: tuple[Report, list[ShiftRow]], data: dict[str, Any], tmp_path: Path
+) -> None:
+    """The page's data is read once at its opening with the first shift, then shift by shift."""
+    offline = pytest.importorskip("plotly.offline")
+    report, figures = simulated[0], list(data["shifts"].values())
+    runs = [replace(run, shifts=run.shifts * 50) for run in report.runs]
+    shifts = {
+        f"shift-1-{n}": figures[(n - 1) % len(figures)] | {"title": f"number {n}"}
+        for n in range(1, 201)
+    }
+    text = page(replace(report, runs=runs), data | {"shifts": shifts}, offline.get_plotlyjs())
+    path = tmp_path / "report.html"
+    text = text.replace("<head>", f"<head>{COUNT_READ}", 1).replace(
+        "</body>", f"{TELL_READ}</body>"
+    )
+    path.write_text(text, encoding="utf-8")
+    shown, complaints = browse(path.as_uri(), tmp_path)
+    assert complaints == []
+    (told,) = re.findall(r'<pre id="read-back">(.*?)</pre>', shown)
+    assert told == "2|3|number 150"

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from importlib import resources
+from types import MappingProxyType
 from typing import Any, Final
 
 POLICY: Final = (
@@ -24,9 +25,11 @@ def document(
     plotly_js: str,
     scripts: Sequence[str],
     style: str = "",
+    parts: Mapping[str, Any] = MappingProxyType({}),
 ) -> str:
     """The whole page: `data` is what the product's own scripts (names of files) draw, with Plotly
-    where they use it."""
+    where they use it; each of `parts` stands in an element of its own, `data-NAME`, so that a page
+    of many figures reads one when it draws it."""
     css = own_text("report/report.css") + (own_text(style) if style else "")
     return "".join(
         (
@@ -36,12 +39,17 @@ def document(
             f"<title>{escape(title)}</title>\n<style>\n{css}</style>\n",
             "</head>\n<body>\n",
             "\n".join(body),
-            f"\n<script type='application/json' id='data'>{json_text(data)}</script>\n",
+            f"\n{_embedded('data', data)}",
+            *(_embedded(f"data-{name}", part) for name, part in parts.items()),
             f"<script>{plotly_js}</script>\n",
             *(f"<script>\n{own_text(script)}</script>\n" for script in scripts),
             "</body>\n</html>\n",
         )
     )
+
+
+def _embedded(name: str, values: Any) -> str:
+    return f"<script type='application/json' id='{escape(name)}'>{json_text(values)}</script>\n"
 
 
 def own_text(name: str) -> str:

@@ -22,7 +22,7 @@ from meshpoint.testbench.results.rows import ShiftRow
 
 
 def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
-    """The whole page; `data` is what its script draws."""
+    """The whole page; `data` is what its script draws, each shift read when it is opened."""
     shifts = sum(len(run.shifts) for run in report.runs)
     body = [
         f"<h1>{escape(report.title)}</h1>",
@@ -37,7 +37,10 @@ def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
     else:
         body.append("<p>No shift to draw.</p>")
     body += ["<h2>Provenance</h2>", definitions(report.provenance)]
-    return document(report.title, body, data, plotly_js, SCRIPTS)
+    figures: dict[str, Any] = data["shifts"]
+    common = {key: value for key, value in data.items() if key != "shifts"}
+    common["shifts"] = list(figures)
+    return document(report.title, body, common, plotly_js, SCRIPTS, parts=figures)
 
 
 SCRIPTS: Final = ("report/teeth.js", "report/slow_motion.js", "report/report.js")

@@ -1,16 +1,17 @@
 "use strict";
-// Draws one shift at a time; which one is said by the part of the address behind '#'.
+// Draws one shift at a time; which one is said by the part of the address behind '#'. Only then is
+// its figure read: reading those of hundreds of shifts would delay the opening of the page.
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
-  const keys = Object.keys(data.shifts);
+  const keys = data.shifts;
+  const shiftOf = (key) => JSON.parse(document.getElementById("data-" + key).textContent);
   const buttons = ["zoom2d", "pan2d", "zoomIn2d", "zoomOut2d", "resetScale2d", "toImage"];
   const config = { responsive: true, displaylogo: false, modeBarButtons: [buttons] };
   const bare = { responsive: true, displayModeBar: false };
   const figure = document.getElementById("figure");
   let chosen = null;
 
-  function draw(key) {
-    const shift = data.shifts[key];
+  function draw(shift) {
     const layout = { ...data.common, annotations: shift.annotations };
     layout.shapes = data.common.shapes.concat(shift.shapes);
     for (const [name, own] of Object.entries(shift.axes)) {
@@ -35,7 +36,7 @@
   }
 
   function choose(key, reveal) {
-    if (!(key in data.shifts) || key === chosen) return;
+    if (!keys.includes(key) || key === chosen) return;
     if (chosen) document.getElementById(chosen).classList.remove("chosen");
     chosen = key;
     const row = document.getElementById(key);
@@ -44,9 +45,10 @@
       const box = row.closest(".scroll");
       box.scrollTop = row.offsetTop - box.clientHeight / 2;
     }
-    tell(data.shifts[key]);
-    draw(key);
-    slow.show(data.shifts[key].motion);
+    const shift = shiftOf(key);
+    tell(shift);
+    draw(shift);
+    slow.show(shift.motion);
   }
 
   function go(key) {
