@@ -115,9 +115,42 @@ def test_settings_are_compared_with_their_defaults(tmp_path: Path) -> None:
     assert compared(tmp_path, str(two), str(two))[0] == 0
 
 
+def test_two_settings_part_in_the_shifts_of_a_log(runs: Runs, tmp_path: Path) -> None:
+    """Against the recorded settings: both parted from the log at the step that `replay` names."""
+    recorded, later = tmp_path / "recorded.toml", tmp_path / "later.toml"
+    recorded.write_text("")
+    later.write_text('strategy = "speed_window_anticipating"\n')
+    page, told = tmp_path / "page.html", tmp_path / "replay.json"
+    log = str(runs["a.log"])
+    words = str(recorded), str(later), "--log", log, "--report", str(page)
+    code, values = compared(tmp_path, *words)
+    assert code == 1
+    assert main(["replay", log, "--settings", str(later), "--json", str(told)]) == 0
+    rows = json.loads(told.read_text())["shifts"]
+    assert len(values["shifts"]) == len(rows) == 2
+    parted = 0
+    for shift, row in zip(values["shifts"], rows, strict=True):
+        assert shift["a"]["parted"] is None
+        assert shift["a"]["fired_ms"] == row["recorded"]["fired_ms"]
+        assert shift["b"]["fired_ms"] == row["fired_ms"]
+        if row["parted"] is None:
+            continue
+        parted += 1
+        parting = shift["parting"]
+        assert parting["at_ms"] <= row["parted"]["at_ms"]
+        assert parting["messages"]
+        # the same frames until there: what is measured is the same
+        assert parting["a"]["layshaft_speed_rad_s"] == parting["b"]["layshaft_speed_rad_s"]
+        assert "fired_ms" in shift["differences"]
+    assert parted
+    assert page.read_text(encoding="utf-8").count("What each knew there") >= parted
+    assert compared(tmp_path, str(later), str(later), "--log", log)[0] == 0
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (("a.json", "a.json", "--log", "x.log"), "must be two .toml"),
         (("a.json", "b.log"), "allowed are two logs"),
         (("a.json", "missing.json"), "No such file"),
         (("a.json", "a.json", "--tolerance", "-1"), "0 or more"),

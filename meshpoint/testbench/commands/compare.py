@@ -1,4 +1,5 @@
-"""`meshpoint compare`: two logs, two records of `--json`, or two settings files."""
+"""`meshpoint compare`: two logs, two records of `--json`, or two settings files, also by what they
+decide on a log."""
 
 from __future__ import annotations
 
@@ -14,6 +15,13 @@ from rich.table import Table
 from meshpoint.bus.logs.files import log_files, read_logs
 from meshpoint.controller.settings import load_settings
 from meshpoint.dbc.frame import Frame
+from meshpoint.testbench.commands.compare_decisions import (
+    COLUMNS,
+    decide,
+    decided_json,
+    decided_rows,
+    knew_heading,
+)
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.log_difference import CoreParting, LogDifference
@@ -36,6 +44,10 @@ class Compared(NamedTuple):
     verdict: str
     tables: Tables
     values: dict[str, Any]
+    code: int | None = None
+    """The exit code where it is neither 'the same' nor 'they differ'."""
+    on_terminal: int | None = None
+    """How many of the tables are shown there, from the first; None: all. The page has all."""
 
 
 def add_parser(commands: Any) -> None:
@@ -44,11 +56,19 @@ def add_parser(commands: Any) -> None:
         "compare",
         description="Two logs message by message, and the first step at which the two controllers "
         "part, with what each knew there; two records of --json (of two versions, strategies or "
-        "replays of a log) shift by shift; or two settings files. Exit code 1 where they differ "
-        "beyond the tolerances.",
+        "replays of a log) shift by shift; or two settings files, with --log by what they decide "
+        "in each shift of a log. Exit code 1 where they differ beyond the tolerances.",
     )
     parser.add_argument("a", type=Path, metavar="A", help="log, folder of logs, .json or .toml")
     parser.add_argument("b", type=Path, metavar="B", help="another one of the same kind")
+    parser.add_argument(
+        "--log",
+        type=Path,
+        metavar="LOG",
+        help="what controllers with the settings A and B decide in each shift of this log, and the "
+        "first step at which they part",
+    )
+    parser.add_argument("--header-dir", type=Path, metavar="DIR", help="where its run headers are")
     parser.add_argument(
         "--tolerance",
         action="append",
@@ -84,21 +104,36 @@ def run(namespace: argparse.Namespace) -> int:
         raise CommandError(f"{a} and {b}: allowed are two logs, two .json or two .toml")
     ignored = tuple(namespace.ignore) + (OF_A_RECORD if kind == "record" else ())
     allowed = Allowed(max(common, default=0.0), named, ignored)
-    compared = {"log": _logs, "record": _records, "settings": _settings}[kind](a, b, allowed)
-    title = f"{a} and {b}"
+    if namespace.log is not None:
+        compared = _decisions(namespace, kind, allowed)
+    else:
+        compared = _compared(kind, a, b, allowed)
+    title = f"{a} and {b}" + (f" on {namespace.log}" if namespace.log is not None else "")
+    _tell(namespace, title, compared)
+    if compared.code is not None:
+        return compared.code
+    return Exit.DONE if compared.is_same else Exit.FAILED
+
+
+def _compared(kind: str, a: Path, b: Path, allowed: Allowed) -> Compared:
+    return {"log": _logs, "record": _records, "settings": _settings}[kind](a, b, allowed)
+
+
+def _tell(namespace: argparse.Namespace, title: str, compared: Compared) -> None:
+    """Page, JSON and tables."""
     if namespace.report is not None:
         page = compared_page(f"meshpoint compare: {title}", compared.verdict, compared.tables)
         namespace.report.write_text(page, encoding="utf-8", newline="\n")
     if namespace.json is not None:
-        values = {"a": str(a), "b": str(b), "same": compared.is_same, **compared.values}
+        names = {"a": str(namespace.a), "b": str(namespace.b)}
+        values = {**names, "same": compared.is_same, **compared.values}
         write_json(namespace.json, values)
     out = console(namespace.json)
     if namespace.json != "-":
-        for heading, columns, rows in compared.tables:
+        for heading, columns, rows in compared.tables[: compared.on_terminal]:
             if rows:
                 out.print(compared_table(heading, columns, rows))
     out.print(compared.verdict, markup=False)
-    return Exit.DONE if compared.is_same else Exit.FAILED
 
 
 def _tolerance(text: str) -> tuple[str, float]:
@@ -132,6 +167,27 @@ def _settings(a: Path, b: Path, allowed: Allowed) -> Compared:
     found = list(differences(load_settings(a).values(), load_settings(b).values(), allowed))
     tables: Tables = [("Settings that differ (SI units)", ("setting", "A", "B"), _rows(found))]
     return Compared(not found, _verdict(len(found), "settings"), tables, {"settings": _json(found)})
+
+
+def _decisions(namespace: argparse.Namespace, kind: str, allowed: Allowed) -> Compared:
+    """Shift by shift what both settings decide, and what each knew where they part; the terminal
+    has the first parting alone."""
+    if kind != "settings":
+        raise CommandError(f"--log {namespace.log}: A and B must be two .toml")
+    decided = decide(namespace.a, namespace.b, namespace.log, namespace.header_dir, allowed)
+    tables: Tables = [("Shifts of the log as A and B decide them", COLUMNS, decided_rows(decided))]
+    for number, shift in enumerate(decided.shifts, 1):
+        if shift.parting is not None:
+            heading = knew_heading(number, shift.parting)
+            tables.append((heading, ("signal", "A", "B"), _knew_rows(*shift.parting.knew)))
+    count = decided.differing
+    verdict = f"of {len(decided.shifts)} shifts {count} differ" if count else _verdict(0, "shifts")
+    if decided.unfinished:
+        verdict += f"; {decided.unfinished} unfinished ones were not judged"
+    if decided.incomplete:
+        verdict += f"; {decided.incomplete}"
+    code = Exit.BAD_INPUT if decided.incomplete and not count else None
+    return Compared(not count, verdict, tables, decided_json(decided), code, on_terminal=2)
 
 
 def _records(a: Path, b: Path, allowed: Allowed) -> Compared:
@@ -223,12 +279,12 @@ def _parting(parting: CoreParting) -> Tables:
         f"The controllers part at step {parting.step} in {', '.join(parting.messages)}; what they "
         f"consumed: {inputs}. What each knew there"
     )
-    names = [*parting.a.knew, *(name for name in parting.b.knew if name not in parting.a.knew)]
-    rows: Rows = [
-        (name, _text(parting.a.knew.get(name, "-")), _text(parting.b.knew.get(name, "-")))
-        for name in names
-    ]
-    return [(heading, ("signal", "A", "B"), rows)]
+    return [(heading, ("signal", "A", "B"), _knew_rows(parting.a.knew, parting.b.knew))]
+
+
+def _knew_rows(a: dict[str, Any], b: dict[str, Any]) -> Rows:
+    names = [*a, *(name for name in b if name not in a)]
+    return [(name, _text(a.get(name, "-")), _text(b.get(name, "-"))) for name in names]
 
 
 def _parting_values(parting: CoreParting) -> dict[str, Any]:

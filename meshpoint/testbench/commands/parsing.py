@@ -25,6 +25,7 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "compare": (
         "meshpoint compare before.json after.json --tolerance duration_ms=5",
         "meshpoint compare a.log b.log --ignore 'Reference*' --report difference.html",
+        "meshpoint compare a.toml b.toml --log out/demo/speed_window.log",
     ),
     "replay": (
         "meshpoint replay out/demo/target_phase.log --verify",

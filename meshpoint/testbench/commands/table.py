@@ -66,7 +66,7 @@ SUMMARIES: Final = {
     "report": "would another strategy have met the gap more often in a recorded log",
     "identify": "brake, drag, delays, teeth of the gearbox that a log is of, as a data sheet",
     "tell": "a log in plain words, one line an event",
-    "compare": "two logs, two --json records, or two settings files",
+    "compare": "two logs, two --json records, or two settings files, also on a log",
     "up": "rig and controller in one terminal, until Ctrl-C",
     "controller": "the transmission controller as a node on a CAN bus",
     "rig": "the virtual gearbox as a node on a CAN bus",

@@ -140,7 +140,7 @@ class LogDifference:
                 int(status.get("step_time_us", 0)),
                 int(status.get("consumed_crc", 0)),
                 dict(sending),
-                _knew(sending),
+                known_in(sending),
             )
         )
         sending.clear()
@@ -153,23 +153,33 @@ class LogDifference:
         parting = self.parting
         if parting.inputs is None and a.consumed_crc != b.consumed_crc:
             parting.inputs = a.number
-        differing = []
-        for can_id in sorted(set(a.frames) | set(b.frames)):
-            was, now = a.frames.get(can_id), b.frames.get(can_id)
-            if was != now and self._differs(can_id, was, now):
-                differing.append(BY_ID[can_id][0])
+        differing = differing_messages(a.frames, b.frames, self._allowed)
         if differing:
-            parting.step, parting.messages = a.number, tuple(differing)
+            parting.step, parting.messages = a.number, differing
             parting.a, parting.b = a, b
 
-    def _differs(self, can_id: int, was: bytes | None, now: bytes | None) -> bool:
-        name = BY_ID[can_id][0]
-        if self._allowed.ignores(name) or can_id == STATUS_ID:
-            return False
-        if was is None or now is None:
-            return True
-        found = differences(_values(can_id, was), _values(can_id, now), self._allowed)
-        return any(not self._allowed.ignores(f"{name}.{one.path}") for one in found)
+
+def differing_messages(
+    a: dict[int, bytes], b: dict[int, bytes], allowed: Allowed
+) -> tuple[str, ...]:
+    """Names of what two controllers sent differently in a step, beyond what is allowed; frames by
+    identifier. The status says what was consumed and sent, and is not compared."""
+    return tuple(
+        BY_ID[can_id][0]
+        for can_id in sorted(set(a) | set(b))
+        if a.get(can_id) != b.get(can_id)
+        and _differs(can_id, a.get(can_id), b.get(can_id), allowed)
+    )
+
+
+def _differs(can_id: int, was: bytes | None, now: bytes | None, allowed: Allowed) -> bool:
+    name = BY_ID[can_id][0]
+    if allowed.ignores(name) or can_id == STATUS_ID:
+        return False
+    if was is None or now is None:
+        return True
+    found = differences(_values(can_id, was), _values(can_id, now), allowed)
+    return any(not allowed.ignores(f"{name}.{one.path}") for one in found)
 
 
 def _values(can_id: int, data: bytes) -> dict[str, Any]:
@@ -182,8 +192,8 @@ def _values(can_id: int, data: bytes) -> dict[str, Any]:
     }
 
 
-def _knew(frames: dict[int, bytes]) -> dict[str, Any]:
-    """Estimates, prediction and state of a step."""
+def known_in(frames: dict[int, bytes]) -> dict[str, Any]:
+    """Estimates, prediction and state of a step, from a controller's frames by identifier."""
     knew: dict[str, Any] = {}
     for kind in (ControllerEstimates, ShiftPrediction, ControllerStatus):
         can_id = CODECS[kind.__name__].spec.can_id

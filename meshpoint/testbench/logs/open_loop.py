@@ -104,6 +104,8 @@ class _Branch:
     record: ShiftRecord | None = None
     course: RecordedCourse = field(default_factory=RecordedCourse)
     parting: Parting | None = None
+    sent: list[tuple[float, list[Frame]]] = field(default_factory=list)
+    """Frames of each step, by ms since the request."""
     undriven: str = ""
     """What else than valves was commanded differently when the courses parted."""
 
@@ -113,6 +115,7 @@ class _Branch:
             self.core.receive(frame)
         made = self.core.step(time_us)
         self.record = self.core.running_shift or self.record
+        self.sent.append(((time_us - self.step_us) / 1000, made.frames))
         self.replayed.take(said(time_us, made.frames)._replace(events=tuple(made.events)))
 
     def part(self) -> None:
@@ -171,6 +174,12 @@ class OpenLoop:
         """By session, counted from 0, and the request's 32-bit sensor time."""
         self.unfinished = 0
         """Shifts under way where a session ended: they have no outcome in the log."""
+
+    @property
+    def steps_sent(self) -> list[tuple[float, list[Frame]]]:
+        """What the other controller has sent in the shift under way: ms since the request and
+        frames, step by step."""
+        return [] if self._branch is None else self._branch.sent
 
     def start(self, header: RunHeader, errors: dict[str, int]) -> None:
         """A session begins; `errors`: what is wrong with a user's own strategy is counted there."""
