@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from meshpoint.testbench.cli import main
+from meshpoint.testbench.commands import log_progress
 from meshpoint.testbench.commands.replay_rows import ReplayRows
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.logged_frames import expected_frames
@@ -111,3 +112,27 @@ def test_the_bar_s_length_is_about_the_number_of_frames(logs: Logs, tmp_path: Pa
     assert expected is not None
     assert 0.8 * lines < expected < 1.25 * lines
     assert expected_frames([tmp_path / "x.blf"]) is None
+
+
+@pytest.mark.parametrize(("bus", "expected"), [(None, 600), (None, 10**6), ("virtual", 600)])
+def test_the_bar_counts_each_frame_once_and_never_past_its_total(
+    logs: Logs, monkeypatch: pytest.MonkeyPatch, bus: str | None, expected: int
+) -> None:
+    shown: list[tuple[int, int | None]] = []
+
+    class Shown(log_progress.Progress):
+        def update(self, task_id: Any, **values: Any) -> None:
+            super().update(task_id, **values)
+            shown.append((values["completed"], self.tasks[0].total))
+
+    monkeypatch.setattr(log_progress, "Progress", Shown)
+    monkeypatch.setattr(log_progress, "expected_frames", lambda _: expected)
+    with log_progress.logged_frames([logs[SHORT]], bus, lambda: False) as read:
+        frames = sum(1 for _ in read)
+    counts = [count for count, _ in shown]
+    assert counts == sorted(counts)
+    assert counts[-1] == frames > 600
+    if bus is None:
+        assert [total for _, total in shown] == [max(count, expected) for count in counts]
+    else:
+        assert {total for _, total in shown} == {None}

@@ -22,7 +22,10 @@ from meshpoint.testbench.results.output import complain, console
 def logged_frames(
     files: list[Path], bus: str | None, stop: Callable[[], bool], doing: str = "replaying"
 ) -> Iterator[LoggedFrames]:
-    """The frames of a log, shown on standard error as they are read."""
+    """The frames of a log, shown on standard error as they are read. How many there are is an
+    estimate: once more were read, their number is the total. Of one bus of several it is not known.
+    """
+    expected = expected_frames(files) if bus is None else None
     with Progress(
         SpinnerColumn(),
         TextColumn(doing),
@@ -32,8 +35,13 @@ def logged_frames(
         console=console("-"),
         transient=True,
     ) as progress:
-        task = progress.add_task("frames", total=expected_frames(files))
-        yield LoggedFrames(files, bus, lambda frames: progress.update(task, completed=frames), stop)
+        task = progress.add_task("frames", total=expected)
+
+        def tell(frames: int) -> None:
+            total = None if expected is None else max(expected, frames)
+            progress.update(task, completed=frames, total=total)
+
+        yield LoggedFrames(files, bus, tell, stop)
 
 
 def complain_of_interrupt(frames: int) -> None:

@@ -29,8 +29,8 @@ class LoggedFrames:
         tell: Callable[[int], None],
         stop: Callable[[], bool],
     ) -> None:
-        """bus: the one to read of several. tell: how many frames were read, now and then. stop:
-        whether it shall end here, as Ctrl-C asks for."""
+        """bus: the one to read of several. tell: how many frames were read, now and then and at the
+        end. stop: whether it shall end here, as Ctrl-C asks for."""
         self._files = files
         self._bus = bus
         self._tell = tell
@@ -57,6 +57,7 @@ class LoggedFrames:
             if not self.frames:
                 raise
             self.defect = error
+        self._tell(self.frames)
 
 
 def expected_frames(files: list[Path]) -> int | None:
