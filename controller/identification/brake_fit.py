@@ -108,7 +108,7 @@ def fit(courses: list[Course], sheet: GearboxSheet, is_choked: bool, omega_ref: 
         omega = omega + np.array([one(step) for one in own])
         if iteration > DOUBTING and np.max(np.abs(step) / prior.sd) < CONVERGED:
             break
-    used = (heed > 0.0).astype(np.float64)
+    used = heed > 0.0
     parts = [part for part, share in zip(parts, heed, strict=True) if share > 0.0]
     without = np.array([_without(at, normal, right, part) for part in parts])
     misfit = sum(part.squares for part in parts) / max(1, sum(part.values for part in parts))
