@@ -99,7 +99,7 @@ def test_the_page_has_the_same_groups_the_luck_and_a_word_on_few_shifts() -> Non
     run = ReportRun("target_phase", collector.finish())
     groups = compare({run.name: [shift.row for shift in run.shifts]})
     assert {group.kind for group in groups} == {LEARNING, AIMED_KIND}
-    text = page(Report("few", "", SHEET, [run], {}), {}, "")
+    text = page(Report("few", "", SHEET, [run], {}), {"shifts": {}}, "")
     for group in groups:
         assert f"{group.gap} of {group.shifts}" in text
     assert "gap over pitch" in text and "Small sample" in text
