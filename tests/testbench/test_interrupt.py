@@ -6,6 +6,7 @@ import json
 import signal
 import sys
 import threading
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,15 @@ def test_campaign_keeps_the_finished_runs(tmp_path: Path) -> None:
     assert f"interrupted: {result['runs']} of 1000 runs done" in command.said
 
 
+@pytest.fixture
+def usual_interrupt() -> Iterator[None]:
+    """Ctrl-C as in a terminal: a shell starts what runs in the background with it ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("usual_interrupt")
 def test_the_first_interrupt_is_noted_and_the_second_acts_as_usual() -> None:
     with interruptible() as interrupted:
         assert not interrupted()
