@@ -11,11 +11,10 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
-from meshpoint.bus.core import Step
+from meshpoint.bus.core import AroundCore, Step
 from meshpoint.controller.calibration.file import save
 from meshpoint.controller.calibration.learned import Calibration, CalibrationError, read_calibration
 from meshpoint.controller.core import ControllerCore
-from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 
 Keep = Callable[[Calibration], str | None]
@@ -24,24 +23,15 @@ LAST_S: Final = 5.0
 """The end of a node waits for its last writing no longer than this."""
 
 
-class CalibrationKeeper:
+class CalibrationKeeper(AroundCore[ControllerCore]):
     """A controller core that hands its calibration out whenever it knows more."""
 
     def __init__(self, core: ControllerCore, keep: Keep, written: Callable[[int], str]) -> None:
         """`written` says in words when it is, of the driver's clock in microseconds."""
-        self._core = core
+        super().__init__(core)
         self._keep = keep
         self._written = written
         self._knows = core.knows
-
-    def receive(self, frame: Frame) -> None:
-        """As the core does."""
-        self._core.receive(frame)
-
-    @property
-    def next_step_us(self) -> int:
-        """As the core says."""
-        return self._core.next_step_us
 
     def step(self, now_us: int) -> Step:
         """The core's step; after it the calibration where more is known."""

@@ -18,6 +18,7 @@ from meshpoint.controller.calibration.learned import Calibration, read_calibrati
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.strategy_file import FORM, StrategyFile, is_file_name
 from meshpoint.dbc import DBC_SHA256
+from meshpoint.dbc.messages import ControllerStatus
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.reading import UnreadableError, read_bounded
 from meshpoint.gearbox.sheet import sheet_from_canonical
@@ -93,6 +94,11 @@ def architecture() -> str:
     """What floating point may depend on: machine and Python's minor version."""
     major, minor, _ = platform.python_version_tuple()
     return f"{platform.machine()} python {major}.{minor}"
+
+
+def run_hash_of(status: ControllerStatus) -> int:
+    """The run hash that a status frame tells, in two words."""
+    return status.run_hash_high << 32 | status.run_hash_low
 
 
 def header_name(run_hash: int) -> str:

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import IO, Any, Final, NamedTuple
 
-from meshpoint.bus.core import Core, Step
+from meshpoint.bus.core import AroundCore, Core, Step
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox.reading import read_text
 
@@ -39,7 +39,7 @@ class StepInput(NamedTuple):
     frames: list[Frame]
 
 
-class OutageRecord:
+class OutageRecord(AroundCore[Core]):
     """A core with its memory of the newest steps, which it writes where frames were not sent."""
 
     def __init__(
@@ -47,7 +47,7 @@ class OutageRecord:
     ) -> None:
         """folder: of the run header. discarded: how many frames the driver could not send so
         far."""
-        self._core = core
+        super().__init__(core)
         self._folder, self._run_hash = folder, run_hash
         self._discarded = discarded
         self._discarded_before = 0
@@ -61,11 +61,6 @@ class OutageRecord:
         """As the core does; kept."""
         self._heard.append(frame)
         self._core.receive(frame)
-
-    @property
-    def next_step_us(self) -> int:
-        """As the core says."""
-        return self._core.next_step_us
 
     def step(self, now_us: int) -> Step:
         """The core's step; lines of its own where a record begins or ends."""

@@ -114,6 +114,10 @@ class Aim:
     target_rad_share: float = quantity("target_percent_of_gap", -90.0, 90.0, 0.01, default=0.0)
     """Target angle as a signed share of half a gap; 0: its middle."""
 
+    def target_rad(self, backlash_rad: float) -> float:
+        """The target angle in a gap of this width."""
+        return self.target_rad_share * (backlash_rad / 2.0)
+
 
 @dataclass(frozen=True)
 class Prices:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from enum import IntEnum
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from meshpoint.dbc.e2e import (
     COUNTER_MODULUS,
@@ -47,6 +47,17 @@ class FrameVerdict(IntEnum):
     """The counter of the frame before."""
     WRONG_SEQUENCE = 6
     """Too many frames lost in between, or out of order."""
+
+
+def read_alone(codec: Codec, frame: Frame) -> Any:
+    """The message of a frame that is looked at by itself, whatever its counter: None where it is
+    another one, its length or CRC is wrong, or a value is out of the DBC's range."""
+    spec = codec.spec
+    if frame.can_id != spec.can_id or len(frame.data) != spec.length:
+        return None
+    if spec.data_id is not None and not check_crc(frame.data, spec.data_id):
+        return None
+    return codec.decode(frame.data)
 
 
 class Received(NamedTuple):

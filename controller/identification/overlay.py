@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from meshpoint.controller.identification.identify import Identified
+from meshpoint.controller.identification.identified import Identified
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import MAIN_GEARS
 

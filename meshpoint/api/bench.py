@@ -9,9 +9,11 @@ from typing import Any, NamedTuple, Self
 from meshpoint.api.choices import AsBuilt, PathLike, Strategy, load_settings, setup_of
 from meshpoint.api.watching import DEFAULT_TIMEOUT_S, ShiftError, Watching
 from meshpoint.bus.core import Core, Step
-from meshpoint.bus.logs.files import open_log
+from meshpoint.bus.logs.files import RotatingLog, open_log
+from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.bus.settle import settle
 from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.node import Node
@@ -90,11 +92,7 @@ class Bench(Watching):
         self.controller = _Stepped(ControllerCore(header) if controller is None else controller)
         self._log = None
         if log is not None:
-            path = Path(log)
-            folder_for(path.parent)
-            self._log = open_log(str(path), channel=LOG_CHANNEL, by_frame_time=True)
-            if controller is None:
-                header.save(self._log.path.parent)
+            self._log = open_recording(log, header if controller is None else None)
         self.events: list[Event] = []
         """What the nodes have said, in order."""
         cores: list[Core] = [self.controller, rig, self._operator]
@@ -201,6 +199,17 @@ class _Stepped:
         self.last = self.core.step(now_us)
         self.steps += 1
         return self.last
+
+
+def open_recording(log: PathLike, header: RunHeader | None) -> LogWriter | RotatingLog:
+    """The log of a run in virtual time, in a folder that is made where there is none; beside it the
+    header of a controller of ours."""
+    path = Path(log)
+    folder_for(path.parent)
+    writer = open_log(str(path), channel=LOG_CHANNEL, by_frame_time=True)
+    if header is not None:
+        header.save(writer.path.parent)
+    return writer
 
 
 def rig_settings(setup: Setup, gear: int) -> RigSettings:

@@ -19,14 +19,12 @@ from meshpoint.api.choices import PathLike, load_settings, setup_of
 from meshpoint.api.watching import DEFAULT_TIMEOUT_S, ShiftError, Watching
 from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.options import IN_PROCESS, add_bus_arguments, open_bus_from
-from meshpoint.controller.header import new_header
 from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE
 from meshpoint.testbench.errors import RunError
 from meshpoint.testbench.loop.bench import PATIENCE_US
 from meshpoint.testbench.loop.live import NODE_NAMES, LiveRun, LiveSession, live_session
 from meshpoint.testbench.results.output import folder_for
-from meshpoint.testbench.version import product_version
 
 POLL_S: Final = 0.02
 SHIFT_LIMIT_US: Final = 6 * PATIENCE_US
@@ -86,7 +84,7 @@ class LiveBench(Watching):
         self._folder = tempfile.TemporaryDirectory(prefix="meshpoint-")
         self.log = Path(self._folder.name) / "run.log" if log is None else Path(log)
         """Where the bus is recorded."""
-        header = new_header(product_version(), setup.sheet, chosen)
+        header = setup.header
         header.save(folder_for(self.log.parent))
         bus = [*_bus(interface, channel, Path(self._folder.name)), *bus_arguments]
         self._run = LiveRun(

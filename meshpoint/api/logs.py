@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from meshpoint.api.choices import PathLike, load_gearbox
 from meshpoint.bus.logs.files import log_files, read_logs
-from meshpoint.controller.header import HeaderError, RunHeader, load_header
+from meshpoint.controller.header import HeaderError, RunHeader, load_header, run_hash_of
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.fields import FieldKind, FieldSpec
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.layout import CODECS, Codec
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.messages import ControllerStatus, Message
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import TableError
@@ -95,7 +95,7 @@ class Log:
             raise KeyError(f"{name}: no message of the DBC; `meshpoint dbc` lists them")
         codec, times_s, found = CODECS[name], [], []
         for time_s, frame in self:
-            message = _decoded(codec, frame)
+            message = read_alone(codec, frame)
             if message is not None:
                 times_s.append(time_s)
                 found.append(message)
@@ -112,10 +112,9 @@ class Log:
         HeaderError where there is none."""
         codec = CODECS[ControllerStatus.__name__]
         for _, frame in self:
-            status = _decoded(codec, frame)
+            status = read_alone(codec, frame)
             if status is not None:
-                run_hash = status.run_hash_high << 32 | status.run_hash_low
-                return load_header(self._headers, run_hash)
+                return load_header(self._headers, run_hash_of(status))
         raise HeaderError(f"{self.files[0]}: holds no controller status frame")
 
     def shifts(self, gearbox: PathLike | GearboxSheet | None = None) -> list[ShiftRow]:
@@ -137,8 +136,9 @@ class Log:
         """Writes a page with every shift's traces (HTML, offline), and returns where. gearbox: as
         in `shifts`."""
         sheet, settings = self._sheet(gearbox)
-        aim_rad = settings.aim.target_rad_share * sheet.dog.backlash_rad / 2.0
-        collector = ReportCollector(sheet, aim_rad, settings)
+        collector = ReportCollector(
+            sheet, settings.aim.target_rad(sheet.dog.backlash_rad), settings
+        )
         for _, frame in self:
             collector.receive(frame)
         report = Report(
@@ -160,16 +160,6 @@ class Log:
             return self.header.sheet, self.header.settings
         except HeaderError as error:
             raise TableError(f"{error}; gearbox= names the data sheet") from error
-
-
-def _decoded(codec: Codec, frame: Frame) -> Any:
-    """The message, or None where the frame is another or damaged."""
-    spec = codec.spec
-    if frame.can_id != spec.can_id or len(frame.data) != spec.length:
-        return None
-    if spec.data_id is not None and not check_crc(frame.data, spec.data_id):
-        return None
-    return codec.decode(frame.data)
 
 
 def _column(pa: Any, field: FieldSpec, values: list[Any]) -> Any:

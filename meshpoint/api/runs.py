@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from meshpoint.api.bench import LOG_CHANNEL
+from meshpoint.api.bench import open_recording
 from meshpoint.api.choices import (
     AsBuilt,
     PathLike,
@@ -20,7 +20,6 @@ from meshpoint.api.choices import (
     setup_of,
 )
 from meshpoint.api.logs import Log, load_arrow, shifts_table
-from meshpoint.bus.logs.files import open_log
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.strategy_file import StrategyFile
@@ -41,7 +40,6 @@ from meshpoint.testbench.logs.replay_strategy import Chosen, other_header, recor
 from meshpoint.testbench.loop.schedules import Pairs, check_preset
 from meshpoint.testbench.loop.simulate import Result
 from meshpoint.testbench.loop.simulate import simulate as run_simulation
-from meshpoint.testbench.results.output import folder_for
 from meshpoint.testbench.results.rows import ShiftRow, Summary, summarise
 
 if TYPE_CHECKING:
@@ -104,11 +102,8 @@ def simulate(
     with ExitStack() as stack:
         writer = None
         if log is not None:
-            path = Path(log)
-            folder_for(path.parent)
-            writer = open_log(str(path), channel=LOG_CHANNEL, by_frame_time=True)
+            writer = open_recording(log, setup.header)
             stack.enter_context(writer)
-            setup.header.save(writer.path.parent)
 
         def on_frame(time_us: int, frame: Frame) -> None:
             if writer is not None:

@@ -10,9 +10,9 @@ from typing import Any, Self, TypeVar
 
 from meshpoint.api.choices import PathLike
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.messages import (
     ControllerState,
     ControllerStatus,
@@ -91,12 +91,8 @@ class Watching(ABC):
         """The newest message of a type of `meshpoint.messages`; None where none has come."""
         codec = CODECS[kind.__name__]
         frame = self._latest.get(codec.spec.can_id)
-        if frame is None or len(frame.data) != codec.spec.length:
-            return None
-        if codec.spec.data_id is not None and not check_crc(frame.data, codec.spec.data_id):
-            return None
-        message: M | None = codec.decode(frame.data)
-        return message
+        message = None if frame is None else read_alone(codec, frame)
+        return message if isinstance(message, kind) else None
 
     def _see(self, frame: Frame) -> None:
         """A frame in bus order."""

@@ -1,6 +1,6 @@
 """What a core looks like to the drivers that run it: sans-I/O, no clock, no randomness."""
 
-from typing import NamedTuple, Protocol
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 from meshpoint.dbc.frame import Frame
 
@@ -31,3 +31,31 @@ class Core(Protocol):
 
     def shutdown(self, now_us: int) -> Step:
         """The last frames of this node (valves off). It is not stepped any more."""
+
+
+C = TypeVar("C", bound=Core)
+
+
+class AroundCore(Generic[C]):
+    """A core around another one that lets everything through: what stands around a core derives
+    from it, and says only what it does otherwise."""
+
+    def __init__(self, core: C) -> None:
+        self._core = core
+
+    def receive(self, frame: Frame) -> None:
+        """As the core inside."""
+        self._core.receive(frame)
+
+    @property
+    def next_step_us(self) -> int:
+        """As the core inside."""
+        return self._core.next_step_us
+
+    def step(self, now_us: int) -> Step:
+        """As the core inside."""
+        return self._core.step(now_us)
+
+    def shutdown(self, now_us: int) -> Step:
+        """As the core inside."""
+        return self._core.shutdown(now_us)

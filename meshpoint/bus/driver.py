@@ -14,7 +14,7 @@ import can
 
 from meshpoint.bus.clock import NodeClock
 from meshpoint.bus.core import Core
-from meshpoint.bus.frames import frame_of
+from meshpoint.bus.frames import frame_of, message_of
 from meshpoint.bus.kernel_drops import lost_frames
 from meshpoint.bus.reception import Reception, receive_from
 from meshpoint.bus.statistics import NodeStatistics
@@ -232,7 +232,7 @@ class _Node:
                 counts.frames_discarded += len(frames) - index
                 return
             try:
-                self._bus.send(_message(frame), timeout_s)
+                self._bus.send(message_of(frame), timeout_s)
             except (can.CanError, OSError) as error:
                 if not _only_this_frame(error):
                     counts.frames_discarded += 1
@@ -330,17 +330,6 @@ async def _close(bus: can.BusABC, reception: Reception) -> None:
     await reception.stop()
     with suppress(can.CanError, OSError):  # a broken bus may fail to close properly
         await asyncio.to_thread(bus.shutdown)
-
-
-def _message(frame: Frame) -> can.Message:
-    return can.Message(
-        arbitration_id=frame.can_id,
-        is_extended_id=frame.is_extended,
-        data=frame.data,
-        is_fd=frame.is_fd,
-        bitrate_switch=frame.is_fd,
-        is_rx=False,
-    )
 
 
 def _only_this_frame(error: Exception) -> bool:

@@ -29,6 +29,7 @@ from meshpoint.gearbox.tables import (
     counts,
     group,
     load_toml,
+    merged_tables,
     quantity,
     read_group,
     read_values,
@@ -400,18 +401,8 @@ def _tables(path: Path, overlays: int) -> dict[str, Any]:
     if base in SHEET_NAMES:
         source = resources.files("meshpoint.gearbox") / "sheets" / f"{base}.toml"
         with resources.as_file(source) as below:
-            return _laid_over(load_toml(below), tables)
-    return _laid_over(_tables(path.parent / base, overlays - 1), tables)
-
-
-def _laid_over(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """Tables with what is in `above` in place of the same key in `below`."""
-    laid = dict(below)
-    for key, value in above.items():
-        under = laid.get(key)
-        both = isinstance(value, dict) and isinstance(under, dict)
-        laid[key] = _laid_over(under, value) if both else value  # type: ignore[arg-type]
-    return laid
+            return merged_tables(load_toml(below), tables)
+    return merged_tables(_tables(path.parent / base, overlays - 1), tables)
 
 
 def sheet_from_canonical(values: dict[str, Any]) -> GearboxSheet:

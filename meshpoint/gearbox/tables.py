@@ -253,3 +253,15 @@ def group(cls: type, **default: Any) -> Any:
 def to_table(values: Any) -> dict[str, Any]:
     """The dataclass as plain values under its attribute names (SI): for hashing and reports."""
     return dataclasses.asdict(values)
+
+
+def merged_tables(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
+    """`above` wins, key by key; tables are merged."""
+    both = dict(below)
+    for key, value in above.items():
+        inner = both.get(key)
+        if isinstance(inner, dict) and isinstance(value, dict):
+            both[key] = merged_tables(inner, value)
+        else:
+            both[key] = value
+    return both

@@ -22,7 +22,7 @@ from meshpoint.bus.diagnosis.core import DiagnosedCore
 from meshpoint.bus.diagnosis.diagnostic_messages import DM2, DiagnosticMessages
 from meshpoint.bus.diagnosis.transport import IsoTp
 from meshpoint.bus.diagnosis.trouble_codes import FAILURE_MODE, FIRST_SPN, TroubleMemory
-from meshpoint.bus.frames import frame_of
+from meshpoint.bus.frames import frame_of, message_of
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import ControllerStatus, FaultCode
@@ -78,14 +78,7 @@ class Running:
             if now_us < self.core.next_step_us:
                 continue
             for frame in self.core.step(now_us).frames:
-                self._bus.send(
-                    can.Message(
-                        arbitration_id=frame.can_id,
-                        data=frame.data,
-                        is_fd=frame.is_fd,
-                        bitrate_switch=frame.is_fd,
-                    )
-                )
+                self._bus.send(message_of(frame))
 
     def end(self) -> None:
         self._stop.set()

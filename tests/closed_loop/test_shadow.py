@@ -12,12 +12,12 @@ from loop_bench import SHEET, Loop
 
 from meshpoint.bus.clock import Clock
 from meshpoint.bus.driver import run_node
+from meshpoint.bus.frames import message_of
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.bus.options import LISTEN_ONLY, listen_only_words, open_bus_from
 from meshpoint.controller.core import OWN_ADDRESS
 from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement, SleevesMain
 from meshpoint.dbc.node import Node
@@ -108,7 +108,7 @@ def test_a_live_shadow_puts_no_frame_on_the_bus(production: Loop) -> None:
         )
         while not lines:
             for _, frame in production.frames[:200]:
-                other.send(as_message(frame))
+                other.send(message_of(frame))
             await asyncio.sleep(0.05)
             if core.frames:
                 stop.set()
@@ -123,15 +123,6 @@ def test_a_live_shadow_puts_no_frame_on_the_bus(production: Loop) -> None:
     heard, sent, lines = asyncio.run(run())
     assert (heard, sent) == (0, 0)
     assert "sent nothing" in lines[-1]
-
-
-def as_message(frame: Frame) -> can.Message:
-    return can.Message(
-        arbitration_id=frame.can_id,
-        data=frame.data,
-        is_fd=frame.is_fd,
-        is_extended_id=frame.is_extended,
-    )
 
 
 @pytest.mark.parametrize("interface", sorted(LISTEN_ONLY))

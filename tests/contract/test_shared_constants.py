@@ -62,7 +62,7 @@ REASONS: Final = {
     "valve_switches.py: AHEAD_US": "wire contract: the earliest a valve's activation may come",
     "brake_course.py: CRITICAL": "published: b of ISO 6358; fitting begins there",
     "brake_course.py: LAMINAR_FROM": "numerics: where the root of ISO 6358 becomes a straight line",
-    "identify.py: SENSOR_GAIN_SD": "published: 1 % is the usual class of such sensors",
+    "brake_figures.py: SENSOR_GAIN_SD": "published: 1 % is the usual class of such sensors",
     "brake_fit.py: CHANCE_RAD2_S3": "chance: the rig's are a drag factor and a correlation",
     "brake_fit.py: ITERATIONS": COUNT,
     "brake_course.py: BY_SPEED": COUNT,

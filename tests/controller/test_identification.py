@@ -11,7 +11,8 @@ import pytest
 from meshpoint.controller.identification.brake_course import P, make_course
 from meshpoint.controller.identification.brake_fit import fit
 from meshpoint.controller.identification.clutch_fit import touch_of
-from meshpoint.controller.identification.identify import Figure, Identified, identify
+from meshpoint.controller.identification.identified import Figure, Identified
+from meshpoint.controller.identification.identify import identify
 from meshpoint.controller.identification.jackknife import jackknife_sd, scatter_interval
 from meshpoint.controller.identification.log_reader import (
     Closing,

@@ -19,6 +19,7 @@ from live_command import live
 from patience import until
 
 import meshpoint.testbench.commands.check as command
+from meshpoint.bus.frames import message_of
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.dbc.messages import EdgesInputRise, EdgesLayshaftRise, EdgesMainRise, GearboxSensors
@@ -48,16 +49,10 @@ def driving() -> list[Timed]:
     return frames
 
 
-def message(time_s: float, frame: Frame) -> can.Message:
-    return can.Message(
-        timestamp=time_s, arbitration_id=frame.can_id, data=frame.data, is_fd=frame.is_fd
-    )
-
-
 def heard(frames: list[Timed], sheet=SHEET) -> Listener:
     listener = Listener(sheet)
     for time_s, frame in frames:
-        listener.take(time_s, message(time_s, frame))
+        listener.take(time_s, message_of(frame, time_s))
     return listener
 
 

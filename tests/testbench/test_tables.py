@@ -18,7 +18,7 @@ import meshpoint.testbench
 from meshpoint.controller.calibration.file import read_file
 from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.identification.held_out import HeldOut
-from meshpoint.controller.identification.identify import Figure
+from meshpoint.controller.identification.identified import Figure
 from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import load_sheet

@@ -76,7 +76,7 @@ class TargetPhase:
         self._brake_nm_per_pa = sheet.brake_nm_per_pa
         self._overlap_s = sheet.dog.most_overlap_m / sheet.sleeve.contact_speed_m_s
         self._reference_variance = REFERENCE_SD_RAD**2
-        self._target_rad = settings.aim.target_rad_share * (sheet.dog.backlash_rad / 2.0)
+        self._target_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
         self._settle_us = settle_time_us(sheet, window.aim_time_constants)
 
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:

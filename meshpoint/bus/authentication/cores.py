@@ -7,28 +7,23 @@ from operator import itemgetter
 
 from meshpoint.bus.authentication.keys import CommandKeys
 from meshpoint.bus.authentication.proof import CommandProver, CommandVerifier
-from meshpoint.bus.core import Core, Step
+from meshpoint.bus.core import AroundCore, Core, Step
 from meshpoint.dbc.frame import Frame
 
 _identifier = itemgetter(0)
 
 
-class ProvingCore:
+class ProvingCore(AroundCore[Core]):
     """Sends the proof of its core's commands behind them."""
 
     def __init__(self, core: Core, keys: CommandKeys) -> None:
-        self._core = core
+        super().__init__(core)
         self._prover = CommandProver(keys)
 
     def receive(self, frame: Frame) -> None:
         """As the core does; challenges are noted on the way."""
         self._prover.hear(frame)
         self._core.receive(frame)
-
-    @property
-    def next_step_us(self) -> int:
-        """As the core says."""
-        return self._core.next_step_us
 
     def step(self, now_us: int) -> Step:
         """The core's frames and the proof, in order of bus priority."""
@@ -45,11 +40,11 @@ class ProvingCore:
         return Step(sorted([*step.frames, proof], key=_identifier), step.events)
 
 
-class VerifyingCore:
+class VerifyingCore(AroundCore[Core]):
     """Hands its core commands that are proven, and everything else; sends challenges."""
 
     def __init__(self, core: Core, keys: CommandKeys, draw: Callable[[], int]) -> None:
-        self._core = core
+        super().__init__(core)
         self.verifier = CommandVerifier(keys, draw)
         self._refused_told = 0
 
@@ -57,11 +52,6 @@ class VerifyingCore:
         """Commands wait here for their proof."""
         for passed in self.verifier.receive(frame):
             self._core.receive(passed)
-
-    @property
-    def next_step_us(self) -> int:
-        """As the core says."""
-        return self._core.next_step_us
 
     def step(self, now_us: int) -> Step:
         """The core's step, and a challenge where one is due."""
@@ -73,7 +63,3 @@ class VerifyingCore:
             new, self._refused_told = refused - self._refused_told, refused
             events = [*events, f"{new} proofs of commands refused: forged, late or damaged"]
         return Step(step.frames if challenge is None else [*step.frames, challenge], events)
-
-    def shutdown(self, now_us: int) -> Step:
-        """As the core does."""
-        return self._core.shutdown(now_us)

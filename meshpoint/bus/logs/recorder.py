@@ -14,6 +14,7 @@ import can
 from meshpoint.bus.clock import US_PER_S, Clock
 from meshpoint.bus.core import Step
 from meshpoint.bus.driver import OnEvent, OpenBus, run_node
+from meshpoint.bus.frames import message_of
 from meshpoint.bus.local.closing import Closing
 from meshpoint.bus.logs.limits import FORMATS, LogError
 from meshpoint.dbc.frame import Frame
@@ -72,17 +73,7 @@ class LogWriter(Closing):
 
     def write(self, time_s: float, frame: Frame, received: bool = True) -> None:
         """Writes a frame; `received` is false for one that the recording node sent itself."""
-        self.write_message(
-            can.Message(
-                timestamp=time_s,
-                arbitration_id=frame.can_id,
-                is_extended_id=frame.is_extended,
-                data=frame.data,
-                is_fd=frame.is_fd,
-                bitrate_switch=frame.is_fd,
-                is_rx=received,
-            )
-        )
+        self.write_message(message_of(frame, time_s, received))
 
     def write_message(self, message: can.Message) -> None:
         """Writes a message of a bus, with its time stamp. Changes the name of its channel when

@@ -80,8 +80,7 @@ class ClosedLoop:
         self._made = 0
         self._controller = ControllerCore(new_header(product_version(), sheet, settings))
         self._bench = BenchCore(list(drawn.plan), PAUSES)
-        half_gap = sheet.dog.backlash_rad / 2.0
-        self._scorer = Scorer(sheet, settings.aim.target_rad_share * half_gap)
+        self._scorer = Scorer(sheet, settings.aim.target_rad(sheet.dog.backlash_rad))
         cores: list[Core] = [self._controller, self._rig, self._bench, self._scorer]
         self._driver = VirtualTime(
             cores,

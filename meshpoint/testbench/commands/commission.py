@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from meshpoint.bus.clock import Clock
-from meshpoint.bus.core import Step
+from meshpoint.bus.core import AroundCore, Step
 from meshpoint.bus.driver import run_node
 from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.options import add_bus_arguments, open_bus_from
 from meshpoint.bus.signals import stop_on_signals
-from meshpoint.dbc.frame import Frame
+from meshpoint.controller.node import ADDRESSES
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.keys import groups_of, to_toml
 from meshpoint.testbench.check.finding import Finding, answer
@@ -103,7 +103,7 @@ async def _on_bus(namespace: argparse.Namespace, guided: _Guided) -> None:
             on_event=complain,
             stop=stop,
             name="commission",
-            own_addresses=frozenset({0x03}),
+            own_addresses=ADDRESSES,
         )
 
 
@@ -113,23 +113,14 @@ async def _ask() -> bool:
     return line.strip().lower() in ("y", "yes")
 
 
-class _Guided:
+class _Guided(AroundCore[CommissionCore]):
     """The core, and a person who is asked; ends when all is done."""
 
     def __init__(self, core: CommissionCore, ask: Callable[[], Any] | None) -> None:
-        self._core = core
+        super().__init__(core)
         self._ask = ask
         self._asking: asyncio.Task[bool] | None = None
         self.stop: asyncio.Event | None = None
-
-    def receive(self, frame: Frame) -> None:
-        """As the core does."""
-        self._core.receive(frame)
-
-    @property
-    def next_step_us(self) -> int:
-        """As the core's."""
-        return self._core.next_step_us
 
     def step(self, now_us: int) -> Step:
         """The core's step; then the person, and the end."""
@@ -145,10 +136,6 @@ class _Guided:
         elif core.is_asking and self._asking is None:
             self._asking = asyncio.ensure_future(self._ask())
         return step
-
-    def shutdown(self, now_us: int) -> Step:
-        """All valves off."""
-        return self._core.shutdown(now_us)
 
 
 def _rehearse(namespace: argparse.Namespace, sheet: GearboxSheet) -> int:

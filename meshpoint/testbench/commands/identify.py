@@ -13,7 +13,8 @@ from rich.table import Table
 
 from meshpoint.bus.logs.files import log_files
 from meshpoint.controller.identification.held_out import HeldOut
-from meshpoint.controller.identification.identify import Figure, Identified, identify
+from meshpoint.controller.identification.identified import Figure, Identified
+from meshpoint.controller.identification.identify import identify
 from meshpoint.controller.identification.log_reader import LogReader
 from meshpoint.controller.identification.overlay import overlay
 from meshpoint.gearbox import GearboxSheet, load_sheet

@@ -8,20 +8,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from meshpoint.bus.core import Core, Step
+from meshpoint.bus.core import AroundCore, Core, Step
 from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.dbc.messages import (
-    EdgesInputFall,
-    EdgesInputRise,
-    EdgesLayshaftFall,
-    EdgesLayshaftRise,
-    EdgesMainFall,
-    EdgesMainRise,
-    EdgesPropellerFall,
-    EdgesPropellerRise,
     Message,
     ValveAction,
     ValveCommand,
@@ -32,7 +24,7 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.testbench.check.finding import Finding, Verdict
-from meshpoint.testbench.check.shafts import Shaft, ShaftCounts
+from meshpoint.testbench.check.shafts import EDGES, Shaft, ShaftCounts
 from meshpoint.testbench.commission.core import CommissionCore
 from meshpoint.testbench.commission.verdict import judge_outputs, judge_wheels
 from meshpoint.testbench.loop.virtual_time import VirtualTime
@@ -43,12 +35,7 @@ LIMIT_US: Final = 120_000_000
 MAIN_RPM: Final = 600.0
 LEVEL: Final = {"vehicle.slope_percent": 0.0}
 """The rig has no parking brake: on a slope its truck would roll."""
-EDGES_OF: Final[dict[Shaft, tuple[type[Message], type[Message]]]] = {
-    Shaft.INPUT: (EdgesInputRise, EdgesInputFall),
-    Shaft.LAYSHAFT: (EdgesLayshaftRise, EdgesLayshaftFall),
-    Shaft.MAIN: (EdgesMainRise, EdgesMainFall),
-    Shaft.PROPELLER: (EdgesPropellerRise, EdgesPropellerFall),
-}
+EDGES_OF: Final = {place: message for message, place in EDGES.items()}
 VALVES: Final = CODECS[ValveCommand.__name__]
 
 
@@ -110,11 +97,11 @@ def draw_miswiring(seed: int, share: float = MISWIRED_SHARE) -> Miswiring:
     return Miswiring(sensors=(shafts[int(a)], shafts[int(b)]))
 
 
-class MiswiredRig:
+class MiswiredRig(AroundCore[RigCore]):
     """A rig whose wires are crossed behind the valve drivers' names and before the sensors'."""
 
     def __init__(self, rig: RigCore, wrong: Miswiring) -> None:
-        self._rig = rig
+        super().__init__(rig)
         self._wrong = wrong
         self._commands = Receiver(Node.GEARBOX_IO)
         self._inner = Transmitter(Node.TRANSMISSION_CONTROL)
@@ -122,23 +109,19 @@ class MiswiredRig:
         self._outer = Transmitter(Node.GEARBOX_IO)
         self._swap: dict[type[Message], type[Message]] = {}
         if wrong.sensors is not None:
-            a, b = (EDGES_OF[shaft] for shaft in wrong.sensors)
-            for one, other in zip(a, b, strict=True):
+            a, b = wrong.sensors
+            for falling in (0, 1):
+                one, other = EDGES_OF[a, falling], EDGES_OF[b, falling]
                 self._swap |= {one: other, other: one}
-
-    @property
-    def next_step_us(self) -> int:
-        """As the rig's."""
-        return self._rig.next_step_us
 
     def receive(self, frame: Frame) -> None:
         """Valve commands reach the wires that they are connected to."""
         if frame.can_id != VALVES.spec.can_id:
-            self._rig.receive(frame)
+            self._core.receive(frame)
             return
         command = self._commands.receive(frame).message
         if isinstance(command, ValveCommand):
-            self._rig.receive(self._inner.encode(self._crossed(command)))
+            self._core.receive(self._inner.encode(self._crossed(command)))
 
     def _crossed(self, command: ValveCommand) -> ValveCommand:
         values: dict[str, Any] = command._asdict()
@@ -154,7 +137,7 @@ class MiswiredRig:
     def step(self, now_us: int) -> Step:
         """The rig's frames, of exchanged sensors under each other's name. The valve side tells
         which outputs it drives by the names that it was commanded."""
-        step = self._rig.step(now_us)
+        step = self._core.step(now_us)
         if not self._wrong.is_any:
             return step
         return Step([self._renamed(frame) for frame in step.frames], step.events)
@@ -176,10 +159,6 @@ class MiswiredRig:
             one, other = f"{a}_{part}", f"{b}_{part}"
             values[one], values[other] = values[other], values[one]
         return ValveStatus(**values)
-
-    def shutdown(self, now_us: int) -> Step:
-        """As the rig's."""
-        return self._rig.shutdown(now_us)
 
 
 class Hearing:

@@ -20,9 +20,9 @@ from meshpoint.controller.follower import Follower
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.shift.table import ShiftRecord
-from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.messages import (
     TSC1,
     ClutchCommand,
@@ -85,10 +85,7 @@ def said(time_us: int, frames: list[Frame]) -> Said:
 def _decoded(frame: Frame) -> Any:
     """The message of an undamaged frame, whatever its counter; else None."""
     codec = SAID.get(frame.can_id)
-    if codec is None or len(frame.data) != codec.spec.length:
-        return None
-    data_id = codec.spec.data_id
-    return codec.decode(frame.data) if data_id is None or check_crc(frame.data, data_id) else None
+    return None if codec is None else read_alone(codec, frame)
 
 
 @dataclass

@@ -21,13 +21,20 @@ from typing import Final, NamedTuple, Protocol
 from meshpoint.bus.authentication.frames import PROOF
 from meshpoint.bus.diagnosis.core import SENT_GROUPS
 from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
-from meshpoint.controller.header import HeaderError, RunHeader, architecture, load_header
-from meshpoint.controller.outage_record import OutageError, load_outages
+from meshpoint.controller.header import (
+    HeaderError,
+    RunHeader,
+    architecture,
+    load_header,
+    run_hash_of,
+)
+from meshpoint.controller.outage_record import OutageError, StepInput, load_outages
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import canonical, group_of
 from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.messages import ControllerStatus
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.version import product_version
@@ -193,6 +200,8 @@ class LogReplay:
         self._waiting: deque[Frame] = deque(maxlen=MOST_WAITING)
         self._sent: list[Frame] = []
         self._core: ControllerCore | None = None
+        self._kept: dict[int, StepInput] | None = None
+        """What this session's records of outages hold, read at the first hole."""
         self._foreign = 0
         self._aligned = False
         self._intruders: Counter[int] = Counter()
@@ -260,10 +269,11 @@ class LogReplay:
             self._onlooker.end()
 
     def _start(self, status: ControllerStatus) -> None:
-        run_hash = status.run_hash_high << 32 | status.run_hash_low
+        run_hash = run_hash_of(status)
         session = Session(run_hash=run_hash)
         self.sessions.append(session)
         self._core, self._foreign, self._aligned, self._passed = None, 0, False, []
+        self._kept = None
         if status.step_number != 0:
             raise NotVerifiableError(
                 "the log starts in mid-run; what the steps before it saw is unknown"
@@ -308,8 +318,10 @@ class LogReplay:
     def _bridge(self, core: ControllerCore, session: Session, number: int) -> None:
         """Repeats the steps before `number` that the log does not hold, from the record that the
         controller has kept of an outage."""
-        kept = load_outages(self._folder, session.run_hash) if number > session.steps else {}
         missing = range(session.steps, number)
+        if missing and self._kept is None:
+            self._kept = load_outages(self._folder, session.run_hash)
+        kept = self._kept if missing and self._kept is not None else {}
         lost = next((each for each in missing if each not in kept), None)
         if lost is not None or not missing:
             raise NotVerifiableError(
@@ -410,13 +422,8 @@ def _last_step(frames: list[Frame]) -> list[Frame]:
 def _status(frame: Frame) -> ControllerStatus | None:
     """The status frame that closes a step, whatever its counter: a controller that has started
     anew counts from zero."""
-    spec = STATUS.spec
-    if frame.can_id != spec.can_id or len(frame.data) != spec.length or spec.data_id is None:
-        return None
-    if not check_crc(frame.data, spec.data_id):
-        return None
-    status: ControllerStatus | None = STATUS.decode(frame.data)
-    return status
+    status = read_alone(STATUS, frame)
+    return status if isinstance(status, ControllerStatus) else None
 
 
 def _is_own(frame: Frame) -> bool:

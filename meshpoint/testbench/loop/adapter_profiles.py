@@ -8,6 +8,7 @@ kernel's default of 10 frames in a transmit queue. What no source gives is marke
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Final
 
 from meshpoint.dbc.schema import SCHEMA
@@ -21,69 +22,59 @@ PAUSE_US: Final = 10_000
 CLOCK_PPM: Final = 50.0
 ASSUMED: Final = "assumed: a pause of 10 ms each 10 s, a clock 50 ppm off, least delays"
 
+USB: Final = AdapterProfile(
+    "USB",
+    delay_us=200,
+    jitter_us=SOFTWARE_US,
+    bundle_us=USB_FULL_SPEED_US,
+    stall_every_us=PAUSE_EVERY_US,
+    stall_us=PAUSE_US,
+    clock_ppm=CLOCK_PPM,
+)
+"""What adapters on full-speed USB have in common."""
+
 PROFILES: Final[dict[str, AdapterProfile]] = {
     profile.name: profile
     for profile in (
         AdapterProfile("ideal", source="nothing between node and bus"),
-        AdapterProfile(
-            "kvaser",
+        replace(
+            USB,
+            name="kvaser",
             delay_us=100,
             jitter_us=SOFTWARE_US // 2,
             bundle_us=USB_HIGH_SPEED_US,
-            stall_every_us=PAUSE_EVERY_US,
-            stall_us=PAUSE_US,
             queue_frames=1000,
-            clock_ppm=CLOCK_PPM,
             source=f"python-can 1881, can-utils 51; high-speed USB. {ASSUMED}",
         ),
-        AdapterProfile(
-            "pcan-usb",
-            delay_us=200,
-            jitter_us=SOFTWARE_US,
-            bundle_us=USB_FULL_SPEED_US,
-            stall_every_us=PAUSE_EVERY_US,
-            stall_us=PAUSE_US,
+        replace(
+            USB,
+            name="pcan-usb",
             queue_frames=1000,
-            clock_ppm=CLOCK_PPM,
             source=f"python-can 1881, can-utils 51; bundles of 1 ms. {ASSUMED}",
         ),
-        AdapterProfile(
-            "candlelight",
-            delay_us=200,
-            jitter_us=SOFTWARE_US,
-            bundle_us=USB_FULL_SPEED_US,
-            stall_every_us=PAUSE_EVERY_US,
-            stall_us=PAUSE_US,
+        replace(
+            USB,
+            name="candlelight",
             queue_frames=10,
             clock_ppm=-CLOCK_PPM,
             source="python-can 1881, can-utils 51, candleLight_fw 302 (a full queue swallows "
             f"frames), the kernel's queue of 10. {ASSUMED}",
         ),
-        AdapterProfile(
-            "slcan",
-            delay_us=200,
-            jitter_us=SOFTWARE_US,
-            bundle_us=USB_FULL_SPEED_US,
-            stall_every_us=PAUSE_EVERY_US,
-            stall_us=PAUSE_US,
+        replace(
+            USB,
+            name="slcan",
             bytes_per_s=11_520,
             overhead_bytes=11,
             bytes_per_data_byte=2,
-            clock_ppm=CLOCK_PPM,
             source="python-can's slcan: text at 115,200 baud by default, B + identifier + length + "
             f"two digits a byte. {ASSUMED}",
         ),
-        AdapterProfile(
-            "slcan-usb",
-            delay_us=200,
-            jitter_us=SOFTWARE_US,
-            bundle_us=USB_FULL_SPEED_US,
-            stall_every_us=PAUSE_EVERY_US,
-            stall_us=PAUSE_US,
+        replace(
+            USB,
+            name="slcan-usb",
             bytes_per_s=600_000,
             overhead_bytes=11,
             bytes_per_data_byte=2,
-            clock_ppm=CLOCK_PPM,
             source="the same text over a USB serial port that ignores the baud rate. Assumed: 600 "
             f"kB/s, half of what full-speed USB carries. {ASSUMED}",
         ),

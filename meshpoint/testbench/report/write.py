@@ -58,7 +58,7 @@ def gather(name: str, frames: Iterable[Frame], header: RunHeader, notes: list[st
 
 def aim_rad(header: RunHeader) -> float:
     """The phase that the controller of this header aims at."""
-    return header.settings.aim.target_rad_share * header.sheet.dog.backlash_rad / 2.0
+    return header.settings.aim.target_rad(header.sheet.dog.backlash_rad)
 
 
 def estimator_notes(name: str, figures: dict[str, Any]) -> list[str]:

@@ -63,8 +63,8 @@ class Monitor:
     ) -> None:
         """`also`: further messages that `take` should return; `on_sample` sees every instant at
         which the estimators are scored."""
-        half_gap = sheet.dog.backlash_rad / 2.0
-        self.rows = RowCollector(sheet, settings.aim.target_rad_share * half_gap, settings)
+        aim_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
+        self.rows = RowCollector(sheet, aim_rad, settings)
         self.estimation = EstimationScore(sheet, settings, on_sample)
         self.status: ControllerStatus | None = None
         also += READ_FUSED if settings.crossing_filter.fuse_input else ()

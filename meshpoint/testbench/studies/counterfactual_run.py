@@ -105,7 +105,7 @@ class CounterfactualRun:
             why = "" if found is None else found.why
             return Compared(why, shift.parted is None, math.nan, math.nan, math.nan, in_gap)
         low, high = found.phase_low_deg or 0.0, found.phase_high_deg or 0.0
-        target_deg = settings.aim.target_rad_share * self.sheet.dog.backlash_rad / 2.0 / DEG
+        target_deg = settings.aim.target_rad(self.sheet.dog.backlash_rad) / DEG
         error = true.phase_error_deg + target_deg - (low + high) / 2.0
         error -= true.pitch_deg * math.floor(error / true.pitch_deg + 0.5)
         probability = found.contact_probability or 0.0

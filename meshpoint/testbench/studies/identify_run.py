@@ -9,7 +9,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.identification.identify import Identified, identify
+from meshpoint.controller.identification.identified import Identified
+from meshpoint.controller.identification.identify import identify
 from meshpoint.controller.identification.log_reader import LogContent, LogReader
 from meshpoint.controller.identification.sleeve_fit import sleeve_fit
 from meshpoint.controller.identification.tooth_fit import ToothFit, wheel_figures

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from meshpoint.gearbox import GearboxSheet, load_sheet
-from meshpoint.gearbox.tables import TableError, load_toml, read_group
+from meshpoint.gearbox.tables import TableError, load_toml, merged_tables, read_group
 from meshpoint.testbench.studies.record import Common, Given, Study
 from meshpoint.testbench.studies.registry import STUDY_NAMES
 
@@ -52,19 +52,9 @@ def load_study_settings(path: Path | None) -> StudySettings:
                 raise TableError(f"{source}: unknown table [{name}], allowed are {allowed}")
             if not isinstance(table, dict):
                 raise TableError(f"{source}: {name} = {table!r}, allowed is a table")
-            tables[name] = _merged(tables[name], table)
+            tables[name] = merged_tables(tables[name], table)
     common = read_group(Common, tables[COMMON], f"{source} [{COMMON}]")
     return StudySettings(tables, source, common, load_sheet(common.gearbox))
-
-
-def _merged(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
-    """`above` wins, key by key; tables are merged."""
-    merged = dict(below)
-    for key, value in above.items():
-        inner = merged.get(key)
-        both = isinstance(inner, dict) and isinstance(value, dict)
-        merged[key] = _merged(inner, value) if both else value  # type: ignore[arg-type]
-    return merged
 
 
 def si_values(given: Given[Any]) -> dict[str, Any]:
