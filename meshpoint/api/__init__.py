@@ -20,7 +20,7 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import TableError
 from meshpoint.testbench.errors import CommandError, RunError
 from meshpoint.testbench.logs.judged_rows import JudgedRow
-from meshpoint.testbench.logs.replay import Verification
+from meshpoint.testbench.logs.session import Verification
 from meshpoint.testbench.results.rows import ShiftRow, Summary
 from meshpoint.testbench.version import product_version
 

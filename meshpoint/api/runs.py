@@ -35,8 +35,9 @@ from meshpoint.testbench.campaign.spec import CampaignSpec
 from meshpoint.testbench.commands.replay_rows import ReplayRows
 from meshpoint.testbench.logs.judged_rows import JudgedRow
 from meshpoint.testbench.logs.open_loop import OpenLoop
-from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
+from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.logs.replay_strategy import Chosen, other_header, recorded_header
+from meshpoint.testbench.logs.session import Session, Verification
 from meshpoint.testbench.loop.schedules import Pairs, check_preset
 from meshpoint.testbench.loop.simulate import Result
 from meshpoint.testbench.loop.simulate import simulate as run_simulation
@@ -196,8 +197,13 @@ class Replay:
 
     @property
     def verdict(self) -> Verification:
-        """The worst of all sessions: identical, not verifiable, differs."""
-        order = (Verification.IDENTICAL, Verification.NOT_VERIFIABLE, Verification.DIFFERS)
+        """The worst of all sessions: identical, identical in parts, not verifiable, differs."""
+        order = (
+            Verification.IDENTICAL,
+            Verification.IN_PARTS,
+            Verification.NOT_VERIFIABLE,
+            Verification.DIFFERS,
+        )
         return max((session.verdict for session in self.sessions), key=order.index)
 
     @property

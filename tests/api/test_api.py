@@ -14,8 +14,10 @@ from recorded_run import Recorded
 
 import meshpoint
 from meshpoint.api import reference
+from meshpoint.api.runs import Replay
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.commands import campaign as commands
+from meshpoint.testbench.logs.session import Session, Verification
 
 ROOT = Path(__file__).parents[2]
 HEAVY = ("numpy", "can", "cantools", "numba", "pyarrow", "matplotlib", "meshpoint.testbench")
@@ -128,3 +130,16 @@ def test_a_replay_verifies_and_asks_another_strategy(recorded: Recorded) -> None
     assert judged[1].fired_ms != judged[1].recorded.fired_ms
     with pytest.raises(ValueError, match="nothing but strategy"):
         meshpoint.replay(recorded.log, estimator="window", verify=True)
+
+
+@pytest.mark.parametrize("verdict", Verification)
+def test_every_verdict_of_a_log_is_that_of_its_replay(verdict: Verification) -> None:
+    assert Replay([Session(verdict=verdict)]).verdict is verdict
+    whole = Session(verdict=Verification.IDENTICAL)
+    assert Replay([whole, Session(verdict=verdict), whole]).verdict is verdict
+
+
+def test_a_difference_is_worse_than_what_cannot_be_verified() -> None:
+    worst = (Verification.DIFFERS, Verification.NOT_VERIFIABLE, Verification.IN_PARTS)
+    sessions = [Session(verdict=verdict) for verdict in worst]
+    assert [Replay(sessions[k:]).verdict for k in range(3)] == list(worst)

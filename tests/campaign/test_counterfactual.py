@@ -17,7 +17,8 @@ from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.logs.counterfactual import MOST_SD_SHARE, STUDENT_95
 from meshpoint.testbench.logs.decisions import Judged
 from meshpoint.testbench.logs.open_loop import OpenLoop
-from meshpoint.testbench.logs.replay import LogReplay, Verification
+from meshpoint.testbench.logs.replay import LogReplay
+from meshpoint.testbench.logs.session import Verification
 from meshpoint.testbench.provenance import product_version
 from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.units import DEG

@@ -22,7 +22,8 @@ from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.logs import open_loop as open_loop_module
 from meshpoint.testbench.logs.decisions import Course, Judged, judge
 from meshpoint.testbench.logs.open_loop import SHIFTING, OpenLoop, said
-from meshpoint.testbench.logs.replay import STATUS, LogReplay, Verification
+from meshpoint.testbench.logs.replay import STATUS, LogReplay
+from meshpoint.testbench.logs.session import Verification
 from meshpoint.testbench.version import product_version
 
 SHIFTS = 5

@@ -30,7 +30,8 @@ from meshpoint.controller.outage_record import (
 )
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
-from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
+from meshpoint.testbench.logs.replay import LogReplay
+from meshpoint.testbench.logs.session import Session, Verification
 from meshpoint.testbench.version import product_version
 
 AWAY_US = (900_000, 1_260_000)

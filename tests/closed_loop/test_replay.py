@@ -11,7 +11,8 @@ from loop_bench import Loop
 from meshpoint.controller.header import RunHeader
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
-from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
+from meshpoint.testbench.logs.replay import LogReplay
+from meshpoint.testbench.logs.session import Session, Verification
 
 
 def verify(loop: Loop, frames: list[Frame], folder: Path) -> Session:

@@ -15,8 +15,9 @@ from meshpoint.testbench.commands.log_progress import logged_frames
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.logs.core_parting import JudgedTwice, ShiftParting, TwoControllers
 from meshpoint.testbench.logs.logged_frames import LoggedFrames
-from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
+from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.logs.replay_strategy import Chosen, other_header, recorded_header
+from meshpoint.testbench.logs.session import Session, Verification
 from meshpoint.testbench.results.difference import Allowed, Difference, differences
 
 COLUMNS: Final = (

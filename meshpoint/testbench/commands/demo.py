@@ -25,7 +25,8 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.logs.replay import LogReplay, Session, Verification
+from meshpoint.testbench.logs.replay import LogReplay
+from meshpoint.testbench.logs.session import Session, Verification
 from meshpoint.testbench.loop.bench import PlannedShift, plan_shifts
 from meshpoint.testbench.loop.compiling import prepare
 from meshpoint.testbench.loop.live import LiveResult, LiveRun, run_live, uses_virtual

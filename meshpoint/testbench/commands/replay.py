@@ -30,13 +30,9 @@ from meshpoint.testbench.logs.account import Account
 from meshpoint.testbench.logs.judged_rows import commanded, judged_table, judged_words
 from meshpoint.testbench.logs.logged_frames import LoggedFrames
 from meshpoint.testbench.logs.open_loop import OpenLoop
-from meshpoint.testbench.logs.replay import (
-    LogReplay,
-    NotVerifiableError,
-    Session,
-    Verification,
-)
+from meshpoint.testbench.logs.replay import LogReplay, NotVerifiableError
 from meshpoint.testbench.logs.replay_strategy import Chosen, other_header, recorded_header
+from meshpoint.testbench.logs.session import Session, Verification
 from meshpoint.testbench.report.write import check_report
 from meshpoint.testbench.results.output import (
     complain_of_strategy,

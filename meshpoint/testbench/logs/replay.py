@@ -14,9 +14,8 @@ import zlib
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
-from enum import Enum
 from pathlib import Path
-from typing import Final, NamedTuple, Protocol
+from typing import Final, Protocol
 
 from meshpoint.bus.authentication.frames import PROOF
 from meshpoint.bus.diagnosis.core import SENT_GROUPS
@@ -37,6 +36,7 @@ from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.messages import ControllerStatus
 from meshpoint.dbc.node import Node
+from meshpoint.testbench.logs.session import Hole, Session, Verification
 from meshpoint.testbench.version import product_version
 
 RIG_ADDRESSES: Final = frozenset({0x80, 0x81, 0x00})
@@ -55,83 +55,6 @@ MOST_WAITING: Final = 65_536
 no controller is on the bus."""
 UNKNOWN_FRAME: Final = Frame(0x1FFF_FFFF, b"", is_fd=False)
 """Stands for a frame foreign to the DBC: only its number matters."""
-
-
-class Verification(Enum):
-    """What a log's verification came to."""
-
-    IDENTICAL = "identical"
-    IN_PARTS = "identical in parts"
-    """Before and after link outages, whose steps are not in the log."""
-    DIFFERS = "differs"
-    NOT_VERIFIABLE = "not verifiable"
-
-
-class Hole(NamedTuple):
-    """Steps that are not in the log, from `first` to `last`, repeated from the record of an
-    outage; `from_us` and `to_us` are the times of these two."""
-
-    first: int
-    last: int
-    from_us: int
-    to_us: int
-
-    def __str__(self) -> str:
-        lasted_s = (self.to_us - self.from_us) / 1e6
-        return f"{self.first} to {self.last} ({lasted_s:.2f} s)"
-
-
-@dataclass
-class Session:
-    """One run of a controller within a log."""
-
-    header: RunHeader | None = None
-    run_hash: int = 0
-    steps: int = 0
-    frames: int = 0
-    verdict: Verification = Verification.IDENTICAL
-    step: int | None = None
-    """The step at which it differs or stops being verifiable."""
-    reason: str = ""
-    strategy_errors: dict[str, int] = field(default_factory=dict)
-    """What was wrong with a user's own strategy, and how many shifts ended of it."""
-    intruders: Counter[int] = field(default_factory=Counter)
-    """Frames under the controller's address that are damaged or not its own, by identifier."""
-    holes: list[Hole] = field(default_factory=list)
-
-    @property
-    def goes_on(self) -> bool:
-        """Whether all that was compared so far is identical."""
-        return self.verdict in (Verification.IDENTICAL, Verification.IN_PARTS)
-
-    @property
-    def compared_steps(self) -> int:
-        """Those of the log."""
-        return self.steps - sum(hole.last - hole.first + 1 for hole in self.holes)
-
-    def __str__(self) -> str:
-        return self._verdict_text() + self.intruders_text
-
-    def _verdict_text(self) -> str:
-        if self.verdict is Verification.IDENTICAL:
-            return f"identical: {self.steps} steps, {self.frames} frames"
-        holes = ", ".join(map(str, self.holes))
-        if self.verdict is Verification.IN_PARTS:
-            return (
-                f"identical in parts: {self.compared_steps} steps, {self.frames} frames; not in "
-                f"the log, for a link outage, and repeated from its record: steps {holes}"
-            )
-        where = "" if self.step is None else f" at step {self.step}"
-        outage = f"; steps {holes} were repeated from the record of a link outage" if holes else ""
-        return f"{self.verdict.value}{where}: {self.reason}{outage}"
-
-    @property
-    def intruders_text(self) -> str:
-        """Who else has sent under its address, as the end of a sentence."""
-        if not self.intruders:
-            return ""
-        each = ", ".join(f"{can_id:08X} ({n})" for can_id, n in sorted(self.intruders.items()))
-        return f"; under its address, damaged or not its own: {each}"
 
 
 class NotVerifiableError(Exception):

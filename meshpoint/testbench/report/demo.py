@@ -9,7 +9,7 @@ from pathlib import Path
 from meshpoint.bus.logs.limits import LogError, read_log
 from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import RigSettings
-from meshpoint.testbench.logs.replay import Session
+from meshpoint.testbench.logs.session import Session
 from meshpoint.testbench.loop.live import LiveResult, LiveRun
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import (

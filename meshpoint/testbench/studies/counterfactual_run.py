@@ -21,7 +21,8 @@ from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.logs.decisions import Judged
 from meshpoint.testbench.logs.open_loop import OpenLoop
-from meshpoint.testbench.logs.replay import LogReplay, Verification
+from meshpoint.testbench.logs.replay import LogReplay
+from meshpoint.testbench.logs.session import Verification
 from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.testbench.version import product_version
 from meshpoint.units import DEG
