@@ -16,6 +16,8 @@ CONTROLLER: Final = 0x03
 GLOBAL: Final = 0xFF
 ADDRESS_CLAIM: Final = 0xEE00
 """Parameter group of J1939-81's address claimed."""
+REQUEST: Final = 0xEA00
+"""Parameter group of J1939-21's request for another group."""
 PDU1_TOP: Final = 240
 """PDU formats below this have a destination in the identifier's second byte."""
 REQUEST_ID: Final = CODECS["TC1"].spec.can_id

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 from meshpoint.controller.sensing.sensor_clock import wrap
 from meshpoint.controller.settings import ValveTiming
-from meshpoint.dbc.messages import ValveAction, ValveCommand
+from meshpoint.dbc.messages import ValveAction, ValveCommand, ValveStatus
 
 
 class ValveName(IntEnum):
@@ -27,6 +27,12 @@ class ValveName(IntEnum):
     MAIN_THIRD = 6
     RANGE_LOW = 7
     RANGE_HIGH = 8
+
+
+def energised(status: ValveStatus) -> list[ValveName]:
+    """The valves whose coils the valve side tells as driven; they stand first behind the time."""
+    driven = status[1 : 1 + len(ValveName)]
+    return [valve for valve, is_on in zip(ValveName, driven, strict=True) if is_on]
 
 
 _ACTION: Final = itemgetter(0)

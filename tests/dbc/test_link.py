@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from meshpoint.dbc import Frame, Node
 from meshpoint.dbc.e2e import ChannelState, write_crc
 from meshpoint.dbc.layout import CODECS
-from meshpoint.dbc.link import EncodeError, FrameVerdict, Receiver, Transmitter
+from meshpoint.dbc.link import EncodeError, FrameVerdict, Receiver, Transmitter, read_alone
 from meshpoint.dbc.messages import (
     EEC1,
     MESSAGE_TYPES,
@@ -23,6 +23,7 @@ from meshpoint.dbc.messages import (
     ReferenceEngagement,
     ShiftOutcome,
     ValveCommand,
+    ValveStatus,
 )
 
 CYCLE_US = 10_000
@@ -404,3 +405,22 @@ def test_a_node_that_starts_anew_counts_anew_and_the_others_of_its_transmitter_g
     sender.restart(Node.REFERENCE)
     assert sender.encode(ReferenceEncoder()).data[2] == 0
     assert sender.encode(GearboxSensors()).data[2] == 2
+
+
+def test_a_frame_by_itself_is_read_whatever_its_counter_and_refused_where_it_is_damaged() -> None:
+    codec, sender = CODECS["ValveStatus"], Transmitter(Node.GEARBOX_IO)
+    status = ValveStatus(sample_time_us=1_000, brake_energised=True)
+    frames = [sender.encode(status) for _ in range(3)]
+    assert [read_alone(codec, frame) for frame in frames] == [status] * 3
+    frame = frames[0]
+    flipped = bytes([frame.data[0] ^ 1]) + frame.data[1:]
+    assert read_alone(codec, frame._replace(data=flipped)) is None
+    assert read_alone(codec, frame._replace(data=frame.data[:-1])) is None
+    assert read_alone(codec, frame._replace(can_id=frame.can_id + 1)) is None
+
+
+def test_a_frame_without_protection_is_read_by_itself_too() -> None:
+    sent = Transmitter(Node.ENGINE).encode(EEC1(engine_speed_rad_s=100.0))
+    found = read_alone(CODECS["EEC1"], sent)
+    assert found.engine_speed_rad_s == pytest.approx(100.0, abs=0.02)
+    assert read_alone(CODECS["EEC1"], sent._replace(data=sent.data + b"\0")) is None

@@ -11,10 +11,16 @@ from dataclasses import dataclass
 from typing import Final
 
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.j1939 import ADDRESS_CLAIM, CONTROLLER, GLOBAL, destination_of, group_of
+from meshpoint.dbc.j1939 import (
+    ADDRESS_CLAIM,
+    CONTROLLER,
+    GLOBAL,
+    REQUEST,
+    destination_of,
+    group_of,
+)
 
 CLAIM: Final = ADDRESS_CLAIM
-REQUEST: Final = 0xEA00
 NULL: Final = 0xFE
 """The source address of one that has none."""
 TRANSMISSION: Final = 3

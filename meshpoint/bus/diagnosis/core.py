@@ -19,14 +19,13 @@ from meshpoint.bus.diagnosis.diagnostic_messages import (
     DM1,
     DM2,
     PACKET,
-    REQUEST,
     DiagnosticMessages,
 )
 from meshpoint.bus.diagnosis.services import Services
 from meshpoint.bus.diagnosis.transport import IsoTp
 from meshpoint.bus.diagnosis.trouble_codes import TroubleMemory
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.j1939 import CONTROLLER, destination_of, group_of
+from meshpoint.dbc.j1939 import CONTROLLER, REQUEST, destination_of, group_of
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerStatus
 

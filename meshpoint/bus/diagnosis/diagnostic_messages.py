@@ -9,10 +9,10 @@ from typing import Final
 
 from meshpoint.bus.diagnosis.trouble_codes import TroubleCode, TroubleMemory
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.j1939 import CONTROLLER, GLOBAL, destination_of, group_of
+from meshpoint.dbc.j1939 import CONTROLLER, GLOBAL, REQUEST, destination_of, group_of
 
 DM1, DM2, DM3, DM11 = 0xFECA, 0xFECB, 0xFECC, 0xFED3
-REQUEST, ACKNOWLEDGE, ANNOUNCE, PACKET = 0xEA00, 0xE800, 0xEC00, 0xEB00
+ACKNOWLEDGE, ANNOUNCE, PACKET = 0xE800, 0xEC00, 0xEB00
 EVERY_US: Final = 1_000_000
 PACKET_US: Final = 50_000
 LAMP_OFF, AMBER_ON = 0x00, 0x04

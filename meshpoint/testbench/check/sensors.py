@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.shift.valve_board import energised
 from meshpoint.dbc.messages import (
     EEC1,
     GearboxSensors,
@@ -89,11 +89,7 @@ def _sleeve(
 
 
 def _valves(valves: ValveStatus) -> Finding:
-    driven = [
-        valve.name.lower()
-        for valve, is_on in zip(ValveName, valves[1 : 1 + len(ValveName)], strict=True)
-        if is_on
-    ]
+    driven = [valve.name.lower() for valve in energised(valves)]
     return Finding(
         GROUP, "valves", Verdict.NOTE if driven else Verdict.GOOD,
         f"driven: {', '.join(driven)}" if driven else "all off",

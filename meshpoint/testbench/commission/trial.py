@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final
 
-from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.controller.shift.valve_board import ValveName, energised
 from meshpoint.dbc.messages import GearboxSensors, Message, SleevesAux, SleevesMain, ValveStatus
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.testbench.results.road_speed import span_us
@@ -64,8 +64,7 @@ class Trial:
             after_us = span_us(message.sample_time_us, self.activation_us)
             self.pressure.append((after_us, message.brake_pressure_pa - self.before_pa))
         elif isinstance(message, ValveStatus):
-            told = message[1 : 1 + len(ValveName)]
-            self.driven |= {v for v, is_on in zip(ValveName, told, strict=True) if is_on}
+            self.driven.update(energised(message))
 
     def _samples(self, sleeve: Sleeve, newest_us: int, samples_m: tuple[float, ...]) -> None:
         before_m = self.before_m[sleeve]
