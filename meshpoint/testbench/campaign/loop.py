@@ -46,7 +46,7 @@ SETTLED_US_A_RATIO: Final = 160_000
 """On a driveline that twists the lock makes engine and vehicle swing against each other, by up to
 4 kNm in the propeller shaft a tenth of a second after it. A truck has been in its gear for seconds
 when it is left; here it has for this long, and so much more for each whole of the gear's overall
-ratio, with which the period of the swing grows (0.1 s to 1.1 s): what is left then is some 100 Nm, as the
+ratio, with which the period of the swing grows (0.1 s to 1.1 s). Some 100 Nm are left then, as the
 road makes of itself."""
 FAST_RETURN_RAMP_S: Final = 0.05
 """From the new gear's speeds to the old one's. As fast as this the wheels' teeth are still counted
