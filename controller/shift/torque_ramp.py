@@ -51,7 +51,7 @@ def ramp_down(context: ShiftContext, snapshot: StepSnapshot) -> bool:
         return True  # an engine that does not say how far it is cannot be waited for
     ramp = _begun(context, snapshot)
     if ramp is None:
-        context.engine_share, over_us, kept = 0.0, context.since_us, 0.0
+        context.engine_share, over_us, kept = 0.0, float(context.since_us), 0.0
     else:
         left, kept = context.torque.share or 0.0, _ask(context, ramp, snapshot)
         over_us = ramp.over_us - parting_s * SECOND_US
