@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 from loop_bench import Loop
+from page_data import page_data
 
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.controller.core import OWN_ADDRESS
@@ -243,3 +244,22 @@ def test_ctrl_c_leaves_what_was_told_up_to_there_and_says_so(
     values = json.loads(out.read_text())
     assert values["interrupted"] is True
     assert 1_200 <= values["frames"] < 4_000
+
+
+def test_the_page_draws_speeds_and_gears_and_tells_no_contact_as_ours(
+    six_shifts: Loop, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = [(t * 1e-6, f) for t, f in sensors_of(six_shifts)]
+    page = tmp_path / "page.html"
+    found = replayed(capsys, write(tmp_path / "a.log", frames), "--sensors", "--report", page)
+    text = page.read_text(encoding="utf-8")
+    traces = {trace["name"]: trace for trace in page_data(text)["overview"]["log"]["data"]}
+    least, most = found["speeds_rpm"]["layshaft"]
+    drawn = [value for value in traces["layshaft"]["y"] if value is not None]
+    assert (min(drawn), max(drawn)) == (least, most)
+    gears = {value for value in traces["gear by sleeves"]["y"] if value is not None}
+    assert gears == {8, 10, 12}
+    assert set(found["gears_by_sleeves_s"]) == {"8", "10", "12"}
+    assert text.count("not told: the gearbox of this log answered to another controller") == 6
+    assert 'class="gap"' not in text
+    assert 'class="tooth"' not in text

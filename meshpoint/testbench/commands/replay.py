@@ -220,7 +220,7 @@ def _replay(namespace: argparse.Namespace, stop: Callable[[], bool]) -> tuple[in
         sessions = replay.run(_fed(log, rows))
     tell_buses(out, log.buses, namespace.bus)
     of_another = not any(session.steps for session in sessions) and not refused
-    if not verify and namespace.report is None and of_another:
+    if not verify and of_another:
         return sensor_replay.run(namespace, files, str(sessions[0]), stop)
     if log.defect is not None:
         _end_early(sessions[-1], f"then the log cannot be read: {log.defect}")
