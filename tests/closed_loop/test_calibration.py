@@ -87,6 +87,7 @@ def test_a_restarted_controller_aims_from_its_first_shift_on() -> None:
     assert core.calibration("later").provenance.shifts == learned + LATER
 
 
+@pytest.mark.long
 def test_one_gear_in_mesh_tells_another_where_their_turns_have_a_common_factor() -> None:
     """After the restart the teeth are found, but seven phases of each gear are possible, and it
     does not pretend to know: the first shift is by luck. It tells the turns, and the second, into a
