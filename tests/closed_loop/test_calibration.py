@@ -126,7 +126,7 @@ def losing(*names: str) -> tuple[Callable[[Frame], list[Frame]], list[bool]]:
     return alter, cut
 
 
-@pytest.mark.parametrize("wheel", ["Main", "Layshaft"])
+@pytest.mark.parametrize("wheel", [pytest.param("Main", marks=pytest.mark.long), "Layshaft"])
 def test_a_wheel_that_was_not_seen_for_a_while_is_found_again(wheel: str) -> None:
     """Half a second without frames. Of the main shaft only the place in the turn matters, and that
     its teeth tell; the layshaft's turns its sensor has counted on, and it had no time to stop."""

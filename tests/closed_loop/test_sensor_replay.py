@@ -70,7 +70,9 @@ def speeds_of_two_gears() -> list[tuple[float, Frame]]:
     return frames
 
 
-@pytest.mark.parametrize(("shifted_s", "shifts"), [(0.0, 6), (1.7e9, 1)])
+@pytest.mark.parametrize(
+    ("shifted_s", "shifts"), [pytest.param(0.0, 6, marks=pytest.mark.long), (1.7e9, 1)]
+)
 def test_sensor_frames_alone_are_enough(
     six_shifts: Loop,
     tmp_path: Path,

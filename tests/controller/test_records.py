@@ -149,6 +149,7 @@ print(json.dumps([shaft.x.tolist(), shaft.p.tolist(), list(shaft.offset),
 """
 
 
+@pytest.mark.long
 def test_compiled_and_plain_python_agree() -> None:
     """Filter with a geared wheel, its forecast, teeth, gate with missing teeth, plan, and every
     other kernel once: a node that starts calls them all."""

@@ -68,6 +68,7 @@ def test_a_sheet_by_name_and_the_same_from_a_file_run_alike(
     assert {row["contact"] for row in aimed} == {"gap"}
 
 
+@pytest.mark.long
 def test_every_kind_of_upshift_of_the_truck_box_engages(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
