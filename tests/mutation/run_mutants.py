@@ -3,7 +3,7 @@
     python tests/mutation/run_mutants.py [TARGET ...]    all mutants of guard, e2e, link, valves
     ... --sample 200 --seed 1 controller                 a sample, of what has no target of its own
     ... --changed [BASE]                                 those of lines that differ from BASE
-    ... --again                                          those that the run before has left over
+    ... --again                                          those that no run before has killed
 
 A mutant that no test can catch, because it behaves as the product does, is listed in
 equivalent.toml with its reason. Ends with 1 where a mutant of a target that must be whole survives
@@ -93,8 +93,8 @@ def chosen(target: Target, options: argparse.Namespace) -> dict[str, list[str]]:
         kept = found
     names = {name: [mutant.name for mutant in all_] for name, all_ in kept.items() if all_}
     if options.again:
-        left = {each["mutant"] for each in results_of(target) if each["outcome"] != "killed"}
-        names = {name: [each for each in all_ if each in left] for name, all_ in names.items()}
+        done = {each["mutant"] for each in results_of(target) if each["outcome"] == "killed"}
+        names = {name: [each for each in all_ if each not in done] for name, all_ in names.items()}
     if options.only:
         names = {n: [e for e in all_ if options.only in e] for n, all_ in names.items()}
     return {name: all_ for name, all_ in names.items() if all_}
@@ -189,7 +189,7 @@ def main(arguments: list[str]) -> int:
     )  # fmt: skip
     parser.add_argument("--sample", type=int, metavar="N", help="so many, drawn by --seed")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--again", action="store_true", help="those that were left over before")
+    parser.add_argument("--again", action="store_true", help="those that no run before has killed")
     parser.add_argument("--only", metavar="TEXT", help="those whose name has this text")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument(

@@ -11,20 +11,21 @@ from typing import Final, NamedTuple
 from meshpoint.testbench.swarm.events import REQUEST, Event, Group, World
 
 ASKED_MS: Final = 400
-AGAIN_MS: Final = 1_800
+AGAIN_MS: Final = 2_200
 SAFETY_MS: Final = 5_000
 UP_RPM, DOWN_RPM = 1400.0, 1100.0
 SLOW, STATUS = int(Group.SLOW), int(Group.VALVE_STATUS)
 
 
 class Strike(NamedTuple):
-    """A fault that begins when the sequence enters `state`."""
+    """A fault that begins when the sequence enters `state`; without one, at `at_ms`."""
 
     state: str
     kind: str
     target: int = 0
     value: float = 0.0
     for_ms: int = 900
+    at_ms: int = ASKED_MS
 
 
 class Aim(NamedTuple):
@@ -44,7 +45,7 @@ class Aim(NamedTuple):
         events = [Event(ASKED_MS, REQUEST, 0, float(self.to))]
         if self.again:
             events.append(Event(AGAIN_MS, REQUEST, 0, float(self.again)))
-        events += [Event(ASKED_MS, s.kind, s.target, s.value, s.for_ms, s.state)
+        events += [Event(s.at_ms, s.kind, s.target, s.value, s.for_ms, s.state)
                    for s in self.strikes]  # fmt: skip
         layshaft_rpm = UP_RPM if self.to > self.from_ else DOWN_RPM
         events.sort()
@@ -68,7 +69,12 @@ BETWEEN: Final = Strike("engaging", "position_offset", 1, 5.0, 1_600)
 JAMMED: Final = Strike("clutch_opening", "sleeve_jammed", 0, 0.0, 3_000)
 AT_ONCE: Final = (("limits.blocks", 1.0),)
 """The first block of the guard ends the shift."""
-BRAKE_STUCK: Final = Strike("synchronising", "valve_stuck", 0, 0.0, 3_000)
+BRAKE_HELD: Final = (
+    Strike("clutch_opening", "brake_fade", 0, 5.0, 4_500),
+    Strike("", "valve_stuck", 0, 0.0, 4_300, at_ms=600),
+)
+"""A faded brake is on for long, and its valve sticks meanwhile: it is still pressed, though hardly
+felt, when the gear is to come out again."""
 HELD: Final = Strike("clutch_parting", "clutch_stuck", for_ms=2_500)
 
 AIMS: Final = (
@@ -97,8 +103,7 @@ AIMS: Final = (
         (Strike("clutch_closing", "position_offset", 0, -6.0, 1_600),)),
     Aim("faulted+found_in_neutral", _deaf("synchronising")),
     Aim("starting+found_in_neutral", (Strike("synchronising", "controller_restarted"),)),
-    Aim("disengage_refused", (BRAKE_STUCK,), again=8),
-    Aim("disengage_refused", (BRAKE_STUCK,), again=8, settings=AT_ONCE),
+    Aim("disengage_refused", BRAKE_HELD, again=8, settings=AT_ONCE),
     Aim("brake_limit", (Strike("synchronising", "brake_fade", 0, 0.0, 2_500),),
         settings=(*AT_ONCE, ("guard.brake_on_ms", 150.0))),
     Aim("guard_blocked", (SECOND_STUCK, *_unlinked("engaging")), settings=AT_ONCE),
