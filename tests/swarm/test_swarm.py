@@ -214,6 +214,7 @@ def test_a_bad_scenario_is_refused_by_name(
     assert said in str(refused.value) or said == "events"
 
 
+@pytest.mark.long
 def test_a_swarm_is_gone_on_with(tmp_path: Path) -> None:
     """The second run simulates only what is missing, and counts both."""
     report = tmp_path / "report.json"
