@@ -139,6 +139,7 @@ def test_a_swarm_begins_with_the_aimed_worlds_and_goes_on_with_drawn_ones() -> N
     assert world_of(base + len(AIMS)) == draw_world(base + len(AIMS))
 
 
+@pytest.mark.long
 def test_a_controller_that_starts_while_old_frames_fill_the_bus_is_no_violation() -> None:
     """What waited while the gearbox's node hung comes at once; nobody can tell its age."""
     events = (
