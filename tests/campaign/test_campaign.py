@@ -157,6 +157,7 @@ def test_an_interrupted_campaign_goes_on_to_the_same_result(
     assert not (tmp_path / "parts").exists()
 
 
+@pytest.mark.long
 def test_a_finished_campaign_grows(by_one: Outcome, tmp_path: Path) -> None:
     campaign(tmp_path, "--runs", "1", "--true-state", "--jobs", "1")
     grown = campaign(tmp_path, *RUNS, "--jobs", "1", "--resume")
