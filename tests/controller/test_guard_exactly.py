@@ -108,7 +108,7 @@ def test_row_3_with_the_brake_on_for_good() -> None:
     for slip, forbids in ((24.0 + 12.0, False), (24.0 + 12.0 + 1e-9, True),
                           (-5.0, False), (-5.0 - 1e-9, True)):  # fmt: skip
         assert slip_out_of_its_window(slip_case(slip, on())) is forbids
-    # On for a quarter of a second already: nothing is sure yet. For half a second: 0.25 s at 16 / 2.
+    # On for a quarter of a second: nothing is sure yet. For half a second: 0.25 s at 16 / 2.
     for since_us, sure in ((NOW - S // 4, 0.0), (NOW - S // 2, 2.0), (NOW - S, 2.0)):
         for slip, forbids in ((sure - 5.0, False), (sure - 5.0 - 1e-9, True)):
             assert slip_out_of_its_window(slip_case(slip, on(since_us))) is forbids
