@@ -114,7 +114,7 @@ def run_target(target: Target, names: dict[str, list[str]], budget_s: float, job
     """Runs them in `jobs` processes; each leaves a file of results."""
     tests = [each for each in target.tests if (ROOT / each).exists()]
     hashed = hashlib.sha256(repr(sorted(names)).encode())
-    for path in [*target.paths(), *sorted((ROOT / "tests").glob("**/*.py"))]:
+    for path in [*target.paths(), *_files_of(tests)]:
         hashed.update(path.read_bytes())
     map_path = OUT / f"{target.name}-{hashed.hexdigest()[:16]}.map.json"
     parts = [{name: all_[k::jobs] for name, all_ in names.items()} for k in range(jobs)]
@@ -139,6 +139,14 @@ def run_target(target: Target, names: dict[str, list[str]], budget_s: float, job
     for each in running:
         if each.wait() not in ENDED_WELL:
             raise SystemExit(f"the run of {target.name} failed: see {OUT}/{target.name}-*.log")
+
+
+def _files_of(tests: list[str]) -> list[Path]:
+    """Those files and folders, and what is shared."""
+    found = {*(ROOT / "tests").glob("**/conftest.py")}
+    for path in (ROOT / each for each in tests):
+        found.update(path.glob("**/*.py") if path.is_dir() else [path])
+    return sorted(found)
 
 
 def _wait_for(path: Path, process: subprocess.Popen[bytes]) -> None:
