@@ -1,10 +1,10 @@
 # make demo   set up a virtual environment and run the demonstration
-# make test   the same, with the tools for testing, and run all tests
+# make test   the same, with the tools for testing, and run the tests; make long: those of many seconds
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: swarm faults planted mutants demo docs test installed acceptance vcan vcan-alone test-containers lint types reference contracts stubs bench clean
+.PHONY: long swarm faults planted mutants demo docs test installed acceptance vcan vcan-alone test-containers lint types reference contracts stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -28,7 +28,14 @@ demo:
 # The kernels first, or both workers compile the same ones at once.
 test: $(VENV)/test.stamp
 	$(BIN)/python -m meshpoint.testbench.loop.compiling
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore=tests/acceptance
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore=tests/acceptance \
+	    -m "not long"
+
+# What takes many seconds: whole documents held against runs, statistics over many shifts, crowds
+# of live processes.
+long: $(VENV)/test.stamp
+	$(BIN)/python -m meshpoint.testbench.loop.compiling
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m long $$(grep -rl --include='*.py' mark.long tests)
 
 # The wheel as a user installs it, and every command of README's table once.
 installed: $(VENV)/test.stamp

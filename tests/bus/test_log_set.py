@@ -214,15 +214,15 @@ def test_killed_they_leave_parts_that_can_be_read_to_their_end(
     tmp_path: Path, start: Callable[..., subprocess.Popen[str]]
 ) -> None:
     folders = {ending: tmp_path / ending[1:] for ending in FORMATS}
-    processes = {}
-    for ending, folder in folders.items():
+    for folder in folders.values():
         folder.mkdir()
-        processes[ending] = start(NODE, str(folder / f"killed{ending}"), str(MIN_PART_BYTES))
+    paths = [str(folder / f"killed{ending}") for ending, folder in folders.items()]
+    process = start(NODE, str(MIN_PART_BYTES), *paths)
     until(lambda: all(len(list(f.iterdir())) >= 3 for f in folders.values()), "three parts each")
-    for ending, process in processes.items():
-        process.kill()
-        process.wait()
-        files = log_files([folders[ending]])
+    process.kill()
+    process.wait()
+    for folder in folders.values():
+        files = log_files([folder])
         found = numbers_until_cut(files)
         assert found == list(range(len(found)))
         assert len(files) >= 3

@@ -13,7 +13,15 @@ from meshpoint.testbench.campaign.spec import TRUE_STATE, Job
 RPM_TO_DEG_PER_MS = 6e-3
 
 
-@pytest.mark.parametrize(("preset", "seeds"), [(Preset.THESIS, (1, 2)), (Preset.TRUCK, (3, 4, 5))])
+@pytest.mark.parametrize(
+    ("preset", "seeds"),
+    [
+        (Preset.THESIS, (1,)),
+        (Preset.TRUCK, (3,)),
+        pytest.param(Preset.THESIS, (2,), marks=pytest.mark.long),
+        pytest.param(Preset.TRUCK, (4, 5), marks=pytest.mark.long),
+    ],
+)
 def test_true_state_misses_by_the_scatter_of_the_delay_alone(
     preset: Preset, seeds: tuple[int, ...]
 ) -> None:

@@ -87,6 +87,7 @@ def test_a_restarted_controller_aims_from_its_first_shift_on() -> None:
     assert core.calibration("later").provenance.shifts == learned + LATER
 
 
+@pytest.mark.long
 def test_one_gear_in_mesh_tells_another_where_their_turns_have_a_common_factor() -> None:
     """After the restart the teeth are found, but seven phases of each gear are possible, and it
     does not pretend to know: the first shift is by luck. It tells the turns, and the second, into a
@@ -125,7 +126,7 @@ def losing(*names: str) -> tuple[Callable[[Frame], list[Frame]], list[bool]]:
     return alter, cut
 
 
-@pytest.mark.parametrize("wheel", ["Main", "Layshaft"])
+@pytest.mark.parametrize("wheel", [pytest.param("Main", marks=pytest.mark.long), "Layshaft"])
 def test_a_wheel_that_was_not_seen_for_a_while_is_found_again(wheel: str) -> None:
     """Half a second without frames. Of the main shaft only the place in the turn matters, and that
     its teeth tell; the layshaft's turns its sensor has counted on, and it had no time to stop."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import pytest
+
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
@@ -25,6 +27,7 @@ def spread_rad(squares: ShiftErrors) -> float:
     return math.sqrt(squares.angle_rad2 / squares.samples - mean * mean)
 
 
+@pytest.mark.long
 def test_both_shafts_are_better_known_with_a_further_sensor() -> None:
     """Backlash and tooth errors as built; 0.85 of the angle's error over eight such gearboxes."""
     run = FusionRun(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from meshpoint.testbench.swarm.swarm import SwarmSpec, breaks, run_seed, world_o
 
 SHEET, SETTINGS = load_sheet("truck12"), ControllerSettings()
 SPEC = SwarmSpec(SHEET, SETTINGS, 1)
+IN_THE_SUITE = ("mad_two_sleeves", "mad_slip", "mad_blind")
 
 
 def run(world: World) -> EpisodeResult:
@@ -49,7 +51,13 @@ def deed_alone(name: str) -> World:
     return World(6, deed.start_gear, deed.layshaft_rpm, {}, tuple(sorted(events)), 5_000)
 
 
-@pytest.mark.parametrize("name", DEEDS)
+def deeds() -> Iterator[Any]:
+    """Of all, the suite runs one that drives valves, one that blinds and one that tells nothing."""
+    for name in DEEDS:
+        yield pytest.param(name, marks=() if name in IN_THE_SUITE else (pytest.mark.long,))
+
+
+@pytest.mark.parametrize("name", list(deeds()))
 def test_a_deed_meets_its_row_of_the_guard_does_no_harm_and_shifts_come_back(name: str) -> None:
     result = run(deed_alone(name))
     assert result.broken == []
@@ -107,7 +115,13 @@ SHOWN = [aim for aim in AIMS if aim.reaches in
 """All of them are run by each swarm."""
 
 
-@pytest.mark.parametrize("aim", SHOWN, ids=lambda aim: aim.reaches)
+@pytest.mark.parametrize(
+    "aim",
+    [
+        pytest.param(aim, id=aim.reaches, marks=(pytest.mark.long,) * (aim is not SHOWN[0]))
+        for aim in SHOWN
+    ],
+)
 def test_an_aimed_world_reaches_what_it_aims_at(aim: Aim) -> None:
     result = run(aim.world(5))
     assert result.broken == []
@@ -220,7 +234,7 @@ def test_a_swarm_is_gone_on_with(tmp_path: Path) -> None:
     assert main([*base, "--hours", "0.001", "--out", str(tmp_path / "parts")]) == 0
     first = json.loads(report.read_text())
     assert first["worlds"] == 1
-    again = [*base, "--hours", "0.005", "--out", str(tmp_path / "parts"), "--resume"]
+    again = [*base, "--hours", "0.003", "--out", str(tmp_path / "parts"), "--resume"]
     assert main(again) == 0
     both = json.loads(report.read_text())
     assert both["simulated_hours"] > first["simulated_hours"]

@@ -212,7 +212,9 @@ def test_a_line_that_names_no_command_loads_none(arguments: str) -> None:
     assert len(loaded) < 180
 
 
-@pytest.mark.parametrize("command", ["campaign", "replay", "controller"])
+@pytest.mark.parametrize(
+    "command", ["campaign", pytest.param("replay", marks=pytest.mark.long), "controller"]
+)
 def test_a_command_loads_no_library_that_one_file_format_or_one_figure_needs(command: str) -> None:
     """asammdf with pandas is for MF4 logs, all of scipy's statistics for one quantile."""
     done = subprocess.run(

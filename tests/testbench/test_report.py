@@ -250,6 +250,7 @@ def test_a_browser_draws_the_shift_in_the_address_and_complains_of_nothing(
     assert 'id="shift-1-4" class="chosen"' in drawn
 
 
+@pytest.mark.long
 def test_of_two_hundred_shifts_the_page_reads_the_one_that_it_draws(
     simulated: tuple[Report, list[ShiftRow]], data: dict[str, Any], tmp_path: Path
 ) -> None:
