@@ -72,9 +72,10 @@ planted: $(VENV)/test.stamp
 	$(BIN)/python tests/planted/run_planted.py
 
 # Small mistakes in what must not fail, one at a time: does a test catch each? CHANGED=1: only lines
-# that differ from where this branch left origin/main; ARGS: see tests/mutation/run_mutants.py.
+# that differ from where this branch left origin/main, and no more than can be run in a minute; ARGS:
+# see tests/mutation/run_mutants.py.
 mutants: $(VENV)/test.stamp
-	$(BIN)/python tests/mutation/run_mutants.py $(if $(CHANGED),--changed) $(ARGS)
+	$(BIN)/python tests/mutation/run_mutants.py $(if $(CHANGED),--changed --wall 60) $(ARGS)
 
 test-containers:
 	tools/test-containers
