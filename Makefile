@@ -63,6 +63,11 @@ SWARM_SEED ?= 1
 swarm: $(VENV)/test.stamp
 	$(BIN)/meshpoint campaign --faults --hours 100 --wall $(SWARM_WALL_S) --seed $(SWARM_SEED)
 
+# A hundred hours of them, in parts: interrupted, it goes on where it was.
+swarm-nightly: $(VENV)/test.stamp
+	$(BIN)/meshpoint campaign --faults --hours 100 --seed $(SWARM_SEED) --out out/swarm --resume \
+	    --json out/swarm.json
+
 # The table of docs/faults.md, from scenarios that are run for it.
 faults: $(VENV)/test.stamp
 	$(BIN)/python -m meshpoint.testbench.swarm.named docs/faults.md
