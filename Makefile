@@ -63,6 +63,11 @@ SWARM_SEED ?= 1
 swarm: $(VENV)/test.stamp
 	$(BIN)/meshpoint campaign --faults --hours 100 --wall $(SWARM_WALL_S) --seed $(SWARM_SEED)
 
+# A hundred hours of them, in parts: interrupted, it goes on where it was.
+swarm-nightly: $(VENV)/test.stamp
+	$(BIN)/meshpoint campaign --faults --hours 100 --seed $(SWARM_SEED) --out out/swarm --resume \
+	    --json out/swarm.json
+
 # The table of docs/faults.md, from scenarios that are run for it.
 faults: $(VENV)/test.stamp
 	$(BIN)/python -m meshpoint.testbench.swarm.named docs/faults.md
@@ -72,9 +77,10 @@ planted: $(VENV)/test.stamp
 	$(BIN)/python tests/planted/run_planted.py
 
 # Small mistakes in what must not fail, one at a time: does a test catch each? CHANGED=1: only lines
-# that differ from where this branch left origin/main; ARGS: see tests/mutation/run_mutants.py.
+# that differ from where this branch left origin/main, and no more than can be run in a minute; ARGS:
+# see tests/mutation/run_mutants.py.
 mutants: $(VENV)/test.stamp
-	$(BIN)/python tests/mutation/run_mutants.py $(if $(CHANGED),--changed) $(ARGS)
+	$(BIN)/python tests/mutation/run_mutants.py $(if $(CHANGED),--changed --wall 60) $(ARGS)
 
 test-containers:
 	tools/test-containers

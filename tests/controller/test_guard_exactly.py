@@ -97,6 +97,9 @@ def test_row_3_without_the_brake() -> None:
     for slip, forbids in ((8.0 + 1.0 + 15.0, False), (8.0 + 1.0 + 15.0 + 1e-9, True),
                           (-4.0 - 1.0, False), (-4.0 - 1.0 - 1e-9, True)):  # fmt: skip
         assert slip_out_of_its_window(slip_case(slip)) is forbids
+    # Measured when the sleeve has long met its gear: none.
+    for slip, forbids in ((9.0, False), (9.0 + 1e-9, True)):
+        assert slip_out_of_its_window(slip_case(slip, measured_us=NOW + S)) is forbids
     # Measured a quarter of a second ago it has had longer: 20.
     for slip, forbids in ((29.0, False), (29.0 + 1e-9, True)):
         assert slip_out_of_its_window(slip_case(slip, measured_us=NOW - S // 4)) is forbids
@@ -243,15 +246,16 @@ def test_row_11_exactly_at_its_limit() -> None:
         assert actuation_at_low_supply(case({SECOND: on()}, supply_pa=supply_pa)) is forbids
 
 
+@pytest.mark.parametrize(("valve", "other"), [(1, 2), (2, 1), (7, 8), (8, 7)])
 @pytest.mark.parametrize(
     ("ago_us", "forbids"),
     [(0, True), (-1, False), (ROUND.clutch_travel_us - 1, True), (ROUND.clutch_travel_us, False)],
 )
-def test_row_18_exactly_at_its_limits(ago_us: int, forbids: bool) -> None:
-    state = GuardState(group_us={SPLIT_HIGH: NOW - ago_us})
-    assert back_and_forth(case({SPLIT_LOW: on()}, state)) is forbids
-    assert not back_and_forth(case({SPLIT_HIGH: on()}, state))
-    assert not back_and_forth(case({SPLIT_LOW: on()}))
+def test_row_18_exactly_at_its_limits(valve: int, other: int, ago_us: int, forbids: bool) -> None:
+    state = GuardState(group_us={other: NOW - ago_us})
+    assert back_and_forth(case({valve: on()}, state)) is forbids
+    assert not back_and_forth(case({other: on()}, state))
+    assert not back_and_forth(case({valve: on()}))
 
 
 # -- what the guard keeps ------------------------------------------------------------------------

@@ -54,6 +54,8 @@ class Task:
         self.budget_s: float = values["budget_s"]
         self.map_path = Path(values["map"])
         self.results = Path(values["results"])
+        self.until_s: float | None = values["until_s"]
+        """After this time (time.time()) no mutant is begun."""
         self.files = [str(self.root / name) for name in self.wanted]
 
     def tell(self, **values: Any) -> None:
@@ -77,7 +79,8 @@ def pytest_runtestloop(session: pytest.Session) -> bool | None:
         mutants = Mutants(name, source)
         keep = set(wanted)
         for mutant in mutants.all:
-            if mutant.name in keep:
+            is_time = task.until_s is None or time.time() < task.until_s
+            if mutant.name in keep and is_time:
                 runner.run(mutants, mutant, task.root / name)
     return True
 

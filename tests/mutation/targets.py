@@ -30,9 +30,11 @@ _GUARD_TESTS: Final = (
     "tests/controller/test_guard_limits.py",
     "tests/controller/test_guard_exactly.py",
     "tests/controller/test_guard_ear.py",
+    "tests/controller/test_guard_view.py",
     "tests/controller/test_driveline_exactly.py",
     "tests/controller/test_staleness.py",
     "tests/controller/test_survivors.py",
+    "tests/contract/test_shared_tables.py",
     "tests/gearbox/test_sheet.py",
 )
 """The quick ones alone: what they let through shall not wait for a closed loop to find it."""
