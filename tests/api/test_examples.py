@@ -60,6 +60,7 @@ def test_the_notebook_runs_from_log_to_picture(
     assert names["aimed"].reference == "known"
 
 
+@pytest.mark.long
 def test_the_hardware_loop_runs_on_a_bus_in_this_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -34,7 +34,7 @@ NODE = str(Path(__file__).with_name("logging_node.py"))
 EPOCH_S = 1_700_000_000.0
 FIELD_NAME = re.compile(r"candump-\d{4}-\d\d-\d\d_\d{6}\.log")
 """As `candump -l` names its logs."""
-FRAMES = 6000
+FRAMES = 3000
 
 formats = pytest.mark.parametrize("ending", FORMATS)
 
@@ -57,7 +57,7 @@ def write_parts(path: Path, max_bytes: int, count: int = FRAMES) -> list[Path]:
 
 
 @formats
-@pytest.mark.parametrize("max_bytes", [MIN_PART_BYTES, 300_000])
+@pytest.mark.parametrize("max_bytes", [MIN_PART_BYTES, 140_000])
 def test_no_part_is_larger_than_asked_and_none_much_smaller(
     ending: str, max_bytes: int, tmp_path: Path
 ) -> None:

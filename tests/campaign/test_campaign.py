@@ -79,6 +79,9 @@ def test_the_json_says_what_was_asked(by_one: Outcome) -> None:
         assert low <= figures["first_contact_gap"]["rate"] <= high
         assert {"mean", "p50", "p99"} <= set(figures["duration_ms"])
         assert {"mean", "p99"} <= set(figures["impact_j"])
+        ramp_ms = figures["phases_ms"]["ramp_ms"] or 0.0
+        after_ms = figures["duration_ms"]["mean"] - ramp_ms
+        assert figures["after_ramp_ms"]["mean"] == pytest.approx(after_ms)
         for key in (
             "retries", "blocked", "given_up", "phase_error_sd_deg", "reference_known",
         ):  # fmt: skip
@@ -154,6 +157,7 @@ def test_an_interrupted_campaign_goes_on_to_the_same_result(
     assert not (tmp_path / "parts").exists()
 
 
+@pytest.mark.long
 def test_a_finished_campaign_grows(by_one: Outcome, tmp_path: Path) -> None:
     campaign(tmp_path, "--runs", "1", "--true-state", "--jobs", "1")
     grown = campaign(tmp_path, *RUNS, "--jobs", "1", "--resume")

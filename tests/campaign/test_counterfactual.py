@@ -24,6 +24,7 @@ from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.units import DEG
 
 SHIFTS = 4
+pytestmark = pytest.mark.long
 RECORDED, OTHER = "speed_window", "target_phase"
 CHI_SQUARE_2 = 13.82
 """Exceeded by the sum of two squared normal errors once in 1,000."""

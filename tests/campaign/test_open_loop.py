@@ -135,6 +135,7 @@ def test_the_recorded_strategy_itself_never_parts_and_decides_what_was_sent(
         assert shift.strayed_at_step is None
 
 
+@pytest.mark.long
 def test_a_follower_estimates_what_the_recorded_controller_estimated(
     bench: tuple[list[ClosedLoop], ClosedLoop, Path],
     header: RunHeader,

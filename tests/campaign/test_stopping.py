@@ -53,8 +53,8 @@ def stopped(rng: np.random.Generator, a: float, b: float, goal: Goal) -> Estimat
     ("a", "b", "words"),
     [
         (0.99, 0.22, "first_contact_gap difference +-2%"),
-        (0.97, 0.95, "first_contact_gap difference +-2%"),
-        (0.99, 0.22, "first_contact_gap ratio +-0.5"),
+        pytest.param(0.97, 0.95, "first_contact_gap difference +-2%", marks=pytest.mark.long),
+        pytest.param(0.99, 0.22, "first_contact_gap ratio +-0.5", marks=pytest.mark.long),
     ],
 )
 def test_an_interval_that_was_looked_at_until_narrow_holds_the_truth_as_often_as_it_says(
@@ -81,7 +81,7 @@ def judged(rng: np.random.Generator, before: float, after: float, together: floa
     return comparison
 
 
-@pytest.mark.parametrize("together", [0.0, 0.9])
+@pytest.mark.parametrize("together", [pytest.param(0.0, marks=pytest.mark.long), 0.9])
 def test_a_change_from_99_to_96_per_cent_is_found_and_none_is_not(together: float) -> None:
     """500 simulated changes each; 2 % more than 5 are allowed to chance."""
     rng = np.random.default_rng(3)
@@ -153,6 +153,7 @@ def campaign(folder: Path, *more: str) -> int:
     ])  # fmt: skip
 
 
+@pytest.mark.long
 def test_the_same_code_is_not_worse_than_itself_and_a_blunt_estimator_is(tmp_path: Path) -> None:
     own = ["--strategy", "target_phase"]
     base = [*own, "--runs", "3", "--out", str(tmp_path / "base")]

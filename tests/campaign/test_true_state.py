@@ -45,6 +45,7 @@ def test_true_state_misses_by_the_scatter_of_the_delay_alone(
             assert abs(off_deg) < 1.2 * most_deg + 0.03
 
 
+@pytest.mark.long
 def test_in_the_thesis_its_error_is_slip_times_what_the_delay_was_off() -> None:
     """With the brake let go early, so that the slip at contact is that of the way there."""
     window = Window(aim_slip_rad_s=1.5, aim_time_constants=3.0)

@@ -142,6 +142,7 @@ def test_a_wheel_that_was_not_seen_for_a_while_is_found_again(wheel: str) -> Non
     assert_aimed_well(loop, ReferenceSource.RESTORED)
 
 
+@pytest.mark.long
 def test_after_a_standstill_of_the_layshaft_one_gear_in_mesh_tells_the_others() -> None:
     """The clutch sticks open in mid-shift, so that the layshaft runs down in neutral and stands.
     Hunting teeth: all 53 and 41 phases would be possible, but few turns agree with the edges that

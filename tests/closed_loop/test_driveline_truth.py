@@ -185,9 +185,9 @@ def run(deed: Deed, guarded: bool) -> tuple[MadCore, Loop, bool]:
 
 
 def deeds() -> Iterator[Any]:
-    """Flapping needs seconds until it does harm, and the guard's row 16 as many."""
+    """Flapping and overspeed need seconds until they do harm, and the guard's rows as many."""
     for deed in DEEDS:
-        yield pytest.param(deed, id=deed.name, marks=(pytest.mark.long,) * (deed.row == 16))
+        yield pytest.param(deed, id=deed.name, marks=(pytest.mark.long,) * (deed.row in (14, 16)))
 
 
 @pytest.mark.parametrize("deed", list(deeds()))

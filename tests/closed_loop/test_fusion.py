@@ -45,6 +45,7 @@ def test_both_shafts_are_better_known_with_a_further_sensor() -> None:
         assert spread_rad(found[fused]) < 0.95 * spread_rad(found[alone])
 
 
+@pytest.mark.long
 def test_phase_references_are_learned_with_fusion_as_without() -> None:
     """With a gear in mesh the further meshes turn over at any time; fused then, the angles of a
     gear that lies still would move by more than tells its flank."""

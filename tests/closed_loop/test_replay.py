@@ -167,6 +167,7 @@ def test_equal_requests_that_a_slow_node_takes_one_by_one_are_all_found(tmp_path
     assert session.verdict is Verification.IDENTICAL, str(session)
 
 
+@pytest.mark.long
 def test_another_strategy_acts_on_the_same_frames(six_shifts: Loop, tmp_path: Path) -> None:
     """Up to the first aimed shift both do the same; from there on the other one is told."""
     six_shifts.header.save(tmp_path)

@@ -151,6 +151,7 @@ def test_a_shadow_takes_nothing_that_would_act_or_keep(words, capsys) -> None:
     assert "a shadow sends nothing and keeps nothing" in capsys.readouterr().err
 
 
+@pytest.mark.long
 def test_a_report_says_what_another_strategy_would_have_met(log: Path, capsys) -> None:
     assert main(["report", str(log), "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)

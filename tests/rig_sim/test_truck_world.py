@@ -102,6 +102,7 @@ def test_it_does_not_matter_how_often_anybody_asks() -> None:
     assert truck.engagement.lines == asked.engagement.lines
 
 
+@pytest.mark.long
 def test_without_the_compiler_it_is_the_same_gearbox() -> None:
     folder = str(Path(__file__).parent)
     root = str(Path(__file__).parents[2])

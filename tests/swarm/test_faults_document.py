@@ -16,7 +16,7 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "faults.md"
 TICK_MS = 10.0
 STALE_MS = 51.0
 """50 ms, and the microseconds between the fault and the step that it is counted from."""
-IN_THE_SUITE = ("hall_dropout", "valve_stuck", "supply_drop", "bus_drop", "controller_restarted")
+IN_THE_SUITE = ("hall_dropout", "bus_drop", "controller_restarted")
 """One of each side; all of them by `make long`."""
 STALE = [named for named in NAMED if named.kind in ("bus_drop", "bus_bit_flip", "bus_duplicate")
          and named.value == 1.0 and named.target in (1, 2, 3)]  # fmt: skip

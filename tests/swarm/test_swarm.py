@@ -143,6 +143,7 @@ def test_a_swarm_begins_with_the_aimed_worlds_and_goes_on_with_drawn_ones() -> N
     assert world_of(deeds.stop) == draw_world(deeds.stop)
 
 
+@pytest.mark.long
 def test_a_controller_that_starts_while_old_frames_fill_the_bus_is_no_violation() -> None:
     """What waited while the gearbox's node hung comes at once; nobody can tell its age."""
     events = (
@@ -232,6 +233,7 @@ def test_a_bad_scenario_is_refused_by_name(
     assert said in str(refused.value) or said == "events"
 
 
+@pytest.mark.long
 def test_a_swarm_is_gone_on_with(tmp_path: Path) -> None:
     """The second run simulates only what is missing, and counts both."""
     report = tmp_path / "report.json"

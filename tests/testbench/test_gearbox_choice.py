@@ -39,6 +39,7 @@ def test_show_as_json_is_for_programs(capsys: pytest.CaptureFixture[str]) -> Non
     assert shown["derived"]["steps"]["C1"] is None
 
 
+@pytest.mark.long
 def test_a_sheet_by_name_and_the_same_from_a_file_run_alike(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -30,7 +30,7 @@ def setup(load: float, order: QueueOrder = QueueOrder.FIFO, shifts: int = 2) -> 
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("load", [0.8, 0.9])
+@pytest.mark.parametrize("load", [pytest.param(0.8, marks=pytest.mark.long), 0.9])
 def test_the_load_is_the_one_asked_for_and_responses_are_within_their_bounds(load: float) -> None:
     frames: list[tuple[int, Frame]] = []
     result = simulate(

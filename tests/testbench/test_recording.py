@@ -71,7 +71,7 @@ def replay(logs: list[Path], capsys: pytest.CaptureFixture[str]) -> dict[str, ob
     return dict(session)
 
 
-@pytest.mark.parametrize("ending", ["log", "blf", "asc"])
+@pytest.mark.parametrize("ending", ["log", pytest.param("blf", marks=pytest.mark.long), "asc"])
 def test_a_log_in_parts_replays_as_the_run_it_was(
     ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -182,6 +182,7 @@ def test_sixty_shifts_stay_below_eight_megabytes(
     assert len(offline.get_plotlyjs()) + 60 / 4 * len(text) < SIZE_LIMIT
 
 
+@pytest.mark.long
 def test_the_same_bus_gives_the_same_page(tmp_path: Path) -> None:
     """Simulated, and replayed from its log; only names and notes differ."""
     pytest.importorskip("plotly")

@@ -117,7 +117,8 @@ def test_both_nodes_get_the_keys_by_which_commands_are_proven(tmp_path: Path) ->
     assert "--keys" not in without
 
 
-@pytest.mark.parametrize("name", [pytest.param("controller", marks=pytest.mark.long), "pace"])
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["controller", "pace"])
 def test_a_node_that_dies_ends_all(tmp_path: Path, bus: list[str], name: str) -> None:
     with live(tmp_path, "up", *bus, "--preset", "thesis") as command:
         started = nodes(command)
