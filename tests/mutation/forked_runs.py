@@ -28,7 +28,7 @@ from typing import Any, Final
 
 import pytest
 from mutator import Mutant, Mutants, Where
-from targets import ROOT
+from targets import NOT_IMPORTED, ROOT
 
 TASK: Final = "MUTATION_TASK"
 KILLED, SURVIVED, UNCOVERED = "killed", "survived", "uncovered"
@@ -261,7 +261,7 @@ class _Runner:
         try:
             done = subprocess.run(
                 [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider",
-                 "-p", "mutated_import", *tests],
+                 "--assert=plain", "-p", "mutated_import", *tests],
                 env=environment, cwd=self._task.root, stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL, check=False,
                 timeout=WALL_TIMES * (expected_s + START_S),
@@ -269,6 +269,8 @@ class _Runner:
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             return "never ends"
+        if done.returncode == NOT_IMPORTED:
+            raise RuntimeError(f"{path} was not imported as a mutant")
         return "" if done.returncode == 0 else f"a process of its own, exit code {done.returncode}"
 
 

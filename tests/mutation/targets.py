@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 ROOT: Final = Path(__file__).parents[2]
+NOT_IMPORTED: Final = 77
+"""The exit code of a process of its own that has not imported its mutant."""
 
 
 class Target(NamedTuple):

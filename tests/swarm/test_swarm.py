@@ -16,7 +16,7 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.swarm.aimed import AIMS, Aim
+from meshpoint.testbench.swarm.aimed import AIMS, Aim, mad_world
 from meshpoint.testbench.swarm.deeds import DEEDS
 from meshpoint.testbench.swarm.draw import TIGHT, draw_world
 from meshpoint.testbench.swarm.episode import Episode, EpisodeResult, declared, settings_with
@@ -135,7 +135,12 @@ def test_a_swarm_begins_with_the_aimed_worlds_and_goes_on_with_drawn_ones() -> N
     assert [world_of(base + k) for k in range(len(AIMS))] == [
         aim.world(base + k) for k, aim in enumerate(AIMS)
     ]
-    assert world_of(base + len(AIMS)) == draw_world(base + len(AIMS))
+    deeds = range(base + len(AIMS), base + len(AIMS) + len(DEEDS))
+    assert [world_of(seed) for seed in deeds] == [
+        mad_world(seed, name) for seed, name in zip(deeds, DEEDS, strict=True)
+    ]
+    assert all(any(e.kind in DEEDS for e in world_of(seed).events) for seed in deeds)
+    assert world_of(deeds.stop) == draw_world(deeds.stop)
 
 
 @pytest.mark.long

@@ -1,18 +1,22 @@
 """Worlds with which every swarm begins: each is aimed at a corner that chance seldom finds.
 
 A fault strikes when the sequence enters a state: some states last for hundredths of a second, and
-many ways out of them exist for faults alone. The gearbox is as built by the world's own seed.
+many ways out of them exist for faults alone. Then the sequence goes mad in each of its ways, one
+for each row of the guard. The gearbox is as built by the world's own seed.
 """
 
 from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+from meshpoint.dbc.messages import ControllerState
+from meshpoint.testbench.swarm.deeds import DEEDS
 from meshpoint.testbench.swarm.events import REQUEST, Event, Group, World
 
 ASKED_MS: Final = 400
 AGAIN_MS: Final = 2_200
 SAFETY_MS: Final = 5_000
+MAD_MS, MAD_FOR_MS = 300, 3_000
 UP_RPM, DOWN_RPM = 1400.0, 1100.0
 SLOW, STATUS = int(Group.SLOW), int(Group.VALVE_STATUS)
 
@@ -111,6 +115,20 @@ AIMS: Final = (
 )  # fmt: skip
 
 
+def mad_world(seed: int, name: str) -> World:
+    """The world of a deed: the sequence goes mad in its state, the shift for that is asked for."""
+    deed = DEEDS[name]
+    events = [Event(0 if deed.begins is None else MAD_MS, name, 0, 0.0, MAD_FOR_MS)]
+    if deed.begins not in (None, ControllerState.IN_GEAR):
+        events.append(Event(ASKED_MS, REQUEST, 0, 10.0))
+    return World(seed, deed.start_gear, deed.layshaft_rpm, {}, tuple(events), SAFETY_MS)
+
+
 def aimed_world(seed: int, number: int) -> World | None:
-    """The world of that number, 0 the first, of a swarm; None where the drawn ones begin."""
-    return AIMS[number].world(seed) if number < len(AIMS) else None
+    """The world of that number, 0 the first, of a swarm: each aim, then each deed; None where the
+    drawn ones begin."""
+    if number < len(AIMS):
+        return AIMS[number].world(seed)
+    names = list(DEEDS)
+    number -= len(AIMS)
+    return mad_world(seed, names[number]) if number < len(names) else None
