@@ -11,4 +11,6 @@ class Exit(IntEnum):
     """It ran, and what it ran failed."""
     BAD_INPUT = 2
     NOT_VERIFIABLE = 3
+    NOT_DECIDED = 4
+    """It ran, and the question it was to answer needs more of it."""
     INTERRUPTED = 130

@@ -27,6 +27,7 @@ from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.truck.as_built import draw_as_built
 from meshpoint.testbench.campaign import table as campaign_table
 from meshpoint.testbench.campaign.record import JudgedShift
+from meshpoint.testbench.campaign.verdict_words import against_table
 from meshpoint.testbench.check.finding import Finding as CheckFinding
 from meshpoint.testbench.check.finding import Verdict
 from meshpoint.testbench.cli import main
@@ -71,10 +72,18 @@ RECORD = JudgedShift(
     reference_source="none", result="ended_between_gears", fault="none", contact="tooth",
     duration_ms=10_436.0, slip_rpm=-123.4, phase_error_deg=-3.75, pitch_deg=7.5,
     predicted_phase_deg=None, predicted_phase_sd_deg=None, delay_ms=None, attempts=3,
-    impact_j=123.45, face_ms=0.0, ratchets=0, blocked=0, backlash_percent=20.0, delay_sd_ms=1.0,
-    oil_c=None, slope_percent=None, mass_kg=None, supply_offset_bar=None, bound_ms=None,
+    impact_j=123.45, face_ms=0.0, ratchets=0, blocked=0, backlash_percent=20.0, gap_share=0.2,
+    delay_sd_ms=1.0, oil_c=None, slope_percent=None, mass_kg=None, supply_offset_bar=None,
+    bound_ms=None,
     **dict.fromkeys(PHASES),
 )  # fmt: skip
+AGAINST = {
+    "reference": "origin/a-branch-with-a-name (0123456789ab of /home/someone/work/truck/node)",
+    "strategy": LONGEST, "strategy_before": "target_phase", "verdict": "not decided",
+    "runs": 100_000, "pairs": 1_000_000, "worse": 100_000, "better": 100_000,
+    "missed_by_both": 100_000, "misses_before": 0.123, "misses_after": 0.123,
+    "baseline": {"shifts": 1_000_000, "misses": 100_000}, "evidence": -12.34, "margin": 0.125,
+}  # fmt: skip
 CAPTURE = CaptureRow(
     "crank-60-2-cold-start.csv", "60-2", 60, "Channel 0", "inverted", 123_456, 123_400, 12_345.6,
     123, 123, 12, 1_234, 123, 123_400, 123, [0.1], 12_345.6, 12_345.6, 1_234.5, [],
@@ -144,6 +153,7 @@ TABLES: dict[str, Callable[[], Table]] = {
     "campaign.table._strategies": lambda: campaign_table._strategies(campaign_values()),
     "campaign.table._phases": lambda: campaign_table._phases(campaign_values()),
     "campaign.table._ratios": lambda: campaign_table._ratios(campaign_values()["ratios"]),
+    "campaign.verdict_words.against_table": lambda: against_table(AGAINST),
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
     "logs.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
     "commands.swarm.reached_table": lambda: reached_table(Swarm().to_json(1.0)),

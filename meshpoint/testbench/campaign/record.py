@@ -12,7 +12,7 @@ from meshpoint.testbench.loop.bench import PlannedShift
 from meshpoint.testbench.results.kinematic_bound import kinematic_bound_ms
 from meshpoint.testbench.results.phases import ShiftPhases
 from meshpoint.testbench.results.rows import ShiftRow
-from meshpoint.units import RPM
+from meshpoint.units import MM, RPM
 
 NO_OUTCOME = "no_outcome"
 
@@ -52,6 +52,8 @@ class JudgedShift:
     ratchets: int
     blocked: int
     backlash_percent: float
+    gap_share: float
+    """Of all phases at contact, the share at which it would be in a gap (`gap_share()`)."""
     delay_sd_ms: float
     oil_c: float | None
     slope_percent: float | None
@@ -77,6 +79,14 @@ class JudgedShift:
         return self.result == "engaged"
 
 
+def gap_share(sheet: GearboxSheet, backlash_factor: float, chamfer_m: float) -> float:
+    """Share of a pitch at which a first contact is in a gap: the gap, and on the side from which
+    the tooth comes its chamfer as well. What a strategy hits that knows nothing of the phase."""
+    dog = sheet.dog
+    width_rad = dog.backlash_rad * backlash_factor + chamfer_m / dog.radius_m
+    return min(1.0, width_rad / dog.pitch_rad)
+
+
 class Conditions:
     """What all shifts of a run have in common."""
 
@@ -85,9 +95,11 @@ class Conditions:
             return as_built[group][key] if group in as_built else None
 
         factor = built("sheet", "backlash_factor") or 1.0
+        chamfer_mm = built("dog", "chamfer_mm") or 0.0
         sd_ms = built("sleeve", "noise_sd_ms")
         self.columns: dict[str, Any] = {
             "backlash_percent": 100.0 * sheet.dog.backlash_share * factor,
+            "gap_share": gap_share(sheet, factor, chamfer_mm * MM),
             "delay_sd_ms": sheet.sleeve.delay_sd_s * 1e3 if sd_ms is None else sd_ms,
             "oil_c": built("oil", "temperature_c"),
             "slope_percent": built("vehicle", "slope_percent"),

@@ -19,12 +19,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from meshpoint.controller.planning.strategies.table import AIMING
+from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.testbench.campaign.record import JudgedShift
 
 LEAST_RUNS: Final = 32
 GROWTH: Final = math.sqrt(2.0)
 NOMINAL: Final = 0.95
-FIGURES: Final = ("first_contact_gap", "duration_ms", "impact_j")
+GAP: Final = "first_contact_gap"
+FIGURES: Final = (GAP, "duration_ms", "impact_j")
 KINDS: Final = ("difference", "ratio")
 GOAL_FORM: Final = '"FIGURE KIND +-X", as "first_contact_gap difference +-1%"'
 Floats = NDArray[np.float64]
@@ -98,11 +101,22 @@ def looks(most_runs: int) -> Iterator[int]:
     yield most_runs
 
 
-def estimate(goal: Goal, records: list[JudgedShift], strategy: str, other: str) -> Estimate:
-    """The figure of `strategy` against `other` from the runs so far."""
+def is_blind(strategy: str) -> bool:
+    """Whether a strategy of ours fires without any knowledge of the phase."""
+    return strategy in STRATEGY_NAMES and strategy not in AIMING
+
+
+def estimate(
+    goal: Goal, records: list[JudgedShift], strategy: str, other: str, *, plain: bool = False
+) -> Estimate:
+    """The figure of `strategy` against `other` from the runs so far.
+
+    A strategy that is blind to the phase meets it as it comes, evenly spread over the pitch: each
+    contact then counts by the share of phases at which it would have been in a gap, which has the
+    same mean and none of the luck. plain: it counts as it was."""
     sums: dict[int, list[float]] = {}
     for record in records:
-        value = _value(goal.figure, record)
+        value = _value(goal.figure, record, plain)
         if value is None or record.strategy not in (strategy, other):
             continue
         run = sums.setdefault(record.seed, [0.0, 0.0, 0.0, 0.0])
@@ -138,8 +152,10 @@ def paired_estimate(kind: str, a: Floats, a_n: Floats, b: Floats, b_n: Floats) -
     return Estimate(float(value), margin * math.sqrt(max(variance, least)), runs)
 
 
-def _value(figure: str, record: JudgedShift) -> float | None:
-    if figure == "first_contact_gap":
+def _value(figure: str, record: JudgedShift, plain: bool) -> float | None:
+    if figure == GAP:
+        if not plain and record.contact is not None and is_blind(record.strategy):
+            return record.gap_share
         return float(record.contact == "gap")
     value: float | None = getattr(record, figure)
     return value

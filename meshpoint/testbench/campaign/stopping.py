@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
+from meshpoint.testbench.campaign.baseline import Baseline, paired_runs
 from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.campaign.sequential import Estimate, Goal, estimate, looks
-from meshpoint.testbench.campaign.store import SHIFTS_FILE, read_records
-from meshpoint.testbench.campaign.verdict import Comparison, Verdict, compare_runs
-from meshpoint.testbench.errors import CommandError
-
-PAIRED_AT_A_TIME: Final = 8
-"""Runs between two looks at the pairs: a verdict may come after any run, and counts up to it."""
+from meshpoint.testbench.campaign.sequential import (
+    GAP,
+    Estimate,
+    Goal,
+    estimate,
+    is_blind,
+    looks,
+)
+from meshpoint.testbench.campaign.verdict import Comparison, Verdict
+from meshpoint.testbench.campaign.verdict import looks as paired_looks
 
 
 class Stopping(Protocol):
@@ -63,6 +66,7 @@ class Until:
         self._goal, self._pair, self._budget_s, self._clock = goal, pair, budget_s, clock
         self._began_s: float | None = None
         self._estimate: Estimate | None = None
+        self._plain: Estimate | None = None
         self._why = "runs"
 
     def looks(self, most_runs: int) -> Iterator[int]:
@@ -81,6 +85,7 @@ class Until:
     def enough(self, records: list[JudgedShift]) -> bool:
         """Whether the interval is narrow enough."""
         self._estimate = estimate(self._goal, records, *self._pair)
+        self._plain = estimate(self._goal, records, *self._pair, plain=True)
         reached = self._estimate.half_width <= self._goal.half_width
         self._why = "goal" if reached else self._why
         return reached
@@ -88,6 +93,9 @@ class Until:
     def to_json(self) -> dict[str, Any]:
         """The figure, its interval, and why it stopped there."""
         found = {} if self._estimate is None else self._estimate.to_json()
+        integrated = [name for name in self._pair if self._goal.figure == GAP and is_blind(name)]
+        if integrated and self._plain is not None:
+            found |= {"integrated": integrated, "plain": self._plain.to_json()}
         return {
             "until": {
                 "goal": str(self._goal),
@@ -101,39 +109,40 @@ class Until:
 class Against:
     """Stops when it is clear whether the shifts of a baseline have got worse."""
 
-    def __init__(self, baseline: list[JudgedShift], strategy: str, margin: float) -> None:
-        base = [record for record in baseline if record.strategy == strategy]
-        if not base:
-            raise CommandError(f"--against: the baseline has no shift with strategy {strategy}")
-        self._baseline, self._strategy = base, strategy
-        self.runs = len({record.seed for record in base})
-        """That the baseline has."""
-        misses = sum(record.contact != "gap" for record in base) / len(base)
-        self.comparison = Comparison(misses, margin)
+    def __init__(
+        self, baseline: Baseline, strategies: tuple[str, str], margin: float, seeds: list[int]
+    ) -> None:
+        """`strategies`: the controller's own before and now; `seeds`: of all runs, in order."""
+        self._baseline, self._own = baseline, strategies
+        self._seeds = seeds
+        self.comparison = Comparison(margin)
         self._taken = 0
 
     def looks(self, most_runs: int) -> Iterator[int]:
-        """Every few runs."""
-        yield from range(PAIRED_AT_A_TIME, most_runs, PAIRED_AT_A_TIME)
-        yield most_runs
+        """Every few runs (`verdict.looks`)."""
+        yield from paired_looks(most_runs)
 
     def enough(self, records: list[JudgedShift]) -> bool:
         """Whether there is a verdict: the runs are taken in the order of their seeds."""
-        runs = compare_runs(self._baseline, records, self._strategy)
+        made = len({record.seed for record in records})
+        before = self._baseline.first(self._seeds[:made])
+        shifts = [outcome for run in before.values() for outcome in run.values()]
+        self.comparison.shifts = len(shifts)
+        self.comparison.misses = sum(not outcome.is_gap for outcome in shifts)
+        runs = paired_runs(before, records, self._own[1])
         for run in runs[self._taken :]:
-            self.comparison.take(run.worse, run.better, run.pairs)
+            self.comparison.take(run)
         self._taken = len(runs)
-        return self.comparison.verdict is not Verdict.OPEN
+        return self.comparison.look() is not Verdict.OPEN
 
     def to_json(self) -> dict[str, Any]:
         """The verdict and what it rests on."""
-        return {"against": {"strategy": self._strategy, **self.comparison.to_json()}}
-
-
-def read_baseline(path: Path) -> list[JudgedShift]:
-    """The judged shifts of a `--out` folder or its table. CommandError where they are not to be
-    read."""
-    table = path / SHIFTS_FILE if path.is_dir() else path
-    if not table.is_file():
-        raise CommandError(f"--against {path}: there is no {table.name}; make it with --out")
-    return read_records(table)
+        before, after = self._own
+        return {
+            "against": {
+                "reference": self._baseline.name,
+                "strategy": after,
+                "strategy_before": before,
+                **self.comparison.to_json(),
+            }
+        }

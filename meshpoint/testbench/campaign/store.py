@@ -142,3 +142,16 @@ def read_records(path: Path) -> list[JudgedShift]:
     except (OSError, pa.ArrowException) as error:
         raise CommandError(f"{path}: not a part of a campaign: {error}") from error
     return [JudgedShift(**row) for row in rows]
+
+
+def read_columns(path: Path, names: tuple[str, ...]) -> list[list[Any]]:
+    """Some columns of a table of judged shifts, which may be of another version of the product.
+    CommandError where it lacks one."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path, columns=list(names))
+        return [table.column(name).to_pylist() for name in names]
+    except (OSError, KeyError, pa.ArrowException) as error:
+        raise CommandError(f"{path}: not a table of a campaign: {error}") from error

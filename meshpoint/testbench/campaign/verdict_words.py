@@ -1,17 +1,25 @@
-"""Why a campaign stopped, in words for people and as JUnit XML for a CI server."""
+"""Why a campaign stopped, in words for people and as JUnit XML and Markdown for a CI server."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
+from rich.table import Table
+
 from meshpoint.testbench.campaign.verdict import Verdict
+from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results import junit
 
+NOT_WORSE = "first contact in a gap is not worse than before"
 
-def is_worse(values: dict[str, Any]) -> bool:
-    """Whether the verdict is that shifts have got worse."""
-    return bool(values.get("against", {}).get("verdict") == Verdict.WORSE.value)
+
+def exit_code(values: dict[str, Any]) -> Exit:
+    """What the verdict comes to; DONE where none was asked for."""
+    verdict = values.get("against", {}).get("verdict")
+    if verdict == Verdict.WORSE.value:
+        return Exit.FAILED
+    return Exit.NOT_DECIDED if verdict == Verdict.OPEN.value else Exit.DONE
 
 
 def stopped_words(values: dict[str, Any]) -> list[str]:
@@ -25,19 +33,55 @@ def stopped_words(values: dict[str, Any]) -> list[str]:
             f"{until['goal']}, {a} against {b}: {found} after {until.get('runs', 0)} runs, "
             f"stopped by {until['stopped_by']}"
         )
+        if (plain := until.get("plain", {}).get("value")) is not None:
+            low, high = until["plain"]["ci95"]
+            lines.append(
+                f"{', '.join(until['integrated'])}: integrated over the phase, which it cannot "
+                f"know; counted plainly it is {plain:.4g} ({low:.4g} to {high:.4g})"
+            )
     if (against := values.get("against")) is not None:
         lines.append(
-            f"against the baseline: {_verdict(against)}; {against['pairs']} pairs, "
+            f"against {against['reference']}: {_verdict(against)}; {against['pairs']} pairs, "
             f"{against['worse']} worse, {against['better']} better, margin "
             f"{100 * against['margin']:g} %"
         )
     return lines
 
 
-def _verdict(against: dict[str, Any]) -> str:
-    if against["verdict"] == Verdict.OPEN.value:
-        return "not decided, more runs are needed"
-    return str(against["verdict"])
+def against_table(against: dict[str, Any]) -> Table:
+    """The verdict and what it rests on."""
+    table = Table(
+        title="first contact, before and after", title_justify="left", box=None, pad_edge=False
+    )
+    table.add_column("", no_wrap=True)
+    table.add_column("", overflow="fold")
+    for title, cell in _lines(against):
+        table.add_row(title, cell)
+    return table
+
+
+def markdown(values: dict[str, Any]) -> str:
+    """The result for a pull request or a job's page."""
+    against = values.get("against")
+    head = "campaign" if against is None else against["verdict"]
+    lines = [f"# meshpoint campaign: {head}", ""]
+    if against is not None:
+        lines += ["| first contact, before and after | |", "|---|---|"]
+        lines += [f"| {title} | {cell} |" for title, cell in _lines(against)]
+        lines.append("")
+    lines += ["| strategy | shifts | first contact in a gap | mean ms | mean impact J |"]
+    lines += ["|---|---|---|---|---|"]
+    for name, figures in values["strategies"].items():
+        gap, shifts = figures["first_contact_gap"], figures["shifts"]
+        low, high = gap["ci95"]
+        share = "" if gap["rate"] is None else _percent(gap["rate"])
+        share += f" ({_percent(low)} to {_percent(high)})" if share else ""
+        mean, impact = figures["duration_ms"]["mean"], figures["impact_j"]["mean"]
+        cells = ("" if v is None else f"{v:.{d}f}" for v, d in ((mean, 0), (impact, 2)))
+        lines.append(f"| {name} | {shifts} | {share} | {' | '.join(cells)} |")
+    lines += ["", *stopped_words(values)]
+    lines += [f"run {run['seed']} failed: {run['error']}" for run in values["failed"]]
+    return "\n".join(lines) + "\n"
 
 
 def write_junit(path: Path, values: dict[str, Any]) -> None:
@@ -45,6 +89,35 @@ def write_junit(path: Path, values: dict[str, Any]) -> None:
     failed = [f"run {run['seed']}: {run['error']}" for run in values["failed"]]
     cases = [("every run came to its end", "; ".join(failed))]
     if "against" in values:
-        worse = stopped_words(values)[-1] if is_worse(values) else ""
-        cases.append(("first contact in a gap is not worse than before", worse))
+        fine = exit_code(values) is Exit.DONE
+        cases.append((NOT_WORSE, "" if fine else stopped_words(values)[-1]))
     junit.write_junit(path, "campaign", cases, "; ".join(stopped_words(values)))
+
+
+def _lines(against: dict[str, Any]) -> list[tuple[str, str]]:
+    before, after = against["misses_before"], against["misses_after"]
+    baseline, strategies = against["baseline"], [against["strategy_before"], against["strategy"]]
+    pairs = f"{against['pairs']} of {against['runs']} runs"
+    return [
+        ("verdict", _verdict(against)),
+        ("before", against["reference"]),
+        ("strategy", " / ".join(dict.fromkeys(strategies))),
+        ("pairs", pairs),
+        ("worse", str(against["worse"])),
+        ("better", str(against["better"])),
+        ("missed by both", str(against["missed_by_both"])),
+        ("misses", "-" if before is None else f"{_percent(before)} before, {_percent(after)} now"),
+        ("whole baseline", f"{baseline['misses']} misses in {baseline['shifts']} shifts"),
+        ("margin", f"{100 * against['margin']:g} %"),
+        ("evidence", f"{against['evidence']:+.2f}"),
+    ]
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"
+
+
+def _verdict(against: dict[str, Any]) -> str:
+    if against["verdict"] == Verdict.OPEN.value:
+        return "not decided, more runs are needed"
+    return str(against["verdict"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,26 +23,31 @@ from meshpoint.testbench.campaign.run import RunResult, run_one
 from meshpoint.testbench.campaign.runner import run_all, workplace
 from meshpoint.testbench.campaign.sequential import FIGURES, GOAL_FORM, Goal, parse_goal
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
-from meshpoint.testbench.campaign.stopping import (
-    Against,
-    AllRuns,
-    Stopping,
-    Until,
-    read_baseline,
-)
+from meshpoint.testbench.campaign.stopping import Against, AllRuns, Stopping, Until
 from meshpoint.testbench.campaign.store import Store
 from meshpoint.testbench.campaign.sweep import SweepPoint
 from meshpoint.testbench.campaign.table import print_tables, records_table
-from meshpoint.testbench.campaign.verdict_words import is_worse, stopped_words, write_junit
+from meshpoint.testbench.campaign.verdict_words import (
+    against_table,
+    exit_code,
+    markdown,
+    stopped_words,
+    write_junit,
+)
 from meshpoint.testbench.commands import arguments, swarm
+from meshpoint.testbench.commands.campaign_before import baseline
 from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.loop.compiling import prepare
 from meshpoint.testbench.loop.schedules import pairs
+from meshpoint.testbench.results.junit import write_text
 from meshpoint.testbench.results.output import complain_of_strategy, console, write_json
 
 MOST_RUNS: Final = 1_000_000
+RUNS: Final = 100
+RUNS_AGAINST: Final = 500
+"""Where a commit is compared with: enough for a verdict on the margin that is the default."""
 _GOAL_HELP: Final = GOAL_FORM.replace("%", "%%")
 DESCRIPTION: Final = """\
 Seeded Monte Carlo. A run is one draw: a gearbox as built, oil, load, slope, supply pressure and one
@@ -60,8 +66,9 @@ def add_parser(commands: Any) -> None:
         description=DESCRIPTION,
     )
     parser.add_argument(
-        "--runs", type=arguments.whole(1, MOST_RUNS), default=100, metavar="N",
-        help="number of draws (default: 100); each has --judged paired shifts",
+        "--runs", type=arguments.whole(1, MOST_RUNS), metavar="N",
+        help=f"number of draws (default: {RUNS}; with --against those of the baseline, "
+        f"{RUNS_AGAINST} for a commit); each has --judged paired shifts",
     )  # fmt: skip
     parser.add_argument(
         "--learn", type=arguments.whole(0, 1000), default=6, metavar="L",
@@ -72,10 +79,9 @@ def add_parser(commands: Any) -> None:
         help="shifts of each run and strategy that are judged (default: 2)",
     )  # fmt: skip
     parser.add_argument(
-        "--strategy", dest="strategies", type=_strategies, default=tuple(STRATEGY_NAMES),
-        metavar="A,B,...",
+        "--strategy", dest="strategies", type=_strategies, metavar="A,B,...",
         help=f"strategies to compare, of {', '.join(STRATEGY_NAMES)}, and your own as {FORM} "
-        "(default: all of ours)",
+        "(default: all of ours; with --against the controller's own alone, which is judged)",
     )  # fmt: skip
     parser.add_argument(
         "--true-state", "--oracle", dest="true_state", action="store_true",
@@ -112,9 +118,10 @@ def _add_stopping(parser: argparse.ArgumentParser) -> None:
         "most --runs",
     )  # fmt: skip
     what.add_argument(
-        "--against", type=Path, metavar="FILE|DIR",
-        help="an earlier campaign with the same draws (its --out folder, or its table): stop when "
-        "it is clear whether shifts have got worse, exit code 1 when they have",
+        "--against", metavar="FILE|DIR|COMMIT",
+        help="an earlier campaign with the same draws (its --out folder, or its table), or a git "
+        "commit, whose product then makes them beside this one: stop when it is clear whether "
+        "shifts have got worse; exit code 1 when they have, 4 where --runs do not tell",
     )  # fmt: skip
     parser.add_argument(
         "--margin", type=arguments.percent(0.5, 50.0), default=0.03, metavar="PERCENT",
@@ -128,6 +135,9 @@ def _add_stopping(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--junit", type=Path, metavar="FILE", help="the result as JUnit XML, for a CI server"
     )
+    parser.add_argument(
+        "--markdown", type=Path, metavar="FILE", help="verdict and figures as Markdown, for people"
+    )
 
 
 def _goal(text: str) -> Goal:
@@ -137,8 +147,11 @@ def _goal(text: str) -> Goal:
         raise argparse.ArgumentTypeError(str(error)) from None
 
 
-def _stopping(namespace: argparse.Namespace, spec: CampaignSpec) -> Stopping:
-    """What ends the campaign. CommandError where it cannot be judged."""
+def _stopping(namespace: argparse.Namespace, spec: CampaignSpec, stack: ExitStack) -> Stopping:
+    """What ends the campaign, and how many runs it may have; `stack` ends what works for it.
+    CommandError where it cannot be judged."""
+    if namespace.against is None:
+        namespace.runs = namespace.runs or RUNS
     if namespace.until is None and namespace.against is None:
         if namespace.budget is not None:
             raise CommandError("--budget needs --until: the interval that is waited for")
@@ -146,13 +159,21 @@ def _stopping(namespace: argparse.Namespace, spec: CampaignSpec) -> Stopping:
     if spec.sweep:
         raise CommandError("--until and --against judge the base alone: leave out --sweep")
     if namespace.against is not None:
-        return Against(read_baseline(namespace.against), spec.own, namespace.margin)
+        return _against(namespace, spec, stack)
     others = [name for name in spec.names if name != spec.own]
     if spec.own not in spec.names or not others:
         raise CommandError(
             f"--until compares {spec.own} with another strategy: name both with --strategy"
         )
     return Until(namespace.until, (spec.own, others[0]), namespace.budget)
+
+
+def _against(namespace: argparse.Namespace, spec: CampaignSpec, stack: ExitStack) -> Against:
+    if spec.own not in spec.names:
+        raise CommandError(f"--against judges {spec.own}, the controller's own: name it")
+    before, strategy = baseline(namespace, spec, RUNS_AGAINST, stack, lambda: _compile(namespace))
+    seeds = [job.seed for job in spec.jobs(namespace.runs)]
+    return Against(before, (strategy, spec.own), namespace.margin, seeds)
 
 
 def _add_execution(parser: argparse.ArgumentParser) -> None:
@@ -182,11 +203,15 @@ def run(namespace: argparse.Namespace) -> int:
     if namespace.faults or namespace.scenario is not None:
         return swarm.run(namespace)
     built = arguments.as_built_of(namespace)
+    settings = arguments.settings_of(namespace)
+    strategies = namespace.strategies or tuple(STRATEGY_NAMES)
+    if namespace.against is not None and not namespace.strategies:
+        strategies = (settings.strategy_name,)
     spec = CampaignSpec(
         sheet=arguments.sheet_of(namespace),
-        settings=arguments.settings_of(namespace),
+        settings=settings,
         preset=Preset(namespace.preset),
-        strategies=namespace.strategies,
+        strategies=strategies,
         true_state=namespace.true_state,
         pairs=namespace.pairs,
         learn=namespace.learn,
@@ -195,7 +220,7 @@ def run(namespace: argparse.Namespace) -> int:
         profile=built.profile,
         as_built=built.fixed,
         sweep=tuple(point for points in namespace.sweep for point in points),
-        strategy_files=_strategy_files(namespace.strategies),
+        strategy_files=_strategy_files(strategies),
     )
     for name in spec.strategy_files:
         make_strategy(spec.sheet, spec.engagement(name))
@@ -227,13 +252,12 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
     store = None
     if namespace.out is not None:
         store = Store(namespace.out, spec, namespace.resume)
-    stopping = _stopping(namespace, spec)
-    jobs = spec.jobs(namespace.runs)
-    if namespace.dask is None:
-        baselines = namespace.estimator not in (None, "crossing")
-        prepare(thesis=spec.preset is Preset.THESIS, baselines=baselines)
-    collected = Collected(spec, jobs, [] if store is None else store.records)
-    finished = _make(namespace, spec, store, collected, stopping)
+    with ExitStack() as stack:
+        stopping = _stopping(namespace, spec, stack)
+        jobs = spec.jobs(namespace.runs)
+        _compile(namespace)
+        collected = Collected(spec, jobs, [] if store is None else store.records)
+        finished = _make(namespace, spec, store, collected, stopping)
     values = to_json(spec, collected) | stopping.to_json()
     if not finished:
         values["interrupted"] = True
@@ -241,6 +265,25 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
             write_json(namespace.json, values)
         _say_interrupted(namespace, collected)
         return Exit.INTERRUPTED
+    return _write(namespace, spec, collected, store, values, out)
+
+
+def _compile(namespace: argparse.Namespace) -> None:
+    """The kernels that the runs made here call, where there are none yet."""
+    if namespace.dask is None:
+        baselines = namespace.estimator not in (None, "crossing")
+        prepare(thesis=namespace.preset == Preset.THESIS.value, baselines=baselines)
+
+
+def _write(
+    namespace: argparse.Namespace,
+    spec: CampaignSpec,
+    collected: Collected,
+    store: Store | None,
+    values: dict[str, Any],
+    out: Console,
+) -> int:
+    """Everything that was asked for; the command's exit code."""
     if store is not None:
         store.finish(collected.records)
         out.print(f"table {store.table}", markup=False)
@@ -257,12 +300,17 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
             file=sys.stderr,
         )
     complain_of_strategy(collected.strategy_errors)
+    if "against" in values and namespace.json != "-":
+        out.print()
+        out.print(against_table(values["against"]))
     for line in stopped_words(values):
         out.print(line, markup=False)
     if namespace.junit is not None:
         write_junit(namespace.junit, values)
-    went_wrong = bool(collected.failed or collected.strategy_errors or is_worse(values))
-    return Exit.FAILED if went_wrong else Exit.DONE
+    if namespace.markdown is not None:
+        write_text(namespace.markdown, markdown(values))
+    went_wrong = bool(collected.failed or collected.strategy_errors)
+    return Exit.FAILED if went_wrong else exit_code(values)
 
 
 def _make(

@@ -1,0 +1,102 @@
+"""What a change is compared with: the judged shifts of an earlier campaign, read by columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol
+
+from meshpoint.testbench.campaign.record import JudgedShift
+from meshpoint.testbench.campaign.store import PARTS, SHIFTS_FILE, read_columns
+from meshpoint.testbench.campaign.sweep import BASE_POINT
+from meshpoint.testbench.campaign.verdict import PairedRun
+from meshpoint.testbench.errors import CommandError
+
+DRAWN: Final = (
+    "from_gear", "to_gear", "layshaft_rpm", "oil_c", "slope_percent", "mass_kg",
+    "supply_offset_bar",
+)  # fmt: skip
+"""What a run draws: the same before and after, or the two are no pair."""
+GAP: Final = "gap"
+
+
+class Outcome(NamedTuple):
+    """Of one judged shift, what pairs need."""
+
+    is_gap: bool
+    drawn: tuple[Any, ...]
+
+
+Outcomes = Mapping[int, Mapping[int, Outcome]]
+"""By seed and shift."""
+
+
+class Baseline(Protocol):
+    """Shifts made before the change."""
+
+    name: str
+    """For people."""
+
+    def first(self, seeds: list[int]) -> Outcomes:
+        """At least what there is of these runs."""
+
+
+class FileBaseline:
+    """An earlier campaign: its `--out` folder, or the table in it."""
+
+    def __init__(self, path: Path, strategy: str) -> None:
+        self.name = str(path)
+        table = path / SHIFTS_FILE if path.is_dir() else path
+        if not table.is_file():
+            raise CommandError(f"--against {path}: there is no {table.name}; make it with --out")
+        self.outcomes = read_outcomes([table], strategy)
+        if not self.outcomes:
+            raise CommandError(f"--against {path}: no shift with strategy {strategy}")
+
+    def first(self, _seeds: list[int]) -> Outcomes:
+        """All there is: shifts without a partner tell how often the baseline misses."""
+        return self.outcomes
+
+
+def read_outcomes(tables: Iterable[Path], strategy: str) -> dict[int, dict[int, Outcome]]:
+    """The shifts of the base point by this strategy. CommandError where a table is none."""
+    found: dict[int, dict[int, Outcome]] = {}
+    for table in tables:
+        columns = read_columns(table, ("sweep", "strategy", "seed", "shift", "contact", *DRAWN))
+        for sweep, name, seed, shift, contact, *drawn in zip(*columns, strict=True):
+            if (sweep, name) == (BASE_POINT.name, strategy):
+                found.setdefault(seed, {})[shift] = Outcome(contact == GAP, tuple(drawn))
+    return found
+
+
+def outcome_tables(folder: Path) -> list[Path]:
+    """The tables of a campaign's folder, whether it is still at work or at its end."""
+    whole = folder / SHIFTS_FILE
+    return [whole] if whole.is_file() else sorted((folder / PARTS).glob("*.parquet"))
+
+
+def paired_runs(before: Outcomes, after: Iterable[JudgedShift], strategy: str) -> list[PairedRun]:
+    """Each run that both have, in order of the seeds. CommandError where a shift was not drawn
+    alike."""
+    runs: dict[int, list[int]] = {}
+    for record in after:
+        was = before.get(record.seed, {}).get(record.shift)
+        if was is None or record.strategy != strategy:
+            continue
+        _check_draw(was, record)
+        counts = runs.setdefault(record.seed, [0, 0, 0, 0])
+        now = record.contact == GAP
+        counts[0] += was.is_gap and not now
+        counts[1] += now and not was.is_gap
+        counts[2] += not now and not was.is_gap
+        counts[3] += 1
+    return [PairedRun(seed, *counts) for seed, counts in sorted(runs.items())]
+
+
+def _check_draw(was: Outcome, record: JudgedShift) -> None:
+    for name, before in zip(DRAWN, was.drawn, strict=True):
+        if (now := getattr(record, name)) != before:
+            raise CommandError(
+                f"--against: shift {record.shift} of run {record.seed} was not drawn alike: {name} "
+                f"{before} before, {now} now; make both with the same arguments"
+            )
