@@ -43,7 +43,8 @@ def speed(rad_s: float) -> EngineWish:
 
 
 def test_what_is_known_before_anything_was_seen() -> None:
-    assert DrivelineState() == DrivelineState(False, False, 0.0, (), None, 0)
+    nothing = DrivelineState(False, False, 0.0, (), None, own_share=(-math.inf, math.inf), torque_us=0)
+    assert DrivelineState() == nothing
     assert case().engine == EngineWish(NO_OVERRIDE, 0.0) == (NO_OVERRIDE, 0.0, 0.0)
     guard = DrivelineGuard(LIMITS)
     assert guard.blocked_row is None
