@@ -24,6 +24,8 @@ REACH_SD: Final = 2.0
 """The row of frequencies reaches so many standard deviations to either side."""
 LEAST_SPEED_SD: Final = 0.1
 """Least error of the engine's speed against this model (rad/s): ripple and torque of chance."""
+LEAST_SHARE: Final = 1e-12
+"""Keeps the equations solvable where two columns cannot be told apart."""
 CORRELATED: Final = 4.0
 """An error lasts for so many looks: 40 ms."""
 
@@ -95,33 +97,44 @@ def fit_swing(course: EngineCourse, ratio: float, engine_kgm2: float, known: Kno
 def _scan(
     course: EngineCourse, engine_kgm2: float, known: Known, omegas: Vector, sd: float
 ) -> _Scan:
-    """The best fit for each frequency; sd: of a speed at the propeller shaft."""
+    """The best fit for each frequency, all at once by their normal equations; sd: of a speed at the
+    propeller shaft."""
     at_s = course.time_s - course.time_s[0]
     pull_nm = course.torque_nm - course.torque_nm[0]
+    turned = omegas[:, None] * at_s
+    cosine, sine = np.cos(turned), np.sin(turned)
+    whole, swung = _answers(at_s, pull_nm, omegas, cosine, sine)
+    even = np.broadcast_to(np.ones_like(at_s), cosine.shape)
+    columns = np.stack((even, np.broadcast_to(at_s, cosine.shape), cosine, sine, whole - swung), 1)
+    wanted = course.omega_rad_s - course.omega_rad_s[0] - swung / engine_kgm2
     share = 1.0 + engine_kgm2 * known.vehicle_inverse
-    together, together_sd = known.vehicle_inverse / share, known.vehicle_sd / share**2
-    misfits, found = np.empty(len(omegas)), np.empty((len(omegas), 3))
-    for n, omega in enumerate(omegas):
-        whole, swung = _answers(at_s, pull_nm, omega)
-        columns = np.column_stack(
-            (np.ones_like(at_s), at_s, np.cos(omega * at_s), np.sin(omega * at_s), whole - swung)
-        )
-        wanted = course.omega_rad_s - swung / engine_kgm2
-        rows = np.vstack((columns / sd, [0.0, 0.0, 0.0, 0.0, 1.0 / together_sd]))
-        right = np.append(wanted / sd, together / together_sd)
-        solution, *_ = np.linalg.lstsq(rows, right, rcond=None)
-        misfits[n] = ((rows @ solution - right) ** 2).sum()
-        spread = np.linalg.pinv(rows.T @ rows)
-        found[n] = solution[1], solution[4], math.sqrt(spread[4, 4])
-    return _Scan(misfits, found)
+    together, weight = known.vehicle_inverse / share, (sd * share**2 / known.vehicle_sd) ** 2
+    normal = columns @ columns.transpose(0, 2, 1)
+    right = (columns @ wanted[:, :, None])[:, :, 0]
+    normal[:, 4, 4] += weight
+    right[:, 4] += weight * together
+    scale = np.sqrt(normal[:, range(5), range(5)])
+    inverse = np.linalg.inv(
+        normal / scale[:, :, None] / scale[:, None, :] + LEAST_SHARE * np.eye(5)
+    )
+    inverse = inverse / scale[:, :, None] / scale[:, None, :]
+    solution = (inverse @ right[:, :, None])[:, :, 0]
+    missed = (solution[:, None, :] @ columns)[:, 0] - wanted
+    squares = (missed**2).sum(axis=1) + weight * (solution[:, 4] - together) ** 2
+    found = np.stack((solution[:, 1], solution[:, 4], sd * np.sqrt(inverse[:, 4, 4])), axis=1)
+    return _Scan(squares / sd**2, found)
 
 
-def _answers(at_s: Vector, pull_nm: Vector, omega: float) -> tuple[Vector, Vector]:
-    """Integrals of the torque, and of it times cos w(t - s), at each time; linear between."""
-    step = np.diff(at_s)
-    middle_s, mean = 0.5 * (at_s[1:] + at_s[:-1]), 0.5 * (pull_nm[1:] + pull_nm[:-1])
-    whole = np.concatenate(([0.0], np.cumsum(mean * step)))
-    cosine = np.concatenate(([0.0], np.cumsum(mean * step * np.cos(omega * middle_s))))
-    sine = np.concatenate(([0.0], np.cumsum(mean * step * np.sin(omega * middle_s))))
-    swung = np.cos(omega * at_s) * cosine + np.sin(omega * at_s) * sine
-    return whole, swung
+def _answers(
+    at_s: Vector, pull_nm: Vector, omegas: Vector, cosine: Vector, sine: Vector
+) -> tuple[Vector, Vector]:
+    """Integrals of the torque, and of it times cos w(t - s), at each time for each frequency; the
+    torque is taken to be even between two looks."""
+    middle_s, step = 0.5 * (at_s[1:] + at_s[:-1]), np.diff(at_s)
+    impulse = 0.5 * (pull_nm[1:] + pull_nm[:-1]) * step
+    turned = omegas[:, None] * middle_s
+    zero = np.zeros((len(omegas), 1))
+    by_cosine = np.hstack((zero, np.cumsum(impulse * np.cos(turned), axis=1)))
+    by_sine = np.hstack((zero, np.cumsum(impulse * np.sin(turned), axis=1)))
+    whole = np.concatenate(([0.0], np.cumsum(impulse)))
+    return whole, cosine * by_cosine + sine * by_sine
