@@ -1,10 +1,10 @@
 # make demo   set up a virtual environment and run the demonstration
-# make test   the same, with the tools for testing, and run all tests
+# make test   the same, with the tools for testing, and run the tests; make long: those of many seconds
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: swarm faults planted mutants demo docs test installed acceptance vcan vcan-alone test-containers lint types reference contracts stubs bench clean
+.PHONY: long swarm faults planted mutants demo docs test installed acceptance vcan vcan-alone test-containers lint types reference contracts stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -28,7 +28,14 @@ demo:
 # The kernels first, or both workers compile the same ones at once.
 test: $(VENV)/test.stamp
 	$(BIN)/python -m meshpoint.testbench.loop.compiling
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore=tests/acceptance
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --ignore=tests/acceptance \
+	    -m "not long"
+
+# What takes many seconds: whole documents held against runs, statistics over many shifts, crowds
+# of live processes.
+long: $(VENV)/test.stamp
+	$(BIN)/python -m meshpoint.testbench.loop.compiling
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m long $$(grep -rl --include='*.py' mark.long tests)
 
 # The wheel as a user installs it, and every command of README's table once.
 installed: $(VENV)/test.stamp
@@ -56,6 +63,11 @@ SWARM_SEED ?= 1
 swarm: $(VENV)/test.stamp
 	$(BIN)/meshpoint campaign --faults --hours 100 --wall $(SWARM_WALL_S) --seed $(SWARM_SEED)
 
+# A hundred hours of them, in parts: interrupted, it goes on where it was.
+swarm-nightly: $(VENV)/test.stamp
+	$(BIN)/meshpoint campaign --faults --hours 100 --seed $(SWARM_SEED) --out out/swarm --resume \
+	    --json out/swarm.json
+
 # The table of docs/faults.md, from scenarios that are run for it.
 faults: $(VENV)/test.stamp
 	$(BIN)/python -m meshpoint.testbench.swarm.named docs/faults.md
@@ -65,9 +77,10 @@ planted: $(VENV)/test.stamp
 	$(BIN)/python tests/planted/run_planted.py
 
 # Small mistakes in what must not fail, one at a time: does a test catch each? CHANGED=1: only lines
-# that differ from where this branch left origin/main; ARGS: see tests/mutation/run_mutants.py.
+# that differ from where this branch left origin/main, and no more than can be run in a minute; ARGS:
+# see tests/mutation/run_mutants.py.
 mutants: $(VENV)/test.stamp
-	$(BIN)/python tests/mutation/run_mutants.py $(if $(CHANGED),--changed) $(ARGS)
+	$(BIN)/python tests/mutation/run_mutants.py $(if $(CHANGED),--changed --wall 60) $(ARGS)
 
 test-containers:
 	tools/test-containers

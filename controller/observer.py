@@ -26,7 +26,7 @@ from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.phase.reference_recovery import ReferenceRecovery
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.pressure_zero import PressureZero
-from meshpoint.controller.sensing.sensor_clock import JUMP_US, SensorClockEstimate
+from meshpoint.controller.sensing.sensor_clock import JUMP_US, SensorClockEstimate, unwrap
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.sensing.wheel_edges import BRAKED_RAD_S2, EdgeBatch, EdgeFrame, WheelEdges
 from meshpoint.controller.settings import ControllerSettings
@@ -75,6 +75,7 @@ class Observer:
         self._tuning = tuning
         self._brake_input = brake
         self.clock = SensorClockEstimate()
+        self._sensors_stamp: int | None = None
         self.view = GearboxView(sheet)
         self.references = PhaseReferences(sheet)
         self._zero = PressureZero(sheet.brake.time_constant_s, tuning.pressure_sd_pa)
@@ -244,7 +245,7 @@ class Observer:
         time_us = np.empty(len(sensors))
         pressure_pa = np.empty(len(sensors))
         for k, sample in enumerate(sensors):
-            sampled_us = self.clock.stamp(sample.sample_time_us, now_us)
+            sampled_us = self._sampled_us(sample.sample_time_us, now_us)
             time_us[k] = sampled_us
             self.view.clutch.take(sampled_us, sample.clutch_position_fraction)
             gauge_pa = sample.brake_pressure_pa - atmosphere_pa
@@ -252,6 +253,13 @@ class Observer:
             self.view.supply_pa = sample.supply_pressure_pa
             self.brake.supply_pa = sample.supply_pressure_pa - atmosphere_pa
         return Pressures(time_us, pressure_pa)
+
+    def _sampled_us(self, stamp: int, now_us: int) -> int:
+        """When pressures and clutch were sampled: by them a clock that was set back is found."""
+        before, self._sensors_stamp = self._sensors_stamp, stamp
+        if before is not None and unwrap(stamp, before) < before:
+            return self.clock.set_back(stamp, now_us)
+        return self.clock.stamp(stamp, now_us)
 
     @property
     def _brake_driven(self) -> bool:

@@ -180,6 +180,9 @@ class EngineRequests:
     ramp_ms: int = count("ramp_ms", 0, 2000, default=250)
     """The longest wait for the engine's torque to fall before the clutch sets off; 0: it sets off
     at once, under torque, and the driveline rings."""
+    swing_ramp_ms: int = count("swing_ramp_ms", 0, 4000, default=2000)
+    """The longest ramp that leaves a driveline at rest, where it has been seen to ring; 0: the
+    torque is taken away at once there too."""
     torque_left_share: float = quantity("torque_left_percent", 0.5, 100.0, 0.01, default=0.05)
     """So much of the engine's reference torque may be left when the clutch's plates part."""
 

@@ -12,6 +12,10 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, settings
 
+from meshpoint.bus.light_can import load_can
+
+load_can()  # as every command does, before a test file loads python-can with all that it can use
+
 sys.path.insert(0, str(Path(__file__).parent))
 
 UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -19,7 +23,7 @@ settings.register_profile("explore", UNTIMED)
 settings.register_profile("same", UNTIMED, derandomize=True, database=None)
 settings.load_profile("same")
 
-LONGEST_FIRST = ("campaign", "testbench", "studies", "closed_loop")
+LONGEST_FIRST = ("campaign", "testbench", "closed_loop", "swarm", "fuzz", "studies", "bus")
 """Folders with long files: one that began last would keep one worker busy while the other is
 done."""
 

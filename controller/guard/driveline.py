@@ -8,8 +8,9 @@ open clutch is always allowed, and so is the end of an engine request.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 from meshpoint.controller.guard.limits import (
@@ -30,6 +31,10 @@ TORQUE_OFFSET: Final = 125
 PER_CENT: Final = 0.01
 TORQUE_NOISE: Final = 1.5 * PER_CENT
 """A step of the signal, and half a one for rounding."""
+ENGINE_LOOKS: Final = 6
+"""The engine's acceleration is taken over its last 50 ms,"""
+ACCELERATION_NOISE_RAD_S2: Final = 3.0
+"""with this error: the combustion's ripple, and what changes within that time."""
 SPEED_BYTES: Final = slice(1, 3)
 SPEED_STEP_RAD_S: Final = 0.125 * math.pi / 30.0
 MODE_BITS: Final = 0x03
@@ -75,6 +80,10 @@ class DrivelineState:
     sides: tuple[int, ...] = ()
     """The end each sleeve was last seen in."""
     judged_us: int | None = None
+    engine: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=ENGINE_LOOKS))
+    """The engine's newest speeds and when they were read; none while one is missing."""
+    own_share: tuple[float, float] = (-math.inf, math.inf)
+    """The least that the engine has pushed and pulled since its torque is taken away."""
     torque_us: int = 0
     """For so long the engine's torque has been taken away since the plates were last apart."""
 
@@ -125,7 +134,8 @@ Rule = Callable[[DrivelineCase], bool]
 def engine_beyond_the_gear(case: DrivelineCase) -> bool:
     """Row 14: a speed over the sheet's limit, or with a gear in mesh one that the slip window of
     row 3 does not hold around the speed this gear gives; a torque other than one on the way from
-    the engine's own to none, before the clutch opens; any other control."""
+    the engine's own to none, or on to the one that changes the engine's speed as it changes, with
+    which the clutch carries nothing, before the clutch opens; any other control."""
     mode, wanted, _ = case.engine
     if mode == NO_OVERRIDE:
         return False
@@ -148,13 +158,30 @@ def engine_beyond_the_gear(case: DrivelineCase) -> bool:
 
 
 def _takes_torque_away(case: DrivelineCase) -> bool:
-    """Whether the torque asked for lies between the engine's own and none, and has not been for
-    longer than a clutch may take to open."""
+    """Whether the torque asked for lies between what is left of the engine's own and none, or
+    beyond none no further than what the clutch carries then: with none asked for it has to turn the
+    engine as the vehicle slows down or speeds up. And this for no longer than ramp and clutch may
+    take."""
     now = case.seen.engine_torque_share
     if now is None or not case.seen.valid or case.state.torque_us > case.limits.torque_away_us:
         return False
-    low, high = min(now, 0.0) - TORQUE_NOISE, max(now, 0.0) + TORQUE_NOISE
-    return low <= case.engine.torque_share <= high
+    turning, own = _turning_share(case), case.state.own_share
+    low, high = min(max(now, own[0]), 0.0, turning[0]), max(min(now, own[1]), 0.0, turning[1])
+    return low - TORQUE_NOISE <= case.engine.torque_share <= high + TORQUE_NOISE
+
+
+def _turning_share(case: DrivelineCase) -> tuple[float, float]:
+    """The least and the most torque that changes the engine's speed as it has changed of late, as a
+    share of its reference torque; none where its speed is not known for long enough."""
+    looks, limits = case.state.engine, case.limits
+    if len(looks) < ENGINE_LOOKS or case.seen.clutch_closed <= limits.clutch_open_share:
+        return 0.0, 0.0
+    (first_us, first), (last_us, last) = looks[0], looks[-1]
+    rate = (last - first) / max(1, last_us - first_us) * 1e6
+    inertia, noise = limits.engine_share_s2, ACCELERATION_NOISE_RAD_S2
+    if abs(rate) <= noise:
+        return 0.0, 0.0
+    return inertia * (rate - noise), inertia * (rate + noise)
 
 
 def closing_onto_slip(case: DrivelineCase) -> bool:
@@ -211,14 +238,33 @@ class DrivelineGuard:
 
     def passes_engine(self, payload: bytes, seen: GuardInputs) -> bool:
         """Whether the engine request may go out; where not, the request has to be ended."""
+        self._note_engine(seen)
         wish = decode_engine(payload)
         case = DrivelineCase(seen, self._state, self._limits, wish)
         self.blocked_row = self._judge(ENGINE_ROWS, case)
         if seen.valid and seen.clutch_closed <= self._limits.clutch_open_share:
             self._state.torque_us = 0
+            self._state.own_share = (-math.inf, math.inf)
         elif wish.mode == TORQUE_CONTROL:
             self._state.torque_us += self._limits.tick_us
+            self._note_torque(seen.engine_torque_share)
         return self.blocked_row is None
+
+    def _note_torque(self, share: float | None) -> None:
+        """What has been taken away is not given back: bit by bit, with what the signal's steps
+        allow, it could come to any torque."""
+        if share is not None:
+            low, high = self._state.own_share
+            self._state.own_share = max(low, min(share, 0.0)), min(high, max(share, 0.0))
+
+    def _note_engine(self, seen: GuardInputs) -> None:
+        """The speed at each step of a request; anew after a pause."""
+        looks = self._state.engine
+        pause_us = seen.now_us - looks[-1][0] if looks else 0
+        if seen.engine_rad_s is None or not 0 <= pause_us <= 2 * self._limits.tick_us:
+            looks.clear()
+        if seen.engine_rad_s is not None and not (looks and pause_us == 0):
+            looks.append((seen.now_us, seen.engine_rad_s))
 
     def _judge(self, rows: tuple[DrivelineRow, ...], case: DrivelineCase) -> int | None:
         for row in rows:

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
-from meshpoint.controller.settings import ControllerSettings, ShiftLimits
+from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN, Sleeve
 
@@ -90,6 +90,8 @@ class GuardLimits:
     """The clutch's way from one end to the other and back: every shift takes longer."""
     torque_away_us: int
     """For so long the engine's torque may be taken away before the plates have parted."""
+    engine_share_s2: float
+    """Inertia of the engine over its reference torque: the share of torque that a rad/s2 takes."""
     tick_us: int
     """From one step to the next."""
     closings: int
@@ -180,11 +182,14 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
         engaged_m=sleeve.stroke_m - GUARD_END_M,
         plate_slip_rad_s=_plate_slip_rad_s(sheet),
         clutch_travel_us=round((sheet.clutch.open_delay_s + sheet.clutch.close_delay_s) * 1e6),
-        torque_away_us=1000 * (settings.engine.ramp_ms + settings.limits.clutch_ms),
+        torque_away_us=1000 * (longest_ramp_ms(settings) + settings.limits.clutch_ms),
+        engine_share_s2=(1.0 + sheet.engine.inertia_tolerance)
+        * sheet.engine.inertia_kgm2
+        / sheet.engine.reference_nm,
         tick_us=settings.timing.tick_us,
         closings=settings.limits.raises + 1,
         closing_again_us=(settings.limits.raise_ms + settings.limits.synchronise_ms) * 1000,
-        request_us=longest_shift_us(settings.limits),
+        request_us=longest_shift_us(settings),
         gear_at={
             (
                 MAIN_VALVE_OF_GEAR[gear.main],
@@ -212,12 +217,19 @@ def _plate_slip_rad_s(sheet: GearboxSheet) -> float:
     return sheet.limits.input_max_rad_s * (1.0 - 1.0 / step)
 
 
-def longest_shift_us(limits: ShiftLimits) -> int:
+def longest_ramp_ms(settings: ControllerSettings) -> int:
+    """How long a shift's torque ramp may take, ms."""
+    return settings.engine.swing_ramp_ms + settings.engine.ramp_ms
+
+
+def longest_shift_us(settings: ControllerSettings) -> int:
     """No shift takes longer: every phase as long as its limit, every retry used."""
+    limits = settings.limits
     raised_ms = limits.raise_ms + limits.clutch_ms + 2 * limits.synchronise_ms
     tried_ms = limits.engage_ms + 2 * limits.disengage_ms
     return 1000 * (
-        limits.clutch_ms
+        longest_ramp_ms(settings)
+        + limits.clutch_ms
         + limits.steps_ms
         + (limits.raises + 1) * raised_ms
         + limits.attempts * tried_ms

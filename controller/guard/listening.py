@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 
 from e2e.p05 import e2e_p05_check
 
+from meshpoint.controller.guard.own_clock import signed_us
 from meshpoint.dbc.frame import Frame
 
 INPUT_EDGES, LAYSHAFT_EDGES, MAIN_EDGES, PROPELLER_EDGES = (
@@ -165,8 +166,11 @@ class GuardEar:
         self.requested_gear: int | None = None
         """The gear asked for in this step; None where none was."""
         self.has_restarted = False
-        """Whether the sensors have started anew in this step: an array of edges has got emptier."""
+        """Whether the sensors' clock is another since this step: an array of edges has got emptier,
+        or a message's time has gone back while its counter went on."""
         self._held = dict.fromkeys(EDGES, 0)
+        self._stamps: dict[int, int] = {}
+        """The newest of each message."""
 
     def take(self, frames: Iterable[Frame], now_us: int) -> list[int]:
         """One step's frames at `now_us` of the controller's clock. Returns the 32-bit times (us) of
@@ -185,7 +189,12 @@ class GuardEar:
             good = channel.passes(frame, now_us) and self._read(frame.can_id, frame.data)
             channel.note(good)
             if good:
-                stamps += _stamp(frame.data, STAMP_AT)
+                (stamp,) = _stamp(frame.data, STAMP_AT)
+                if signed_us(stamp - self._stamps.get(frame.can_id, stamp)) < 0:
+                    self.has_restarted = True
+                    stamps.clear()  # those of this step from before it
+                self._stamps[frame.can_id] = stamp
+                stamps.append(stamp)
         for channel in self.channels.values():
             channel.tick(now_us)
         return stamps

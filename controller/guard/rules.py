@@ -48,6 +48,9 @@ OTHER_END: Final = {1: 2, 2: 1, 7: 8, 8: 7}
 """Of splitter and range: the valve that pushes back."""
 PROOF_STEPS: Final = 3
 """All inputs must have been valid in this many consecutive steps before a valve may be driven."""
+SETTLED_US: Final = 2_000
+"""In each of these the guard's clock may have gained so much. A controller that starts while a bus
+still delivers old frames cannot tell their age, but that they come faster than they were sent."""
 CLOCK_ERROR_US: Final = 12_000
 """A tick and the bus: what one of two clocks may not have seen of the least delay."""
 INPUT, LAYSHAFT, MAIN, PROPELLER = range(4)
@@ -222,7 +225,8 @@ def actuation_at_low_supply(case: Case) -> bool:
 
 def output_before_the_self_test(case: Case) -> bool:
     """Row 12: a valve is driven by a controller that is not armed, or before the self-test: all
-    inputs valid in PROOF_STEPS consecutive steps, and the guard's own limits sane."""
+    inputs valid in PROOF_STEPS consecutive steps, the sensor clock settled, and the guard's own
+    limits sane."""
     ready = case.state.armed and case.state.proofs >= PROOF_STEPS
     return any(case.spans) and not ready
 
@@ -304,6 +308,11 @@ class Guard:
         self.blocked_row: int | None = None
 
     @property
+    def is_proven(self) -> bool:
+        """Whether the self-test is passed."""
+        return self._state.proofs >= PROOF_STEPS
+
+    @property
     def is_armed(self) -> bool:
         """Whether anything may be commanded, clutch and engine included."""
         return self._state.armed
@@ -339,7 +348,7 @@ class Guard:
         state = self._state
         self._note_request(seen)
         if state.proofs < PROOF_STEPS:
-            proven = seen.valid and self._is_sound
+            proven = seen.valid and self._is_sound and seen.clock_gained_us <= SETTLED_US
             state.proofs = state.proofs + 1 if proven else 0
         layshaft = seen.speeds[LAYSHAFT]
         if state.judged_us is not None and layshaft is not None:

@@ -79,6 +79,9 @@ class GuardInputs(NamedTuple):
     """The engine's torque, as a share of its reference torque; None where it says none any more."""
     clutch_per_s: float = 0.0
     """How fast the clutch closes; negative: opens."""
+    clock_gained_us: int = 0
+    """How much the guard's sensor clock has gained on the controller's in this step: frames that
+    come faster than they were sent have waited, and those to come are younger still."""
 
 
 class GuardView:
@@ -95,6 +98,7 @@ class GuardView:
         self._ear = GuardEar()
         self._clock = GuardClock()
         self._engine: tuple[int, Engine] = (0, NO_ENGINE)
+        self._ahead_us: int | None = None
         self._clutch: tuple[int, float] | None = None
         self._clutch_per_s = 0.0
         self._turns: deque[BothCounted] = deque()
@@ -110,6 +114,7 @@ class GuardView:
             self._clock.hear(stamp, step_us)
         own_us = self._clock.now_us(step_us)
         now_us = 0 if own_us is None else own_us
+        gained_us = self._gained_us(own_us, step_us)
         a, b, c, d = self._speeds(now_us)
         engine = self._engine_now(step_us)
         for clutch_stamp, closed in ear.clutch:
@@ -141,7 +146,15 @@ class GuardView:
             now_us - signed_us(now_us - ear.slow[SENSORS].stamp),
             engine.torque_share,
             self._clutch_per_s,
+            gained_us,
         )
+
+    def _gained_us(self, own_us: int | None, step_us: int) -> int:
+        """By how much the clock is further ahead of the controller's than a step ago."""
+        before, self._ahead_us = self._ahead_us, None if own_us is None else own_us - step_us
+        if before is None or self._ahead_us is None:
+            return 0
+        return self._ahead_us - before
 
     def _see_clutch(self, stamp: int, closed: float) -> None:
         before, self._clutch = self._clutch, (stamp, closed)

@@ -83,6 +83,16 @@ class SensorClockEstimate:
         self.jumps += 1
         self._offsets.clear()
 
+    def set_back(self, stamp: int, now_us: int) -> int:
+        """As `stamp`, for one that is known to be of a clock that was set back by however little:
+        the message's counter went on, its time did not. Frames of one identifier keep their
+        order."""
+        self.jumps += 1
+        self._offsets.clear()
+        self.latest_us = unwrap(stamp, self.latest_us)
+        self._note(now_us - self.latest_us)
+        return self.latest_us
+
     def _note(self, offset: int) -> None:
         leaving = self._offsets[0] if len(self._offsets) == WINDOW else None
         self._offsets.append(offset)

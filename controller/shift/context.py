@@ -13,6 +13,7 @@ from meshpoint.controller.planning.phase_drift import PhaseDrifts
 from meshpoint.controller.planning.sleeve_delay import SleeveDelays
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import MS_IN_US, ControllerSettings
+from meshpoint.controller.shift.driveline_look import DrivelineLook
 from meshpoint.controller.shift.kiss_point import KissPoint
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
@@ -81,6 +82,7 @@ class ShiftContext:
         self.engine_share: float | None = None
         """The torque the engine is asked for, as a share of its reference torque; None: none."""
         self.torque = TorqueFall()
+        self.driveline = DrivelineLook(sheet)
         self.shift: ShiftRecord | None = None
         self.finished: ShiftRecord | None = None
         """Set at the step that ends a shift, for its outcome frame."""
@@ -121,6 +123,11 @@ class ShiftContext:
         """The next state begins."""
         self.state = state
         self.since_us = snapshot.now_us
+
+    @property
+    def clutch_opens(self) -> bool:
+        """Whether the clutch has been told to open."""
+        return self.clutch is ClutchAction.OPEN
 
     def late(self, snapshot: StepSnapshot, limit_ms: int) -> bool:
         """Whether the present state has lasted longer than this limit."""

@@ -21,13 +21,16 @@ meanwhile."""
 def open_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """Takes the engine's torque away, opens the clutch, and waits until it is time to command the
     valve that moves a sleeve as the plates part."""
-    if context.clutch is not ClutchAction.OPEN and not ramp_down(context, snapshot):
+    shift = context.running
+    if not ramp_down(context, snapshot) and shift.clutch_us is None:
         return None
     context.clutch = ClutchAction.OPEN
+    if shift.clutch_us is None:
+        shift.clutch_us = snapshot.now_us
     unloaded_us = context.unloaded_us(snapshot)
     if unloaded_us is not None and unloaded_us < snapshot.earliest_us + context.tick_us:
         return Trigger.CLUTCH_OPEN
-    if context.late(snapshot, context.settings.limits.clutch_ms):
+    if snapshot.now_us - shift.clutch_us > context.settings.limits.clutch_ms * MS_IN_US:
         return context.give_up(snapshot, FaultCode.CLUTCH_STUCK)
     return None
 

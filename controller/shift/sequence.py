@@ -72,6 +72,7 @@ class ShiftSequence(ShiftContext):
         self.finished = self.decision = self.strategy_error = None
         self.kiss.look(snapshot.view.clutch, snapshot.engine_rad_s)
         self.torque.take(snapshot.now_us, snapshot.engine_torque_share)
+        self.driveline.look(self.state, snapshot)
         if self.engine_share is not None and not self.engine_carries(snapshot):
             self.engine_share = None
         if self.shift is not None and snapshot.lost is not FaultCode.NONE:

@@ -7,6 +7,7 @@ from enum import IntEnum, auto
 from typing import Final
 
 from meshpoint.controller.planning.strategist import Plan
+from meshpoint.controller.shift.unloading import Unloading
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import FaultCode, ReferenceSource, ShiftResult, Strategy
 from meshpoint.gearbox import DriveGear, Range, Split
@@ -114,6 +115,12 @@ class ShiftRecord:
     """Where splitter and range stood when their change began."""
     blocks: int = 0
     """How often the guard has blocked what was commanded."""
+    unloading: Unloading | None = None
+    """How the engine's torque is taken away; None: at once."""
+    owed_share: float = 0.0
+    """What rounding has left out of the torque asked for."""
+    clutch_us: int | None = None
+    """When the clutch set off to open."""
     release_us: int | None = None
     plan: Plan | None = None
     measured_contact_us: int | None = None

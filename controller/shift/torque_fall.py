@@ -19,6 +19,11 @@ class TorqueFall:
         if share is not None:
             self._before, self._newest = self._newest, (now_us, share)
 
+    @property
+    def share(self) -> float | None:
+        """The newest torque; None where the engine says none."""
+        return None if self._newest is None else self._newest[1]
+
     def left_in(self, ahead_s: float) -> float | None:
         """The torque after so long, falling toward zero exponentially as it does now; None where
         the engine says none."""

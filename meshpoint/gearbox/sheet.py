@@ -280,11 +280,48 @@ class Driveline:
         "backlash_tolerance_deg", 1e-3, 45.0, DEG, default=2.0 * DEG
     )
     """By how much that may be more, from axle to axle and with wear."""
+    stiffness_nm_rad: float = quantity("stiffness_nm_rad", 0.0, 1e6, default=0.0)
+    """Propeller shaft, half-shafts and tyres in series, felt at the propeller shaft; 0: the sheet
+    does not say, and they are taken for rigid."""
+    stiffness_tolerance: float = quantity(
+        "stiffness_tolerance_percent", 0.1, 90.0, 0.01, default=0.3
+    )
+    """By how much that may differ, from truck to truck and with the tyres' pressure and load."""
+    road_m_rad: float = quantity("road_m_rad", 0.01, 2.0, default=0.2)
+    """Rolling radius over the final drive's ratio: the way for a radian of the propeller shaft."""
+    vehicle_least_kg: float = quantity("vehicle_least_kg", 500.0, 2e5, default=8e3)
+    """The lightest vehicle, unladen and without a trailer."""
+    vehicle_most_kg: float = quantity("vehicle_most_kg", 500.0, 2e5, default=44e3)
+    """The heaviest."""
+
+    def __post_init__(self) -> None:
+        if self.vehicle_least_kg > self.vehicle_most_kg:
+            raise TableError("vehicle_least_kg must not be more than vehicle_most_kg")
+
+    @property
+    def vehicle_kgm2(self) -> tuple[float, float]:
+        """Inertia of the lightest and of the heaviest vehicle at the propeller shaft."""
+        square = self.road_m_rad**2
+        return square * self.vehicle_least_kg, square * self.vehicle_most_kg
 
     @property
     def backlash_factor(self) -> float:
         """The largest backlash of the tolerance over the sheet's."""
         return (self.backlash_rad + self.backlash_tolerance_rad) / self.backlash_rad
+
+
+@dataclass(frozen=True)
+class Engine:
+    """The engine in front of the clutch."""
+
+    inertia_kgm2: float = quantity("inertia_kgm2", 0.05, 50.0, default=3.0)
+    """With flywheel and clutch cover."""
+    inertia_tolerance: float = quantity("inertia_tolerance_percent", 0.1, 90.0, 0.01, default=0.1)
+    """By how much that may differ, from engine to engine."""
+    reference_nm: float = quantity("reference_nm", 50.0, 2e4, default=2500.0)
+    """The torque that the percentages of EEC1 and TSC1 are of (J1939-71, SPN 544)."""
+    lag_s: float = quantity("lag_ms", 1.0, 1000.0, MS, default=80.0 * MS)
+    """Time constant with which its torque follows what it is asked for, at most."""
 
 
 @dataclass(frozen=True)
@@ -313,6 +350,7 @@ class GearboxSheet:
     clutch: Clutch = group(Clutch)
     limits: SheetLimits = group(SheetLimits)
     driveline: Driveline = group(Driveline, default=Driveline())
+    engine: Engine = group(Engine, default=Engine())
 
     def __post_init__(self) -> None:
         ratios = [self.main_mesh(gear).ratio for gear in MAIN_GEARS]

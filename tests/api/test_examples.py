@@ -42,6 +42,7 @@ def test_own_controller_has_sixty_lines_and_shifts() -> None:
     assert 0.0 < row.slip_rpm < 40.0
 
 
+@pytest.mark.long
 def test_the_notebook_runs_from_log_to_picture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -59,6 +60,7 @@ def test_the_notebook_runs_from_log_to_picture(
     assert names["aimed"].reference == "known"
 
 
+@pytest.mark.long
 def test_the_hardware_loop_runs_on_a_bus_in_this_process(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

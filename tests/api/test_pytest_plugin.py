@@ -42,6 +42,7 @@ def test_the_same_ten_tests_pass_in_virtual_time(inner: pytest.Pytester) -> None
     inner.runpytest_inprocess().assert_outcomes(passed=10)
 
 
+@pytest.mark.long
 def test_the_same_ten_tests_pass_live_on_a_bus(inner: pytest.Pytester) -> None:
     """As with processes, but that the nodes need not be loaded anew (`tests/acceptance`)."""
     shutil.copy(TEN, inner.path)

@@ -180,14 +180,14 @@ def test_a_killed_process_leaves_a_log_that_can_be_read_to_its_end(
     tmp_path: Path, start: Callable[..., subprocess.Popen[str]]
 ) -> None:
     paths = [tmp_path / f"killed{ending}" for ending in FORMATS]
-    processes = [start(NODE, str(path)) for path in paths]
-    for process in processes:
-        assert process.stdout is not None
-        assert process.stdout.readline() == "ready\n"
-    for process, path in zip(processes, paths, strict=True):
+    process = start(NODE, "0", *map(str, paths))
+    assert process.stdout is not None
+    assert process.stdout.readline() == "ready\n"
+    for path in paths:
         until(lambda path=path: path.stat().st_size >= 5000, f"{path}, flushed while it is written")
-        process.kill()
-        process.wait()
+    process.kill()
+    process.wait()
+    for path in paths:
         content = read_until_cut(read_log(path))
         numbers = [int.from_bytes(frame.data[:4], "big") for _, frame in content]
         assert len(numbers) > 20

@@ -9,9 +9,13 @@ import json
 import sys
 import time
 
-import can
+from meshpoint.bus.light_can import load_can
 
-from meshpoint.bus.local.register import register_interface
+load_can()
+
+import can  # noqa: E402
+
+from meshpoint.bus.local.register import register_interface  # noqa: E402
 
 LENGTHS = (8, 12, 16, 20, 24, 32, 48, 64)
 

@@ -20,7 +20,7 @@ from meshpoint.testbench.cli import main
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.rows import ShiftRow
 
-RUNS = ("--runs", "3", "--true-state")
+RUNS = ("--runs", "2", "--true-state")
 
 
 @pytest.fixture(scope="module")
@@ -28,6 +28,7 @@ def by_one(tmp_path_factory: pytest.TempPathFactory) -> Outcome:
     return campaign(tmp_path_factory.mktemp("one"), *RUNS, "--jobs", "1")
 
 
+@pytest.mark.long
 def test_two_workers_give_the_same_bytes_as_one(by_one: Outcome, tmp_path: Path) -> None:
     by_two = campaign(tmp_path, *RUNS, "--jobs", "2")
     assert by_one.code == by_two.code == Exit.DONE
@@ -51,25 +52,26 @@ def cluster() -> Iterator[str]:
         yield local.scheduler_address
 
 
+@pytest.mark.long
 def test_a_dask_cluster_gives_the_same_bytes(by_one: Outcome, cluster: str, tmp_path: Path) -> None:
     assert campaign(tmp_path, *RUNS, "--dask", cluster).text == by_one.text
 
 
 def test_every_strategy_is_judged_on_the_same_draws(by_one: Outcome) -> None:
     table = by_one.table
-    assert len(table) == 3 * 3
+    assert len(table) == 2 * 3
     key = ("seed", "shift", "from_gear", "to_gear", "layshaft_rpm", "backlash_percent")
     draws = {
         name: [tuple(row[k] for k in key) for row in table if row["strategy"] == name]
         for name in ("speed_window", "target_phase", "true_state")
     }
     assert draws["speed_window"] == draws["target_phase"] == draws["true_state"]
-    assert len({row["layshaft_rpm"] for row in table}) == 3
+    assert len({row["layshaft_rpm"] for row in table}) == 2
 
 
 def test_the_json_says_what_was_asked(by_one: Outcome) -> None:
     values = by_one.values
-    assert values["runs"] == 3
+    assert values["runs"] == 2
     assert values["failed"] == []
     assert list(values["strategies"]) == ["speed_window", "target_phase", "true_state"]
     for strategy, figures in values["strategies"].items():
@@ -77,6 +79,9 @@ def test_the_json_says_what_was_asked(by_one: Outcome) -> None:
         assert low <= figures["first_contact_gap"]["rate"] <= high
         assert {"mean", "p50", "p99"} <= set(figures["duration_ms"])
         assert {"mean", "p99"} <= set(figures["impact_j"])
+        ramp_ms = figures["phases_ms"]["ramp_ms"] or 0.0
+        after_ms = figures["duration_ms"]["mean"] - ramp_ms
+        assert figures["after_ramp_ms"]["mean"] == pytest.approx(after_ms)
         for key in (
             "retries", "blocked", "given_up", "phase_error_sd_deg", "reference_known",
         ):  # fmt: skip
@@ -146,14 +151,15 @@ def test_an_interrupted_campaign_goes_on_to_the_same_result(
 
     monkeypatch.setattr(runner, "run_many", counted)
     resumed = campaign(tmp_path, *RUNS, "--jobs", "1", "--resume")
-    assert made == [1_000_001, 1_000_002]
+    assert made == [1_000_001]
     assert resumed.text == by_one.text
     assert resumed.table == by_one.table
     assert not (tmp_path / "parts").exists()
 
 
+@pytest.mark.long
 def test_a_finished_campaign_grows(by_one: Outcome, tmp_path: Path) -> None:
-    campaign(tmp_path, "--runs", "2", "--true-state", "--jobs", "1")
+    campaign(tmp_path, "--runs", "1", "--true-state", "--jobs", "1")
     grown = campaign(tmp_path, *RUNS, "--jobs", "1", "--resume")
     assert grown.text == by_one.text
 
@@ -188,12 +194,13 @@ def test_a_failed_run_is_named_by_its_seed_and_the_others_count(
 
 
 def test_one_run_alone_has_the_shifts_it_had_among_all(by_one: Outcome, tmp_path: Path) -> None:
-    alone = campaign(tmp_path, "--true-state", "--only", "1000002")
-    assert alone.values["shifts"] == [row for row in by_one.table if row["seed"] == 1_000_002]
+    alone = campaign(tmp_path, "--true-state", "--only", "1000001")
+    assert alone.values["shifts"] == [row for row in by_one.table if row["seed"] == 1_000_001]
 
 
 def test_a_sweep_makes_the_same_draws_with_one_thing_changed(tmp_path: Path) -> None:
-    found = campaign(tmp_path, "--runs", "2", "--jobs", "1", "--sweep", "backlash_percent=10,40")
+    few = ("--runs", "2", "--jobs", "1", "--learn", "0", "--strategy", "speed_window")
+    found = campaign(tmp_path, *few, "--sweep", "backlash_percent=10,40")
     rows = found.table
     assert [point["value"] for point in found.values["sweep"]] == [10.0, 40.0]
     unswept = {row["seed"]: row["backlash_percent"] for row in rows if row["sweep"] == ""}

@@ -17,7 +17,9 @@ def loop_of(spec: CampaignSpec, seed: int) -> ClosedLoop:
     return ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn, log=[])
 
 
-@pytest.mark.parametrize("preset", list(Preset))
+@pytest.mark.parametrize(
+    "preset", [Preset.TRUCK, pytest.param(Preset.THESIS, marks=pytest.mark.long)]
+)
 def test_a_copy_and_its_original_go_on_as_if_never_copied(preset: Preset) -> None:
     spec = small_spec(preset, learn=1)
     loop, uncopied = loop_of(spec, 5), loop_of(spec, 5)

@@ -26,7 +26,7 @@ from meshpoint.testbench.logs.replay import STATUS, LogReplay
 from meshpoint.testbench.logs.session import Verification
 from meshpoint.testbench.version import product_version
 
-SHIFTS = 5
+SHIFTS = 4
 RECORDED, OTHER = "speed_window", "target_phase"
 
 
@@ -72,11 +72,17 @@ def header(bench: tuple[list[ClosedLoop], ClosedLoop, Path]) -> RunHeader:
     return new_header(product_version(), spec.sheet, settings)
 
 
+@pytest.fixture(scope="module")
+def judged(bench: tuple[list[ClosedLoop], ClosedLoop, Path], header: RunHeader) -> list[Judged]:
+    """The log as the other strategy sees it."""
+    _, loop, folder = bench
+    return judge_log(folder, header, frames_of(loop), OTHER)
+
+
 def test_it_decides_as_the_branched_bench_until_a_valve_is_driven_differently(
-    bench: tuple[list[ClosedLoop], ClosedLoop, Path], header: RunHeader
+    bench: tuple[list[ClosedLoop], ClosedLoop, Path], header: RunHeader, judged: list[Judged]
 ) -> None:
-    branches, loop, folder = bench
-    judged = judge_log(folder, header, frames_of(loop), OTHER)
+    branches, _, _ = bench
     assert len(judged) == SHIFTS
     compared = 0
     for shift, branch in zip(judged, branches, strict=True):
@@ -129,15 +135,17 @@ def test_the_recorded_strategy_itself_never_parts_and_decides_what_was_sent(
         assert shift.strayed_at_step is None
 
 
+@pytest.mark.long
 def test_a_follower_estimates_what_the_recorded_controller_estimated(
     bench: tuple[list[ClosedLoop], ClosedLoop, Path],
     header: RunHeader,
+    judged: list[Judged],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """With the recorded settings its decisions are those that were sent, and another strategy's are
     the same too, to the last digit."""
     _, loop, folder = bench
-    plain = judge_log(folder, header, frames_of(loop), OTHER)
+    plain = judged
     monkeypatch.setattr(open_loop_module, "estimates_differ", lambda _was, _now: True)
     for shift in judge_log(folder, header, frames_of(loop), RECORDED):
         assert (shift.status, shift.parted) == ("fired", None)

@@ -21,8 +21,8 @@ from meshpoint.testbench.studies.campaign_statistics_run import CoverageRun
     ("a", "b", "words"),
     [
         (0.99, 0.22, "first_contact_gap difference +-2%"),
-        (0.97, 0.95, "first_contact_gap difference +-2%"),
-        (0.99, 0.22, "first_contact_gap ratio +-0.5"),
+        pytest.param(0.97, 0.95, "first_contact_gap difference +-2%", marks=pytest.mark.long),
+        pytest.param(0.99, 0.22, "first_contact_gap ratio +-0.5", marks=pytest.mark.long),
     ],
 )
 def test_an_interval_that_was_looked_at_until_narrow_holds_the_truth_as_often_as_it_says(

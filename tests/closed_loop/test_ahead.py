@@ -118,6 +118,7 @@ def test_a_jammed_sleeve_lets_no_air_into_the_brake() -> None:
     assert not any(command.brake_action in DRIVEN for command in loop.of(ValveCommand))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 8])
 def test_the_kiss_point_of_this_gearbox_is_found(seed: int) -> None:
     loop = Loop(shifts=6, sheet=TRUCK12, preset=Preset.TRUCK, seed=seed).run(20_000_000)

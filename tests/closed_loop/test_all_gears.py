@@ -95,6 +95,7 @@ def test_no_gear_is_predicted_while_splitter_or_range_is_on_its_way(mixed: Loop)
     assert judged >= 10
 
 
+@pytest.mark.long
 def test_every_change_of_the_main_box_is_made() -> None:
     """All 36, up and down, in both halves of the range."""
     setup = Setup(

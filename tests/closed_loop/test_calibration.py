@@ -87,6 +87,7 @@ def test_a_restarted_controller_aims_from_its_first_shift_on() -> None:
     assert core.calibration("later").provenance.shifts == learned + LATER
 
 
+@pytest.mark.long
 def test_one_gear_in_mesh_tells_another_where_their_turns_have_a_common_factor() -> None:
     """After the restart the teeth are found, but seven phases of each gear are possible, and it
     does not pretend to know: the first shift is by luck. It tells the turns, and the second, into a
@@ -125,7 +126,7 @@ def losing(*names: str) -> tuple[Callable[[Frame], list[Frame]], list[bool]]:
     return alter, cut
 
 
-@pytest.mark.parametrize("wheel", ["Main", "Layshaft"])
+@pytest.mark.parametrize("wheel", [pytest.param("Main", marks=pytest.mark.long), "Layshaft"])
 def test_a_wheel_that_was_not_seen_for_a_while_is_found_again(wheel: str) -> None:
     """Half a second without frames. Of the main shaft only the place in the turn matters, and that
     its teeth tell; the layshaft's turns its sensor has counted on, and it had no time to stop."""
@@ -141,6 +142,7 @@ def test_a_wheel_that_was_not_seen_for_a_while_is_found_again(wheel: str) -> Non
     assert_aimed_well(loop, ReferenceSource.RESTORED)
 
 
+@pytest.mark.long
 def test_after_a_standstill_of_the_layshaft_one_gear_in_mesh_tells_the_others() -> None:
     """The clutch sticks open in mid-shift, so that the layshaft runs down in neutral and stands.
     Hunting teeth: all 53 and 41 phases would be possible, but few turns agree with the edges that

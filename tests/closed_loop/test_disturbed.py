@@ -54,7 +54,7 @@ def assert_shifted(loop: Loop) -> None:
     assert loop.violations == 0
 
 
-@pytest.mark.parametrize("k", [7, 23, 50])
+@pytest.mark.parametrize("k", [7, *(pytest.param(k, marks=pytest.mark.long) for k in (23, 50))])
 def test_lost_frames_lose_no_shift(k: int) -> None:
     """Every k-th frame to the controller: another message each time, edges among them. No tooth
     is lost, and the counters say it was loss, not corruption."""
@@ -162,7 +162,9 @@ def test_without_sensors_the_shift_ends_with_the_valves_off(state: State) -> Non
     assert loop.status.invalid_channels != 0
 
 
-@pytest.mark.parametrize("clock_start_us", [None, 0, 4_000_000_000])
+@pytest.mark.parametrize(
+    "clock_start_us", [pytest.param(None, marks=pytest.mark.long), 0, 4_000_000_000]
+)
 def test_a_rig_that_restarts_is_found_again_without_its_references(
     clock_start_us: int | None,
 ) -> None:

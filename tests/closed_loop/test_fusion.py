@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import pytest
+
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
@@ -25,6 +27,7 @@ def spread_rad(squares: ShiftErrors) -> float:
     return math.sqrt(squares.angle_rad2 / squares.samples - mean * mean)
 
 
+@pytest.mark.long
 def test_both_shafts_are_better_known_with_a_further_sensor() -> None:
     """Backlash and tooth errors as built; 0.85 of the angle's error over eight such gearboxes."""
     run = FusionRun(
@@ -42,6 +45,7 @@ def test_both_shafts_are_better_known_with_a_further_sensor() -> None:
         assert spread_rad(found[fused]) < 0.95 * spread_rad(found[alone])
 
 
+@pytest.mark.long
 def test_phase_references_are_learned_with_fusion_as_without() -> None:
     """With a gear in mesh the further meshes turn over at any time; fused then, the angles of a
     gear that lies still would move by more than tells its flank."""

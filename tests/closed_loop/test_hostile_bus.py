@@ -30,6 +30,7 @@ def truck(requests: list[tuple[int, int]], receiving: Alter = lambda frame: [fra
     )
 
 
+@pytest.mark.long
 def test_a_flood_of_requests_is_heeded_after_a_rest_and_does_no_harm() -> None:
     """TC1 every 10 ms for 8 s, the gear asked for another one every 200 ms."""
     flood = [(300_000 + 10_000 * k, (8, 10)[k // 20 % 2]) for k in range(800)]

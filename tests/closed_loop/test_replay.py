@@ -26,7 +26,10 @@ def log(one_shift: Loop) -> list[Frame]:
     return [frame for _, frame in one_shift.frames]
 
 
-@pytest.mark.parametrize("name", ["one_shift", "six_shifts", "immediate_shift"])
+@pytest.mark.parametrize(
+    "name",
+    ["one_shift", pytest.param("six_shifts", marks=pytest.mark.long), "immediate_shift"],
+)
 def test_every_simulated_log_is_identical(
     name: str, tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
@@ -96,9 +99,15 @@ def test_a_log_with_one_bit_changed_is_never_called_identical(
     assert session.reason
 
 
+@pytest.fixture(scope="module")
+def clean(log: list[Frame], one_shift: Loop, tmp_path_factory: pytest.TempPathFactory) -> Session:
+    """What is said of the log as it was."""
+    return verify(one_shift, log, tmp_path_factory.mktemp("clean"))
+
+
 @pytest.mark.parametrize("can_id", [0x0CFF4003, 0x08B6BB03, 0x18FF5F03, 0x0CF00203])
 def test_frames_under_its_address_that_it_did_not_send_are_named_as_intruders(
-    can_id: int, log: list[Frame], one_shift: Loop, tmp_path: Path
+    can_id: int, log: list[Frame], clean: Session, one_shift: Loop, tmp_path: Path
 ) -> None:
     """A babbling valve command without its protection, a message that nobody knows, a status frame,
     and one of J1939, which has no protection: the controller did nothing wrong."""
@@ -111,7 +120,6 @@ def test_frames_under_its_address_that_it_did_not_send_are_named_as_intruders(
     assert session.verdict is Verification.IDENTICAL, str(session)
     assert session.intruders == {can_id: len(babbled) - len(log)}
     assert f"{can_id:08X}" in str(session)
-    clean = verify(one_shift, log, tmp_path)
     assert clean.intruders == {}
     assert (session.steps, session.frames) == (clean.steps, clean.frames)
 
@@ -159,6 +167,7 @@ def test_equal_requests_that_a_slow_node_takes_one_by_one_are_all_found(tmp_path
     assert session.verdict is Verification.IDENTICAL, str(session)
 
 
+@pytest.mark.long
 def test_another_strategy_acts_on_the_same_frames(six_shifts: Loop, tmp_path: Path) -> None:
     """Up to the first aimed shift both do the same; from there on the other one is told."""
     six_shifts.header.save(tmp_path)

@@ -11,11 +11,13 @@ from typing import Any
 
 import pytest
 from loop_bench import Loop
+from page_data import page_data
 
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.controller.core import OWN_ADDRESS
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.messages import ShiftOutcome
 from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.cli import main
@@ -29,6 +31,12 @@ ETC1_ID = CODECS["ETC1"].spec.can_id
 
 def sensors_of(loop: Loop) -> list[tuple[int, Frame]]:
     return [(t, f) for t, f in loop.frames if f.can_id & 0xFF != OWN_ADDRESS]
+
+
+def end_of(loop: Loop, shifts: int) -> int:
+    """A while after so many shifts have ended, us."""
+    ended = [t for t, message in loop.messages if isinstance(message, ShiftOutcome)]
+    return ended[shifts - 1] + 300_000
 
 
 def write(path: Path, frames: list[tuple[float, Frame]]) -> Path:
@@ -63,38 +71,47 @@ def speeds_of_two_gears() -> list[tuple[float, Frame]]:
     return frames
 
 
-@pytest.mark.parametrize("shifted_s", [0.0, 1.7e9])
+@pytest.mark.parametrize(
+    ("shifted_s", "shifts"), [pytest.param(0.0, 6, marks=pytest.mark.long), (1.7e9, 2)]
+)
 def test_sensor_frames_alone_are_enough(
-    six_shifts: Loop, tmp_path: Path, capsys: pytest.CaptureFixture[str], shifted_s: float
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    shifted_s: float,
+    shifts: int,
 ) -> None:
     """Every request is judged, none swallowed; no outcome of the log is anybody's; and phase
     references are learned from gears that another controller engaged."""
-    frames = [(shifted_s + t * 1e-6, frame) for t, frame in sensors_of(six_shifts)]
+    loop = Loop(shifts=shifts).run(40_000_000)
+    frames = [(shifted_s + t * 1e-6, frame) for t, frame in sensors_of(loop)]
     found = replayed(capsys, write(tmp_path / "a.log", frames))
     assert found["mode"] == "sensors alone"
     asked = [(row["from"], row["to"]) for row in found["decisions"]]
-    assert asked == [(8, 10), (10, 12)] * 3
+    assert asked == ([(8, 10), (10, 12)] * 3)[:shifts]
     for row in found["decisions"]:
         assert row["status"] == "fired"
         assert "result" not in row
         assert row["contact"] is None
     assert found["unfinished_requests"] == 0
-    assert found["decisions"][-1]["reference"] == "known"
-    assert abs(found["decisions"][-1]["predicted_phase_deg"]) < 1.5
+    if shifts > 5:
+        assert found["decisions"][-1]["reference"] == "known"
+        assert abs(found["decisions"][-1]["predicted_phase_deg"]) < 1.5
     seen = [(s["from"], s["to"]) for s in found["shifts_by_sleeves"]]
-    assert [pair for pair in seen if pair != (12, 8)] == [(8, 10), (10, 12)] * 3
+    assert [pair for pair in seen if pair != (12, 8)] == asked
     assert found["cannot"] == [
         "no speeds of input and output shaft (ETC1): no gears by their ratio"
     ]
 
 
+@pytest.mark.long
 def test_a_log_that_starts_in_mid_run_is_judged_by_its_sensors(
     six_shifts: Loop, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    frames = [(t * 1e-6, f) for t, f in six_shifts.frames if t > 2_000_000]
+    end_us = end_of(six_shifts, 4)
+    frames = [(t * 1e-6, f) for t, f in six_shifts.frames if 2_000_000 < t <= end_us]
     found = replayed(capsys, write(tmp_path / "a.log", frames))
     assert "the log starts in mid-run" in found["why"]
-    assert len(found["decisions"]) >= 4
+    assert len(found["decisions"]) >= 2
     assert found["controller_frames"]
 
 
@@ -243,3 +260,22 @@ def test_ctrl_c_leaves_what_was_told_up_to_there_and_says_so(
     values = json.loads(out.read_text())
     assert values["interrupted"] is True
     assert 1_200 <= values["frames"] < 4_000
+
+
+def test_the_page_draws_speeds_and_gears_and_tells_no_contact_as_ours(
+    six_shifts: Loop, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frames = [(t * 1e-6, f) for t, f in sensors_of(six_shifts)]
+    page = tmp_path / "page.html"
+    found = replayed(capsys, write(tmp_path / "a.log", frames), "--sensors", "--report", page)
+    text = page.read_text(encoding="utf-8")
+    traces = {trace["name"]: trace for trace in page_data(text)["overview"]["log"]["data"]}
+    least, most = found["speeds_rpm"]["layshaft"]
+    drawn = [value for value in traces["layshaft"]["y"] if value is not None]
+    assert (min(drawn), max(drawn)) == (least, most)
+    gears = {value for value in traces["gear by sleeves"]["y"] if value is not None}
+    assert gears == {8, 10, 12}
+    assert set(found["gears_by_sleeves_s"]) == {"8", "10", "12"}
+    assert text.count("not told: the gearbox of this log answered to another controller") == 6
+    assert 'class="gap"' not in text
+    assert 'class="tooth"' not in text

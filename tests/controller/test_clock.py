@@ -116,3 +116,15 @@ def test_a_clock_that_steps_back_is_still_a_jump() -> None:
         last_us = on_time(clock)
         clock.stamp((last_us + 10_000 + step_us) % (1 << 32), last_us + 11_000)
         assert (clock.jumps, clock.late) == (1, 0)
+
+
+def test_a_stamp_of_a_clock_that_was_set_back_a_little_is_not_late() -> None:
+    """Where the counter shows it: the offset is learned anew, and the unwrapping goes on."""
+    clock, ahead_us, now_us = SensorClockEstimate(), (1 << 32) - 50_000, 0
+    for now_us in range(0, 100_000, 10_000):
+        clock.stamp(wrap(now_us - 3_000 + ahead_us), now_us)
+    before_us, now_us = clock.now_us(now_us), now_us + 10_000
+    set_back_us = now_us - 3_000 + ahead_us - 25_000
+    assert clock.set_back(wrap(set_back_us), now_us) == set_back_us
+    assert clock.jumps == 1
+    assert clock.latest_us == clock.now_us(now_us) == set_back_us < before_us

@@ -90,7 +90,7 @@ def test_hard_acceleration_makes_no_true_edge_an_extra_one(
     were numbered one too low up to the gap."""
     doubts = 0
     for rad_s in (18.0, 25.0, 40.0):
-        for place in (0, 9, *range(teeth - 6, teeth)):
+        for place in (0, teeth - 6, teeth - 4, teeth - 2, teeth - 1):
             seen, off = Kicked(teeth, missing, rad_s, rad_s2, place).seen(polarities)
             assert seen.edges is not None
             assert np.abs(off).max(initial=0.0) < WRONG, (rad_s, place)

@@ -636,6 +636,24 @@ def test_row_3_leaves_a_lost_speed_to_row_4() -> None:
     assert not slip_out_of_its_window(Case(driven, seen, GuardState(), LIMITS))
 
 
+@pytest.mark.parametrize(("gained_us", "row"), [(2_000, None), (-50_000, None), (2_001, 12)])
+def test_row_12_a_start_on_a_bus_that_still_delivers_old_frames(
+    gained_us: int, row: int | None
+) -> None:
+    """They come faster than they were sent: the clock gains on the controller's."""
+    guard = Guard(LIMITS, armed=True)
+    for _ in range(10):
+        assert guard.passes(
+            payload(), NEUTRAL._replace(clock_gained_us=gained_us, requested_gear=ASKED)
+        )
+    assert guard.is_proven is (row is None)
+    guard.passes(payload(ValveName.SPLIT_HIGH), NEUTRAL)
+    assert guard.blocked_row == row
+    # Once proven it goes on: what comes late then is known to be old.
+    guard = ready()
+    assert guard.passes(payload(ValveName.SPLIT_HIGH), NEUTRAL._replace(clock_gained_us=90_000))
+
+
 @pytest.mark.parametrize("error_us", [12_000, 12_001])
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_row_19_commands_timed_by_another_clock_than_the_sensors(error_us: int, sign: int) -> None:

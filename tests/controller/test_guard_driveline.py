@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 
 import pytest
@@ -147,6 +148,79 @@ def test_row_14_torque_may_be_taken_away_and_nothing_else(sign: float) -> None:
         assert engine_row(pulls, torque(share * sign)) == row
     assert engine_row(pulls._replace(engine_torque_share=None), torque(0.0)) == 14
     assert engine_row(pulls._replace(valid=False), torque(0.0)) == 14
+
+
+def turned(rad_s2: float, looks: int = 6, **changes: object) -> tuple[DrivelineGuard, GuardInputs]:
+    """A guard that has seen a pulling engine change its speed for so many steps, and the next
+    step's inputs."""
+    guard, seen = DrivelineGuard(LIMITS), IN_GEAR._replace(clutch_closed=1.0)
+    for step in range(looks):
+        seen = IN_GEAR._replace(
+            now_us=NOW + step * LIMITS.tick_us,
+            clutch_closed=1.0,
+            engine_torque_share=0.04,
+            engine_rad_s=INPUT_RPM * RPM + rad_s2 * step * LIMITS.tick_us * 1e-6,
+        )
+        assert guard.passes_engine(torque(0.0), seen)
+    assert seen.engine_rad_s is not None
+    after = seen._replace(
+        now_us=seen.now_us + LIMITS.tick_us,
+        engine_rad_s=seen.engine_rad_s + rad_s2 * LIMITS.tick_us * 1e-6,
+    )
+    return guard, after._replace(**changes)  # type: ignore[arg-type]
+
+
+def test_row_14_beyond_none_only_what_turns_the_engine_along() -> None:
+    """It slows by 40 rad/s2: 3.2 kgm2 take 5.1 % of 2,500 Nm; 6.1 % with tolerance and error, and
+    the signal's own 1.5 %."""
+    for share, passes in (
+        (-0.05, True),
+        (-0.07, True),
+        (-0.08, False),
+        (0.05, True),
+        (0.06, False),
+    ):
+        guard, seen = turned(-40.0)
+        assert guard.passes_engine(torque(share), seen) is passes
+    for share, passes in ((0.07, True), (0.12, False), (-0.02, False)):
+        guard, seen = turned(40.0)
+        assert guard.passes_engine(torque(share), seen) is passes
+
+
+def test_row_14_what_turns_the_engine_has_to_be_known() -> None:
+    """Too few looks, a pause between them, no speed, plates that are apart: nothing beyond none."""
+    guard, seen = turned(-40.0, looks=4)
+    assert not guard.passes_engine(torque(-0.05), seen)
+    for changes in (
+        {"now_us": NOW + 10 * LIMITS.tick_us},
+        {"engine_rad_s": None},
+        {"clutch_closed": LIMITS.clutch_open_share},
+    ):
+        guard, seen = turned(-40.0, **changes)
+        assert not guard.passes_engine(torque(-0.05), seen)
+
+
+def test_row_14_torque_cannot_be_talked_up() -> None:
+    """A sequence gone mad asks for the most that passes, in every step, in the lowest gear of the
+    lightest vehicle, where engine and gearbox weigh three times as much as the vehicle: the torque
+    turns the engine, which lets more pass, but it comes to an end below an eighth."""
+    guard, share, asked, speed = DrivelineGuard(LIMITS), 0.0, 0.0, INPUT_RPM * RPM
+    weigh_kgm2 = 3.2 * (1.0 + 300.0 / 917.0) * 917.0 / 860.0
+    for step in range(LIMITS.torque_away_us // LIMITS.tick_us):
+        seen = IN_GEAR._replace(
+            now_us=NOW + step * LIMITS.tick_us,
+            clutch_closed=1.0,
+            engine_torque_share=share,
+            engine_rad_s=speed,
+        )
+        while asked < 0.5 and copy.deepcopy(guard).passes_engine(torque(asked + 0.01), seen):
+            asked += 0.01
+        while not copy.deepcopy(guard).passes_engine(torque(asked), seen):
+            asked -= 0.01
+        assert guard.passes_engine(torque(asked), seen)
+        share += 0.15 * (asked - share)
+        speed += share * 2500.0 / weigh_kgm2 * LIMITS.tick_us * 1e-6
+    assert 0.01 < share < 0.125
 
 
 def test_row_14_torque_is_not_taken_away_for_good() -> None:

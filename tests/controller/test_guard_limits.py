@@ -59,11 +59,12 @@ BY_HAND: dict[str, Any] = {
     "engaged_m": 0.011,
     "plate_slip_rad_s": 78.59972466647235,  # the step from crawl to first, 1.455
     "clutch_travel_us": 300_000,
-    "torque_away_us": 850_000,
+    "torque_away_us": 2_850_000,  # 2 + 0.25 + 0.6 s
+    "engine_share_s2": 1.1 * 3.2 / 2500.0,
     "tick_us": 10_000,
     "closings": 4,
     "closing_again_us": 4_000_000,
-    "request_us": 32_400_000,  # 0.6 + 1.5 + 4 * (2 + 0.6 + 2 * 2) + 3 * (0.5 + 2 * 0.4) s
+    "request_us": 34_650_000,  # 2.25 + 0.6 + 1.5 + 4 * (2 + 0.6 + 2 * 2) + 3 * (0.5 + 2 * 0.4) s
 }
 PAIRS = {
     "brake_rad_s2": (100.0 / 1.4 / 0.4267676767676768, 140.0 / 0.362930612244898),

@@ -287,6 +287,8 @@ def test_the_cruise_filter_is_a_kalman_filter_with_random_acceleration() -> None
 
 
 RUN = """
+from meshpoint.bus.light_can import load_can
+load_can()
 import json, numpy as np
 from meshpoint.controller.motion.linear_kernels import CRUISE_FILTER, THESIS_FILTER
 from meshpoint.controller.motion.linear_kernels import cruise_filter, propagate, thesis_filter

@@ -82,6 +82,8 @@ def test_a_record_is_filled_by_every_name_in_order() -> None:
 
 
 RUN = """
+from meshpoint.bus.light_can import load_can
+load_can()
 import json, sys, numpy as np
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, GearedEdges, Pressures
 from meshpoint.controller.sensing.gate_kernels import gate_edges
@@ -147,6 +149,7 @@ print(json.dumps([shaft.x.tolist(), shaft.p.tolist(), list(shaft.offset),
 """
 
 
+@pytest.mark.long
 def test_compiled_and_plain_python_agree() -> None:
     """Filter with a geared wheel, its forecast, teeth, gate with missing teeth, plan, and every
     other kernel once: a node that starts calls them all."""

@@ -111,6 +111,8 @@ class Heard:
         self.view = GuardView(SHEET, guard_limits(SHEET, SETTINGS))
         self.sender = Transmitter(Node.GEARBOX_IO)
         self.now_us = NOW_US
+        self.behind_us = 0
+        """By how much the sensors' clock is behind the controller's."""
         for _ in range(GOOD_TO_BEGIN):
             self.cycle()
 
@@ -118,13 +120,14 @@ class Heard:
               turning: bool = True) -> GuardInputs:  # fmt: skip
         """All frames of a read but one; or one with a wrong CRC, or with an old sample."""
         self.now_us += CYCLE_US
+        read_us = self.now_us - self.behind_us
         frames = []
         for kind in SLOW:
-            message = kind(sample_time_us=self.now_us - (age_us if kind is old else 0))
+            message = kind(sample_time_us=read_us - (age_us if kind is old else 0))
             frames.append((kind, self.sender.encode(message)))
         for kind in SHAFTS:
-            newest_us = self.now_us if turning else NOW_US
-            message = edges(kind, newest_us, self.now_us, newest_us // INTERVAL_US & 0xFFFF)
+            newest_us = read_us if turning else NOW_US
+            message = edges(kind, newest_us, read_us, newest_us // INTERVAL_US & 0xFFFF)
             frames.append((kind, self.sender.encode(message)))
         return self.view.take(
             [_with_wrong_crc(f) if k is damage else f for k, f in frames if k is not without],
@@ -272,3 +275,28 @@ def test_sensors_that_start_anew_are_known_by_an_array_that_gets_emptier() -> No
     now_us = heard.now_us + CYCLE_US
     seen = heard.view.take([frame], now_us, now_us)
     assert seen.now_us % (1 << 32) == now_us - behind_us
+
+
+@pytest.mark.parametrize("step_us", [10_001, 15_000, 19_000, 29_000, 60_000])
+def test_a_clock_that_steps_back_by_more_than_a_cycle_is_followed_at_once(step_us: int) -> None:
+    """A message whose counter goes on and whose time goes back is of a clock that was set back, not
+    late: frames of one identifier keep their order."""
+    heard = Heard()
+    for _ in range(50):
+        heard.cycle()
+    heard.behind_us = step_us
+    assert heard.cycle().now_us % (1 << 32) == heard.now_us - step_us
+    assert heard.cycle().now_us % (1 << 32) == heard.now_us - step_us
+
+
+def test_what_the_clock_gains_in_a_step_is_seen() -> None:
+    """Frames that have waited on a full bus come faster than they were sent."""
+    heard = Heard()
+    assert heard.cycle().clock_gained_us == 0
+    heard.behind_us = 30_000  # of a clock that reads so much less
+    assert heard.cycle().clock_gained_us == -30_000
+    for behind_us in (20_000, 10_000, 0):
+        heard.behind_us = behind_us
+        assert heard.cycle().clock_gained_us == 10_000
+    assert heard.cycle().clock_gained_us == 0
+    assert GuardView(SHEET, guard_limits(SHEET, SETTINGS)).take([], 0, 0).clock_gained_us == 0

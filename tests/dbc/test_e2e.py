@@ -237,3 +237,12 @@ def test_what_a_channel_remembers_is_copied_with_it() -> None:
     assert (other.state, machine.state) == (ChannelState.INVALID, ChannelState.VALID)
     assert quiet.tick(5 * CYCLE_US, 0)
     assert not silence.tick(4 * CYCLE_US, 0)
+
+
+def test_the_limits_that_all_channels_are_judged_by() -> None:
+    """Of ten frames two may be wrong, three good ones make a channel valid, one keeps it so; one
+    frame may be lost between two; five cycles of silence end it."""
+    assert E2ELimits(
+        window=10, min_ok_to_enter=3, min_ok_to_stay=1, max_errors=2, max_delta_counter=2,
+        max_silent_cycles=5,
+    ) == DEFAULT_LIMITS  # fmt: skip

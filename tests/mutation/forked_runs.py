@@ -20,6 +20,7 @@ import subprocess
 import sys
 import time
 import types
+from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
@@ -27,14 +28,15 @@ from typing import Any, Final
 
 import pytest
 from mutator import Mutant, Mutants, Where
-from targets import ROOT
+from targets import NOT_IMPORTED, ROOT
 
 TASK: Final = "MUTATION_TASK"
 KILLED, SURVIVED, UNCOVERED = "killed", "survived", "uncovered"
-SPARE_S: Final = 3.0
+SPARE_S: Final = 1.0
 TIMES: Final = 5.0
 """Beyond so many times its tests' own time, and the spare, a mutant never ends."""
 WALL_TIMES: Final = 20.0
+FORGET: Final = 0.9
 MORE_BYTES: Final = 3 << 30
 FAILED: Final = 1
 START_S: Final = 30.0
@@ -52,6 +54,8 @@ class Task:
         self.budget_s: float = values["budget_s"]
         self.map_path = Path(values["map"])
         self.results = Path(values["results"])
+        self.until_s: float | None = values["until_s"]
+        """After this time (time.time()) no mutant is begun."""
         self.files = [str(self.root / name) for name in self.wanted]
 
     def tell(self, **values: Any) -> None:
@@ -75,7 +79,8 @@ def pytest_runtestloop(session: pytest.Session) -> bool | None:
         mutants = Mutants(name, source)
         keep = set(wanted)
         for mutant in mutants.all:
-            if mutant.name in keep:
+            is_time = task.until_s is None or time.time() < task.until_s
+            if mutant.name in keep and is_time:
                 runner.run(mutants, mutant, task.root / name)
     return True
 
@@ -100,6 +105,7 @@ class Coverage:
             for path, by_test in lines.items()
         }
         self.seconds = seconds
+        self._caught: Counter[str] = Counter()
 
     @classmethod
     def of(cls, task: Task, session: pytest.Session) -> Coverage:
@@ -133,7 +139,15 @@ class Coverage:
             if chosen and sum_s > budget_s:
                 break
             chosen.append(test)
+        # What has caught a mutant before is the likeliest to catch the next.
+        chosen.sort(key=lambda test: -self._caught[test])
         return chosen
+
+    def note_caught(self, test: str) -> None:
+        """This test has caught a mutant; what it has caught of late counts most."""
+        for each in self._caught:
+            self._caught[each] *= FORGET
+        self._caught[test] += 1.0
 
 
 def _run_and_note(session: pytest.Session, files: list[str]) -> dict[str, Any]:
@@ -181,15 +195,16 @@ class _Runner:
                 code = each.__code__
                 key = (_real(code.co_filename), code.co_qualname, code.co_firstlineno)
                 self._functions.setdefault(key, []).append(each)
+        gc.freeze()  # a collection in a forked process would copy every page it looks at
 
     def run(self, mutants: Mutants, mutant: Mutant, path: Path) -> None:
         """One mutant; what came of it is told."""
         where = mutant.where
         lines = where.lines if where.qualname else range(0)
         tests = self._covered.tests_for(str(path), lines, self._task.budget_s)
-        begun_s = time.monotonic()
+        begun_s = _used_s()
         if not tests:
-            self._task.tell(mutant=mutant.name, outcome=UNCOVERED, by="", wall_s=0.0)
+            self._task.tell(mutant=mutant.name, outcome=UNCOVERED, by="", cpu_s=0.0)
             return
         expected_s = sum(self._covered.seconds[test] for test in tests)
         mutant.apply()
@@ -201,9 +216,11 @@ class _Runner:
                 by = self._forked(change, tests, expected_s)
         finally:
             mutant.undo()
-        wall_s = round(time.monotonic() - begun_s, 2)
+        cpu_s = round(_used_s() - begun_s, 2)
         outcome = KILLED if by else SURVIVED
-        self._task.tell(mutant=mutant.name, outcome=outcome, by=by, wall_s=wall_s, tests=len(tests))
+        if by in self._items:
+            self._covered.note_caught(by)
+        self._task.tell(mutant=mutant.name, outcome=outcome, by=by, cpu_s=cpu_s, tests=len(tests))
 
     def _change(self, mutants: Mutants, where: Where, path: Path) -> Callable[[], None] | None:
         """What makes the mutant in a process that has loaded everything; None where that needs a
@@ -244,7 +261,7 @@ class _Runner:
         try:
             done = subprocess.run(
                 [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider",
-                 "-p", "mutated_import", *tests],
+                 "--assert=plain", "-p", "mutated_import", *tests],
                 env=environment, cwd=self._task.root, stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL, check=False,
                 timeout=WALL_TIMES * (expected_s + START_S),
@@ -252,7 +269,15 @@ class _Runner:
             )  # fmt: skip
         except subprocess.TimeoutExpired:
             return "never ends"
+        if done.returncode == NOT_IMPORTED:
+            raise RuntimeError(f"{path} was not imported as a mutant")
         return "" if done.returncode == 0 else f"a process of its own, exit code {done.returncode}"
+
+
+def _used_s() -> float:
+    """Processor time of this process and of those it has waited for."""
+    used = os.times()
+    return used.user + used.system + used.children_user + used.children_system
 
 
 def _code_of(mutants: Mutants, path: Path, qualname: str, first_line: int) -> types.CodeType:

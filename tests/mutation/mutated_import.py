@@ -1,5 +1,10 @@
 """A plugin of pytest: one file is imported as a mutant. Environment: MUTATED_FILE is imported from
-MUTATED_SOURCE."""
+MUTATED_SOURCE.
+
+To be used with --assert=plain: pytest's own import of what a plugin's distribution brings, which
+the product is, goes by this one otherwise. A run that has not imported the mutant ends with
+NOT_IMPORTED.
+"""
 
 from __future__ import annotations
 
@@ -9,16 +14,27 @@ from pathlib import Path
 from types import CodeType
 from typing import Any
 
+import pytest
+from targets import NOT_IMPORTED
+
 _FILE = os.environ["MUTATED_FILE"]
 _SOURCE = Path(os.environ["MUTATED_SOURCE"]).read_text(encoding="utf-8")
 _get_code: Any = importlib.machinery.SourceFileLoader.get_code
+_imported: list[str] = []
 
 
 def _mutated(self: Any, fullname: str) -> CodeType | None:
     if os.path.realpath(self.path) == _FILE:
+        _imported.append(fullname)
         return compile(_SOURCE, _FILE, "exec")
     code: CodeType | None = _get_code(self, fullname)
     return code
 
 
 importlib.machinery.SourceFileLoader.get_code = _mutated  # type: ignore[method-assign]
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """A mutant that was never there has not survived."""
+    if not _imported:
+        session.exitstatus = NOT_IMPORTED

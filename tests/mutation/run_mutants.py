@@ -3,7 +3,9 @@
     python tests/mutation/run_mutants.py [TARGET ...]    all mutants of guard, e2e, link, valves
     ... --sample 200 --seed 1 controller                 a sample, of what has no target of its own
     ... --changed [BASE]                                 those of lines that differ from BASE
-    ... --again                                          those that the run before has left over
+    ... --again                                          those that no run before has killed
+    ... --wall 60                                        as many as can be run in so many seconds
+    ... --document docs/safety.md                        writes what the runs came to; runs nothing
 
 A mutant that no test can catch, because it behaves as the product does, is listed in
 equivalent.toml with its reason. Ends with 1 where a mutant of a target that must be whole survives
@@ -36,6 +38,7 @@ OUT: Final = ROOT / "out" / "mutation"
 LISTED: Final = HERE / "equivalent.toml"
 BUDGET_S: Final = 15.0
 HUNK: Final = re.compile(r"^@@ -\S+ \+(\d+)(?:,(\d+))? @@", re.MULTILINE)
+BEGIN, END = "<!-- begin: made by `make mutants` -->", "<!-- end -->"
 ENDED_WELL: Final = (0, 5)
 """pytest's exit codes: done, and nothing was run (by pytest itself)."""
 
@@ -93,8 +96,8 @@ def chosen(target: Target, options: argparse.Namespace) -> dict[str, list[str]]:
         kept = found
     names = {name: [mutant.name for mutant in all_] for name, all_ in kept.items() if all_}
     if options.again:
-        left = {each["mutant"] for each in results_of(target) if each["outcome"] != "killed"}
-        names = {name: [each for each in all_ if each in left] for name, all_ in names.items()}
+        done = {each["mutant"] for each in results_of(target) if each["outcome"] == "killed"}
+        names = {name: [each for each in all_ if each not in done] for name, all_ in names.items()}
     if options.only:
         names = {n: [e for e in all_ if options.only in e] for n, all_ in names.items()}
     return {name: all_ for name, all_ in names.items() if all_}
@@ -110,11 +113,14 @@ def results_of(target: Target) -> list[dict[str, Any]]:
     return list(newest.values())
 
 
-def run_target(target: Target, names: dict[str, list[str]], budget_s: float, jobs: int) -> None:
-    """Runs them in `jobs` processes; each leaves a file of results."""
+def run_target(
+    target: Target, names: dict[str, list[str]], budget_s: float, jobs: int, until_s: float | None
+) -> None:
+    """Runs them in `jobs` processes, until `until_s` (time.time()); each leaves a file of
+    results."""
     tests = [each for each in target.tests if (ROOT / each).exists()]
     hashed = hashlib.sha256(repr(sorted(names)).encode())
-    for path in [*target.paths(), *sorted((ROOT / "tests").glob("**/*.py"))]:
+    for path in [*target.paths(), *_files_of(tests)]:
         hashed.update(path.read_bytes())
     map_path = OUT / f"{target.name}-{hashed.hexdigest()[:16]}.map.json"
     parts = [{name: all_[k::jobs] for name, all_ in names.items()} for k in range(jobs)]
@@ -125,7 +131,7 @@ def run_target(target: Target, names: dict[str, list[str]], budget_s: float, job
         task = OUT / f"{target.name}-{os.getpid()}-{k}.task.json"
         values = {
             "root": str(ROOT), "mutants": part, "budget_s": budget_s, "map": str(map_path),
-            "results": str(OUT / f"{target.name}-{os.getpid()}-{k}.jsonl"),
+            "results": str(OUT / f"{target.name}-{os.getpid()}-{k}.jsonl"), "until_s": until_s,
         }  # fmt: skip
         task.write_text(json.dumps(values), encoding="utf-8")
         path = os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])
@@ -141,13 +147,21 @@ def run_target(target: Target, names: dict[str, list[str]], budget_s: float, job
             raise SystemExit(f"the run of {target.name} failed: see {OUT}/{target.name}-*.log")
 
 
+def _files_of(tests: list[str]) -> list[Path]:
+    """Those files and folders, and what is shared."""
+    found = {*(ROOT / "tests").glob("**/conftest.py")}
+    for path in (ROOT / each for each in tests):
+        found.update(path.glob("**/*.py") if path.is_dir() else [path])
+    return sorted(found)
+
+
 def _wait_for(path: Path, process: subprocess.Popen[bytes]) -> None:
     while not path.exists() and process.poll() is None:
         time.sleep(0.5)
 
 
-def judge(target: Target, names: dict[str, list[str]], listed: dict[str, str]) -> int:
-    """Says what came of them. Returns how many are amiss."""
+def judge(target: Target, names: dict[str, list[str]], listed: dict[str, str], boxed: bool) -> int:
+    """Says what came of them. Returns how many are amiss; `boxed`: some may not have been run."""
     asked = {each for all_ in names.values() for each in all_}
     came = {each["mutant"]: each for each in results_of(target) if each["mutant"] in asked}
     left = sorted(name for name, each in came.items() if each["outcome"] != "killed")
@@ -165,8 +179,30 @@ def judge(target: Target, names: dict[str, list[str]], listed: dict[str, str]) -
         print(f"  listed as equivalent, but killed: {name}")
     missing = len(asked) - len(came)
     if missing:
-        print(f"  not run: {missing}")
-    return (len(unlisted) if target.must else 0) + len(caught) + missing
+        print(f"  not run{' in this time' if boxed else ''}: {missing}")
+    return (len(unlisted) if target.must else 0) + len(caught) + (0 if boxed else missing)
+
+
+def document(path: Path, listed: dict[str, str]) -> None:
+    """Writes the table of all targets that must be whole into a document, between its marks."""
+    before, _, rest = path.read_text(encoding="utf-8").partition(BEGIN)
+    after = rest.partition(END)[2]
+    path.write_text(f"{before}{BEGIN}\n{table(listed)}{END}{after}", encoding="utf-8")
+
+
+def table(listed: dict[str, str]) -> str:
+    """How many mutants there are, how many are listed, and what the newest runs came to."""
+    lines = [
+        "| part | mutants | listed as equivalent | run | killed or listed |",
+        "|---|---|---|---|---|",
+    ]
+    for target in (each for each in TARGETS if each.must):
+        names = {m.name for all_ in mutants_of(target).values() for m in all_}
+        came = {e["mutant"]: e["outcome"] for e in results_of(target) if e["mutant"] in names}
+        good = sum(outcome == "killed" or name in listed for name, outcome in came.items())
+        count = sum(name in listed for name in names)
+        lines.append(f"| {target.name} | {len(names)} | {count} | {len(came)} | {good} |")
+    return "\n".join(lines) + "\n"
 
 
 def stale(listed: dict[str, str]) -> list[str]:
@@ -189,14 +225,19 @@ def main(arguments: list[str]) -> int:
     )  # fmt: skip
     parser.add_argument("--sample", type=int, metavar="N", help="so many, drawn by --seed")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--again", action="store_true", help="those that were left over before")
+    parser.add_argument("--again", action="store_true", help="those that no run before has killed")
     parser.add_argument("--only", metavar="TEXT", help="those whose name has this text")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument(
         "--budget", type=float, default=BUDGET_S, metavar="S",
         help="processor seconds of tests for one mutant (default: %(default)g)",
     )  # fmt: skip
+    parser.add_argument("--wall", type=float, metavar="S", help="no more after so many seconds")
+    parser.add_argument("--document", type=Path, metavar="FILE", help="writes its table")
     options = parser.parse_args(arguments)
+    if options.document:
+        document(options.document, equivalents())
+        return 0
     unknown = set(options.targets) - {each.name for each in TARGETS}
     if unknown:
         parser.error(f"unknown: {', '.join(sorted(unknown))}")
@@ -207,13 +248,18 @@ def main(arguments: list[str]) -> int:
             return 0
     OUT.mkdir(parents=True, exist_ok=True)
     listed, begun_s = equivalents(), time.monotonic()
-    amiss = 0
+    amiss, anything = 0, False
+    until_s = None if options.wall is None else time.time() + options.wall
     for target in TARGETS:
         if target.name in options.targets or (not options.targets and target.must):
             names = chosen(target, options)
             if names:
-                run_target(target, names, options.budget, options.jobs)
-            amiss += judge(target, names, listed)
+                anything = True
+                run_target(target, names, options.budget, options.jobs, until_s)
+                amiss += judge(target, names, listed, until_s is not None)
+    if not anything:
+        what = f"of lines that differ from {options.changed}" if options.changed else "to run"
+        print(f"no mutants {what}")
     for name in stale(listed):
         amiss += 1
         print(f"names no mutant: {name}")

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 ROOT: Final = Path(__file__).parents[2]
+NOT_IMPORTED: Final = 77
+"""The exit code of a process of its own that has not imported its mutant."""
 
 
 class Target(NamedTuple):
@@ -28,9 +30,13 @@ _GUARD_TESTS: Final = (
     "tests/controller/test_guard_clock.py",
     "tests/controller/test_guard_driveline.py",
     "tests/controller/test_guard_limits.py",
+    "tests/controller/test_guard_exactly.py",
     "tests/controller/test_guard_ear.py",
+    "tests/controller/test_guard_view.py",
+    "tests/controller/test_driveline_exactly.py",
     "tests/controller/test_staleness.py",
     "tests/controller/test_survivors.py",
+    "tests/contract/test_shared_tables.py",
     "tests/gearbox/test_sheet.py",
 )
 """The quick ones alone: what they let through shall not wait for a closed loop to find it."""

@@ -9,7 +9,7 @@ import ast
 
 import pytest
 from mutator import Mutants
-from run_mutants import HUNK, equivalents, mutants_of, stale
+from run_mutants import BEGIN, HUNK, ROOT, equivalents, main, mutants_of, stale, table
 from targets import TARGETS
 
 SOURCE = '''
@@ -73,8 +73,6 @@ def test_each_mutant_is_one_change_that_is_taken_back(target: object) -> None:
     for mutants in found.values():
         assert len({mutant.name for mutant in mutants}) == len(mutants)
     name, _ = min(found.items(), key=lambda each: (not each[1], len(each[1])))
-    from run_mutants import ROOT
-
     file = Mutants(name, (ROOT / name).read_text(encoding="utf-8"))
     before = ast.dump(file.tree)
     for mutant in file.all:
@@ -94,3 +92,23 @@ def test_every_listed_mutant_exists_and_has_a_reason() -> None:
 def test_lines_of_a_change_are_read_from_its_hunks() -> None:
     text = "@@ -3,2 +5,3 @@ def f():\n@@ -9 +12 @@\n@@ -20,2 +22,0 @@\n"
     assert [(int(m[1]), int(m[2] or 1)) for m in HUNK.finditer(text)] == [(5, 3), (12, 1), (22, 0)]
+
+
+def test_the_document_counts_the_mutants_that_there_are() -> None:
+    """What the runs came to is written by them; how many there are and are listed is held here."""
+    said = (ROOT / "docs/safety.md").read_text(encoding="utf-8").partition(BEGIN)[2]
+    counts = [line.split("|")[1:4] for line in table(equivalents()).splitlines()]
+    there = [line.split("|")[1:4] for line in said.strip().splitlines()[: len(counts)]]
+    assert there == counts
+
+
+def test_a_run_without_a_branch_to_compare_with_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--changed", "no/such-branch"]) == 0
+    assert (
+        capsys.readouterr().out == "no no/such-branch to compare with here: no mutants are made\n"
+    )
+
+
+def test_a_run_of_nothing_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--only", "no mutant is called so", "valves"]) == 0
+    assert "no mutants to run\n" in capsys.readouterr().out

@@ -183,6 +183,8 @@ def test_everything_is_compiled_before_the_first_step() -> None:
 SHIFT_WITHOUT_COMPILER = """
 import sys
 sys.path[:0] = sys.argv[1:]
+from meshpoint.bus.light_can import load_can
+load_can()
 from rig_bench import RigBench, edges_of, thesis_rig, upshift
 from meshpoint.dbc.messages import EdgesLayshaftRise, EdgesInputFall
 bench = RigBench(thesis_rig(seed=2))

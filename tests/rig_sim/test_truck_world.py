@@ -34,6 +34,8 @@ from meshpoint.units import RPM
 
 TRUCK = RigSettings(seed=5, profile=Profile.CLEAN)
 SCRIPT = """
+from meshpoint.bus.light_can import load_can
+load_can()
 import json, sys
 from truck_bench import world, run
 from meshpoint.rig_sim.shared.valve_drivers import Valve
@@ -50,20 +52,19 @@ def go_on_until(met):
         assert now_us < 9_000_000
 def switch(valve, on):
     truck._at(float(now_us), lambda: truck.switch(valve, on))
-for _ in range(2):
-    switch(SECOND, True)
-    go_on_until(lambda: truth.locked_gear is MainGear.NEUTRAL)
-    switch(SECOND, False)
-    switch(BRAKE, True)
-    go_on_until(lambda: truth.slip_rad_s(MainGear.SECOND) < 12.0)
-    switch(BRAKE, False)
-    switch(SECOND, True)
-    go_on_until(lambda: truth.locked_gear is MainGear.SECOND)
-    switch(SECOND, False)
-    truck.return_to_gear(8, 60.0, now_us)
-    go_on_until(lambda: truth.locked_gear is MainGear.FIRST)
+switch(SECOND, True)
+go_on_until(lambda: truth.locked_gear is MainGear.NEUTRAL)
+switch(SECOND, False)
+switch(BRAKE, True)
+go_on_until(lambda: truth.slip_rad_s(MainGear.SECOND) < 12.0)
+switch(BRAKE, False)
+switch(SECOND, True)
+go_on_until(lambda: truth.locked_gear is MainGear.SECOND)
+switch(SECOND, False)
+truck.return_to_gear(8, 60.0, now_us)
+go_on_until(lambda: truth.locked_gear is MainGear.FIRST)
 lines = [(time_us, text) for time_us, text in truck.engagement.lines]
-assert sum("LOCKED" in text for _, text in lines) >= 4
+assert sum("LOCKED" in text for _, text in lines) >= 2
 channels = truck.plant.rig.captured.channels
 ring = [channel.times_us[:] for channel in channels]
 pointers = [(channel.tooth, channel.lap, channel.count) for channel in channels]
@@ -101,6 +102,7 @@ def test_it_does_not_matter_how_often_anybody_asks() -> None:
     assert truck.engagement.lines == asked.engagement.lines
 
 
+@pytest.mark.long
 def test_without_the_compiler_it_is_the_same_gearbox() -> None:
     folder = str(Path(__file__).parent)
     root = str(Path(__file__).parents[2])

@@ -132,6 +132,55 @@ def test_of_valves_switched_together_those_going_off_come_first() -> None:
     assert [change.on for change in changes] == [False, True]
 
 
+def test_a_bank_begins_with_everything_off_and_nothing_waiting() -> None:
+    bank = ValveBank()
+    assert bank.energised == bank.pending == (False,) * NINE
+    assert bank.activation_us is bank.expiry_us is None
+    assert Order(OFF) == (OFF, 0)
+
+
+def test_what_waits_longest_and_what_comes_first_are_told_apart() -> None:
+    bank = ValveBank()
+    bank.command((Order(ON_AT, 30_000), Order(ON_AT, 20_000), *[Order(OFF)] * (NINE - 2)), 0, 0)
+    assert bank.activation_us == 20_000
+    assert bank.activate(20_000) == [(Valve.SPLIT_LOW, True)]
+    assert bank.activation_us == 30_000
+
+
+def test_a_command_has_an_order_for_each_valve() -> None:
+    with pytest.raises(ValueError, match="argument"):
+        ValveBank().command((Order(OFF),) * (NINE - 1), 0, 0)
+
+
+def test_an_activation_a_microsecond_ahead_waits_for_it() -> None:
+    bank = ValveBank()
+    assert bank.command(brake(ON_AT, 1), 0, 0) == []
+    assert bank.activation_us == 1
+
+
+@pytest.mark.parametrize("again_us", [150_001, -2_001])
+def test_a_refused_activation_empties_the_slot(again_us: int) -> None:
+    bank = ValveBank()
+    bank.command(brake(ON_AT, 50_000), 10_000, 10_000)
+    bank.command(brake(ON_AT, again_us), 20_000, 20_000)
+    assert bank.refused == 1
+    assert not any(bank.pending)
+    assert run_to(bank, 119_999) == []
+
+
+def test_the_command_before_once_more_renews_the_expiry_alone() -> None:
+    bank = ValveBank()
+    assert bank.renew(0) is False
+    assert bank.expiry_us is None
+    bank.command(brake(ON), 0, 0)
+    assert bank.renew(60_000) is True
+    assert bank.energised[Valve.BRAKE]
+    assert bank.expire(159_999) == []
+    assert bank.expire(160_000) == [(Valve.BRAKE, False)]
+    assert bank.renew(160_001) is False
+    assert bank.expiry_us is None
+
+
 class Sent(NamedTuple):
     now_us: int
     action: ValveAction

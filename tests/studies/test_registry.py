@@ -40,5 +40,6 @@ def test_a_study_is_found_by_name_or_by_what_it_reproduces_and_runs_once() -> No
 
 
 def test_an_unknown_study_is_named_with_those_that_are_allowed() -> None:
-    with pytest.raises(CommandError, match=r"'6\.99'.*valve, torque"):
+    with pytest.raises(CommandError, match=r"(?s)'6\.99'.*valve, torque") as refused:
         chosen(["6.99"])
+    assert max(map(len, f"meshpoint study: error: {refused.value}".splitlines())) <= 80

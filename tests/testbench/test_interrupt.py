@@ -40,6 +40,7 @@ def test_simulate_keeps_the_finished_shifts(tmp_path: Path) -> None:
     assert sum(1 for _ in read_log(log)) > 1000
 
 
+@pytest.mark.long
 def test_campaign_keeps_the_finished_runs(tmp_path: Path) -> None:
     out, folder = tmp_path / "run.json", tmp_path / "out"
     campaign = ["campaign", "--preset", "thesis", "--runs", "1000", "--learn", "1", "--judged", "1"]

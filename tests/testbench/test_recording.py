@@ -71,14 +71,14 @@ def replay(logs: list[Path], capsys: pytest.CaptureFixture[str]) -> dict[str, ob
     return dict(session)
 
 
-@pytest.mark.parametrize("ending", ["log", "blf", "asc"])
+@pytest.mark.parametrize("ending", ["log", pytest.param("blf", marks=pytest.mark.long), "asc"])
 def test_a_log_in_parts_replays_as_the_run_it_was(
     ending: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As a folder, as files in order; a missing part is noticed."""
     target = str(tmp_path / f"run.{ending}")
-    size = {"log": "250kB", "blf": "80kB", "asc": "500kB"}[ending]
-    assert main(["simulate", "--shifts", "2", "--log", target, "--log-size", size]) == 0
+    shifts, size = {"log": ("1", "150kB"), "blf": ("2", "80kB"), "asc": ("1", "250kB")}[ending]
+    assert main(["simulate", "--shifts", shifts, "--log", target, "--log-size", size]) == 0
     capsys.readouterr()
     files = log_files([tmp_path])
     assert len(files) >= 3
@@ -89,6 +89,7 @@ def test_a_log_in_parts_replays_as_the_run_it_was(
     assert holed["verdict"] == "not verifiable"
 
 
+@pytest.mark.long
 def test_a_killed_simulation_leaves_a_log_that_replays_to_its_end(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -121,6 +122,7 @@ def holds(log: Path, frame: Frame) -> bool:
         return False  # read in the middle of a flush
 
 
+@pytest.mark.long
 def test_killed_nodes_leave_logs_that_were_brought_up_to_date_meanwhile(
     tmp_path: Path, channel: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -130,7 +132,7 @@ def test_killed_nodes_leave_logs_that_were_brought_up_to_date_meanwhile(
     rig = meshpoint("rig", *channel, "--log", str(blf))
     controller = meshpoint("controller", *channel, "--log", f"{parts}/", "--log-size", "300kB")
     try:
-        wait_for_bytes(parts, 500_000)
+        wait_for_bytes(parts, 350_000)
         frame = heard_now(channel[-1])
         # Nobody ends the logs: what comes into them now, comes by itself.
         until(lambda: holds(blf, frame), "a frame of now in the rig's log", poll_s=0.5)

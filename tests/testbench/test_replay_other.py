@@ -14,7 +14,7 @@ from meshpoint.testbench.cli import main
 from meshpoint.testbench.results.rows import ShiftRow
 
 Replayed = tuple[dict[str, Any], dict[str, Any], str]
-SHIFTS = 6
+SHIFTS = 3
 RECORDED, OTHER = "speed_window", "target_phase"
 DECIDED = {"from_", "to", "strategy", "reference", "request_us", "fault"}
 """What a row may say of the other strategy too; all else of a row came of the recorded commands."""

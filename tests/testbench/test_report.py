@@ -182,6 +182,7 @@ def test_sixty_shifts_stay_below_eight_megabytes(
     assert len(offline.get_plotlyjs()) + 60 / 4 * len(text) < SIZE_LIMIT
 
 
+@pytest.mark.long
 def test_the_same_bus_gives_the_same_page(tmp_path: Path) -> None:
     """Simulated, and replayed from its log; only names and notes differ."""
     pytest.importorskip("plotly")
@@ -250,6 +251,7 @@ def test_a_browser_draws_the_shift_in_the_address_and_complains_of_nothing(
     assert 'id="shift-1-4" class="chosen"' in drawn
 
 
+@pytest.mark.long
 def test_of_two_hundred_shifts_the_page_reads_the_one_that_it_draws(
     simulated: tuple[Report, list[ShiftRow]], data: dict[str, Any], tmp_path: Path
 ) -> None:

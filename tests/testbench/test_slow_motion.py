@@ -63,6 +63,7 @@ addEventListener("load", () => {
 </script>"""
 
 
+@pytest.mark.long
 def test_what_is_drawn_equals_the_truth_within_a_hundredth_of_a_degree(tmp_path: Path) -> None:
     setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=3, shifts=3)
     collector, receiver = ReportCollector(SHEET), Receiver(*Node)

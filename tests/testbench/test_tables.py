@@ -102,6 +102,7 @@ def campaign_values() -> dict[str, Any]:
         "phases_ms": dict.fromkeys(PHASES, 12_436.7),
         "bound_ms": 12_436.0,
         "over_bound": 12.345,
+        "after_ramp_ms": {"mean": 12345.6, "p50": 12345.6, "p99": 12345.6},
         "thrown_back": 2_000_000,
         "retries": 2_000_000,
         "blocked": 2_000_000,

@@ -135,6 +135,24 @@ def test_json_has_a_line_for_each_event(
     assert all(set(line) == {"at_s", "of_request_ms", "who", "words"} for line in lines)
 
 
+def test_a_terminal_s_lines_fit_into_its_width_and_a_pipe_has_one_line_an_event(
+    run: tuple[Path, list[dict[str, Any]]],
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert main(["tell", str(run[0])]) == 0
+    piped = capsys.readouterr().out.splitlines()
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")  # as rich is told that it writes to a terminal
+    monkeypatch.setenv("COLUMNS", "80")
+    monkeypatch.setenv("NO_COLOR", "1")
+    assert main(["tell", str(run[0])]) == 0
+    shown = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in capsys.readouterr().out.splitlines()]
+    assert max(map(len, piped)) > 80 >= max(map(len, shown))
+    assert len(shown) > len(piped)
+    joined = " ".join(" ".join(shown).split())
+    assert joined == " ".join(" ".join(piped).split())
+
+
 def test_a_torn_log_is_told_up_to_its_defect_and_ends_with_2(
     run: tuple[Path, list[dict[str, Any]]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -117,6 +117,7 @@ def test_both_nodes_get_the_keys_by_which_commands_are_proven(tmp_path: Path) ->
     assert "--keys" not in without
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["controller", "pace"])
 def test_a_node_that_dies_ends_all(tmp_path: Path, bus: list[str], name: str) -> None:
     with live(tmp_path, "up", *bus, "--preset", "thesis") as command:
@@ -138,7 +139,11 @@ def test_the_nodes_end_well_where_up_itself_is_killed(tmp_path: Path, bus: list[
     ("arguments", "said"),
     [
         (["--settings", "nowhere.toml"], "nowhere.toml: cannot be read"),
-        (["--faults", "nowhere.toml"], "rig ended by itself with exit code 2"),
+        pytest.param(
+            ["--faults", "nowhere.toml"],
+            "rig ended by itself with exit code 2",
+            marks=pytest.mark.long,
+        ),
     ],
 )
 def test_bad_input_is_told_by_whoever_found_it(
@@ -151,6 +156,7 @@ def test_bad_input_is_told_by_whoever_found_it(
     assert "Traceback" not in command.said
 
 
+@pytest.mark.long
 def test_not_armed_nothing_is_shifted(
     tmp_path: Path, bus: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:

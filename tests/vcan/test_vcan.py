@@ -46,11 +46,13 @@ def test_a_gear_asked_for_by_meshpoint_request_is_engaged(bench: Bench) -> None:
     bench.dump.in_gear(2)
 
 
-def test_the_candump_log_decodes_and_verifies(bench: Bench) -> None:
+def test_sigterm_ends_both_nodes_well_and_the_candump_log_decodes_and_verifies(
+    bench: Bench,
+) -> None:
     """The log is cut in mid-run, after a whole step."""
     bench.shift(2)
     lines = bench.dump.lines()
-    bench.stop()
+    assert bench.stop() == [0, 0], bench.story()
     last = max(number for number, line in enumerate(lines) if STATUS in line)
     log = bench.folder / "shift.log"
     log.write_text("\n".join(lines[: last + 1]) + "\n")
@@ -111,7 +113,3 @@ def test_a_controller_killed_in_mid_shift_leaves_no_valve_driven(bench: Bench) -
     assert lasted_us <= 120_000
     assert all(nothing_driven(status) for status in after[off:])
     assert bench.rig.poll() is None
-
-
-def test_sigterm_ends_both_nodes_well(bench: Bench) -> None:
-    assert bench.stop() == [0, 0], bench.story()

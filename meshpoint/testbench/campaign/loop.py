@@ -10,6 +10,7 @@ import copy
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, Final
 
 from meshpoint.bus.core import Core
@@ -21,8 +22,9 @@ from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerStatus, ReferenceEngagement, ShiftOutcome
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.rig_sim.core import RigCore
-from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.testbench.campaign.draw import Draw
 from meshpoint.testbench.campaign.scorer import NO_STEP_US, SCORED_IDS, Scorer
 from meshpoint.testbench.campaign.true_state import TrueState
@@ -39,6 +41,13 @@ PAUSES: Final = Pauses(settle_us=0, locked_us=100_000, learn_us=300_000, learned
 The truck's clutch takes longer than that to close, and once it has nothing is left to wait for. A
 new gear is left when its phase is known, but not before a tenth of a second: its reference gains by
 every look, and the clutch closes meanwhile, which it would else do in the old gear."""
+SETTLED_US: Final = 400_000
+SETTLED_US_A_RATIO: Final = 160_000
+"""On a driveline that twists the lock makes engine and vehicle swing against each other, by up to
+4 kNm in the propeller shaft a tenth of a second after it. A truck has been in its gear for seconds
+when it is left; here it has for this long, and so much more for each whole of the gear's overall
+ratio, with which the period of the swing grows (0.1 s to 1.1 s). Some 100 Nm are left then, as the
+road makes of itself."""
 FAST_RETURN_RAMP_S: Final = 0.05
 """From the new gear's speeds to the old one's. As fast as this the wheels' teeth are still counted
 without a loss; it is the bench's doing and no part of a shift."""
@@ -47,6 +56,17 @@ CLOSING_US: Final = 400_000
 ALL_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
 SHARED: Final = tuple(CODECS.values())
 """What a copy shares with its original: it never changes."""
+
+
+def pauses_of(sheet: GearboxSheet, profile: Profile) -> Pauses:
+    """How long the bench rests, on a driveline that twists or on a rigid one."""
+    if profile is Profile.CLEAN:
+        return PAUSES
+    settled_us = {
+        number: round(SETTLED_US + SETTLED_US_A_RATIO * sheet.overall_ratio(gear))
+        for number, gear in DRIVE_GEARS.items()
+    }
+    return replace(PAUSES, settled_us=settled_us)
 
 
 class ClosedLoop:
@@ -79,7 +99,7 @@ class ClosedLoop:
         self._settings = settings
         self._made = 0
         self._controller = ControllerCore(new_header(product_version(), sheet, settings))
-        self._bench = BenchCore(list(drawn.plan), PAUSES)
+        self._bench = BenchCore(list(drawn.plan), pauses_of(sheet, drawn.profile))
         self._scorer = Scorer(sheet, settings.aim.target_rad(sheet.dog.backlash_rad))
         cores: list[Core] = [self._controller, self._rig, self._bench, self._scorer]
         self._driver = VirtualTime(

@@ -99,8 +99,8 @@ def _size(runs: int) -> list[str]:
 def _strategies(values: dict[str, Any]) -> str:
     columns = (
         "shifts", "first contact in gap", "95 % interval", "mean ms", "p50", "p99",
-        "bound ms", "after the ramp / bound", "mean impact, J", "retries", "blocked",
-        "thrown back", "given up", "phase sd, deg", "reference known",
+        "after the ramp: mean", "p99", "bound ms", "after the ramp / bound", "mean impact, J",
+        "retries", "blocked", "thrown back", "given up", "phase sd, deg", "reference known",
     )  # fmt: skip
     head: list[Cell] = [("strategy", ""), *((name, NUMBER_CLASS) for name in columns)]
     rows = []
@@ -110,6 +110,7 @@ def _strategies(values: dict[str, Any]) -> str:
             str(figure["shifts"]), _percent(gap["rate"]),
             f"{_percent(gap['ci95'][0])} to {_percent(gap['ci95'][1])}",
             _text(duration["mean"], 0), _text(duration["p50"], 0), _text(duration["p99"], 0),
+            _text(figure["after_ramp_ms"]["mean"], 0), _text(figure["after_ramp_ms"]["p99"], 0),
             _text(figure["bound_ms"], 0), _text(figure["over_bound"], 2),
             _text(figure["impact_j"]["mean"], 2), str(figure["retries"]), str(figure["blocked"]),
             str(figure["thrown_back"]), str(figure["given_up"]),

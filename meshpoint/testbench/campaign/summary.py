@@ -58,6 +58,13 @@ class Shots:
         has = ~np.isnan(self._durations)
         return self._durations[has], self.cluster[has]
 
+    def after_ramp_ms(self) -> Floats:
+        """From the end of the torque ramp to outcome, ms, of all shifts that came to one. What the
+        ramp takes is the driveline's, and the same for every strategy."""
+        return np.array(
+            [r.duration_ms - (r.ramp_ms or 0.0) for r in self.records if r.duration_ms is not None]
+        )
+
 
 def by_strategy(records: list[JudgedShift], names: tuple[str, ...]) -> dict[str, Shots]:
     """The records of one point of the sweep, by strategy."""
@@ -70,6 +77,7 @@ def strategy_figures(shots: Shots, bootstrap: Bootstrap) -> dict[str, Any]:
     """The figures of one strategy; null where there is nothing to say."""
     records = shots.records
     durations, owners = shots.durations()
+    after_ramp = shots.after_ramp_ms()
     errors = np.array([r.phase_error_deg for r in records if r.phase_error_deg is not None])
     low, high = rate_interval(shots.is_gap, shots.cluster)
     return {
@@ -84,6 +92,11 @@ def strategy_figures(shots: Shots, bootstrap: Bootstrap) -> dict[str, Any]:
             "p50": quantile(durations, 0.5) if durations.size else None,
             "p99": quantile(durations, P99) if durations.size else None,
             "p99_ci95": _quantile_interval(bootstrap, durations, owners),
+        },
+        "after_ramp_ms": {
+            "mean": _mean(after_ramp),
+            "p50": quantile(after_ramp, 0.5) if after_ramp.size else None,
+            "p99": quantile(after_ramp, P99) if after_ramp.size else None,
         },
         "impact_j": {
             "mean": _mean(shots.impact_j),

@@ -123,6 +123,8 @@ CELLS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
     "mean ms": lambda f: _number(f["duration_ms"]["mean"], 0),
     "p50 ms": lambda f: _number(f["duration_ms"]["p50"], 0),
     "p99 ms": lambda f: _number(f["duration_ms"]["p99"], 0),
+    "after ramp, mean": lambda f: _number(f["after_ramp_ms"]["mean"], 0),
+    "after ramp, p99": lambda f: _number(f["after_ramp_ms"]["p99"], 0),
     "bound ms": lambda f: _number(f["bound_ms"], 0),
     "over bound": lambda f: _number(f["over_bound"], 2),
     "mean impact J": lambda f: _number(f["impact_j"]["mean"], 2),

@@ -1,6 +1,6 @@
 """Worker processes that never outlive the process that has started them.
 
-Imports nothing of ours: whoever starts a worker imports this first.
+Imports next to nothing of ours: whoever starts a worker imports this first.
 """
 
 from __future__ import annotations
@@ -14,6 +14,8 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager
 from multiprocessing.connection import wait
 from typing import Final
+
+from meshpoint.bus.light_can import load_can
 
 ORPHANED: Final = 1
 
@@ -48,6 +50,7 @@ def _sigterm_as_interrupt() -> Iterator[None]:
 def _follow_the_parent() -> None:
     """Runs in a worker as it starts. Ctrl-C in a terminal reaches every process of its group: the
     parent says what it means."""
+    load_can()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_the_parent, daemon=True).start()
 

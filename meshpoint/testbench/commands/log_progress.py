@@ -26,14 +26,16 @@ def logged_frames(
     estimate: once more were read, their number is the total. Of one bus of several it is not known.
     """
     expected = expected_frames(files) if bus is None else None
+    shown_on = console("-")
     with Progress(
         SpinnerColumn(),
         TextColumn(doing),
         BarColumn(),
         TextColumn("{task.completed} frames"),
         TimeRemainingColumn(),
-        console=console("-"),
+        console=shown_on,
         transient=True,
+        disable=not shown_on.is_terminal,  # else an empty line stands before what is said next
     ) as progress:
         task = progress.add_task("frames", total=expected)
 

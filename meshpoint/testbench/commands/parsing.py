@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import textwrap
 from collections.abc import Iterable
 from typing import Any, Final, NoReturn
 
 from meshpoint.testbench.exits import Exit
 
 MOST_IN_USAGE = 4
+WIDTH = 80
+"""Columns of a terminal."""
 """A usage line with more options than this says `[options]`: each is explained below it anyway."""
 
 EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
@@ -132,8 +135,12 @@ class Parser(argparse.ArgumentParser):
         super().__init__(*arguments, **(own | options))
 
     def error(self, message: str) -> NoReturn:
-        """Ends with exit code 2 and one line: what was found, what is allowed, and a hint."""
-        self.exit(Exit.BAD_INPUT, f"{self.prog}: error: {message} (help: {self.prog} -h)\n")
+        """Ends with exit code 2 and one line: what was found, what is allowed, and a hint. Many
+        allowed words take more lines, of 80 columns."""
+        said = f"{self.prog}: error: {message} (help: {self.prog} -h)"
+        if "choose from" in message:
+            said = "\n  ".join(textwrap.wrap(said, WIDTH - 2, break_on_hyphens=False))
+        self.exit(Exit.BAD_INPUT, f"{said}\n")
 
 
 def examples(*lines: str) -> str:

@@ -13,6 +13,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from meshpoint.bus.light_can import load_can
 from meshpoint.bus.logs.files import log_files
 from meshpoint.bus.logs.limits import LogError
 from meshpoint.controller.header import RunHeader
@@ -145,7 +146,8 @@ def _each(namespace: argparse.Namespace, stop: Callable[[], bool]) -> int:
         found += [_alone(each, stop) for each in alone if not stop()]
     else:
         context = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(min(namespace.jobs, len(alone)), mp_context=context) as pool:
+        jobs = min(namespace.jobs, len(alone))
+        with ProcessPoolExecutor(jobs, mp_context=context, initializer=load_can) as pool:
             running = [pool.submit(_in_process, each) for each in alone]
             for future in running:
                 if stop():
@@ -220,7 +222,7 @@ def _replay(namespace: argparse.Namespace, stop: Callable[[], bool]) -> tuple[in
         sessions = replay.run(_fed(log, rows))
     tell_buses(out, log.buses, namespace.bus)
     of_another = not any(session.steps for session in sessions) and not refused
-    if not verify and namespace.report is None and of_another:
+    if not verify and of_another:
         return sensor_replay.run(namespace, files, str(sessions[0]), stop)
     if log.defect is not None:
         _end_early(sessions[-1], f"then the log cannot be read: {log.defect}")

@@ -16,12 +16,15 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.log_progress import complain_of_interrupt, logged_frames
+from meshpoint.testbench.commands.replay_page import log_name
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.account import Account
 from meshpoint.testbench.logs.bus_map import BusMap, load_map
 from meshpoint.testbench.logs.gear_track import SeenShift
 from meshpoint.testbench.logs.sensor_replay import SensorReplay
+from meshpoint.testbench.report.sensors import SensorPage, SensorTraces
+from meshpoint.testbench.report.write import check_report
 from meshpoint.testbench.results.output import console
 from meshpoint.testbench.version import product_version
 
@@ -60,8 +63,7 @@ def run(
 ) -> tuple[int, dict[str, Any]]:
     """Replays, and shows what the log tells and what it does not. why: it was chosen, if it was not
     asked for. A log that is torn gives all before that, and bad input."""
-    if namespace.report is not None:
-        raise CommandError("--report: a page needs a controller's run; --json holds all there is")
+    check_report(namespace.report)
     gearbox = namespace.gearbox or DEFAULT_SHEET
     sheet = load_sheet(gearbox)
     name = namespace.strategy
@@ -76,7 +78,9 @@ def run(
         if len(events) < MOST_EVENTS:
             events.append({"s": round(since_s, 3), "event": line})
 
-    replay = SensorReplay(new_header(product_version(), sheet, settings), bus_map, on_event)
+    drawn = SensorTraces()
+    header = new_header(product_version(), sheet, settings)
+    replay = SensorReplay(header, bus_map, on_event, drawn.take)
     with logged_frames(files, namespace.bus, stop) as log:
         for time_s, frame in log:
             replay.take(time_s, frame)
@@ -95,17 +99,20 @@ def run(
         "decisions": replay.decided(),
         "events": events,
     }
+    lines = _words(replay, log.account, why, log.defect)
     if namespace.json != "-":
-        _show(console(namespace.json), replay, log.account, why, log.defect)
+        _show(console(namespace.json), replay, lines)
+    if namespace.report is not None:
+        page = SensorPage(log_name(files), name or settings.strategy_name, sheet, lines)
+        page.write(namespace.report, replay, drawn, events)
     if log.interrupted:
         complain_of_interrupt(log.frames)
         return Exit.INTERRUPTED, values
     return (Exit.DONE if log.defect is None else Exit.BAD_INPUT), values
 
 
-def _show(
-    out: Any, replay: SensorReplay, account: Account, why: str, defect: LogError | None
-) -> None:
+def _words(replay: SensorReplay, account: Account, why: str, defect: LogError | None) -> list[str]:
+    """What was used, what was not, and what cannot be said, a line each."""
     values = replay.to_json()
     lines = [f"open loop on sensor frames alone{': ' + why if why else ''}"]
     lines.append(f"{values['seconds']} s, {replay.steps} steps")
@@ -121,13 +128,21 @@ def _show(
             lines.append(f"  {title}, not used: {each}{more}")
     for shaft, (least, most) in values["speeds_rpm"].items():
         lines.append(f"{shaft} shaft: {least:g} to {most:g} rpm")
+    if replay.unfinished:
+        lines.append(f"requests whose shift had not ended before the next one or the log's end, "
+                     f"not judged: {replay.unfinished}")  # fmt: skip
     lines += [f"log: {line}" for line in account.words()]
     lines += [f"cannot be said: {line}" for line in replay.cannot]
+    if defect is not None:
+        lines.append(f"the log cannot be read on: {defect}")
+    return lines
+
+
+def _show(out: Any, replay: SensorReplay, lines: list[str]) -> None:
     for line in lines:
         out.print(line, markup=False)
-    seen = replay.gears.shifts or replay.ratio.track.shifts
+    seen, by = replay.seen
     if seen:
-        by = "sleeves" if replay.gears.shifts else "the ratio of speeds"
         out.print(seen_table(f"shifts that the log shows, by {by}", seen))
     for row in replay.decided():
         after = "" if row["fired_ms"] is None else f" after {row['fired_ms']} ms"
@@ -135,8 +150,6 @@ def _show(
         told = "phase unknown" if phase is None else f"phase {phase:+.2f} deg expected"
         line = f"asked {row['from']} -> {row['to']}: {row['status']}{after}, {told}"
         out.print(line, markup=False)
-    if defect is not None:
-        out.print(f"the log cannot be read on: {defect}", markup=False)
 
 
 def seen_table(title: str, shifts: list[SeenShift]) -> Table:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.watch.story import Line, Story
 
+WORDS_AT = 35
+"""Column in which the words begin."""
 STYLES = {
     "driver": "bold",
     "controller": "",
@@ -60,6 +63,8 @@ def add_parser(commands: Any) -> None:
 def run(namespace: argparse.Namespace) -> int:
     """Tells what the log holds, up to a defect in it."""
     out = Console(highlight=False, soft_wrap=True)
+    # What is piped stays one line an event, for grep.
+    width = out.width if out.is_terminal else None
     wanted = set(namespace.only or STYLES)
     told = 0
     try:
@@ -70,7 +75,7 @@ def run(namespace: argparse.Namespace) -> int:
             if namespace.json:
                 sys.stdout.write(json.dumps(line.to_json()) + "\n")
             else:
-                out.print(_text(line))
+                out.print(_text(line, width))
     except LogError as error:
         if not told:
             raise
@@ -89,9 +94,13 @@ def _lines(logs: list[Path]) -> Iterator[Line]:
         yield from story.receive(time_s, frame)
 
 
-def _text(line: Line) -> Text:
+def _text(line: Line, width: int | None) -> Text:
+    """The event in lines of this width, its words below each other; None: in one line."""
     ms = "" if line.of_request_ms is None else f"{line.of_request_ms:+.0f} ms"
     text = Text(f"{line.at_s:9.3f} s {ms:>9}  ")
     text.append(f"{line.who:<10} ", style=STYLES[line.who])
-    text.append(line.words)
+    words = line.words
+    if width is not None and width > 2 * WORDS_AT:
+        words = f"\n{' ' * WORDS_AT}".join(textwrap.wrap(words, width - WORDS_AT))
+    text.append(words)
     return text

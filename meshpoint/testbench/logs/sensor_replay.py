@@ -31,7 +31,7 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.testbench.logs.bus_map import BusMap, pgn
 from meshpoint.testbench.logs.captures import READ_US
-from meshpoint.testbench.logs.gear_track import GearTrack, RatioTrack
+from meshpoint.testbench.logs.gear_track import GearTrack, RatioTrack, SeenShift
 from meshpoint.units import DEG, RPM, SECOND_US
 
 LONG_US: Final = 1_000_000
@@ -98,10 +98,14 @@ class SensorReplay:
         header: RunHeader,
         bus_map: BusMap | None = None,
         on_event: Callable[[float, str], None] | None = None,
+        on_value: Callable[[str, float, float], None] | None = None,
     ) -> None:
+        """on_event: s since the log's first frame and a line; on_value: what of (a shaft's speed in
+        rpm, `gear by sleeves`, `gear by ratio`), s, and the value."""
         self._core = ControllerCore(header)
         self._map = bus_map
         self._on_event = on_event
+        self._on_value = on_value
         self._made = Receiver(Node.BENCH)
         self._mapped_us: int | None = None
         self.time = LogTime()
@@ -114,7 +118,9 @@ class SensorReplay:
         """A copy that has been asked for a gear, until its shift has ended."""
         self._asked_made = Receiver(Node.BENCH)
         self._gear: MainGear | None = None
-        self.outcomes: list[ShiftOutcome] = []
+        self._asked_s = 0.0
+        self.outcomes: list[tuple[float, ShiftOutcome]] = []
+        """When it was asked, s since the first frame, and what was decided."""
         self.unfinished = 0
         """Requests whose shift had not ended at the next one, or at the log's end."""
         self.ratio = RatioTrack(header.sheet)
@@ -129,7 +135,7 @@ class SensorReplay:
         self._step_to(now_us)
         if self._map is not None and self._map.take(now_us, frame):
             for shaft, rpm in self._map.speeds_rpm:
-                self.ratio.take(shaft, rpm, now_us - START_US)
+                self._speed(shaft, rpm, now_us)
             return
         if frame.is_extended and pgn(frame.can_id) == ETC1_PGN and len(frame.data) == 8:
             self._speeds(ETC1_CODEC.decode(frame.data), now_us)
@@ -160,12 +166,12 @@ class SensorReplay:
         self.unfinished += int(self._asked is not None)
         self._asked = copy.deepcopy(self._core, {id(codec): codec for codec in SHARED})
         self._asked_made = Receiver(Node.BENCH)
+        self._asked_s = self.time.since_s
         self._asked.receive(frame)
 
     def _speeds(self, message: ETC1 | None, now_us: int) -> None:
         if message is None:
             return
-        since_us = now_us - START_US
         speeds = (
             ("input", message.input_shaft_speed_rad_s),
             ("propeller", message.output_shaft_speed_rad_s),
@@ -173,7 +179,15 @@ class SensorReplay:
         for shaft, rad_s in speeds:
             if rad_s is not None:
                 self.inputs[f"ETC1 {shaft} speed"] += 1
-                self.ratio.take(shaft, rad_s / RPM, since_us)
+                self._speed(shaft, rad_s / RPM, now_us)
+
+    def _speed(self, shaft: str, rpm: float, now_us: int) -> None:
+        """A speed that the log's bus says."""
+        self.ratio.take(shaft, rpm, now_us - START_US)
+        self._value(f"{shaft}, as said", now_us, rpm)
+        gear = self.ratio.gear(now_us - START_US)
+        if gear is not None:
+            self._value("gear by ratio", now_us, gear)
 
     def _step_to(self, now_us: int) -> None:
         due_us = self._core.next_step_us or self.time.now_us
@@ -202,11 +216,15 @@ class SensorReplay:
             message = self._made.receive(frame).message
             if isinstance(message, ControllerStatus):
                 self.status = message
-                self.gears.take(message.current_gear or None, now_us - START_US)
+                gear = message.current_gear if message.current_gear > 0 else None
+                self.gears.take(gear, now_us - START_US)
+                if gear is not None:
+                    self._value("gear by sleeves", now_us, gear)
             elif isinstance(message, ControllerEstimates):
                 layshaft = message.layshaft_speed_rad_s, message.layshaft_speed_sd_rad_s
-                self._range("layshaft", *layshaft)
-                self._range("main", message.main_speed_rad_s, message.main_speed_sd_rad_s)
+                self._range("layshaft", now_us, *layshaft)
+                main = message.main_speed_rad_s, message.main_speed_sd_rad_s
+                self._range("main", now_us, *main)
 
     def _see_gear(self) -> None:
         """A gear that another controller has engaged is watched for its phase reference."""
@@ -224,17 +242,22 @@ class SensorReplay:
         for frame in made.frames:
             message = self._asked_made.receive(frame).message
             if isinstance(message, ShiftOutcome):
-                self.outcomes.append(message)
+                self.outcomes.append((self._asked_s, message))
                 self._asked = None
 
     def _tell(self, now_us: int, line: str) -> None:
         if self._on_event is not None:
             self._on_event((now_us - START_US) / SECOND_US, line)
 
-    def _range(self, shaft: str, rad_s: float, sd_rad_s: float) -> None:
+    def _value(self, name: str, now_us: int, value: float) -> None:
+        if self._on_value is not None:
+            self._on_value(name, (now_us - START_US) / SECOND_US, value)
+
+    def _range(self, shaft: str, now_us: int, rad_s: float, sd_rad_s: float) -> None:
         if sd_rad_s > UNKNOWN_RAD_S:
             return
         rpm = rad_s / RPM
+        self._value(shaft, now_us, rpm)
         least, most = self.ranges_rpm.get(shaft, (rpm, rpm))
         self.ranges_rpm[shaft] = min(least, rpm), max(most, rpm)
 
@@ -246,10 +269,18 @@ class SensorReplay:
             said.append("no speeds of input and output shaft (ETC1): no gears by their ratio")
         return said
 
+    @property
+    def seen(self) -> tuple[list[SeenShift], str]:
+        """The shifts that the log shows, and by what."""
+        if self.gears.shifts:
+            return self.gears.shifts, "sleeves"
+        return self.ratio.track.shifts, "the ratio of speeds"
+
     def decided(self) -> list[dict[str, Any]]:
         """What the controller decided of each request, on frames that answered to another one."""
         return [
             {
+                "asked_s": round(asked_s, 3),
                 "from": o.from_gear,
                 "to": o.to_gear,
                 "request_us": o.request_time_us,
@@ -267,7 +298,7 @@ class SensorReplay:
                 "contact": None,
                 "contact_why": "the gearbox of this log answered to another controller",
             }
-            for o in self.outcomes
+            for asked_s, o in self.outcomes
         ]
 
     def to_json(self) -> dict[str, Any]:

@@ -6,7 +6,8 @@ in virtual time and live.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import Enum, auto
 from typing import Final
 
@@ -57,6 +58,8 @@ class Pauses:
     """From when the controller says that it is in the old gear with its clutch closed."""
     locked_us: int = 0
     """From when the rig says that the old gear is locked, at least."""
+    settled_us: Mapping[int, int] = field(default_factory=dict)
+    """The same, by the number of the old gear, where it takes longer."""
     learn_us: int = LEARN_US
     learned_us: int = LEARN_US
     """In the new gear at least, where its phase reference is known before `learn_us`."""
@@ -221,7 +224,9 @@ class BenchCore:
                 return seen.ready_in == shift.from_ and in_old_gear
             case Phase.SETTLING:
                 locked_us = now_us - (seen.ready_us or 0)
-                return waited_us >= self._pauses.settle_us and locked_us >= self._pauses.locked_us
+                pauses = self._pauses
+                least_us = max(pauses.locked_us, pauses.settled_us.get(shift.from_, 0))
+                return waited_us >= pauses.settle_us and locked_us >= least_us
             case Phase.REQUESTING:
                 return seen.outcome or (status is not None and status.state in MOVING)
             case Phase.SHIFTING:

@@ -74,11 +74,6 @@ class VirtualBus:
         if self._on_bus is None:
             self._start(max(now_us, self._free_us))
 
-    @property
-    def waiting(self) -> int:
-        """How many frames wait for the bus."""
-        return sum(map(len, self._queues.values()))
-
     def _start(self, at_us: int) -> None:
         """Arbitration between the first waiting frames of all nodes, if there are any."""
         first: deque[Waiting] | None = None

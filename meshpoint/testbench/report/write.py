@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, Final
 
@@ -73,9 +73,14 @@ def estimator_notes(name: str, figures: dict[str, Any]) -> list[str]:
 
 def write_report(path: Path, report: Report) -> None:
     """Writes the page. CommandError where it cannot be written."""
+    write_page(path, lambda plotly_js: page(report, report_data(report), plotly_js))
+
+
+def write_page(path: Path, made: Callable[[str], str]) -> None:
+    """Writes what is made with Plotly's script. CommandError where it cannot be written."""
     from plotly.offline import get_plotlyjs  # loading it takes longer than most commands
 
-    text = page(report, report_data(report), get_plotlyjs())
+    text = made(get_plotlyjs())
     folder_for(path.parent)
     try:
         path.write_text(text, encoding="utf-8", newline="\n")

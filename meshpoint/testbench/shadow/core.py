@@ -76,7 +76,7 @@ class ShadowCore:
         """Both controllers, counted."""
         seen = [shift.contact for shift in self.shifts if shift.contact is not None]
         asked = self._replay.outcomes
-        fired = sum(outcome.attempts > 0 for outcome in asked)
+        fired = sum(outcome.attempts > 0 for _, outcome in asked)
         return (
             f"shadow: sent nothing; {self.frames} frames heard; the production controller met the "
             f"gap in {seen.count('gap')} of {len(seen)} shifts, as the sleeves show; asked "

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from meshpoint.bus.light_can import load_can
 from meshpoint.testbench.studies.draw import write_files
 from meshpoint.testbench.studies.record import Finding, Given, Study, StudyJob, figures
 from meshpoint.testbench.studies.registry import load
@@ -131,7 +132,7 @@ class _Schedule:
         """On several processes, started afresh so that they are alike on every platform."""
         context = multiprocessing.get_context("spawn")
         records: dict[str, StudyRecord] = {}
-        with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        with ProcessPoolExecutor(workers, mp_context=context, initializer=load_can) as pool:
             try:
                 self._run(pool, records)
             except BaseException:

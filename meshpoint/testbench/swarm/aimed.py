@@ -1,30 +1,35 @@
 """Worlds with which every swarm begins: each is aimed at a corner that chance seldom finds.
 
 A fault strikes when the sequence enters a state: some states last for hundredths of a second, and
-many ways out of them exist for faults alone. The gearbox is as built by the world's own seed.
+many ways out of them exist for faults alone. Then the sequence goes mad in each of its ways, one
+for each row of the guard. The gearbox is as built by the world's own seed.
 """
 
 from __future__ import annotations
 
 from typing import Final, NamedTuple
 
+from meshpoint.dbc.messages import ControllerState
+from meshpoint.testbench.swarm.deeds import DEEDS
 from meshpoint.testbench.swarm.events import REQUEST, Event, Group, World
 
 ASKED_MS: Final = 400
-AGAIN_MS: Final = 1_800
+AGAIN_MS: Final = 2_200
 SAFETY_MS: Final = 5_000
+MAD_MS, MAD_FOR_MS = 300, 3_000
 UP_RPM, DOWN_RPM = 1400.0, 1100.0
 SLOW, STATUS = int(Group.SLOW), int(Group.VALVE_STATUS)
 
 
 class Strike(NamedTuple):
-    """A fault that begins when the sequence enters `state`."""
+    """A fault that begins when the sequence enters `state`; without one, at `at_ms`."""
 
     state: str
     kind: str
     target: int = 0
     value: float = 0.0
     for_ms: int = 900
+    at_ms: int = ASKED_MS
 
 
 class Aim(NamedTuple):
@@ -44,7 +49,7 @@ class Aim(NamedTuple):
         events = [Event(ASKED_MS, REQUEST, 0, float(self.to))]
         if self.again:
             events.append(Event(AGAIN_MS, REQUEST, 0, float(self.again)))
-        events += [Event(ASKED_MS, s.kind, s.target, s.value, s.for_ms, s.state)
+        events += [Event(s.at_ms, s.kind, s.target, s.value, s.for_ms, s.state)
                    for s in self.strikes]  # fmt: skip
         layshaft_rpm = UP_RPM if self.to > self.from_ else DOWN_RPM
         events.sort()
@@ -68,7 +73,12 @@ BETWEEN: Final = Strike("engaging", "position_offset", 1, 5.0, 1_600)
 JAMMED: Final = Strike("clutch_opening", "sleeve_jammed", 0, 0.0, 3_000)
 AT_ONCE: Final = (("limits.blocks", 1.0),)
 """The first block of the guard ends the shift."""
-BRAKE_STUCK: Final = Strike("synchronising", "valve_stuck", 0, 0.0, 3_000)
+BRAKE_HELD: Final = (
+    Strike("clutch_opening", "brake_fade", 0, 5.0, 4_500),
+    Strike("", "valve_stuck", 0, 0.0, 4_300, at_ms=600),
+)
+"""A faded brake is on for long, and its valve sticks meanwhile: it is still pressed, though hardly
+felt, when the gear is to come out again."""
 HELD: Final = Strike("clutch_parting", "clutch_stuck", for_ms=2_500)
 
 AIMS: Final = (
@@ -97,8 +107,7 @@ AIMS: Final = (
         (Strike("clutch_closing", "position_offset", 0, -6.0, 1_600),)),
     Aim("faulted+found_in_neutral", _deaf("synchronising")),
     Aim("starting+found_in_neutral", (Strike("synchronising", "controller_restarted"),)),
-    Aim("disengage_refused", (BRAKE_STUCK,), again=8),
-    Aim("disengage_refused", (BRAKE_STUCK,), again=8, settings=AT_ONCE),
+    Aim("disengage_refused", BRAKE_HELD, again=8, settings=AT_ONCE),
     Aim("brake_limit", (Strike("synchronising", "brake_fade", 0, 0.0, 2_500),),
         settings=(*AT_ONCE, ("guard.brake_on_ms", 150.0))),
     Aim("guard_blocked", (SECOND_STUCK, *_unlinked("engaging")), settings=AT_ONCE),
@@ -106,6 +115,20 @@ AIMS: Final = (
 )  # fmt: skip
 
 
+def mad_world(seed: int, name: str) -> World:
+    """The world of a deed: the sequence goes mad in its state, the shift for that is asked for."""
+    deed = DEEDS[name]
+    events = [Event(0 if deed.begins is None else MAD_MS, name, 0, 0.0, MAD_FOR_MS)]
+    if deed.begins not in (None, ControllerState.IN_GEAR):
+        events.append(Event(ASKED_MS, REQUEST, 0, 10.0))
+    return World(seed, deed.start_gear, deed.layshaft_rpm, {}, tuple(events), SAFETY_MS)
+
+
 def aimed_world(seed: int, number: int) -> World | None:
-    """The world of that number, 0 the first, of a swarm; None where the drawn ones begin."""
-    return AIMS[number].world(seed) if number < len(AIMS) else None
+    """The world of that number, 0 the first, of a swarm: each aim, then each deed; None where the
+    drawn ones begin."""
+    if number < len(AIMS):
+        return AIMS[number].world(seed)
+    names = list(DEEDS)
+    number -= len(AIMS)
+    return mad_world(seed, names[number]) if number < len(names) else None

@@ -51,8 +51,6 @@ SHIFT_US: Final = 6_000_000
 """A shift that was asked for then is made within this time."""
 AFTERMATH_US: Final = 400_000
 """A fault that has ended still shows for so long: a sensor's held value, a position on its way."""
-BACKLOG_FRAMES: Final = 40
-"""So many waiting frames take more than 15 ms to go over the bus."""
 OUTCOME_ID: Final = CODECS[ShiftOutcome.__name__].spec.can_id
 COMMAND_ID: Final = CODECS["ValveCommand"].spec.can_id
 CONTROLLER: Final = 0
@@ -183,10 +181,7 @@ class Episode:
 
     @property
     def active(self) -> frozenset[str]:
-        """Kinds of the faults of now, and of those just over. Frames that wait for the bus in a
-        long queue are late, whatever has brought them there."""
-        if self._bus.waiting > BACKLOG_FRAMES:
-            self._lately["bus_delay"] = self._time.now_us
+        """Kinds of the faults of now, and of those just over."""
         if not (self._active or self._lately):
             return NOTHING
         since_us = self._time.now_us - AFTERMATH_US

@@ -27,10 +27,9 @@ SPEED_ERROR: Final = 0.05
 """A gear that locks jerks its shafts for less time than there is between two looks at the truth."""
 SPEED_ERROR_RAD_S: Final = 2.0
 BLIND_STEPS: Final = 2
-SMALL_US: Final = 30_000
-SMALL_STEP_US: Final = 6_500_000
-"""A sensor clock that has stepped back by less than `SMALL_US` is followed only after six seconds
-(docs/safety.md, Not protected)."""
+FOLLOWED_US: Final = 20_000
+"""A sensor clock that goes back by less than a cycle may be followed late (docs/safety.md, Not
+protected), a frame's delay beside."""
 LIES: Final = frozenset({"position_offset", "position_frozen", "frozen_payload"})
 SLUGGISH: Final = frozenset({"valve_stuck", "valve_slow"})
 CLOCKS: Final = frozenset({"clock_step", "clock_drift", "node_restart", "node_stalled"})
@@ -59,8 +58,6 @@ class Invariants:
         self._in_shift_us: int | None = None
         self._sensor_us: int | None = None
         self._stepped_us = 0
-        self._clock_wrong_us = -SMALL_STEP_US
-        """When a fault last let sensors' and controller's clock disagree."""
 
     def note(self, what: str, now_us: int, text: str) -> None:
         """Keeps the first of each kind."""
@@ -107,7 +104,7 @@ class Invariants:
             self._in_shift_us = now_us
         elif now_us - self._in_shift_us > LONGEST_SHIFT_US:
             self.note("shift_without_end", now_us, core.state.name)
-        if core.seen is not None:
+        if core.seen is not None and core.is_proven:
             self._time(core.seen.now_us, now_us, active)
             self._guard_speeds(core.seen.speeds, now_us, active)
 
@@ -115,13 +112,11 @@ class Invariants:
         before_us, self._sensor_us = self._sensor_us, sensor_us or None
         passed_us, self._stepped_us = now_us - self._stepped_us, now_us
         if active & (CLOCKS | {"bus_delay"}):
-            self._clock_wrong_us = now_us
             return
         if before_us is None or not sensor_us:
             return
         error_us = sensor_us - before_us - passed_us
-        is_known = now_us - self._clock_wrong_us < SMALL_STEP_US and -SMALL_US < error_us < 0
-        if abs(error_us) > 20_000 and len(self._speeds) > 1 and not is_known:
+        if abs(error_us) > FOLLOWED_US and len(self._speeds) > 1:
             self.note("absurd_time", now_us, f"the guard's clock went wrong by {error_us} us")
 
     def _guard_speeds(self, speeds: Any, now_us: int, active: frozenset[str]) -> None:

@@ -65,6 +65,11 @@ class WatchedController(ControllerCore):
         return self._began_us is not None
 
     @property
+    def is_proven(self) -> bool:
+        """Whether the guard's self-test is passed: before, no valve can be driven."""
+        return self._guard.is_proven
+
+    @property
     def state(self) -> ControllerState:
         """The sequence's."""
         return self._sequence.state

@@ -1,0 +1,141 @@
+"""What the sequence sees of the driveline from step to step, and learns from shift to shift."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import Final
+
+import numpy as np
+
+from meshpoint.controller.shift.ringing import DrivelineRings
+from meshpoint.controller.shift.step_snapshot import StepSnapshot
+from meshpoint.controller.shift.swing_fit import EngineCourse, Known, SwingFit, fit_swing
+from meshpoint.controller.shift.unloading import GearedBodies
+from meshpoint.dbc.messages import ControllerState as State
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.units import US
+
+ENGINE_LOOKS: Final = 6
+"""The engine's acceleration is that of its last 50 ms."""
+MOST_LOOKS: Final = 400
+LEAST_LOOKS: Final = 25
+"""Fewer say nothing of a swing."""
+HALF_STEP: Final = 0.005
+"""EEC1 says whole per cent of the torque: so far beside it the torque may be."""
+LOADED_SHARE: Final = 0.5
+"""Between two shifts a trailer may have been coupled or a load taken up: 1 / J_2 changes by this
+share of what the sheet leaves open."""
+TYRES_SHARE: Final = 0.05
+"""So much the stiffness changes with them from shift to shift."""
+
+
+class DrivelineLook:
+    """Speed and torque of the engine in gear; whether and how far shafts twist; the vehicle."""
+
+    def __init__(self, sheet: GearboxSheet) -> None:
+        self._sheet = sheet
+        driveline = sheet.driveline
+        least, most = driveline.vehicle_kgm2
+        self._open_sd = max(1.0 / least - 1.0 / most, 1e-3 / most) / math.sqrt(12.0)
+        self._inverses = (1.0 / most, 1.0 / least)
+        self.rings = DrivelineRings()
+        self.known = Known(
+            driveline.stiffness_nm_rad,
+            driveline.stiffness_tolerance / math.sqrt(3.0),
+            0.5 * (1.0 / least + 1.0 / most),
+            self._open_sd,
+        )
+        self.learned = self.known
+        """The same after the ramp under way."""
+        self._gear: int | None = None
+        self._torque_share: float | None = None
+        self._asked_share: float | None = None
+        self._looks: deque[tuple[int, float, float]] = deque(maxlen=MOST_LOOKS)
+        """Times, the engine's speed, and its torque as a share, with one gear in mesh."""
+
+    @property
+    def twists(self) -> bool:
+        """Whether shafts between engine and road are known to twist: seen to, and by how much the
+        sheet says."""
+        return self.rings.twists and self._sheet.driveline.stiffness_nm_rad > 0.0
+
+    @property
+    def engine_rad_s2(self) -> float:
+        """The engine's acceleration; 0 before it was seen for long enough."""
+        looks = list(self._looks)[-ENGINE_LOOKS:]
+        if len(looks) < ENGINE_LOOKS:
+            return 0.0
+        return (looks[-1][1] - looks[0][1]) / ((looks[-1][0] - looks[0][0]) * US)
+
+    def look(self, state: State, snapshot: StepSnapshot) -> None:
+        """One step."""
+        self.rings.look(state, snapshot)
+        if snapshot.engine_torque_share is not None:
+            self._torque_share = snapshot.engine_torque_share
+        gear, speed = snapshot.view.gear_number, snapshot.engine_rad_s
+        opening = state is State.CLUTCH_OPENING
+        if not opening:
+            self._asked_share = None
+        if (state is not State.IN_GEAR and not opening) or gear != self._gear:
+            self._looks.clear()
+            self._gear = gear
+        elif speed is not None and self._torque_share is not None:
+            self._looks.append((snapshot.now_us, speed, self._torque_now(snapshot.now_us)))
+
+    def _torque_now(self, now_us: int) -> float:
+        """The engine's torque: as it says, or within its steps as it follows what is asked."""
+        said = self._torque_share or 0.0
+        if self._asked_share is None or not self._looks:
+            return said
+        before_us, _, share = self._looks[-1]
+        follows = -math.expm1(-(now_us - before_us) * US / self._sheet.engine.lag_s)
+        share += follows * (self._asked_share - share)
+        return min(max(share, said - HALF_STEP), said + HALF_STEP)
+
+    def ask(self, share: float) -> None:
+        """The torque asked for from this step on."""
+        self._asked_share = share
+
+    def loaded(self) -> None:
+        """Another shift: the vehicle may weigh more or less than in the last one, with effect on
+        its tyres."""
+        self.known = self.learned
+        stiffness_sd = min(
+            math.hypot(self.known.stiffness_sd, TYRES_SHARE),
+            self._sheet.driveline.stiffness_tolerance / math.sqrt(3.0),
+        )
+        sd = min(math.hypot(self.known.vehicle_sd, LOADED_SHARE * self._open_sd), self._open_sd)
+        self.known = self.known._replace(vehicle_sd=sd, stiffness_sd=stiffness_sd)
+        self.learned = self.known
+
+    def mean_share(self, period_us: float) -> float | None:
+        """The engine's torque over the last period; None before it was seen."""
+        if len(self._looks) < LEAST_LOOKS:
+            return None
+        since_us = self._looks[-1][0] - period_us
+        shares = [share for time_us, _, share in self._looks if time_us >= since_us]
+        return sum(shares) / len(shares)
+
+    def fit(self, bodies: GearedBodies, since_us: float) -> tuple[SwingFit, float] | None:
+        """What engine and vehicle have done since a time, and the torque (Nm at the crankshaft)
+        that the fit's acceleration is with; None where too little was seen."""
+        looks = np.array([look for look in self._looks if look[0] >= since_us])
+        if len(looks) < LEAST_LOOKS:
+            return None
+        reference_nm = self._sheet.engine.reference_nm
+        course = EngineCourse(
+            looks[:, 0] * US,
+            looks[:, 1] / bodies.ratio,
+            looks[:, 2] * reference_nm * bodies.ratio,
+        )
+        found = fit_swing(course, bodies.ratio, bodies.engine_kgm2, self.known)
+        return found._replace(known=self._within(found.known)), float(looks[0, 2]) * reference_nm
+
+    def _within(self, known: Known) -> Known:
+        """The same within the sheet's tolerances."""
+        driveline, (least, most) = self._sheet.driveline, self._inverses
+        mean, share = driveline.stiffness_nm_rad, driveline.stiffness_tolerance
+        stiffness = min(max(known.stiffness_nm_rad, (1.0 - share) * mean), (1.0 + share) * mean)
+        inverse = min(max(known.vehicle_inverse, least), most)
+        return known._replace(stiffness_nm_rad=stiffness, vehicle_inverse=inverse)

@@ -1,0 +1,81 @@
+"""The engine's torque is taken away before the clutch opens, on shafts that twist."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from loop_bench import Loop
+
+from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.settings import ControllerSettings, EngineRequests
+from meshpoint.dbc.messages import (
+    TSC1,
+    EngagementEvent,
+    ReferenceEngagement,
+    TscOverrideMode,
+)
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.settings import Preset, Profile
+from meshpoint.units import RPM
+
+TRUCK12 = load_sheet("truck12")
+REQUEST_US = 2_000_000
+
+
+class Shift(NamedTuple):
+    """A shift, up to 0.1 s after its old gear was out."""
+
+    loop: Loop
+    before_nm: float
+    """What the shafts carried at the request, at the propeller shaft."""
+    swing_rpm: float
+    """Of the main shaft in that tenth of a second, from peak to peak."""
+
+
+def shift(swing_ramp_ms: int, slope_percent: float) -> Shift:
+    """A shift of a controller that knows its driveline to twist."""
+    settings = ControllerSettings(engine=EngineRequests(swing_ramp_ms=swing_ramp_ms))
+    loop = Loop(
+        [(REQUEST_US, 6)], sheet=TRUCK12, preset=Preset.TRUCK, seed=6, start_gear=4, toward=6,
+        profile=Profile.TYPICAL, settings=settings,
+        as_built={"vehicle.slope_percent": slope_percent},
+    )  # fmt: skip
+    controller, rig = loop.controller.core, loop.rig.core
+    assert isinstance(controller, ControllerCore)
+    assert isinstance(rig, RigCore)
+    controller._sequence.driveline.rings.twists = True
+    plant = rig._world.plant  # type: ignore[attr-defined]
+    loop.run(REQUEST_US)
+    twisting, twist_rad = plant.p.twisting, plant.y.twist_rad
+    beyond_rad = max(0.0, abs(twist_rad) - twisting.half_lash_rad)
+    before_nm = math.copysign(beyond_rad * twisting.stiff_nm_rad, twist_rad)
+    out = lambda: any(m.event is EngagementEvent.RELEASED for m in loop.of(ReferenceEngagement))  # noqa: E731
+    assert loop.until(out, 5_000_000)
+    looks: list[tuple[float, float]] = []
+    end_us = loop.time.now_us + 100_000
+    loop.until(lambda: looks.append((plant.time_us, plant.main_rad_s)) or False, end_us)  # type: ignore[func-returns-value]
+    at_us, speed = np.array(looks).T
+    trend = np.polyval(np.polyfit(at_us - at_us[0], speed, 1), at_us - at_us[0])
+    return Shift(loop, before_nm, float(np.ptp(speed - trend)) / RPM)
+
+
+@pytest.mark.parametrize("slope_percent", [2.5, -4.0])
+def test_the_driveline_is_calm_when_the_gear_comes_out(slope_percent: float) -> None:
+    """Uphill and downhill, where the engine is asked for a little torque beyond none at last: what
+    turns it along with the vehicle."""
+    loop, before_nm, swing_rpm = shift(2000, slope_percent)
+    assert abs(before_nm) > 400.0
+    assert swing_rpm < 12.0
+    asked = [m for m in loop.of(TSC1) if m.override_control_mode is TscOverrideMode.TORQUE_CONTROL]
+    shares = np.sign(before_nm) * np.array([m.requested_torque_fraction for m in asked])
+    assert shares[0] > 0.02
+    assert -0.04 < shares[-8:].mean() <= 0.0
+    assert not [line for line in loop.events if "row 14" in line]
+
+
+def test_taken_away_at_once_the_torque_stays_in_the_shafts() -> None:
+    assert shift(0, 2.5).swing_rpm > 30.0

@@ -1,0 +1,172 @@
+"""What the guard makes of what it hears, exactly at its limits: clutch, engine, age, and a gear
+that is in mesh although the sensors show neutral."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+from test_guard_ear import frame, j1939
+
+from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, MainValve, guard_limits
+from meshpoint.controller.guard.listening import (
+    LAYSHAFT_EDGES,
+    MAIN_EDGES,
+    SENSORS,
+    SLEEVES_AUX,
+    SLEEVES_MAIN,
+    VALVE_STATUS,
+)
+from meshpoint.controller.guard.own_speed import ShaftSpeed, TeethCounted
+from meshpoint.controller.guard.view import GuardInputs, GuardView
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox import load_sheet
+
+SHEET = load_sheet("truck12")
+LIMITS = guard_limits(SHEET, ControllerSettings())
+CYCLE_US = 10_000
+SLOW = (SENSORS, SLEEVES_MAIN, SLEEVES_AUX, VALVE_STATUS)
+TURNING = 11.0
+"""A layshaft fast enough to tell gears apart (rad/s)."""
+
+
+def view() -> GuardView:
+    return GuardView(SHEET, LIMITS)
+
+
+def test_nothing_is_known_before_all_has_been_heard() -> None:
+    seen = view().take([j1939(0x0CF00400, b3=0, b4=16), j1939(0x0C0103F9, b2=133)], 7, 0)
+    none = (None, None, None, None)
+    assert seen == GuardInputs(
+        0, (0.0,) * 4, 1.0, 0.0, 0.0, none, 0, False, pytest.approx(512.0 * math.pi / 30.0), 8
+    )
+    guard_view = view()
+    seen = guard_view.take([frame(each, 0, 5_000) for each in SLOW[:3]], 9_000, 0)
+    assert (seen.now_us, seen.valid, seen.clutch_closed) == (5_000, False, 1.0)
+
+
+def test_each_value_is_in_its_place() -> None:
+    guard_view = view()
+    for counter in range(3):
+        stamp = 100_000 + CYCLE_US * counter
+        frames = [
+            frame(SENSORS, counter, stamp - 300, {7: 5_000, 9: 45_000, 13: 2_500 + 100 * counter}),
+            frame(SLEEVES_MAIN, counter, stamp - 200, {8: 100, 14: 70, 28: 200, 34: 230}),
+            frame(SLEEVES_AUX, counter, stamp - 100, {8: 300, 28: 400}),
+            frame(VALVE_STATUS, counter, stamp),
+        ]
+        seen = guard_view.take(frames, 500_000 + CYCLE_US * counter, stamp + 77)
+    assert seen.now_us == stamp
+    assert seen.positions_m == pytest.approx((100e-6, 200e-6, 300e-6, 400e-6))
+    assert (seen.brake_pa, seen.supply_pa) == pytest.approx((1e5, 9e5))
+    assert seen.clutch_closed == pytest.approx(0.27)
+    assert seen.clutch_per_s == pytest.approx(1.0)  # a hundredth in a cycle
+    assert (seen.positions_us, seen.clutch_us) == (stamp - 200, stamp - 300)
+    assert seen.speeds_m_s == pytest.approx((0.01, -0.01))
+    assert seen.clock_error_us == 77
+    assert seen.valid
+
+
+@pytest.mark.parametrize(
+    ("apart_us", "per_s"), [(25_000, 4.0), (25_001, 0.0), (0, 0.0), (1, 1e5), (-10_000, 0.0)]
+)
+def test_the_clutch_speed_is_taken_from_samples_near_each_other(
+    apart_us: int, per_s: float
+) -> None:
+    guard_view = view()
+    guard_view._see_clutch(5_000, 0.5)
+    assert guard_view._clutch_per_s == 0.0
+    guard_view._see_clutch((5_000 + apart_us) % (1 << 32), 0.6)
+    assert guard_view._clutch_per_s == pytest.approx(per_s)
+
+
+@pytest.mark.parametrize(("later_us", "is_known"), [(40_000, True), (40_001, False)])
+def test_the_engine_is_believed_for_40_ms(later_us: int, is_known: bool) -> None:
+    guard_view = view()
+    guard_view.take([j1939(0x0CF00400, b3=0, b4=16, b2=165)], 3_000, 0)
+    seen = guard_view.take([], 3_000 + later_us, 0)
+    assert (seen.engine_rad_s is not None) is is_known
+    assert guard_view._engine_now(3_000 + later_us).torque_share == (
+        pytest.approx(0.4) if is_known else None
+    )
+
+
+def agreeing(
+    slip_teeth: int = 0, teeth: int = 400, until_us: int = 2 * 100_000, begun_us: int = 5_000_000,
+    positions: Any = (0.0, 0.0), rad_s: tuple[float | None, float | None] = (TURNING, TURNING),
+    late: bool = False,
+) -> int:  # fmt: skip
+    """Layshaft and main shaft of one ratio turn, a tooth a cycle; over each tenth of a second the
+    main shaft is so many teeth behind, or over the second tenth alone."""
+    guard_view = view()
+    guard_view._teeth = (teeth, teeth)
+    guard_view._main = {5: MainValve(1, -1, 3.0), 4: MainValve(0, 1, 1.0)}
+    found = -1
+    for now_us in range(begun_us, begun_us + until_us + 1, CYCLE_US):
+        came_us = now_us - begun_us
+        halves = came_us // 100_000 - (1 if late else 0)
+        behind = slip_teeth * max(0, halves)
+        count = came_us // CYCLE_US
+        guard_view._shafts[LAYSHAFT_EDGES].counted = TeethCounted(now_us, count)
+        guard_view._shafts[MAIN_EDGES].counted = TeethCounted(now_us, count - behind)
+        speeds = [None if w is None else ShaftSpeed(now_us, w) for w in rad_s]
+        found = guard_view._agreeing(positions, speeds[0], speeds[1], now_us)
+    return found
+
+
+def test_a_gear_is_taken_to_be_in_after_two_tenths_of_a_second_of_one_speed() -> None:
+    assert agreeing() == 4
+    assert agreeing(until_us=190_000) == 0
+    assert agreeing(until_us=500_000) == 4
+
+
+def test_less_than_nine_degrees_a_second_is_one_speed_in_each_half() -> None:
+    """0.15 rad/s: a tooth of 419 in a tenth of a second is less, one of 418 is not."""
+    assert 2 * math.pi / 419 * 10 < 0.15 < 2 * math.pi / 418 * 10
+    assert agreeing(1, 419) == agreeing(-1, 419) == 4
+    assert agreeing(1, 418) == agreeing(-1, 418) == 0
+    assert agreeing(1, 418, late=True) == 0
+    assert agreeing(1, 419, late=True) == 4
+
+
+@pytest.mark.parametrize("place", [0, 1])
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_it_is_asked_in_neutral_alone(place: int, sign: float) -> None:
+    for position_m, valve in ((GUARD_NEUTRAL_M, 4), (GUARD_NEUTRAL_M + 1e-9, 0)):
+        positions = [0.0, 0.0]
+        positions[place] = sign * position_m
+        assert agreeing(positions=positions) == valve
+
+
+def test_it_is_asked_while_both_shafts_are_seen_to_turn() -> None:
+    assert agreeing(rad_s=(10.0, 1.0)) == 4
+    assert agreeing(rad_s=(10.0 - 1e-9, 1.0)) == 0
+    assert agreeing(rad_s=(None, TURNING)) == agreeing(rad_s=(TURNING, None)) == 0
+
+
+def test_it_begins_anew_when_neutral_was_left_or_a_wheel_not_counted() -> None:
+    turning = ShaftSpeed(0, TURNING)
+    for wheel, positions in ((LAYSHAFT_EDGES, (0.0, 0.0)), (MAIN_EDGES, (0.0, 0.0)),
+                             (None, (0.002, 0.0))):  # fmt: skip
+        guard_view = view()
+        for cycle in range(30):
+            now_us, lost = CYCLE_US * cycle, cycle == 12
+            for can_id in (LAYSHAFT_EDGES, MAIN_EDGES):
+                counted = None if lost and can_id == wheel else TeethCounted(now_us, cycle)
+                guard_view._shafts[can_id].counted = counted
+            where = positions if lost else (0.0, 0.0)
+            guard_view._agreeing(where, turning, turning, now_us)
+            first_us = guard_view._turns[0][0].time_us if guard_view._turns else None
+            assert first_us == (0 if cycle < 12 else None if lost else 130_000)
+
+
+def test_slip_is_worked_out_from_whole_teeth_and_their_times() -> None:
+    guard_view = view()
+    guard_view._teeth = (10, 20)
+    before = (TeethCounted(0, 5), TeethCounted(1_000, 50))
+    after = (TeethCounted(500_000, 15), TeethCounted(251_000, 60))
+    # One turn in half a second, half a turn in a quarter: 2 turns a second each.
+    assert guard_view._slip(1.0, before, after) == pytest.approx(0.0, abs=1e-12)
+    assert guard_view._slip(0.5, before, after) == pytest.approx(-2.0 * math.pi)
+    assert guard_view._slip(1.0, before, before) == 0.0  # no time, no teeth

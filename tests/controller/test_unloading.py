@@ -1,0 +1,133 @@
+"""The torque ramp of a driveline that twists: engine and vehicle at rest against each other after
+it, and what is learned of them from it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from meshpoint.controller.shift.swing_fit import EngineCourse, Known, fit_swing
+from meshpoint.controller.shift.unloading import (
+    SHAPES,
+    GearedBodies,
+    Loaded,
+    Unloading,
+    geared_bodies,
+    unloading,
+)
+from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.gears import DRIVE_GEARS
+
+SHEET = load_sheet("truck12")
+STEP_S = 0.01
+PARTS = 10
+STIFFNESS, VEHICLE = 16_000.0, 900.0
+KNOWN = Known(STIFFNESS, 0.17, 1.0 / VEHICLE, 3e-4)
+ROAD_NM = 1_500.0
+
+
+def bodies_of(gear: int, known: Known = KNOWN) -> GearedBodies:
+    return geared_bodies(SHEET, DRIVE_GEARS[gear], known)
+
+
+class TwoBodies:
+    """The equations, in small steps: engine and gearbox, shafts, vehicle on a slope."""
+
+    def __init__(self, bodies: GearedBodies, stiffness: float, vehicle: float) -> None:
+        self.engine, self.stiffness, self.vehicle = bodies.engine_kgm2, stiffness, vehicle
+        self.ratio = bodies.ratio
+        self.first = self.second = 11.0
+        self.shafts_nm = ROAD_NM
+
+    def run(self, torque_nm: float) -> float:
+        """One step with a torque at the crankshaft; the engine's speed at the propeller shaft
+        before it."""
+        before, step_s = self.first, STEP_S / PARTS
+        for _ in range(PARTS):
+            self.first += (self.ratio * torque_nm - self.shafts_nm) / self.engine * step_s
+            self.second += (self.shafts_nm - ROAD_NM) / self.vehicle * step_s
+            self.shafts_nm += self.stiffness * (self.first - self.second) * step_s
+        return before
+
+
+def ramps(gear: int) -> list[Unloading]:
+    bodies = bodies_of(gear)
+    coasting = -ROAD_NM / VEHICLE
+    return unloading(SHEET, bodies, Loaded(ROAD_NM / bodies.ratio, ROAD_NM, coasting), 0)
+
+
+def left_swinging_nm(ramp: Unloading, stiffness: float) -> float:
+    """How far the shafts' torque swings about its rest in the second after the last step."""
+    body, most, now_us = TwoBodies(ramp.bodies, stiffness, VEHICLE), 0.0, 0
+    while now_us < ramp.step_us + 1e6:
+        if now_us >= ramp.next_us:
+            ramp = ramp._replace(taken=ramp.taken + 1, step_us=float(now_us))
+        body.run(ramp.torque_nm)
+        now_us += round(STEP_S * 1e6)
+        if ramp.next_us == math.inf:
+            most = max(most, abs(body.shafts_nm - rest_nm(ramp)))
+    return most
+
+
+def rest_nm(ramp: Unloading) -> float:
+    """What the shafts carry at last: what slows the gearbox down with the vehicle."""
+    bodies = ramp.bodies
+    pull_nm = bodies.ratio * ramp.left_nm
+    together = (pull_nm - ROAD_NM) / (bodies.engine_kgm2 + VEHICLE)
+    return pull_nm - bodies.engine_kgm2 * together
+
+
+@pytest.mark.parametrize("gear", [13, 1, 4, 8])
+def test_the_torque_leaves_the_shafts_with_it(gear: int) -> None:
+    """Taken away at once it stays in them; in a quarter, a half and a quarter little is left, even
+    where the stiffness is off by 30 %."""
+    calm = ramps(gear)[-1]
+    assert calm.shares == SHAPES[-1]
+    at_once = calm._replace(shares=SHAPES[0])
+    assert left_swinging_nm(at_once, STIFFNESS) > 0.8 * ROAD_NM
+    assert left_swinging_nm(calm, STIFFNESS) < 0.1 * ROAD_NM
+    for share in (0.7, 1.3):
+        assert left_swinging_nm(calm, share * STIFFNESS) < 0.2 * ROAD_NM
+
+
+@pytest.mark.parametrize("gear", [13, 4, 12])
+def test_at_rest_the_clutch_carries_nothing(gear: int) -> None:
+    """The engine gives what turns it along with the vehicle; the shafts turn the gearbox alone."""
+    ramp = ramps(gear)[-1]
+    inertia = SHEET.engine.inertia_kgm2
+    ratio, coasting = ramp.bodies.ratio, -ROAD_NM / VEHICLE
+    assert ramp.left_nm == pytest.approx(inertia * ratio * coasting)
+    behind = ramp.bodies.engine_kgm2 - inertia * ratio**2
+    assert abs(rest_nm(ramp)) < 1.2 * behind * abs(coasting)
+
+
+def test_what_cannot_be_told_from_none_is_left() -> None:
+    bodies = bodies_of(1)
+    (ramp,) = unloading(SHEET, bodies, Loaded(4.0, 100.0, -0.1), 0)
+    assert (ramp.torque_nm, ramp.over_us) == (4.0, 0)
+
+
+def test_a_gear_that_swings_fast_is_left_sooner() -> None:
+    slow, fast = ramps(13)[-1], ramps(12)[-1]
+    assert slow.over_us > 900_000
+    assert fast.over_us < 400_000
+
+
+@pytest.mark.parametrize(("stiffness", "vehicle"), [(12e3, 1500.0), (16e3, 500.0), (20e3, 900.0)])
+def test_a_ramp_tells_shafts_and_vehicle(stiffness: float, vehicle: float) -> None:
+    """From the engine's speed with an error of 0.1 rad/s: stiffness and inertia within 10 %."""
+    ramp = ramps(1)[-1]
+    body = TwoBodies(ramp.bodies, stiffness, vehicle)
+    errors = np.random.default_rng(5).normal(0.0, 0.1 / body.ratio, 200)
+    torque = [ROAD_NM / body.ratio] * 100
+    for share in (0.25, 0.75):
+        torque += [ramp.own_nm * (1.0 - 1.3 * share)] * 50
+    omega = np.array([body.run(nm) for nm in torque]) + errors
+    course = EngineCourse(STEP_S * np.arange(200.0), omega, body.ratio * np.array(torque))
+    found, acceleration = fit_swing(course, body.ratio, body.engine, KNOWN)
+    assert found.stiffness_nm_rad == pytest.approx(stiffness, rel=0.1)
+    assert 1.0 / found.vehicle_inverse == pytest.approx(vehicle, rel=0.1)
+    assert acceleration == pytest.approx(0.0, abs=0.03)
+    assert found.stiffness_sd < 0.5 * KNOWN.stiffness_sd
