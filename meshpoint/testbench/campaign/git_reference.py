@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-import meshpoint
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.testbench.campaign.baseline import Outcome, Outcomes, outcome_tables, read_outcomes
 from meshpoint.testbench.errors import CommandError, RunError
@@ -178,17 +177,17 @@ class GitBaseline:
 
 def _package() -> Path:
     """The folder of the package that is running."""
-    return Path(meshpoint.__file__).resolve().parent
+    return Path(__file__).resolve().parents[2]
 
 
 def _take_kernels(package: Path) -> None:
     """Kernels compiled here hold for all code that is alike: their names say of which they are."""
-    import meshpoint.controller
-    import meshpoint.rig_sim
+    from meshpoint.controller import core as controller
+    from meshpoint.rig_sim import core as rig_sim
 
-    for module in (meshpoint.controller, meshpoint.rig_sim):
-        cache = package / module.__name__.rpartition(".")[2] / "__pycache__"
-        for kernel in (Path(str(module.__file__)).parent / "__pycache__").glob("*.nbc"):
+    for name, core in {"controller": controller, "rig_sim": rig_sim}.items():
+        cache = package / name / "__pycache__"
+        for kernel in (Path(str(core.__file__)).parent / "__pycache__").glob("*.nbc"):
             cache.mkdir(parents=True, exist_ok=True)
             shutil.copy2(kernel, cache)
 
