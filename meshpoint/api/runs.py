@@ -126,7 +126,7 @@ class Campaign:
 
     def table(self) -> pa.Table:
         """The judged shifts as an Arrow table."""
-        return load_arrow().Table.from_pylist([vars(record) for record in self.shifts])
+        return load_arrow().Table.from_pylist([record.to_row() for record in self.shifts])
 
 
 def campaign(

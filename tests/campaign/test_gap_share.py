@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -64,8 +65,7 @@ def test_the_share_of_phases_has_the_mean_of_the_hits_and_not_their_luck() -> No
 def test_a_shift_without_contact_hits_nothing_and_aimed_ones_count_as_they_were() -> None:
     records = shifts(np.random.default_rng(1), 40)
     never = [
-        JudgedShift(**vars(each) | {"contact": None}) if each.strategy == "speed_window" else each
-        for each in records
+        replace(each, contact=None) if each.strategy == "speed_window" else each for each in records
     ]
     aimed = sum(r.contact == "gap" for r in records if r.strategy == "target_phase") / 80
     assert estimate(GOAL, never, "target_phase", "speed_window").value == pytest.approx(aimed)

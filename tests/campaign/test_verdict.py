@@ -34,7 +34,15 @@ def simulated(kind: Kind, fall: float, *, has_baseline: bool = True) -> VerdictR
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("kind", list(Kind))
+@pytest.mark.parametrize(
+    "kind",
+    [
+        Kind.BREAKS,
+        Kind.INDEPENDENT,
+        pytest.param(Kind.HALF, marks=pytest.mark.long),
+        pytest.param(Kind.SAME_GEARBOXES, marks=pytest.mark.long),
+    ],
+)
 def test_a_change_from_99_to_96_per_cent_is_found_and_none_is_not(kind: Kind) -> None:
     """5 % of errors are allowed; of 100 changes, 5 more to chance. The study has 500."""
     worse, alike = simulated(kind, 0.03).run(), simulated(kind, 0.0).run()

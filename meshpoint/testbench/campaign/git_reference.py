@@ -182,12 +182,12 @@ def _package() -> Path:
 
 def _take_kernels(package: Path) -> None:
     """Kernels compiled here hold for all code that is alike: their names say of which they are."""
-    import meshpoint.controller
-    import meshpoint.rig_sim
+    from meshpoint.controller import core as controller
+    from meshpoint.rig_sim import core as rig_sim
 
-    for module in (meshpoint.controller, meshpoint.rig_sim):
-        cache = package / module.__name__.rpartition(".")[2] / "__pycache__"
-        for kernel in (Path(str(module.__file__)).parent / "__pycache__").glob("*.nbc"):
+    for name, core in {"controller": controller, "rig_sim": rig_sim}.items():
+        cache = package / name / "__pycache__"
+        for kernel in (Path(str(core.__file__)).parent / "__pycache__").glob("*.nbc"):
             cache.mkdir(parents=True, exist_ok=True)
             shutil.copy2(kernel, cache)
 

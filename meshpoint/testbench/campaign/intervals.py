@@ -12,6 +12,7 @@ of rates of which one has few misses is told from the intervals of both (Donner 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
@@ -23,7 +24,7 @@ FEW_RUNS: Final = 5
 """So many runs with a miss, and with a hit, before resampling shows how rates vary."""
 RESAMPLES: Final = 1000
 SEED: Final = 0xB007
-AT_ONCE: Final = 4_000_000
+AT_ONCE: Final = 250_000
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Interval = tuple[float, float]
@@ -85,17 +86,23 @@ class Bootstrap:
     def __init__(self, runs: int) -> None:
         runs = max(1, runs)
         rng = np.random.Generator(np.random.PCG64(SEED))
-        self.weights: Floats = rng.multinomial(runs, np.full(runs, 1.0 / runs), RESAMPLES).astype(
-            np.float64
-        )
+        share = np.full(runs, 1.0 / runs)
+        # How often a run is in a resample is a dozen at most: a byte each, not eight.
+        self._weights: NDArray[np.uint8] = np.empty((RESAMPLES, runs), np.uint8)
+        for rows in _parts(runs):
+            size = self._weights[rows].shape[0]
+            self._weights[rows] = rng.multinomial(runs, share, size)
 
     def means(self, values: Floats, clusters: Integers) -> Floats:
         """The mean in each resample."""
-        runs = self.weights.shape[1]
+        runs = self._weights.shape[1]
         sums = np.bincount(clusters, values, minlength=runs)
-        counts = np.bincount(clusters, minlength=runs)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            found: Floats = (self.weights @ sums) / (self.weights @ counts)
+        counts = np.bincount(clusters, minlength=runs).astype(np.float64)
+        found: Floats = np.empty(RESAMPLES)
+        for rows in _parts(runs):
+            weights = self._weights[rows].astype(np.float64)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                found[rows] = (weights @ sums) / (weights @ counts)
         return found
 
     def quantiles(self, values: Floats, clusters: Integers, share: float) -> Floats:
@@ -104,12 +111,18 @@ class Bootstrap:
         order = np.argsort(values, kind="stable")
         sorted_values, owners = values[order], clusters[order]
         found = []
-        rows = max(1, AT_ONCE // max(1, values.size))
-        for start in range(0, RESAMPLES, rows):
-            heaped = np.cumsum(self.weights[start : start + rows, :][:, owners], axis=1)
+        for rows in _parts(values.size):
+            heaped = np.cumsum(self._weights[rows][:, owners], axis=1, dtype=np.int32)
             reached = heaped >= share * heaped[:, -1:] - 1e-9
             found.append(sorted_values[np.argmax(reached, axis=1)])
         return np.concatenate(found)
+
+
+def _parts(width: int) -> Iterator[slice]:
+    """All resamples, so many at a time that they take little memory."""
+    rows = max(1, AT_ONCE // max(1, width))
+    for start in range(0, RESAMPLES, rows):
+        yield slice(start, min(start + rows, RESAMPLES))
 
 
 def quantile(values: Floats, share: float) -> float:

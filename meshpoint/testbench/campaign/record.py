@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from meshpoint.gearbox import GearboxSheet
@@ -17,7 +17,7 @@ from meshpoint.units import MM, RPM
 NO_OUTCOME = "no_outcome"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class JudgedShift:
     """Phase error, slip and impacts are the rig's truth. None: it did not come to that."""
 
@@ -77,6 +77,10 @@ class JudgedShift:
     def engaged(self) -> bool:
         """Whether the gear is in."""
         return self.result == "engaged"
+
+    def to_row(self) -> dict[str, Any]:
+        """By name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 def gap_share(sheet: GearboxSheet, backlash_factor: float, chamfer_m: float) -> float:

@@ -240,7 +240,7 @@ def _only(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> in
         return Exit.FAILED
     complain_of_strategy(result.strategy_errors)
     if namespace.json is not None:
-        write_json(namespace.json, {"shifts": [vars(record) for record in result.records]})
+        write_json(namespace.json, {"shifts": [record.to_row() for record in result.records]})
     if namespace.json != "-":
         out.print(records_table(f"run {namespace.only}", result.records))
     return Exit.FAILED if result.strategy_errors else Exit.DONE
