@@ -3,6 +3,7 @@ bit, and what it begins with."""
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import pytest
@@ -43,7 +44,8 @@ def speed(rad_s: float) -> EngineWish:
 
 
 def test_what_is_known_before_anything_was_seen() -> None:
-    nothing = DrivelineState(False, False, 0.0, (), None, own_share=(-math.inf, math.inf), torque_us=0)
+    no_share = (-math.inf, math.inf)
+    nothing = DrivelineState(False, False, 0.0, (), None, own_share=no_share, torque_us=0)
     assert DrivelineState() == nothing
     assert case().engine == EngineWish(NO_OVERRIDE, 0.0) == (NO_OVERRIDE, 0.0, 0.0)
     guard = DrivelineGuard(LIMITS)
