@@ -205,6 +205,7 @@ class ControllerCore:
         events: list[str] = [UNARMED] if self._due_us is None and not self._guard.is_armed else []
         inputs, consumed = self._consume(now_us, events)
         read_us = self._probe.stamp(inputs, now_us)
+        self._probe.heed(inputs.valve_status)
         if read_us is not None:
             self._observer.clock.stamp(read_us, now_us)
         self._observer.take(inputs, now_us, events)
