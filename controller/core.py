@@ -29,6 +29,7 @@ from meshpoint.controller.observer import Observer
 from meshpoint.controller.report.log_lines import decision_line
 from meshpoint.controller.report.reporter import Reporter
 from meshpoint.controller.sensing.clock_probe import ClockProbe
+from meshpoint.controller.sensing.refused_lead import RefusedLead
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.settings import ControllerSettings, ValveTiming
@@ -101,6 +102,7 @@ class ControllerCore:
         timing = ValveTiming(settings.valve_timing)
         self._board = ValveBoard(timing)
         self._probe = ClockProbe()
+        self._refused = RefusedLead(settings.timing.tick_us)
         self._ahead_us = settings.timing.wire_us if timing is ValveTiming.IMMEDIATE else 0
         self._sequence = ShiftSequence(
             sheet, settings, self._board, brake, self._observer.references, header.armed
@@ -205,7 +207,8 @@ class ControllerCore:
         events: list[str] = [UNARMED] if self._due_us is None and not self._guard.is_armed else []
         inputs, consumed = self._consume(now_us, events)
         read_us = self._probe.stamp(inputs, now_us)
-        self._probe.heed(inputs.valve_status)
+        if self._refused.take(inputs.valve_status, now_us):
+            self._probe.repeat()
         if read_us is not None:
             self._observer.clock.stamp(read_us, now_us)
         self._observer.take(inputs, now_us, events)
@@ -286,7 +289,7 @@ class ControllerCore:
     def _lead_us(self) -> int:
         """The least lead of an activation; a step's own frames must be through before the moment of
         a command that cannot be scheduled."""
-        lead_us = self._settings.timing.lead_us
+        lead_us = self._settings.timing.lead_us + self._refused.more_us
         return max(lead_us, FRAME_WAIT_US) if self._ahead_us else lead_us
 
     def _lost(self, sensor_us: int) -> FaultCode:

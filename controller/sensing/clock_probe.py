@@ -14,7 +14,7 @@ from typing import Final
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
-from meshpoint.dbc.messages import EdgesInputRise, ValveStatus
+from meshpoint.dbc.messages import EdgesInputRise
 
 EVERY_US: Final = 1_000_000
 """In this time 200 ppm of drift are 0.2 ms, and one step more in a hundred leaves cyclic frames
@@ -30,7 +30,6 @@ class ClockProbe:
         self.is_armed = True
         """Whether an arriving frame may be the awaited one."""
         self._probed_us = 0
-        self._refused: int | None = None
         self.is_due = False
         """Whether the awaited frame has come, so that the controller should step now."""
 
@@ -39,14 +38,9 @@ class ClockProbe:
         if self.is_armed and frame.can_id == FIRST_OF_A_READ:
             self.is_due = True
 
-    def heed(self, status: ValveStatus | None) -> None:
-        """What the valve side says: where it has refused an activation, it came late, as the clock
-        is thought to be further behind than it is."""
-        if status is None:
-            return
-        before, self._refused = self._refused, status.refused_count
-        if before not in (None, self._refused):
-            self._probed_us = 0
+    def repeat(self) -> None:
+        """The next read is awaited at once: what is believed of the clock has proved wrong."""
+        self._probed_us = 0
 
     def stamp(self, inputs: StepInputs, now_us: int) -> int | None:
         """The read time that this step was made for; None for a step like any other."""

@@ -1,11 +1,14 @@
 """A controller whose first steps came late, as on a busy machine, and took the sensor clock to be
-further behind than it is: it hears that activations are refused, and looks at the clock anew."""
+further behind than it is: it hears that an activation was refused, looks at the clock anew, and
+sends the next ones earlier."""
 
 from __future__ import annotations
 
+import pytest
 from loop_bench import Loop
 
 from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.sensing.refused_lead import KEPT_US, MOST_TICKS, RefusedLead
 from meshpoint.dbc.messages import ShiftResult, ValveStatus
 
 REQUEST_US = 60_000
@@ -13,13 +16,35 @@ LOST_US = 500_000
 """As if the clock had just been looked at then: a second later it would be again."""
 
 
-def test_a_refused_activation_has_the_clock_looked_at_anew_and_the_shift_goes_on() -> None:
+def shifted(looks_anew: bool) -> Loop:
+    """A shift whose controller looks at the clock when the tick comes, and not before."""
     loop = Loop(requests=[(REQUEST_US, 10)], phases_us=(0, 3_000, 5_000))
     core = loop.controller.core
     assert isinstance(core, ControllerCore)
     core._probe.is_armed, core._probe._probed_us = False, LOST_US
+    if not looks_anew:
+        core._probe.plan = lambda now_us, switch_us: None  # type: ignore[method-assign]
     assert loop.until(lambda: bool(loop.outcomes), 4_000_000)
+    return loop
+
+
+@pytest.mark.parametrize("looks_anew", [True, False])
+def test_after_one_refusal_the_shift_goes_on(looks_anew: bool) -> None:
+    loop = shifted(looks_anew)
     (outcome,) = loop.outcomes
     assert outcome.result is ShiftResult.ENGAGED
     assert loop.last(ValveStatus).refused_count == 1
     assert loop.time.now_us < 1_000_000, "each of its activations was refused, one after another"
+
+
+def test_more_lead_is_kept_for_a_while_and_given_up_again() -> None:
+    lead, status = RefusedLead(10_000), ValveStatus()
+    assert not lead.take(status, 0)
+    assert lead.take(status._replace(refused_count=1), 1)
+    assert not lead.take(status._replace(refused_count=1), KEPT_US)
+    assert lead.more_us == 10_000
+    for count in range(2, 9):
+        lead.take(status._replace(refused_count=count), KEPT_US)
+    assert lead.more_us == MOST_TICKS * 10_000
+    assert not lead.take(None, 2 * KEPT_US + 1)
+    assert lead.more_us == 0
