@@ -19,13 +19,13 @@ load_can()  # as every command does, before a test file loads python-can with al
 
 sys.path.insert(0, str(Path(__file__).parent))
 
-UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
-settings.register_profile("explore", UNTIMED)
 # A shell starts what runs in the background with Ctrl-C ignored, and so would be every command that
 # a test starts and interrupts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("explore", UNTIMED)
 settings.register_profile("same", UNTIMED, derandomize=True, database=None)
 settings.load_profile("same")
 

@@ -78,10 +78,11 @@ def _begun(context: ShiftContext, snapshot: StepSnapshot) -> Unloading | None:
     if own is None or fitted is None:
         return None
     found, torque_nm = fitted
-    pulled_nm = bodies.shafts_nm(torque_nm, found.acceleration_rad_s2)
-    coasting = found.acceleration_rad_s2 - bodies.known.vehicle_inverse * pulled_nm
-    own_nm = own * context.sheet.engine.reference_nm
-    begun = Loaded(own_nm, pulled_nm, coasting)
+    begun = Loaded(
+        own * context.sheet.engine.reference_nm,
+        bodies.shafts_nm(torque_nm, found.acceleration_rad_s2),
+        bodies.coasting_rad_s2(torque_nm, found.acceleration_rad_s2),
+    )
     ramps = unloading(context.sheet, bodies, begun, snapshot.now_us)
     short = [ramp for ramp in ramps if ramp.over_us - snapshot.now_us <= most_us]
     shift.unloading = (short or ramps[:1])[-1]
@@ -123,7 +124,7 @@ def _refitted(context: ShiftContext, ramp: Unloading) -> Unloading:
     found, torque_nm = fitted
     bodies = before._replace(known=found.known)
     coasting = bodies.coasting_rad_s2(torque_nm, found.acceleration_rad_s2)
-    left_nm = context.sheet.engine.inertia_kgm2 * bodies.ratio * coasting
+    left_nm = bodies.coasting_nm(context.sheet, coasting)
     driveline.learned = found.known
     return ramp._replace(bodies=bodies, left_nm=left_nm)
 

@@ -68,6 +68,10 @@ class GearedBodies(NamedTuple):
         pulled = self.shafts_nm(torque_nm, acceleration_rad_s2)
         return acceleration_rad_s2 - self.known.vehicle_inverse * pulled
 
+    def coasting_nm(self, sheet: GearboxSheet, coasting_rad_s2: float) -> float:
+        """The torque with which the engine coasts along with the vehicle (Nm at the crankshaft)."""
+        return sheet.engine.inertia_kgm2 * self.ratio * coasting_rad_s2
+
 
 def geared_bodies(sheet: GearboxSheet, gear: DriveGear, known: Known) -> GearedBodies:
     """The bodies of a drive gear, with what is known of shafts and vehicle."""
@@ -134,7 +138,7 @@ def unloading(
     leaves a harmless swing."""
     engine = sheet.engine
     own_nm, pulled_nm, coasting_rad_s2 = loaded
-    left_nm = engine.inertia_kgm2 * bodies.ratio * coasting_rad_s2
+    left_nm = bodies.coasting_nm(sheet, coasting_rad_s2)
     doubt_nm = bodies.ratio * READ_SHARE * engine.reference_nm
     away_nm = abs(pulled_nm) + doubt_nm
     if abs(pulled_nm) < TOLD_SD * doubt_nm:

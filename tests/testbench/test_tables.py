@@ -78,7 +78,7 @@ RECORD = JudgedShift(
     **dict.fromkeys(PHASES),
 )  # fmt: skip
 AGAINST = {
-    "reference": "origin/a-branch-with-a-name (0123456789ab of /home/someone/work/truck/node)",
+    "reference": "origin/a-branch-with-a-name (0123456789ab of /srv/somebody/else/truck/node)",
     "strategy": LONGEST, "strategy_before": "target_phase", "verdict": "not decided",
     "runs": 100_000, "pairs": 1_000_000, "worse": 100_000, "better": 100_000,
     "missed_by_both": 100_000, "misses_before": 0.123, "misses_after": 0.123,

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import textwrap
 from collections.abc import Iterable
 from typing import Any, Final, NoReturn
 
+from meshpoint.testbench.columns import folded
 from meshpoint.testbench.exits import Exit
 
 MOST_IN_USAGE = 4
-WIDTH = 80
-"""Columns of a terminal."""
 """A usage line with more options than this says `[options]`: each is explained below it anyway."""
 
 EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
@@ -139,7 +137,7 @@ class Parser(argparse.ArgumentParser):
         allowed words take more lines, of 80 columns."""
         said = f"{self.prog}: error: {message} (help: {self.prog} -h)"
         if "choose from" in message:
-            said = "\n  ".join(textwrap.wrap(said, WIDTH - 2, break_on_hyphens=False))
+            said = folded(said)
         self.exit(Exit.BAD_INPUT, f"{said}\n")
 
 

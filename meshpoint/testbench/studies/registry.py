@@ -11,9 +11,9 @@ Drawing, CSV, JSON and the page are the frame's.
 from __future__ import annotations
 
 import importlib
-import textwrap
 from typing import Any, Final
 
+from meshpoint.testbench.columns import folded
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.studies.record import Study
 
@@ -43,8 +43,6 @@ STUDY_NAMES: Final = (
 )
 """In the order of the thesis, then what goes beyond it."""
 ALL: Final = "all"
-WIDTH: Final = 80
-"""Columns of a terminal, in which an error names all studies."""
 
 
 def load(name: str) -> Study[Any]:
@@ -65,8 +63,8 @@ def chosen(words: list[str]) -> list[Study[Any]]:
     for word in words:
         found = [study.name for study in studies if word == ALL or _answers(study, word)]
         if not found:
-            names = textwrap.wrap(", ".join(("all", "list", *STUDY_NAMES)), WIDTH - 2)
-            raise CommandError("\n  ".join((f"no study {word!r}; allowed are", *names)))
+            names = folded(", ".join(("all", "list", *STUDY_NAMES)))
+            raise CommandError(f"no study {word!r}; allowed are\n  {names}")
         wanted.update(found)
     return [study for study in studies if study.name in wanted]
 
