@@ -143,7 +143,7 @@ def bus_config(namespace: argparse.Namespace) -> dict[str, Any]:
         asked = _defaults(asked.get("interface", DEFAULT_INTERFACE)) | asked
         # python-can casts values and builds bit timings; it also adds what we have left out.
         config = can.util.load_config(config=dict(asked))
-    except can.CanInterfaceNotImplementedError as error:
+    except can.CanInterfaceNotImplementedError as error:  # python-can's for an unknown name
         known = ", ".join(sorted(can.VALID_INTERFACES))
         raise BusOpenError(f"{error}; known interfaces are {known}") from error
     except (configparser.Error, ValueError, TypeError) as error:

@@ -15,7 +15,7 @@ def mf4_entries(file: BinaryIO, buses: Buses) -> Entries:
     index at once, so a file that is cut off gives nothing."""
     try:
         reader = mf4_module().MF4Reader(file)
-    except (ImportError, NotImplementedError) as error:
+    except (ImportError, NotImplementedError) as error:  # python-can's without asammdf
         raise DefectError("", "MF4 needs asammdf: pip install meshpoint[mf4]") from error
     except Exception as error:  # asammdf leaks errors of many kinds on damaged files
         raise DefectError("", f"cannot be read as MF4: {error!r}") from error

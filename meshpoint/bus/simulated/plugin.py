@@ -132,7 +132,7 @@ class SimulatedBus(can.BusABC):
 
     @state.setter
     def state(self, new_state: can.BusState) -> None:
-        if new_state is not can.BusState.ACTIVE:
+        if new_state is not can.BusState.ACTIVE:  # python-can's way to say that a bus cannot
             raise NotImplementedError(f"{INTERFACE}: only ACTIVE, which restarts, can be set")
         self.restart()
 

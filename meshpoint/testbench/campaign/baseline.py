@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
-from meshpoint.testbench.campaign.record import JudgedShift
+from meshpoint.testbench.campaign.record import GAP, JudgedShift
 from meshpoint.testbench.campaign.store import PARTS, SHIFTS_FILE, read_columns
 from meshpoint.testbench.campaign.sweep import BASE_POINT
 from meshpoint.testbench.campaign.verdict import PairedRun
@@ -17,7 +17,6 @@ DRAWN: Final = (
     "supply_offset_bar",
 )  # fmt: skip
 """What a run draws: the same before and after, or the two are no pair."""
-GAP: Final = "gap"
 
 
 class Outcome(NamedTuple):
@@ -85,7 +84,7 @@ def paired_runs(before: Outcomes, after: Iterable[JudgedShift], strategy: str) -
             continue
         _check_draw(was, record)
         counts = runs.setdefault(record.seed, [0, 0, 0, 0])
-        now = record.contact == GAP
+        now = record.is_gap
         counts[0] += was.is_gap and not now
         counts[1] += now and not was.is_gap
         counts[2] += not now and not was.is_gap

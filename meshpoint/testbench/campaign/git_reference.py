@@ -15,13 +15,13 @@ import subprocess
 import sys
 import tarfile
 import time
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox.tables import TableError, load_toml
 from meshpoint.testbench.campaign.baseline import Outcome, Outcomes, outcome_tables, read_outcomes
 from meshpoint.testbench.errors import CommandError, RunError
 
@@ -107,9 +107,9 @@ def own_strategy(settings: str | None) -> str:
     if settings is None:
         return ControllerSettings().strategy_name
     try:
-        values = tomllib.loads(Path(settings).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise CommandError(f"--against: {settings}: {error}") from error
+        values = load_toml(Path(settings))
+    except TableError as error:
+        raise CommandError(f"--against: {error}") from error
     return str(values.get("strategy", ControllerSettings().strategy_name))
 
 

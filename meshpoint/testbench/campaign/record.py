@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Final
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
@@ -15,6 +15,8 @@ from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.units import MM, RPM
 
 NO_OUTCOME = "no_outcome"
+GAP: Final = "gap"
+"""Of a first contact, in records."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +74,11 @@ class JudgedShift:
     seen_ms: float | None
     closing_ms: float | None
     """Where the time went, as `results.phases` has it."""
+
+    @property
+    def is_gap(self) -> bool:
+        """Whether the first contact was in a gap."""
+        return self.contact == GAP
 
     @property
     def engaged(self) -> bool:

@@ -156,6 +156,6 @@ def _value(figure: str, record: JudgedShift, plain: bool) -> float | None:
     if figure == GAP:
         if not plain and record.contact is not None and is_blind(record.strategy):
             return record.gap_share
-        return float(record.contact == "gap")
+        return float(record.is_gap)
     value: float | None = getattr(record, figure)
     return value

@@ -35,7 +35,7 @@ class Shots:
     def __init__(self, records: list[JudgedShift], runs: dict[int, int]) -> None:
         self.records = records
         self.cluster: Integers = np.array([runs[r.seed] for r in records], dtype=np.int64)
-        self.is_gap = np.array([r.contact == "gap" for r in records], dtype=bool)
+        self.is_gap = np.array([r.is_gap for r in records], dtype=bool)
         self.impact_j: Floats = np.array([r.impact_j for r in records])
         self._durations = np.array(
             [np.nan if r.duration_ms is None else r.duration_ms for r in records]
@@ -111,7 +111,7 @@ def strategy_figures(shots: Shots, bootstrap: Bootstrap) -> dict[str, Any]:
         "over_bound": _over_bound(records),
         "retries": sum(max(0, r.attempts - 1) for r in records),
         "blocked": sum(r.blocked for r in records),
-        "thrown_back": sum(r.contact == "gap" and r.ratchets > 0 for r in records),
+        "thrown_back": sum(r.is_gap and r.ratchets > 0 for r in records),
         "ratchets": sum(r.ratchets for r in records),
         "given_up": sum(not r.engaged for r in records),
         "phase_error_mean_deg": finite(errors.mean()) if errors.size else None,
