@@ -1,229 +1,30 @@
-"""Tooth patterns found again in another numbering, and the phase references that come with them.
+"""Phase references that come back with the tooth patterns of their wheels.
 
-The wheels and the gearbox here are made: their true pattern, turn and angles are known.
+The gearbox here is made: its true turn and angles are known (`recall_bench`).
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from recall_bench import THESIS, TIED, TRUCK12, WHOLE, Bench
 
-from meshpoint.controller.estimation.teeth import Found, WheelTeeth
 from meshpoint.controller.estimation.tooth_match import (
-    PatternEquations,
     ToothPattern,
-    compare,
-    turned,
 )
-from meshpoint.controller.motion.kinematics import raw_phase_rad, wrap_to_pitch
-from meshpoint.controller.phase.reference import Floated, PhaseReferences
-from meshpoint.controller.phase.reference_recovery import ReferenceRecovery, SavedReferences
+from meshpoint.controller.phase.reference import Floated
 from meshpoint.controller.phase.turn_candidates import turn_candidates
-from meshpoint.controller.sensing.sensor_count import Renumbered
-from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.dbc.messages import ReferenceSource
-from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
+from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
-from meshpoint.gearbox.sheet import Mesh
 from meshpoint.units import DEG
 
 DOCUMENT = (Path(__file__).parents[2] / "docs/calibration.md").read_text(encoding="utf-8")
-TURN = 2.0 * math.pi
-TEETH = 45
-EDGE_SD = 0.05 * DEG
-"""Of one look at an edge."""
-FREE_SD = 2.0 * DEG
-THESIS, TRUCK12 = load_sheet("thesis"), load_sheet("truck12")
-WHOLE = replace(
-    THESIS, main=replace(THESIS.main, crawl=Mesh(13, 48), first=Mesh(22, 48), second=Mesh(37, 48),
-                         third=Mesh(62, 48)),
-)  # fmt: skip
-"""Gears with as many teeth as their dog teeth: a turn of the layshaft moves them by whole ones."""
-TIED = replace(
-    TRUCK12, main=replace(TRUCK12.main, crawl=Mesh(17, 56), first=Mesh(18, 42), second=Mesh(29, 42))
-)
-"""Wheels of a common factor of seven, each ratio within 1.8 % of truck12's."""
-
-
-def pattern(rng: np.random.Generator, sd_rad: float = 0.06 * DEG) -> np.ndarray:
-    errors = rng.normal(0.0, sd_rad, 2 * TEETH)
-    return errors - errors.mean()
-
-
-def seen(rng: np.random.Generator, errors: np.ndarray, looks: int) -> PatternEquations:
-    """Equations of so many looks at each edge, the mean error not to be seen in them."""
-    weight = looks / EDGE_SD**2
-    normal = weight * (np.eye(2 * TEETH) - np.full((2 * TEETH, 2 * TEETH), 0.5 / TEETH))
-    means = errors + rng.normal(0.0, EDGE_SD / math.sqrt(looks), 2 * TEETH)
-    right = normal @ means
-    scatter = (2 * TEETH) * (looks - 1)
-    return PatternEquations(normal, right, scatter + float(means @ right), 2.0 * TEETH * looks)
-
-
-@settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 1 << 30), teeth=st.integers(0, TEETH - 1), looks=st.integers(2, 10))
-def test_a_pattern_is_found_at_whatever_tooth_the_count_begins(
-    seed: int, teeth: int, looks: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    errors = pattern(rng)
-    memory = ToothPattern(errors, 0.01 * DEG, 5000)
-    verdict = compare(memory, seen(rng, turned(errors, teeth), looks), FREE_SD, False)
-    assert verdict is not None
-    assert not verdict.stranger
-    assert verdict.certain
-    assert verdict.teeth == teeth
-
-
-@settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 1 << 30), looks=st.integers(2, 10))
-def test_a_wheel_without_a_pattern_is_never_certain(seed: int, looks: int) -> None:
-    """What was learned of an ideal wheel is noise, and so is what is seen of it."""
-    rng = np.random.default_rng(seed)
-    memory = ToothPattern(pattern(rng, 0.01 * DEG), 0.01 * DEG, 5000)
-    verdict = compare(memory, seen(rng, np.zeros(2 * TEETH), looks), FREE_SD, False)
-    assert verdict is not None
-    assert not verdict.certain
-    assert not verdict.stranger
-
-
-@settings(max_examples=30, deadline=None)
-@given(seed=st.integers(0, 1 << 30), looks=st.integers(2, 10))
-def test_another_wheel_is_never_taken_for_the_remembered_one(seed: int, looks: int) -> None:
-    rng = np.random.default_rng(seed)
-    memory = ToothPattern(pattern(rng), 0.01 * DEG, 5000)
-    verdict = compare(memory, seen(rng, pattern(rng), looks), FREE_SD, False)
-    assert verdict is not None
-    assert not verdict.certain
-    assert verdict.stranger or looks < 4
-
-
-def test_less_than_two_turns_of_the_wheel_say_nothing() -> None:
-    rng = np.random.default_rng(1)
-    errors = pattern(rng)
-    few = seen(rng, errors, 2)._replace(edges=4.0 * TEETH - 1)
-    assert compare(ToothPattern(errors, 0.01 * DEG, 1), few, FREE_SD, False) is None
-
-
-def test_missing_teeth_leave_one_turn_only() -> None:
-    """Then even a wheel without pattern errors has its numbers, and a stranger is seen as one."""
-    rng = np.random.default_rng(1)
-    nothing = np.zeros(2 * TEETH)
-    ideal = ToothPattern(nothing, 0.01 * DEG, 1)
-    same = compare(ideal, seen(rng, nothing, 4), FREE_SD, True)
-    other = compare(ideal, seen(rng, pattern(rng), 4), FREE_SD, True)
-    assert same is not None
-    assert other is not None
-    assert (same.certain, same.teeth) == (True, 0)
-    assert other.stranger
-
-
-@dataclass
-class Box:
-    """True angles = counted ones + where counting began; whole turns of the layshaft count."""
-
-    sheet: GearboxSheet
-    layshaft_rad: float = 0.0
-    main_rad: float = 0.0
-    mounted_rad: float = 1.234
-
-    def offset(self, gear: MainGear) -> float:
-        """The reference of a gear in the present counting."""
-        ratio = self.sheet.main_mesh(gear).ratio
-        own = self.mounted_rad * (1.0 + gear)
-        return -raw_phase_rad(ratio, self.layshaft_rad, self.main_rad) - own
-
-
-class Bench:
-    """A reference recovery with its wheels; a wheel whose numbers are lost is counted anew."""
-
-    def __init__(self, sheet: GearboxSheet) -> None:
-        self.sheet, self.box = sheet, Box(sheet)
-        rng = np.random.default_rng(0)
-        self.patterns = [rng.normal(size=2 * size) for size in self._sizes]
-        self.at = [0, 0]
-        """Tooth of layshaft and main wheel that counting began at."""
-        self.counted = 0
-        """By how many teeth the layshaft was renumbered since power-up."""
-        self.events: list[str] = []
-        self.power_up(None)
-
-    def power_up(self, saved: SavedReferences | None) -> None:
-        """Another controller, with what an earlier one has left."""
-        tuning, (layshaft, main) = CrossingFilterTuning(), self._sizes
-        self.references = PhaseReferences(self.sheet)
-        self.layshaft, self.main = WheelTeeth(layshaft, tuning), WheelTeeth(main, tuning)
-        self.recovery = ReferenceRecovery(self.sheet, self.references, self.layshaft, self.main)
-        self.renumbered = Renumbered()
-        if saved is not None:
-            self.recovery.restore(saved)
-
-    def restore(self, *gears: MainGear) -> None:
-        """As after a restart: all of these were known."""
-        memory = [ToothPattern(pattern, 1e-4, 1) for pattern in self.patterns]
-        offsets = {gear: self.box.offset(gear) for gear in gears}
-        self.recovery.restore(SavedReferences(memory[0], memory[1], offsets))
-
-    @property
-    def _sizes(self) -> tuple[int, int]:
-        wheels = self.sheet.wheels
-        return wheels.layshaft.teeth, wheels.main.teeth
-
-    def count_from(self, layshaft: int, main: int, turns: int = 0) -> None:
-        """Present tooth 0 is so many teeth and turns further on."""
-        sizes = self._sizes
-        self.box.layshaft_rad += layshaft * TURN / sizes[0] + turns * TURN
-        self.box.main_rad += main * TURN / sizes[1]
-        self.at = [self.at[0] + layshaft, self.at[1] + main]
-        self.counted = layshaft + turns * sizes[0]
-
-    def lose(self, layshaft: int | None, main: int | None, turns: int = 0) -> None:
-        """Wheels that are counted from another tooth on; None: counted on."""
-        self.recovery.lost(layshaft is not None, main is not None)
-        for teeth, moved in ((self.layshaft, layshaft), (self.main, main)):
-            if moved is not None:
-                teeth.lose_numbers()
-        self.count_from(layshaft or 0, main or 0, turns)
-
-    def sensor_says(self, before: int, behind: int) -> None:
-        """It has counted what the layshaft was renumbered by, give or take so many teeth."""
-        least, most = self.counted - before, self.counted + behind
-        old = self.renumbered
-        self.renumbered = Renumbered(old.least + least, old.most + most, old.uncounted)
-
-    def find(self, layshaft: bool = True, main: bool = True) -> None:
-        """The wheels show their patterns; what is remembered of them is found in those."""
-        wheels = ((self.layshaft, layshaft), (self.main, main))
-        for k, (teeth, shows) in enumerate(wheels):
-            if not shows or teeth.learned:
-                continue
-            size, memory = self._sizes[k], teeth.memory
-            present = turned(self.patterns[k], self.at[k] % size)
-            if memory is not None:
-                found = [j for j in range(size) if (turned(memory.error_rad, j) == present).all()]
-                teeth.found, teeth.memory = Found(found[0], 99.0), None
-            teeth.error_rad, teeth.learned = present, True
-        self.recovery.look(self.events, self.renumbered)
-
-    def learn(self, gear: MainGear, error_rad: float = 0.0, sd_rad: float = 0.0) -> None:
-        self.references.adopt(gear, self.box.offset(gear) + error_rad, ReferenceSource.MEASURED)
-        self.recovery.learned(gear, sd_rad, self.events)
-
-    def known(self, within_rad: float = 1e-9) -> set[MainGear]:
-        """The known gears; each of them must be right."""
-        known = self.references.offsets_rad
-        for gear, offset in known.items():
-            error = wrap_to_pitch(offset - self.box.offset(gear), self.sheet.dog.pitch_rad)
-            assert abs(error) < within_rad, gear
-        return set(known)
 
 
 AT = st.tuples(st.integers(0, 42), st.integers(0, 44), st.integers(0, 10_000))

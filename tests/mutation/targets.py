@@ -27,7 +27,10 @@ class Target(NamedTuple):
 
 _GUARD_TESTS: Final = (
     "tests/controller/test_guard.py",
+    "tests/controller/test_guard_brake.py",
     "tests/controller/test_guard_clock.py",
+    "tests/controller/test_guard_own_clock.py",
+    "tests/controller/test_guard_own_speed.py",
     "tests/controller/test_guard_driveline.py",
     "tests/controller/test_guard_limits.py",
     "tests/controller/test_guard_exactly.py",
