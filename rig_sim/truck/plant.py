@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, Split
+from meshpoint.gearbox.gears import MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.parts.disturbance import MERSENNE, NUMBERS, SOURCES
 from meshpoint.rig_sim.parts.vehicle import CREEP_M_S
@@ -25,39 +25,12 @@ from meshpoint.rig_sim.truck.as_built import AsBuilt
 from meshpoint.rig_sim.truck.chain import UNLIMITED, BodyChain
 from meshpoint.rig_sim.truck.constants import SHAKEN, load_parameters
 from meshpoint.rig_sim.truck.edges import TruckEdges
+from meshpoint.rig_sim.truck.energy import Energy
+from meshpoint.rig_sim.truck.gear_train import INDEX, InMesh, TruckShafts
 from meshpoint.rig_sim.truck.kernels import advance, sample
 from meshpoint.rig_sim.truck.layout import Contact, Rig
 
 CHANCE_STREAM: Final = 0xC4A
-INDEX: Final = {gear: index for index, gear in enumerate(MAIN_GEARS)}
-
-
-class Energy(NamedTuple):
-    """The balance since power-up, J: what was put in = what was lost + the change of what is
-    stored."""
-
-    put_in: float
-    brake: float
-    drag: float
-    road: float
-    rubbing: float
-    impacts: float
-    twisting: float
-    climbed: float
-    kinetic: float
-    """Of everything that turns; and of twisted shafts."""
-
-    @property
-    def lost(self) -> float:
-        """Everything that became heat."""
-        return self.brake + self.drag + self.road + self.rubbing + self.impacts + self.twisting
-
-
-class InMesh(NamedTuple):
-    """The gear whose teeth carry the torque, and at which flank: +1, -1, or 0 in between."""
-
-    gear: MainGear
-    flank: int
 
 
 class Snapshot(NamedTuple):
@@ -65,39 +38,6 @@ class Snapshot(NamedTuple):
 
     time_us: float
     moving: bytes
-
-
-class TruckShafts:
-    """The gear train as the sleeves and the bench script see it."""
-
-    def __init__(self, sheet: GearboxSheet, plant: TruckPlant, split: Split, range_: Range) -> None:
-        self._plant = plant
-        self._sheet = sheet
-        self._pitch_rad = sheet.dog.pitch_rad
-        self.split = split
-        self.range_ = range_
-        self.lock: InMesh | None = None
-
-    @property
-    def split_ratio(self) -> float:
-        """Layshaft speed over input speed."""
-        return self._sheet.split_mesh(self.split).ratio
-
-    @property
-    def range_ratio(self) -> float:
-        """Propeller speed over main shaft speed."""
-        return self._sheet.range_mesh(self.range_).ratio
-
-    def phases_rad(self) -> tuple[float, ...]:
-        """`phase_rad` of all gears, in the order of `MAIN_GEARS`."""
-        y, pitch_rad = self._plant.y, self._pitch_rad
-        phase, lash = y.phase_rad, y.lash_rad
-        return tuple([wrapped(phase[i] + lash[i], pitch_rad) for i in range(at.GEARS)])
-
-    def phase_rad(self, gear: MainGear) -> float:
-        """Angle of a gear tooth from the middle of the sleeve's gap, half a pitch either way."""
-        y, index = self._plant.y, INDEX[gear]
-        return wrapped(y.phase_rad[index] + y.lash_rad[index], self._pitch_rad)
 
 
 class TruckPlant:
@@ -114,7 +54,7 @@ class TruckPlant:
         load_parameters(self.p, sheet, built)
         for row in range(at.WATCHES):
             self.unwatch(row)
-        self.shafts = TruckShafts(sheet, self, start.split, start.range_)
+        self.shafts = TruckShafts(sheet, rig, start.split, start.range_)
         self.chain = BodyChain(rig)
         self.impacts_j = 0.0
         self._cones_nm = (built["synchro.splitter_nm"], built["synchro.range_nm"])

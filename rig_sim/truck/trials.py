@@ -15,7 +15,7 @@ from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.rig_sim.shared.engagement import VALVE_OF_MAIN, Engaged
 from meshpoint.rig_sim.truck import layout as at
-from meshpoint.rig_sim.truck.plant import INDEX
+from meshpoint.rig_sim.truck.gear_train import INDEX
 from meshpoint.rig_sim.truck.world import TruckWorld
 
 

@@ -12,7 +12,8 @@ from meshpoint.rig_sim.shared.script import BenchScript
 from meshpoint.rig_sim.shared.truth import CommonTruth
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.delays import TruckDelays
-from meshpoint.rig_sim.truck.plant import Energy, TruckPlant
+from meshpoint.rig_sim.truck.energy import Energy
+from meshpoint.rig_sim.truck.plant import TruckPlant
 
 
 class TruckParts(Protocol):

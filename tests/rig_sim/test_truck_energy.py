@@ -14,7 +14,7 @@ from meshpoint.rig_sim.orders import EngineRequest
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.rig_sim.truck import layout as at
-from meshpoint.rig_sim.truck.plant import Energy
+from meshpoint.rig_sim.truck.energy import Energy
 from meshpoint.rig_sim.truck.world import TruckWorld
 
 MAIN_VALVES = (Valve.MAIN_FIRST, Valve.MAIN_SECOND, Valve.MAIN_CRAWL, Valve.MAIN_THIRD)
