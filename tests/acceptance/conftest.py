@@ -18,14 +18,12 @@ from acceptance_kit import (
     PREPARED,
     SHIFTS,
     STRATEGIES,
-    Recorded,
-    Wire,
     assert_ended_well,
-    read_log,
     run,
     run_many,
     words,
 )
+from acceptance_wire import Recorded, Wire, read_log
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -12,19 +12,9 @@ from typing import Any, NamedTuple
 
 import can
 import pytest
-from acceptance_kit import (
-    CANDUMP_LINE,
-    Outcome,
-    Wire,
-    assert_ended_well,
-    kill_group,
-    open_bus,
-    read_log,
-    run,
-    start,
-    strict_json,
-    verdict_of,
-)
+from acceptance_bus import open_bus
+from acceptance_kit import Outcome, assert_ended_well, kill_group, run, start, strict_json
+from acceptance_wire import CANDUMP_LINE, Wire, read_log, verdict_of
 from patience import HANG_S
 
 SHIFTS_VIRTUAL = 4

@@ -9,15 +9,8 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from acceptance_kit import (
-    CANDUMP_LINE,
-    HALF_BACKLASH_DEG,
-    MAIN_GEAR_OF,
-    Frame,
-    Recorded,
-    Wire,
-    us_between,
-)
+from acceptance_kit import HALF_BACKLASH_DEG, MAIN_GEAR_OF
+from acceptance_wire import CANDUMP_LINE, Frame, Recorded, Wire, us_between
 
 GAP_CONTACT, TOOTH_CONTACT, LOCKED = 1, 2, 4
 ENGAGED = 1

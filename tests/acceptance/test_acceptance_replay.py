@@ -7,19 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from acceptance_kit import (
-    LogLine,
-    Outcome,
-    Recorded,
-    Wire,
-    assert_ended_well,
-    assert_refused,
-    copy_run,
-    read_lines,
-    run,
-    verdict_of,
-    write_lines,
-)
+from acceptance_kit import Outcome, assert_ended_well, assert_refused, run
+from acceptance_wire import LogLine, Recorded, Wire, copy_run, read_lines, verdict_of, write_lines
 
 
 def verify(log: Path) -> Outcome:

@@ -18,12 +18,12 @@ from acceptance_kit import (
     PITCH_DEG,
     SHIFTS,
     THESIS_SHEET,
-    Recorded,
     assert_ended_well,
     run,
     strict_json,
     words,
 )
+from acceptance_wire import Recorded
 
 """The campaign runs twelve commands, two at a time, each within 60 s: one that takes longer is then
 named, and not the test that happened to ask first."""

@@ -12,19 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from acceptance_kit import (
-    EXPIRY_US,
-    Listener,
-    Outcome,
-    Wire,
-    assert_ended_well,
-    kill_group,
-    processes_naming,
-    run,
-    start,
-    us_between,
-    words,
-)
+from acceptance_bus import Listener, processes_naming
+from acceptance_kit import EXPIRY_US, Outcome, assert_ended_well, kill_group, run, start, words
+from acceptance_wire import Wire, us_between
 from patience import HANG_S, until
 
 IN_GEAR = 1
