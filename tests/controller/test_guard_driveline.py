@@ -6,13 +6,12 @@ import copy
 import dataclasses
 
 import pytest
+from guard_cases import LIMITS, NOW, SHEET
 
 from meshpoint.controller.guard.driveline import DrivelineGuard, decode_clutch, decode_engine
-from meshpoint.controller.guard.limits import guard_limits
 from meshpoint.controller.guard.own_speed import ShaftSpeed as Speed
 from meshpoint.controller.guard.rules import Guard
 from meshpoint.controller.guard.view import GuardInputs
-from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
     TSC1,
@@ -23,12 +22,9 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.dbc.node import Node
-from meshpoint.gearbox import MainGear, Split, load_sheet
+from meshpoint.gearbox import MainGear, Split
 from meshpoint.units import RPM
 
-SHEET = load_sheet("truck12")
-LIMITS = guard_limits(SHEET, ControllerSettings())
-NOW = (1 << 32) + 700_000
 SECOND, HIGH = SHEET.main_mesh(MainGear.SECOND).ratio, SHEET.split_mesh(Split.HIGH).ratio
 INPUT_RPM = 1200.0
 LAYSHAFT_RPM = INPUT_RPM * HIGH

@@ -7,9 +7,10 @@ import math
 from typing import Any
 
 import pytest
+from guard_cases import LIMITS, SHEET
 from test_guard_ear import frame, j1939
 
-from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, MainValve, guard_limits
+from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, MainValve
 from meshpoint.controller.guard.listening import (
     LAYSHAFT_EDGES,
     MAIN_EDGES,
@@ -20,11 +21,7 @@ from meshpoint.controller.guard.listening import (
 )
 from meshpoint.controller.guard.own_speed import ShaftSpeed, TeethCounted
 from meshpoint.controller.guard.view import GuardInputs, GuardView
-from meshpoint.controller.settings import ControllerSettings
-from meshpoint.gearbox import load_sheet
 
-SHEET = load_sheet("truck12")
-LIMITS = guard_limits(SHEET, ControllerSettings())
 CYCLE_US = 10_000
 SLOW = (SENSORS, SLEEVES_MAIN, SLEEVES_AUX, VALVE_STATUS)
 TURNING = 11.0

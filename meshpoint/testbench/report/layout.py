@@ -15,6 +15,10 @@ INK, GREY, GRID = "#1a1a1a", "#6b6b6b", "#e4e4e4"
 BLUE, ORANGE, GREEN, PURPLE = "#0072b2", "#d55e00", "#009e73", "#aa4499"
 BLUE_BAND, GAP_BAND = "rgba(0,114,178,.25)", "#d5efe4"
 FONT: Final = {"family": "system-ui, 'Segoe UI', 'DejaVu Sans', sans-serif", "color": INK}
+PAPER: Final = {
+    "font": {**FONT, "size": 12}, "paper_bgcolor": "white", "plot_bgcolor": "white",
+}  # fmt: skip
+"""What every figure is printed on."""
 SLIP_TOP_RPM: Final = 60.0
 REPORT_HEIGHT_PX: Final = 1240
 PITCHES_EACH_WAY: Final = 8
@@ -52,9 +56,7 @@ def common_layout(sheet: GearboxSheet) -> Figure:
     layout: Figure = {
         "height": REPORT_HEIGHT_PX,
         "margin": {"l": 104, "r": 8, "t": 34, "b": 48},
-        "font": {**FONT, "size": 12},
-        "paper_bgcolor": "white",
-        "plot_bgcolor": "white",
+        **PAPER,
         "hovermode": "x unified",
         "hoversubplots": "axis",
         "hoverlabel": {"bgcolor": "rgba(255,255,255,.92)", "font": {**FONT, "size": 11}},

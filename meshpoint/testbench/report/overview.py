@@ -7,7 +7,15 @@ from typing import Any, Final, Protocol
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.report.collect import ReportShift
-from meshpoint.testbench.report.layout import BLUE, FONT, GAP_BAND, GREY, ORANGE, Figure, axis_lines
+from meshpoint.testbench.report.layout import (
+    BLUE,
+    GAP_BAND,
+    GREY,
+    ORANGE,
+    PAPER,
+    Figure,
+    axis_lines,
+)
 
 STYLES: Final = {
     "speed_window": {"color": ORANGE, "symbol": "diamond"},
@@ -133,9 +141,7 @@ def plain_layout(x: str, y: str) -> dict[str, Any]:
     return {
         "height": OVERVIEW_HEIGHT_PX,
         "margin": {"l": 64, "r": 10, "t": 30, "b": 76},
-        "font": {**FONT, "size": 12},
-        "paper_bgcolor": "white",
-        "plot_bgcolor": "white",
+        **PAPER,
         "hovermode": "closest",
         "xaxis": {"title": {"text": x}, **axis},
         "yaxis": {"title": {"text": y, "standoff": 6}, **axis},

@@ -20,11 +20,11 @@ from meshpoint.testbench.report.html import (
 )
 from meshpoint.testbench.report.layout import (
     BLUE,
-    FONT,
     GREEN,
     GREY,
     INK,
     ORANGE,
+    PAPER,
     PURPLE,
     Figure,
     axis_lines,
@@ -57,8 +57,6 @@ SUBTITLE: Final = (
     "estimated, it learned, and it was asked for what it would have done at each request. How a "
     "shift ended is the other controller's doing, and nowhere told as ours."
 )
-
-
 OVER_TIME: Final = "<h2>Over the log's time</h2><div id='log'></div>"
 
 
@@ -94,9 +92,7 @@ def _layout(marks: list[Figure]) -> Figure:
     return {
         "height": HEIGHT_PX,
         "margin": {"l": 72, "r": 10, "t": 30, "b": 90},
-        "font": {**FONT, "size": 12},
-        "paper_bgcolor": "white",
-        "plot_bgcolor": "white",
+        **PAPER,
         "hovermode": "x unified",
         "xaxis": {"title": {"text": "time since the first frame, s"}, "anchor": "y2",
                   **axis_lines()},
