@@ -17,7 +17,7 @@ from meshpoint.testbench.report.html import (
     table,
     table_row,
 )
-from meshpoint.testbench.report.layout import FONT, GREY, GRID
+from meshpoint.testbench.report.layout import GREY, GRID, PAPER
 from meshpoint.testbench.studies.draw import chart_extent, colours, log_ticks, panel_extent, wrapped
 from meshpoint.testbench.studies.record import (
     Chart,
@@ -141,9 +141,7 @@ def plotly_figure(chart: Chart) -> dict[str, Any]:
         "title": {"text": f"{chart.title} (simulated)", "font": {"size": 14}},
         "height": FRAME_PX + PANEL_PX * panels,
         "margin": {"l": 80, "r": 10, "t": 44, "b": 48},
-        "font": {**FONT, "size": 12},
-        "paper_bgcolor": "white",
-        "plot_bgcolor": "white",
+        **PAPER,
         "hovermode": "closest",
         "xaxis": _x_axis(chart),
         "shapes": [],
