@@ -27,8 +27,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
+from hashes import Hashes
 from mutator import Mutant, Mutants, Where
-from targets import NOT_IMPORTED, ROOT
+from targets import NOT_IMPORTED, ROOT, TARGETS, files_of
 
 TASK: Final = "MUTATION_TASK"
 KILLED, SURVIVED, UNCOVERED = "killed", "survived", "uncovered"
@@ -56,9 +57,14 @@ class Task:
         self.results = Path(values["results"])
         self.until_s: float | None = values["until_s"]
         """After this time (time.time()) no mutant is begun."""
-        self.files = [str(self.root / name) for name in self.wanted]
+        self.target: str = values["target"]
+        target = next(each for each in TARGETS if each.name == self.target)
+        self.files = [str(path) for path in files_of(target)]
+        """All of the target: what is known of its tests serves the next run too."""
+        self.hashes = Hashes(target)
 
-    def tell(self, **values: Any) -> None:
+    def tell(self, mutant: str, by: str, **values: Any) -> None:
+        values = {"mutant": mutant, "by": by, **values, **self.hashes.of(mutant, by)}
         with self.results.open("a", encoding="utf-8") as file:
             file.write(json.dumps(values) + "\n")
 
@@ -109,18 +115,23 @@ class Coverage:
 
     @classmethod
     def of(cls, task: Task, session: pytest.Session) -> Coverage:
-        """From the file that an earlier run has left, or by running all tests twice: for the lines,
-        and for the time."""
+        """From what earlier runs have left of tests that are the same, and by running the others
+        twice: for the lines, and for the time."""
         if not task.map_path.exists():
-            first = _in_a_fork(lambda: _run_and_note(session, task.files))
-            again = _in_a_fork(lambda: _run_and_note(session, []))
+            values = _known(task)
+            values["tests"] = task.hashes.tests
+            items = [item for item in session.items if item.nodeid not in values["seconds"]]
+            first = _in_a_fork(lambda: _run_and_note(session, items, task.files))
+            again = _in_a_fork(lambda: _run_and_note(session, items, []))
             if first is None or again is None or first["failed"] or again["failed"]:
                 failed = [
                     *(first or {"failed": ["?"]})["failed"],
                     *(again or {"failed": []})["failed"],
                 ]
                 raise session.Interrupted(f"tests fail without a mutant: {failed[:5]}")
-            values = {"lines": first["lines"], "seconds": again["seconds"]}
+            for path, by_test in first["lines"].items():
+                values["lines"].setdefault(path, {}).update(by_test)
+            values["seconds"] |= again["seconds"]
             task.map_path.write_text(json.dumps(values), encoding="utf-8")
         values = json.loads(task.map_path.read_text(encoding="utf-8"))
         return cls(values["lines"], values["seconds"])
@@ -150,12 +161,31 @@ class Coverage:
         self._caught[test] += 1.0
 
 
-def _run_and_note(session: pytest.Session, files: list[str]) -> dict[str, Any]:
-    """All tests: the lines they run of these files, their times, and those that failed."""
+def _known(task: Task) -> dict[str, Any]:
+    """Of the newest map of the same code, what it has of test files that are the same."""
+    maps = task.map_path.parent.glob(f"{task.target}-{task.hashes.all_code}-*.map.json")
+    newest = max(maps, key=lambda path: path.stat().st_mtime, default=None)
+    if newest is None:
+        return {"lines": {}, "seconds": {}}
+    values: dict[str, Any] = json.loads(newest.read_text(encoding="utf-8"))
+    same = {name for name, hashed in values["tests"].items()
+            if task.hashes.tests.get(name) == hashed}  # fmt: skip
+
+    def kept(by_test: dict[str, Any]) -> dict[str, Any]:
+        return {test: each for test, each in by_test.items() if test.split("::")[0] in same}
+
+    lines = {path: kept(by_test) for path, by_test in values["lines"].items()}
+    return {"lines": lines, "seconds": kept(values["seconds"])}
+
+
+def _run_and_note(
+    session: pytest.Session, items: list[pytest.Item], files: list[str]
+) -> dict[str, Any]:
+    """These tests: the lines they run of these files, their times, and those that failed."""
     lines: dict[str, dict[str, list[int]]] = {path: {} for path in files}
     seconds: dict[str, float] = {}
     failed: list[str] = []
-    for item, following in _in_turn(session.items):
+    for item, following in _in_turn(items):
         seen: dict[str, set[int]] = {path: set() for path in files}
         begun_s = time.process_time()
         if files:
@@ -220,7 +250,7 @@ class _Runner:
         outcome = KILLED if by else SURVIVED
         if by in self._items:
             self._covered.note_caught(by)
-        self._task.tell(mutant=mutant.name, outcome=outcome, by=by, cpu_s=cpu_s, tests=len(tests))
+        self._task.tell(mutant=mutant.name, outcome=outcome, by=by, cpu_s=cpu_s, count=len(tests))
 
     def _change(self, mutants: Mutants, where: Where, path: Path) -> Callable[[], None] | None:
         """What makes the mutant in a process that has loaded everything; None where that needs a

@@ -3,9 +3,13 @@
     python tests/mutation/run_mutants.py [TARGET ...]    all mutants of guard, e2e, link, valves
     ... --sample 200 --seed 1 controller                 a sample, of what has no target of its own
     ... --changed [BASE]                                 those of lines that differ from BASE
+    ... --resume                                         those of which nothing is known yet
     ... --again                                          those that no run before has killed
     ... --wall 60                                        as many as can be run in so many seconds
     ... --document docs/safety.md                        writes what the runs came to; runs nothing
+
+What a run has found holds while the mutated file and the test that caught the mutant are the same;
+where none caught it, while all tests are. `--resume` goes on with a run that was ended.
 
 A mutant that no test can catch, because it behaves as the product does, is listed in
 equivalent.toml with its reason. Ends with 1 where a mutant of a target that must be whole survives
@@ -15,7 +19,6 @@ without being listed, where a listed one is caught after all, and where an entry
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
 import os
 import random
@@ -31,6 +34,7 @@ from typing import Any, Final
 HERE: Final = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
+from hashes import Hashes  # noqa: E402
 from mutator import Mutant, Mutants  # noqa: E402
 from targets import ROOT, TARGETS, Target, files_of  # noqa: E402
 
@@ -95,8 +99,9 @@ def chosen(target: Target, options: argparse.Namespace) -> dict[str, list[str]]:
     else:
         kept = found
     names = {name: [mutant.name for mutant in all_] for name, all_ in kept.items() if all_}
-    if options.again:
-        done = {each["mutant"] for each in results_of(target) if each["outcome"] == "killed"}
+    if options.again or options.resume:
+        done = {each["mutant"] for each in results_of(target)
+                if options.resume or each["outcome"] == "killed"}  # fmt: skip
         names = {name: [each for each in all_ if each not in done] for name, all_ in names.items()}
     if options.only:
         names = {n: [e for e in all_ if options.only in e] for n, all_ in names.items()}
@@ -104,12 +109,13 @@ def chosen(target: Target, options: argparse.Namespace) -> dict[str, list[str]]:
 
 
 def results_of(target: Target) -> list[dict[str, Any]]:
-    """What the runs before have left, the newest of each mutant."""
-    newest = {}
+    """What the runs before have found and still holds, the newest of each mutant."""
+    hashes, newest = Hashes(target), {}
     for path in sorted(OUT.glob(f"{target.name}-*.jsonl"), key=lambda each: each.stat().st_mtime):
         for line in path.read_text(encoding="utf-8").splitlines():
             values = json.loads(line)
-            newest[values["mutant"]] = values
+            if hashes.hold(values):
+                newest[values["mutant"]] = values
     return list(newest.values())
 
 
@@ -119,10 +125,8 @@ def run_target(
     """Runs them in `jobs` processes, until `until_s` (time.time()); each leaves a file of
     results."""
     tests = [each for each in target.tests if (ROOT / each).exists()]
-    hashed = hashlib.sha256(repr(sorted(names)).encode())
-    for path in [*target.paths(), *_files_of(tests)]:
-        hashed.update(path.read_bytes())
-    map_path = OUT / f"{target.name}-{hashed.hexdigest()[:16]}.map.json"
+    hashes = Hashes(target)
+    map_path = OUT / f"{target.name}-{hashes.all_code}-{hashes.all_tests}.map.json"
     parts = [{name: all_[k::jobs] for name, all_ in names.items()} for k in range(jobs)]
     running = []
     for k, part in enumerate(parts):
@@ -132,11 +136,13 @@ def run_target(
         values = {
             "root": str(ROOT), "mutants": part, "budget_s": budget_s, "map": str(map_path),
             "results": str(OUT / f"{target.name}-{os.getpid()}-{k}.jsonl"), "until_s": until_s,
+            "target": target.name,
         }  # fmt: skip
         task.write_text(json.dumps(values), encoding="utf-8")
         path = os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])
+        # Nobody reads what a failing test says of itself, and to say it takes longer than to fail.
         command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider",
-                   "-p", "forked_runs", *tests]  # fmt: skip
+                   "--assert=plain", "--tb=native", "-p", "forked_runs", *tests]  # fmt: skip
         environment = os.environ | {"MUTATION_TASK": str(task), "PYTHONPATH": path}
         with task.with_suffix(".log").open("w", encoding="utf-8") as log:
             running.append(
@@ -145,14 +151,6 @@ def run_target(
     for each in running:
         if each.wait() not in ENDED_WELL:
             raise SystemExit(f"the run of {target.name} failed: see {OUT}/{target.name}-*.log")
-
-
-def _files_of(tests: list[str]) -> list[Path]:
-    """Those files and folders, and what is shared."""
-    found = {*(ROOT / "tests").glob("**/conftest.py")}
-    for path in (ROOT / each for each in tests):
-        found.update(path.glob("**/*.py") if path.is_dir() else [path])
-    return sorted(found)
 
 
 def _wait_for(path: Path, process: subprocess.Popen[bytes]) -> None:
@@ -225,6 +223,7 @@ def main(arguments: list[str]) -> int:
     )  # fmt: skip
     parser.add_argument("--sample", type=int, metavar="N", help="so many, drawn by --seed")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--resume", action="store_true", help="those of which nothing is known yet")
     parser.add_argument("--again", action="store_true", help="those that no run before has killed")
     parser.add_argument("--only", metavar="TEXT", help="those whose name has this text")
     parser.add_argument("--jobs", type=int, default=1)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 
 import pytest
+from hashes import Hashes
 from mutator import Mutants
 from run_mutants import BEGIN, HUNK, ROOT, equivalents, main, mutants_of, stale, table
 from targets import TARGETS
@@ -92,6 +93,24 @@ def test_every_listed_mutant_exists_and_has_a_reason() -> None:
 def test_lines_of_a_change_are_read_from_its_hunks() -> None:
     text = "@@ -3,2 +5,3 @@ def f():\n@@ -9 +12 @@\n@@ -20,2 +22,0 @@\n"
     assert [(int(m[1]), int(m[2] or 1)) for m in HUNK.finditer(text)] == [(5, 3), (12, 1), (22, 0)]
+
+
+def test_a_result_holds_while_its_code_and_the_test_that_caught_it_are_the_same() -> None:
+    hashes = Hashes(TARGETS[0])
+    mutant, test = "controller/guard/case.py::f: 1 => 2", "tests/controller/test_guard.py::test_it"
+    for by in (test, "", "never ends"):
+        found = {"mutant": mutant, "by": by, **hashes.of(mutant, by)}
+        assert hashes.hold(found)
+        for key in ("code", "tests"):
+            assert not hashes.hold(found | {key: "another"})
+            assert not hashes.hold({name: each for name, each in found.items() if name != key})
+    caught = {"mutant": mutant, "by": test, **hashes.of(mutant, test)}
+    survived = {"mutant": mutant, "by": "", **hashes.of(mutant, "")}
+    hashes.all_tests = "another"
+    assert hashes.hold(caught)
+    assert not hashes.hold(survived)
+    hashes.code["controller/guard/case.py"] = "another"
+    assert not hashes.hold(caught)
 
 
 def test_the_document_counts_the_mutants_that_there_are() -> None:
