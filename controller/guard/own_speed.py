@@ -45,47 +45,44 @@ class GuardSpeed:
 
     def __init__(self, teeth: int) -> None:
         self._pitch_rad = 2.0 * math.pi / teeth
-        self._speed: ShaftSpeed | None = None
-        self._measured_us = 0
+        self._measured: tuple[int, ShaftSpeed] | None = None
+        """The newest speed, and when its newest edge was."""
         self._tooth_us = 0
         self._is_dead = False
-        self._index = 0
         self.counted: TeethCounted | None = None
         """None before the first edge."""
 
     def take(self, edges: Edges, now_us: int) -> None:
         """A believed frame; now_us: the guard's sensor clock."""
         if len(edges.lows_us) <= 1:
-            self._speed = None
+            self._measured = None
             return
         read_us = now_us + signed_us(edges.stamp - now_us)
         newest_us = read_us - ((read_us - edges.lows_us[0]) & LOW)
         before = self.counted
         if before is None:
             self.counted = TeethCounted(newest_us, edges.newest_index)
-        elif edges.newest_index == self._index:
-            newest_us = before.time_us  # no new edge, however young its 16 bits make it look
-        else:
-            teeth = (edges.newest_index - self._index) & LOW
+        elif teeth := (edges.newest_index - before.teeth) & LOW:
             self.counted = TeethCounted(newest_us, before.teeth + teeth)
-        self._index = edges.newest_index
+        else:
+            newest_us = before.time_us  # no new edge, however young its 16 bits make it look
         self._is_dead = read_us - newest_us > max(NO_EDGE_US, LATE_TEETH * self._tooth_us)
         took_us = teeth_us(edges.lows_us)
         if took_us and not self._is_dead:
             span_us = sum(took_us)
             omega_rad_s = len(took_us) * self._pitch_rad * 1e6 / span_us
             self._tooth_us = span_us // len(took_us)
-            self._speed = ShaftSpeed(newest_us - span_us // 2, omega_rad_s)
-            self._measured_us = newest_us
+            self._measured = newest_us, ShaftSpeed(newest_us - span_us // 2, omega_rad_s)
 
     def at(self, now_us: int) -> ShaftSpeed | None:
         """The newest speed; None where there is none, or edges have stopped coming."""
-        if self._speed is None or self.counted is None or self._is_dead:
+        if self._measured is None or self.counted is None or self._is_dead:
             return None
+        measured_us, speed = self._measured
         limit_us = max(NO_FRAME_US, LATE_TEETH * self._tooth_us)
         if now_us - self.counted.time_us > limit_us:
             return None
-        return self._speed if now_us - self._measured_us <= max(HELD_US, limit_us) else None
+        return speed if now_us - measured_us <= max(HELD_US, limit_us) else None
 
 
 def teeth_us(lows_us: tuple[int, ...]) -> list[int]:

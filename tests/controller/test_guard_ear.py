@@ -192,6 +192,14 @@ def test_edges_are_used_where_all_of_them_can_be_placed(shape: int, count: int |
     assert ear.edges[MAIN_EDGES] == []
 
 
+def test_an_ear_begins_with_nothing() -> None:
+    ear = GuardEar()
+    assert (ear.edges, ear.engine, ear.clutch, ear.requested_gear) == ({}, [], [], None)
+    assert not ear.has_restarted
+    ear.take([edges_frame(0, 0)], 0)
+    assert not ear.has_restarted  # no array has got emptier
+
+
 def test_sensors_have_started_anew_where_an_array_gets_emptier() -> None:
     ear, found = GuardEar(), []
     for counter, shape in enumerate((3, 3, 5, 5 | 0x20, 4, 4)):

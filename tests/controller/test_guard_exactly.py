@@ -24,6 +24,7 @@ from meshpoint.controller.guard.rules import (
     brake_against_the_driveline,
     brake_beyond_its_limits,
     disengage_under_torque,
+    driven_too_long_or_blind,
     input_overspeed,
     range_change_out_of_neutral,
     slip_out_of_its_window,
@@ -130,6 +131,15 @@ def test_row_3_with_the_brake_yet_to_come() -> None:
     """From 1/4 s on: it can act for half a second until the latest contact."""
     for slip, forbids in ((24.0 + 8.0, False), (24.0 + 8.0 + 1e-9, True)):
         assert slip_out_of_its_window(slip_case(slip, on(NOW + S // 4))) is forbids
+    for slip, forbids in ((24.0, False), (24.0 + 1e-9, True)):  # after the latest contact: none
+        assert slip_out_of_its_window(slip_case(slip, on(NOW + S))) is forbids
+
+
+def test_row_3_the_plates_are_apart_at_the_earliest_contact() -> None:
+    """The sleeve may meet its gear now: a clutch that opens by then is not enough later."""
+    for closed, forbids in ((0.25, False), (0.25 + 1e-9, True)):
+        judged = case({SECOND: on(NOW - S // 4)}, clutch_closed=closed, clutch_per_s=-1.0)
+        assert slip_out_of_its_window(judged) is forbids
 
 
 def test_row_3_after_the_brake() -> None:
@@ -179,6 +189,13 @@ def test_row_6_the_lowest_speed(since_us: int, measured_us: int, acting_us: int)
         assert brake_beyond_its_limits(judged) is forbids
     at_rest = case({BRAKE: on(NOW + S)}, rad_s=(None, 16.0, None, None))
     assert not brake_beyond_its_limits(at_rest)
+
+
+def test_row_7_asks_each_valve_that_is_driven() -> None:
+    long = NOW - ROUND.valve_on_us
+    for since_us, forbids in ((long, False), (long - 1, True)):
+        judged = case({SPLIT_LOW: on(), RANGE_LOW: on(since_us)})
+        assert driven_too_long_or_blind(judged) is forbids
 
 
 def test_row_8_exactly_at_its_limit() -> None:
@@ -259,6 +276,11 @@ def test_row_18_exactly_at_its_limits(valve: int, other: int, ago_us: int, forbi
 
 
 # -- what the guard keeps ------------------------------------------------------------------------
+
+
+def test_a_guard_is_armed_or_not() -> None:
+    assert Guard(ROUND, armed=True).is_armed
+    assert Guard(ROUND, armed=False).is_armed is False
 
 
 def noted(guard: Guard, now_us: int, **changes: Any) -> GuardState:

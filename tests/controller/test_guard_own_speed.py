@@ -33,7 +33,8 @@ def test_teeth_are_taken_for_15_ms() -> None:
 @pytest.mark.parametrize(
     ("took_us", "is_alike"),
     [((1_000, 1_699), True), ((1_000, 1_700), False), ((1_700, 1_001), True),
-     ((1_700, 1_000), False), ((1_000, 0), False), ((0,), False), ((1_000, 1_699, 2_800), True)],
+     ((1_700, 1_000), False), ((1_000, 1_600, 900), False), ((1_000, 0), False), ((0,), False),
+     ((1_000, 1_699, 2_800), True)],
 )  # fmt: skip
 def test_neighbouring_teeth_do_not_differ_by_more_than_a_factor(
     took_us: tuple[int, ...], is_alike: bool
@@ -62,6 +63,19 @@ def test_teeth_are_counted_on_and_never_by_a_stamp_that_only_looks_young() -> No
     shaft.take(Edges(91_000, 4, lows(90_500, 4_000, 4_000)), 91_000)
     assert shaft.counted == TeethCounted(90_500, 65_534 + 6)
     assert shaft.at(91_000) is not None
+
+
+def test_two_edges_are_a_speed() -> None:
+    shaft = GuardSpeed(TEETH)
+    shaft.take(Edges(10_000, 5, lows(9_000, 4_000)), 10_000)
+    assert shaft.at(10_000) == ShaftSpeed(7_000, pytest.approx(PITCH / 4e-3))
+
+
+def test_a_tooth_is_as_old_as_it_was_when_its_sensor_was_read() -> None:
+    """Read 3 ms ago, and 19.5 ms after its last edge."""
+    shaft = GuardSpeed(TEETH)
+    shaft.take(Edges(92_000, 5, lows(72_500, *[4_000] * 6)), 95_000)
+    assert shaft.at(95_000) is not None
 
 
 @pytest.mark.parametrize("count", [0, 1])

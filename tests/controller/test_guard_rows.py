@@ -72,6 +72,7 @@ def test_each_row_forbids_what_no_other_does(row: int, monkeypatch: pytest.Monke
         before(guard._state)
         guard.passes(payload(*driven, at_us=NOW), seen)
         assert guard.blocked_row == expected
+        assert guard._state.latched_by == (expected if expected in (1, 2) else 0)
 
 
 @pytest.mark.parametrize("row", [row.number for row in (*CLUTCH_ROWS, *ENGINE_ROWS)])

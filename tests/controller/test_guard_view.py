@@ -78,6 +78,25 @@ def test_the_clutch_speed_is_taken_from_samples_near_each_other(
     assert guard_view._clutch_per_s == pytest.approx(per_s)
 
 
+def test_a_clutch_that_was_not_heard_for_long_has_no_speed() -> None:
+    guard_view = view()
+    for stamp, closed in ((5_000, 0.5), (15_000, 0.6), (40_001, 0.7)):
+        guard_view._see_clutch(stamp, closed)
+    assert guard_view._clutch_per_s == 0.0
+
+
+def test_the_clock_goes_by_the_frame_that_came_least_late() -> None:
+    """Of frames 5 ms late it does not become slower, and in a step without frames it goes on; what
+    it gains by one that comes 3 ms earlier is told."""
+    guard_view, found = view(), []
+    for step, late_us in enumerate((0, 5_000, None, -3_000, 0)):
+        sent_us = 100_000 + CYCLE_US * step - (late_us or 0)
+        frames = [] if late_us is None else [frame(each, step, sent_us) for each in SLOW]
+        seen = guard_view.take(frames, 500_000 + CYCLE_US * step, 0)
+        found.append((seen.now_us, seen.clock_gained_us))
+    assert found == [(100_000, 0), (110_000, 0), (120_000, 0), (133_000, 3_000), (143_000, 0)]
+
+
 @pytest.mark.parametrize(("later_us", "is_known"), [(40_000, True), (40_001, False)])
 def test_the_engine_is_believed_for_40_ms(later_us: int, is_known: bool) -> None:
     guard_view = view()
@@ -92,10 +111,11 @@ def test_the_engine_is_believed_for_40_ms(later_us: int, is_known: bool) -> None
 def agreeing(
     slip_teeth: int = 0, teeth: int = 400, until_us: int = 2 * 100_000, begun_us: int = 5_000_000,
     positions: Any = (0.0, 0.0), rad_s: tuple[float | None, float | None] = (TURNING, TURNING),
-    late: bool = False,
+    late: bool = False, slipped_us: int = 0, main_late_us: int = 0,
 ) -> int:  # fmt: skip
     """Layshaft and main shaft of one ratio turn, a tooth a cycle; over each tenth of a second the
-    main shaft is so many teeth behind, or over the second tenth alone."""
+    main shaft is so many teeth behind, or over the second tenth alone; before that, while it
+    slipped, one more in each cycle. Its newest edge may be older than the layshaft's."""
     guard_view = view()
     guard_view._teeth = (teeth, teeth)
     guard_view._main = {5: MainValve(1, -1, 3.0), 4: MainValve(0, 1, 1.0)}
@@ -103,10 +123,10 @@ def agreeing(
     for now_us in range(begun_us, begun_us + until_us + 1, CYCLE_US):
         came_us = now_us - begun_us
         halves = came_us // 100_000 - (1 if late else 0)
-        behind = slip_teeth * max(0, halves)
+        behind = slip_teeth * max(0, halves) + min(came_us, slipped_us) // CYCLE_US
         count = came_us // CYCLE_US
         guard_view._shafts[LAYSHAFT_EDGES].counted = TeethCounted(now_us, count)
-        guard_view._shafts[MAIN_EDGES].counted = TeethCounted(now_us, count - behind)
+        guard_view._shafts[MAIN_EDGES].counted = TeethCounted(now_us - main_late_us, count - behind)
         speeds = [None if w is None else ShaftSpeed(now_us, w) for w in rad_s]
         found = guard_view._agreeing(positions, speeds[0], speeds[1], now_us)
     return found
@@ -118,6 +138,18 @@ def test_a_gear_is_taken_to_be_in_after_two_tenths_of_a_second_of_one_speed() ->
     assert agreeing(until_us=500_000) == 4
 
 
+@pytest.mark.parametrize("main_late_us", [0, 9_000])
+def test_what_was_more_than_two_tenths_ago_is_forgotten(main_late_us: int) -> None:
+    """Tenths by the layshaft's newest edges, whenever the main shaft's came."""
+    for until_us, valve in ((490_000, 0), (500_000, 4), (510_000, 4)):
+        found = agreeing(
+            teeth=100, slipped_us=300_000, until_us=until_us, main_late_us=main_late_us
+        )
+        assert found == valve
+    assert agreeing(until_us=200_000, main_late_us=main_late_us) == 4
+    assert agreeing(until_us=190_000, main_late_us=main_late_us) == 0
+
+
 def test_less_than_nine_degrees_a_second_is_one_speed_in_each_half() -> None:
     """0.15 rad/s: a tooth of 419 in a tenth of a second is less, one of 418 is not."""
     assert 2 * math.pi / 419 * 10 < 0.15 < 2 * math.pi / 418 * 10
@@ -125,6 +157,9 @@ def test_less_than_nine_degrees_a_second_is_one_speed_in_each_half() -> None:
     assert agreeing(1, 418) == agreeing(-1, 418) == 0
     assert agreeing(1, 418, late=True) == 0
     assert agreeing(1, 419, late=True) == 4
+    # In nine hundredths a tooth of 425 would be more: the second half is by the layshaft's edges.
+    assert 2 * math.pi / 425 / 0.1 < 0.15 < 2 * math.pi / 425 / 0.09
+    assert agreeing(1, 425, late=True, main_late_us=9_000) == 4
 
 
 @pytest.mark.parametrize("place", [0, 1])
@@ -153,9 +188,21 @@ def test_it_begins_anew_when_neutral_was_left_or_a_wheel_not_counted() -> None:
                 counted = None if lost and can_id == wheel else TeethCounted(now_us, cycle)
                 guard_view._shafts[can_id].counted = counted
             where = positions if lost else (0.0, 0.0)
-            guard_view._agreeing(where, turning, turning, now_us)
+            assert guard_view._agreeing(where, turning, turning, now_us) in (0, 4)[: 2 - lost]
             first_us = guard_view._turns[0][0].time_us if guard_view._turns else None
             assert first_us == (0 if cycle < 12 else None if lost else 130_000)
+
+
+def test_where_no_reading_is_of_the_last_tenth_the_newest_stands_for_it() -> None:
+    """A tooth in 60 ms is another speed, in 250 ms it is not."""
+    guard_view, turning = view(), ShaftSpeed(0, TURNING)
+    guard_view._teeth, guard_view._main = (400, 400), {4: MainValve(0, 1, 1.0)}
+    readings = ((0, 0, 0), (60_000, 6, 5), (140_000, 25, 24))
+    for time_us, layshaft, main in readings:
+        guard_view._shafts[LAYSHAFT_EDGES].counted = TeethCounted(time_us, layshaft)
+        guard_view._shafts[MAIN_EDGES].counted = TeethCounted(time_us, main)
+        found = guard_view._agreeing((0.0, 0.0), turning, turning, max(time_us, 250_000))
+    assert found == 4
 
 
 def test_slip_is_worked_out_from_whole_teeth_and_their_times() -> None:
@@ -166,4 +213,6 @@ def test_slip_is_worked_out_from_whole_teeth_and_their_times() -> None:
     # One turn in half a second, half a turn in a quarter: 2 turns a second each.
     assert guard_view._slip(1.0, before, after) == pytest.approx(0.0, abs=1e-12)
     assert guard_view._slip(0.5, before, after) == pytest.approx(-2.0 * math.pi)
+    least = (TeethCounted(1, 6), TeethCounted(1_001, 50))
+    assert guard_view._slip(1.0, before, least) == pytest.approx(0.2 * math.pi * 1e6)
     assert guard_view._slip(1.0, before, before) == 0.0  # no time, no teeth

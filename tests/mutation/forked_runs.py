@@ -59,6 +59,7 @@ class Task:
         """After this time (time.time()) no mutant is begun."""
         self.target: str = values["target"]
         target = next(each for each in TARGETS if each.name == self.target)
+        target = target._replace(tests=tuple(values["tests"]))
         self.files = [str(path) for path in files_of(target)]
         """All of the target: what is known of its tests serves the next run too."""
         self.hashes = Hashes(target)
@@ -137,12 +138,13 @@ class Coverage:
         return cls(values["lines"], values["seconds"])
 
     def tests_for(self, path: str, lines: range, budget_s: float) -> list[str]:
-        """Those that run any of these lines, or any of the file if it is none, the shortest first,
-        as many as fit the budget."""
-        found = [
-            test for test, there in self.lines.get(path, {}).items()
-            if not lines or not there.isdisjoint(lines)
-        ]  # fmt: skip
+        """Those that run any of these lines, or all if it is none, the shortest first, as many as
+        fit the budget. What belongs to no function is used wherever it is imported."""
+        if lines:
+            by_test = self.lines.get(path, {})
+            found = [test for test, there in by_test.items() if not there.isdisjoint(lines)]
+        else:
+            found = list(self.seconds)
         found.sort(key=lambda test: self.seconds[test])
         chosen, sum_s = [], 0.0
         for test in found:

@@ -136,7 +136,7 @@ def run_target(
         values = {
             "root": str(ROOT), "mutants": part, "budget_s": budget_s, "map": str(map_path),
             "results": str(OUT / f"{target.name}-{os.getpid()}-{k}.jsonl"), "until_s": until_s,
-            "target": target.name,
+            "target": target.name, "tests": target.tests,
         }  # fmt: skip
         task.write_text(json.dumps(values), encoding="utf-8")
         path = os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])
@@ -226,6 +226,10 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--resume", action="store_true", help="those of which nothing is known yet")
     parser.add_argument("--again", action="store_true", help="those that no run before has killed")
     parser.add_argument("--only", metavar="TEXT", help="those whose name has this text")
+    parser.add_argument(
+        "--tests", nargs="+", metavar="PATH", help="these tests alone; what they let through is not"
+        " said to survive, and another run may go on with it (--resume)",
+    )  # fmt: skip
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument(
         "--budget", type=float, default=BUDGET_S, metavar="S",
@@ -251,6 +255,8 @@ def main(arguments: list[str]) -> int:
     until_s = None if options.wall is None else time.time() + options.wall
     for target in TARGETS:
         if target.name in options.targets or (not options.targets and target.must):
+            if options.tests:
+                target = target._replace(tests=tuple(options.tests))
             names = chosen(target, options)
             if names:
                 anything = True

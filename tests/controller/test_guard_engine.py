@@ -1,0 +1,111 @@
+"""What row 14 makes of the engine's own course and torque, exactly at its limits: how fast the
+engine is taken to change its speed, and what of its torque may still be asked for."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import pytest
+from test_guard_driveline import IN_GEAR, LIMITS, NOW, torque
+
+from meshpoint.controller.guard.driveline import (
+    DrivelineCase,
+    DrivelineGuard,
+    DrivelineState,
+    _turning_share,
+)
+
+TICK_US = LIMITS.tick_us
+PULLS = IN_GEAR._replace(clutch_closed=1.0)
+SHARE = LIMITS.engine_share_s2
+
+
+def turning(*looks: tuple[int, float], clutch_closed: float = 1.0) -> tuple[float, float]:
+    """Of these times and speeds."""
+    seen = PULLS._replace(clutch_closed=clutch_closed)
+    return _turning_share(DrivelineCase(seen, DrivelineState(engine=deque(looks)), LIMITS))
+
+
+def even(rise_rad_s: float, span_us: int, count: int = 6) -> list[tuple[int, float]]:
+    """The first and the last of so many looks are this far apart; what lies between is wild."""
+    wild = [(NOW + 1 + k, 900.0 - 7.0 * k) for k in range(count - 2)]
+    return [(NOW, 100.0), *wild, (NOW + span_us, 100.0 + rise_rad_s)]
+
+
+@pytest.mark.parametrize("rise", [10.0, -10.0])
+def test_the_engines_acceleration_is_taken_from_first_to_last_look(rise: float) -> None:
+    """10 rad/s in 50 ms, with 3 rad/s2 of doubt, on the engine's inertia."""
+    rate = rise / 0.05
+    expected = (SHARE * (rate - 3.0), SHARE * (rate + 3.0))
+    assert turning(*even(rise, 50_000)) == pytest.approx(expected)
+    assert turning(*even(rise, 50_000, count=5)) == (0.0, 0.0)
+    assert turning(*even(1.0, 0)) == pytest.approx((SHARE * (1e6 - 3.0), SHARE * (1e6 + 3.0)))
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_an_acceleration_within_its_own_doubt_turns_nothing(sign: float) -> None:
+    for rise, turns in ((3.0, False), (3.0 + 1e-6, True)):
+        found = turning(*even(sign * rise, 1_000_000))
+        assert (found != (0.0, 0.0)) is turns
+    assert turning(*even(0.0, 50_000)) == (0.0, 0.0)
+
+
+def test_plates_that_are_surely_apart_turn_nothing() -> None:
+    edge, looks = LIMITS.clutch_open_share, even(10.0, 50_000)
+    assert turning(*looks, clutch_closed=edge) == (0.0, 0.0)
+    assert turning(*looks, clutch_closed=edge + 1e-9) != (0.0, 0.0)
+
+
+def looked(*steps: tuple[int, float | None]) -> list[tuple[int, float]]:
+    """What the guard keeps of the engine's speeds, after steps at these times."""
+    guard = DrivelineGuard(LIMITS)
+    for after_us, speed in steps:
+        guard._note_engine(IN_GEAR._replace(now_us=NOW + after_us, engine_rad_s=speed))
+    return [(time_us - NOW, speed) for time_us, speed in guard._state.engine]
+
+
+def test_six_looks_are_kept_each_of_its_own_time() -> None:
+    course = [(TICK_US * k, 100.0 + k) for k in range(8)]
+    assert looked(*course) == course[2:]
+    assert looked(course[0]) == course[:1]
+    assert looked(*course[:3], (2 * TICK_US, 999.0)) == course[:3]  # the same step once more
+    assert looked((0, 1.0), (1, 2.0)) == [(0, 1.0), (1, 2.0)]
+
+
+@pytest.mark.parametrize(
+    ("pause_us", "goes_on"), [(2 * TICK_US, True), (2 * TICK_US + 1, False), (-1, False)]
+)
+def test_after_a_pause_the_engine_is_looked_at_anew(pause_us: int, goes_on: bool) -> None:
+    found = looked((0, 1.0), (pause_us, 2.0))
+    assert found == ([(0, 1.0)] if goes_on else []) + [(pause_us, 2.0)]
+
+
+def test_without_a_speed_there_is_no_course() -> None:
+    assert looked((0, 1.0), (TICK_US, None)) == []
+    assert looked((0, 1.0), (TICK_US, None), (2 * TICK_US, 3.0)) == [(2 * TICK_US, 3.0)]
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_what_has_been_taken_away_is_not_given_back(sign: float) -> None:
+    guard = DrivelineGuard(LIMITS)
+    for share, left in ((0.4, 0.4), (0.2, 0.2), (None, 0.2), (0.3, 0.2), (-0.1, 0.0)):
+        guard._note_torque(None if share is None else sign * share)
+        low, high = guard._state.own_share
+        assert (low, high)[sign > 0.0] == sign * left
+    other = (low, high)[sign < 0.0]
+    assert other == 0.0  # the other way it never had any
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_new_shift_begins_with_the_engines_own_torque(sign: float) -> None:
+    """All of it has been taken away; the plates part, and meet again."""
+    guard, pulls = DrivelineGuard(LIMITS), PULLS._replace(engine_torque_share=0.4 * sign)
+    assert guard.passes_engine(torque(0.0), PULLS._replace(engine_torque_share=0.0))
+    assert not guard.passes_engine(torque(0.4 * sign), pulls)
+    apart = pulls._replace(clutch_closed=LIMITS.clutch_open_share)
+    guard.passes_engine(torque(0.0), apart._replace(valid=False))  # not seen to be
+    assert not guard.passes_engine(torque(0.4 * sign), pulls)
+    guard.passes_engine(torque(0.0), apart)
+    assert guard._state.own_share == (-math.inf, math.inf)
+    assert guard.passes_engine(torque(0.4 * sign), pulls)
