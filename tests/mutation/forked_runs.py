@@ -29,7 +29,7 @@ from typing import Any, Final
 import pytest
 from hashes import Hashes
 from mutator import Mutant, Mutants, Where
-from targets import NOT_IMPORTED, ROOT, TARGETS, files_of
+from targets import NOT_IMPORTED, ROOT, TARGETS, caught_by, files_of
 
 TASK: Final = "MUTATION_TASK"
 KILLED, SURVIVED, UNCOVERED = "killed", "survived", "uncovered"
@@ -288,6 +288,7 @@ class _Runner:
     def _by_itself(self, mutants: Mutants, path: Path, tests: list[str], expected_s: float) -> str:
         source = self._task.results.with_suffix(".mutant.py")
         source.write_text(ast.unparse(mutants.tree), encoding="utf-8")
+        caught_by(source).unlink(missing_ok=True)
         environment = {key: value for key, value in os.environ.items() if key != TASK}
         environment |= {"MUTATED_FILE": str(path), "MUTATED_SOURCE": str(source)}
         try:
@@ -303,6 +304,8 @@ class _Runner:
             return "never ends"
         if done.returncode == NOT_IMPORTED:
             raise RuntimeError(f"{path} was not imported as a mutant")
+        if done.returncode == FAILED and caught_by(source).exists():
+            return caught_by(source).read_text(encoding="utf-8")
         return "" if done.returncode == 0 else f"a process of its own, exit code {done.returncode}"
 
 

@@ -1,5 +1,5 @@
 """A plugin of pytest: one file is imported as a mutant. Environment: MUTATED_FILE is imported from
-MUTATED_SOURCE.
+MUTATED_SOURCE. The first test that fails is named in a file beside that.
 
 To be used with --assert=plain: pytest's own import of what a plugin's distribution brings, which
 the product is, goes by this one otherwise. A run that has not imported the mutant ends with
@@ -15,10 +15,11 @@ from types import CodeType
 from typing import Any
 
 import pytest
-from targets import NOT_IMPORTED
+from targets import NOT_IMPORTED, caught_by
 
 _FILE = os.environ["MUTATED_FILE"]
-_SOURCE = Path(os.environ["MUTATED_SOURCE"]).read_text(encoding="utf-8")
+_SOURCE_FILE = Path(os.environ["MUTATED_SOURCE"])
+_SOURCE = _SOURCE_FILE.read_text(encoding="utf-8")
 _get_code: Any = importlib.machinery.SourceFileLoader.get_code
 _imported: list[str] = []
 
@@ -32,6 +33,12 @@ def _mutated(self: Any, fullname: str) -> CodeType | None:
 
 
 importlib.machinery.SourceFileLoader.get_code = _mutated  # type: ignore[method-assign]
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """Names the test that has caught the mutant."""
+    if report.failed:
+        caught_by(_SOURCE_FILE).write_text(report.nodeid, encoding="utf-8")
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

@@ -72,6 +72,11 @@ TARGETS: Final = (
 """The last one is looked at by samples: `--sample`; what belongs to an earlier one is left out."""
 
 
+def caught_by(mutated_source: Path) -> Path:
+    """Where a process of its own names the test that failed."""
+    return mutated_source.with_suffix(".by")
+
+
 def files_of(target: Target) -> list[Path]:
     """Its files, without those of the targets before it."""
     taken: set[Path] = set()
