@@ -60,9 +60,16 @@ FORBIDDEN: Final = {
     18: Forbidden(HIGH, NEUTRAL, lambda state: state.group_us.update({7: NOW - 100_000})),
     19: Forbidden(HIGH, NEUTRAL._replace(clock_error_us=12_001)),
 }
+DRIVELINE: Final = (14, 15, 16)
 
 
-@pytest.mark.parametrize("row", [row.number for row in GUARD_ROWS])
+def test_there_is_a_command_for_each_row() -> None:
+    assert {*FORBIDDEN, *DRIVELINE} == {
+        row.number for row in (*GUARD_ROWS, *CLUTCH_ROWS, *ENGINE_ROWS)
+    }
+
+
+@pytest.mark.parametrize("row", FORBIDDEN)
 def test_each_row_forbids_what_no_other_does(row: int, monkeypatch: pytest.MonkeyPatch) -> None:
     driven, seen, before = FORBIDDEN[row]
     kept = tuple(each for each in GUARD_ROWS if each.number != row)
@@ -75,7 +82,7 @@ def test_each_row_forbids_what_no_other_does(row: int, monkeypatch: pytest.Monke
         assert guard._state.latched_by == (expected if expected in (1, 2) else 0)
 
 
-@pytest.mark.parametrize("row", [row.number for row in (*CLUTCH_ROWS, *ENGINE_ROWS)])
+@pytest.mark.parametrize("row", DRIVELINE)
 def test_so_does_each_row_of_clutch_and_engine(row: int, monkeypatch: pytest.MonkeyPatch) -> None:
     apart = IN_GEAR._replace(engine_rad_s=2.0 * INPUT_RPM * RPM)
     for left_out in (False, True):
