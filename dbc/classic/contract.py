@@ -42,12 +42,12 @@ VALVES: Final = (
     "RangeLow", "RangeHigh",
 )  # fmt: skip
 STATUS_SIGNALS: Final = (
-    "StepNumber", "State", "CurrentGear", "TargetGear", "Strategy", "Estimator", "ReferenceKnown",
-    "ActiveFault", "ColdStart", "E2eErrors", "FormatErrors", "ForeignFrames", "GuardBlocks",
-    "InvalidChannels", "StepLateness", "RunHashLow", "RunHashHigh",
+    "StepNumber", "StepTime", "State", "CurrentGear", "TargetGear", "Strategy", "Estimator",
+    "ReferenceKnown", "ActiveFault", "ColdStart", "E2eErrors", "FormatErrors", "ForeignFrames",
+    "GuardBlocks", "InvalidChannels", "StepLateness", "RunHashLow", "RunHashHigh",
 )  # fmt: skip
-"""What the controller's status says here; step times and checksums of what was consumed have no
-room, so a log of this profile cannot be replayed byte for byte."""
+"""What the controller's status says here. The checksums of what each step consumed have no room, so
+a log of this profile cannot be replayed byte for byte."""
 STATUS_CYCLE_MS: Final = 200
 COMMAND_CYCLE_MS: Final = 100
 ENGINE_CYCLE_MS: Final = 20
@@ -290,9 +290,11 @@ def _cut(fd: MessageSpec) -> list[list[SignalSpec]]:
     for signal in fd.signals[2:]:
         if wanted is not None and signal.name not in wanted:
             continue
-        if sum(s.bits for s in rows[-1]) + signal.bits > room:
+        bits = min(signal.bits, room)  # of step times of 64 bits, the first 143 years
+        if sum(s.bits for s in rows[-1]) + bits > room:
             rows.append([])
-        rows[-1].append(signal)
+        top = min(signal.raw_max, (1 << bits) - 1)
+        rows[-1].append(replace(signal, bits=bits, raw_max=top))
     return rows
 
 

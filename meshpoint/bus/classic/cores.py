@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any, Final
 
@@ -20,8 +21,11 @@ COUNTER_BYTE: Final = 2
 CHANGED_LEAST_US: Final = 50_000
 """The controller's status is sent sooner than its cycle where state or gear has changed, but not
 sooner than this after the one before."""
-PREDICTION_CYCLE_US: Final = 100_000
+PREDICTION_CYCLE_US: Final = 200_000
 """A prediction that comes to the same decision as the one before is sent so often at most."""
+PARTS_A_STEP: Final = 2
+"""A node's transmit queue is first in, first out: more frames of the lowest priority at once would
+hold up its next commands or reads."""
 _NAMES: Final = {codec.spec.can_id: name for name, codec in CODECS.items()}
 _J1939: Final = frozenset(
     codec.spec.can_id for codec in CLASSIC_CODECS.values() if not codec.spec.is_protected
@@ -35,23 +39,28 @@ def _message(frame: Frame) -> Any:
     return CODECS[_NAMES[frame.can_id]].decode(frame.data)
 
 
-class _Intake:
-    """Hands frames to whoever takes their identifier."""
+class Unpacker:
+    """Makes frames of meshpoint.dbc again: hands each to whoever takes its identifier."""
 
-    def __init__(self, *takers: OrderIntake | PartsIntake | SensorIntake) -> None:
+    def __init__(
+        self, *takers: OrderIntake | PartsIntake | SensorIntake, passes_fd: bool = False
+    ) -> None:
+        self._passes_fd = passes_fd
         self._takers: dict[int, Callable[[Frame], list[Frame]]] = {
             can_id: taker.take for taker in takers for can_id in taker.ids
         }
 
     def take(self, frame: Frame) -> Iterable[Frame]:
-        """What a frame comes to. J1939 and what is not of our contract pass as they are; frames of
-        the FD profile, and packed ones for others, do not."""
+        """What a frame comes to. J1939 and what is not of our contract pass as they are; packed
+        ones for others do not, nor CAN FD (but with `passes_fd`)."""
         if not frame.is_extended:
             return (frame,)
         taker = self._takers.get(frame.can_id)
         if taker is not None:
             return taker(frame)
-        return () if frame.is_fd or frame.can_id in _PACKED else (frame,)
+        if frame.is_fd:
+            return (frame,) if self._passes_fd else ()
+        return () if frame.can_id in _PACKED else (frame,)
 
 
 class _Paced:
@@ -74,6 +83,25 @@ class _Paced:
         return self._sender.frames(message)
 
 
+class _PartsQueue:
+    """Parts wait here, and go out a few a step."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[Frame] = deque()
+
+    def add(self, frames: Iterable[Frame]) -> None:
+        """Frames of parts, in order."""
+        self._waiting.extend(frames)
+
+    def take(self, most: int = PARTS_A_STEP) -> list[Frame]:
+        """The next ones."""
+        return [self._waiting.popleft() for _ in range(min(most, len(self._waiting)))]
+
+    def take_all(self) -> list[Frame]:
+        """Whatever waits, before the node ends."""
+        return self.take(len(self._waiting))
+
+
 class ClassicControllerCore(AroundCore[Core]):
     """A controller on a classic bus.
 
@@ -83,7 +111,7 @@ class ClassicControllerCore(AroundCore[Core]):
     def __init__(self, core: Core, sheet: GearboxSheet) -> None:
         super().__init__(core)
         self._sensors = SensorIntake(sheet)
-        self._intake = _Intake(self._sensors)
+        self._intake = Unpacker(self._sensors)
         self._orders = OrderSender()
         self._filled = 0
         self._status = _Paced(
@@ -92,6 +120,7 @@ class ClassicControllerCore(AroundCore[Core]):
         )  # fmt: skip
         self._prediction = _Paced("ShiftPrediction", PREDICTION_CYCLE_US, 0, "decision")
         self._outcome = PartsSender("ShiftOutcome")
+        self._parts = _PartsQueue()
 
     def receive(self, frame: Frame) -> None:
         """Hands on what the frame comes to."""
@@ -100,11 +129,13 @@ class ClassicControllerCore(AroundCore[Core]):
 
     def step(self, now_us: int) -> Step:
         """The core's step, packed."""
-        return self._packed(self._core.step(now_us), now_us)
+        step = self._packed(self._core.step(now_us), now_us)
+        return Step([*step.frames, *self._parts.take()], step.events)
 
     def shutdown(self, now_us: int) -> Step:
-        """The core's last frames, packed."""
-        return self._packed(self._core.shutdown(now_us), now_us)
+        """The core's last frames, packed, and the parts that wait."""
+        step = self._packed(self._core.shutdown(now_us), now_us)
+        return Step([*step.frames, *self._parts.take_all()], step.events)
 
     def _packed(self, step: Step, now_us: int) -> Step:
         named = {_NAMES.get(frame.can_id, ""): frame for frame in step.frames}
@@ -125,9 +156,9 @@ class ClassicControllerCore(AroundCore[Core]):
             ("ShiftPrediction", self._prediction),
         ):
             if name in named:
-                frames += sender.frames(_message(named[name]), now_us)
+                self._parts.add(sender.frames(_message(named[name]), now_us))
         if "ShiftOutcome" in named:
-            frames += self._outcome.frames(_message(named["ShiftOutcome"]))
+            self._parts.add(self._outcome.frames(_message(named["ShiftOutcome"])))
         self._tell_filled(events)
         return Step(frames, events)
 
@@ -152,9 +183,10 @@ class ClassicRigCore(AroundCore[Core]):
 
     def __init__(self, core: Core, sheet: GearboxSheet) -> None:
         super().__init__(core)
-        self._intake = _Intake(OrderIntake(), PartsIntake("BenchCommand"))
+        self._intake = Unpacker(OrderIntake(), PartsIntake("BenchCommand"))
         self._sensors = SensorSender(sheet)
         self._engagement = PartsSender("ReferenceEngagement")
+        self._parts = _PartsQueue()
         self._read: dict[str, Any] = {}
         self._counter: int | None = None
 
@@ -165,11 +197,13 @@ class ClassicRigCore(AroundCore[Core]):
 
     def step(self, now_us: int) -> Step:
         """The core's step, packed read by read."""
-        return self._packed(self._core.step(now_us))
+        step = self._packed(self._core.step(now_us))
+        return Step([*step.frames, *self._parts.take()], step.events)
 
     def shutdown(self, now_us: int) -> Step:
         """The core's last reads, packed. The last status of the valves alone has no frame."""
-        return self._packed(self._core.shutdown(now_us))
+        step = self._packed(self._core.shutdown(now_us))
+        return Step([*step.frames, *self._parts.take_all()], step.events)
 
     def _packed(self, step: Step) -> Step:
         frames: list[Frame] = []
@@ -178,7 +212,7 @@ class ClassicRigCore(AroundCore[Core]):
             if name is None:
                 frames += [] if frame.is_fd else [frame]
             elif name == "ReferenceEngagement":
-                frames += self._engagement.frames(_message(frame))
+                self._parts.add(self._engagement.frames(_message(frame)))
             else:
                 frames += self._add(name, frame)
         self._read = {}
@@ -231,7 +265,34 @@ class ClassicBenchCore(AroundCore[Core]):
         return Step(frames, events)
 
 
-def bench_unpacker() -> _Intake:
-    """For whoever reads outcomes, the rig's events and the controller's state off a classic bus."""
-    names = ("ControllerStatus", "ShiftPrediction", "ShiftOutcome", "ReferenceEngagement")
-    return _Intake(*map(PartsIntake, names))
+def on_classic_bus(sheet: GearboxSheet, controller: Core, rig: Core, *benches: Core) -> list[Core]:
+    """These cores, each with what it takes to be on a classic bus."""
+    return [
+        ClassicControllerCore(controller, sheet),
+        ClassicRigCore(rig, sheet),
+        *map(ClassicBenchCore, benches),
+    ]
+
+
+class ClassicListenerCore(AroundCore[Core]):
+    """A core that hears everything on a classic bus, commands of another controller too, and sends
+    nothing."""
+
+    def __init__(self, core: Core, sheet: GearboxSheet) -> None:
+        super().__init__(core)
+        told = map(PartsIntake, _TOLD)
+        self._intake = Unpacker(SensorIntake(sheet), OrderIntake(), *told)
+
+    def receive(self, frame: Frame) -> None:
+        """Hands on what the frame comes to."""
+        for inner in self._intake.take(frame):
+            self._core.receive(inner)
+
+
+_TOLD: Final = ("ControllerStatus", "ShiftPrediction", "ShiftOutcome", "ReferenceEngagement")
+
+
+def bench_unpacker() -> Unpacker:
+    """For whoever reads outcomes, the rig's events and the controller's state off a bus, whichever
+    profile it has."""
+    return Unpacker(*map(PartsIntake, _TOLD), passes_fd=True)

@@ -13,11 +13,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Final
 
-from meshpoint.bus.classic.cores import (
-    ClassicBenchCore,
-    ClassicControllerCore,
-    ClassicRigCore,
-)
 from meshpoint.bus.core import Core
 from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.core import ControllerCore
@@ -110,12 +105,9 @@ class ClosedLoop:
         self._scorer = Scorer(sheet, settings.aim.target_rad(sheet.dog.backlash_rad))
         cores: list[Core] = [self._controller, self._rig, self._bench, self._scorer]
         if wire is WireProfile.CLASSIC:
-            cores = [
-                ClassicControllerCore(self._controller, sheet),
-                ClassicRigCore(self._rig, sheet),
-                ClassicBenchCore(self._bench),
-                ClassicBenchCore(self._scorer),
-            ]
+            from meshpoint.bus.classic.cores import on_classic_bus
+
+            cores = on_classic_bus(sheet, self._controller, self._rig, self._bench, self._scorer)
         self._driver = VirtualTime(
             cores,
             [*tick_phases(drawn.seed), NO_STEP_US],
