@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import cantools
 import pytest
 
+from meshpoint.bus.classic.cores import ClassicListenerCore
+from meshpoint.bus.core import Step
 from meshpoint.bus.logs.limits import read_log
 from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.classic.source import CLASSIC_DBC
 from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.link import FrameVerdict, Receiver
+from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.logs.replay import CLASSIC_LOG, LogReplay
@@ -59,6 +64,40 @@ def test_the_log_decodes_by_the_profiles_dbc_alone(run: Run) -> None:
         "ControllerStatus7", "ShiftOutcome9", "ReferenceEngagement4", "BenchCommand2", "TC1",
     }  # fmt: skip
     assert 0.2 < result.bus_load < 0.6
+
+
+class Ear:
+    """A core that keeps what it hears."""
+
+    def __init__(self) -> None:
+        self.heard: list[Frame] = []
+        self.next_step_us = 0
+
+    def receive(self, frame: Frame) -> None:
+        self.heard.append(frame)
+
+    def step(self, now_us: int) -> Step:
+        raise AssertionError(now_us)
+
+    def shutdown(self, now_us: int) -> Step:
+        raise AssertionError(now_us)
+
+
+def test_a_listener_hears_sensors_commands_and_outcomes(run: Run) -> None:
+    """As a shadow needs them: frames of meshpoint.dbc, whose counters go on without a gap."""
+    ear = Ear()
+    listener = ClassicListenerCore(ear, load_sheet("truck12"))
+    for _, frame in run[1]:
+        listener.receive(frame)
+    receiver = Receiver(*Node)
+    verdicts, kinds = Counter[FrameVerdict](), Counter[str]()
+    for frame in ear.heard:
+        verdict, message = receiver.receive(frame)
+        verdicts[verdict] += 1
+        kinds[type(message).__name__] += 1
+    assert set(verdicts) == {FrameVerdict.OK}
+    assert kinds["ShiftOutcome"] == 2
+    assert min(kinds["ValveCommand"], kinds["EdgesLayshaftRise"], kinds["GearboxSensors"]) > 200
 
 
 def test_a_replay_says_that_it_cannot_repeat_the_profile(run: Run, tmp_path: Path) -> None:
