@@ -14,6 +14,7 @@ from meshpoint.bus.clock import NodeClock
 from meshpoint.bus.core import Core
 from meshpoint.bus.diagnosis.core import DiagnosedCore
 from meshpoint.bus.driver import OpenBus, run_node
+from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.settle import settle
 from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.controller.calibration_keeper import CalibrationKeeper, Keep
@@ -37,13 +38,14 @@ async def run_controller(
     keys: CommandKeys | None = None,
     diagnosis: bool = False,
     record: Path | None = None,
+    wire: WireProfile = WireProfile.FD,
 ) -> NodeStatistics:
     """Runs a controller until `stop` is set; its last frames switch all valves off.
 
     `keep` gets the calibration whenever more is known, and at the end. With `keys` commands are
     proven to be ours. With `diagnosis` it claims its address, tells its trouble codes and answers
     testers (docs/diagnosis.md). `record`: a folder, that of the run header, for what a replay needs
-    to know of link outages."""
+    to know of link outages. `wire`: the frames on the bus."""
     warm_up(baselines=header.settings.estimator is not Estimator.CROSSING)
     core = ControllerCore(header)
     kept: Core = core if keep is None else CalibrationKeeper(core, keep, _utc)
@@ -51,9 +53,15 @@ async def run_controller(
     if record is not None:
         kept = OutageRecord(kept, record, header.run_hash, lambda: statistics.frames_discarded)
     node: Core = kept if keys is None else ProvingCore(kept, keys)
+    if diagnosis:
+        node = DiagnosedCore(node, header.version)
+    if wire is WireProfile.CLASSIC:
+        from meshpoint.bus.classic.cores import ClassicControllerCore
+
+        node = ClassicControllerCore(node, header.sheet)
     settle()
     return await run_node(
-        DiagnosedCore(node, header.version) if diagnosis else node,
+        node,
         open_bus,
         clock,
         on_event=on_event,

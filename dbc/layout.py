@@ -174,7 +174,9 @@ def _encode_lines(
         lines += ["if not (", *_joined(limits, " and"), "):", "    raise ValueError"]
     fill = 0x00 if message.is_protected else 0xFF
     values = [_slot_value(slot, fill) for slot in slots if slot.signals or fill]
-    if message.is_protected:
+    if message.is_short:  # the counter shares its byte
+        lines += ["Crc = 0", "Counter = _counter"]
+    elif message.is_protected:
         values[:2] = ["0", "_counter"]
     return [*lines, "_pack_into(", "    _buffer, 0,", *(f"    {value}," for value in values), ")"]
 

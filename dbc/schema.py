@@ -26,12 +26,14 @@ from meshpoint.dbc.units import UNITS
 
 __all__ = ["SCHEMA", "SchemaError", "parse_schema"]
 
-FRAME_FORMATS: Final = {"ExtendedCAN_FD": True, "J1939PG": False}
+FRAME_FORMATS: Final = {"ExtendedCAN_FD": True, "ExtendedCAN": False, "J1939PG": False}
 """The frame formats there are; whether each is CAN FD."""
-PROTECTION: Final = {"P05": True, "None": False}
+PROTECTION: Final = {"P05": True, "P01": True, "None": False}
 SEND_TYPES: Final = {"Cyclic": True, "Event": False}
 FD_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 E2E_HEADER: Final = (("Crc", 0, 16), ("Counter", 16, 8))
+SHORT_HEADER: Final = (("Crc", 0, 8), ("Counter", 8, 4))
+"""Of E2E profile 1, for classic frames."""
 MAX_DATA_ID: Final = 0xFFFF
 MAX_SCALED_BITS: Final = 48
 """A scaled signal must survive a float of 53 bits, with some to spare for the conversion."""
@@ -40,6 +42,8 @@ _NAME: Final = re.compile(r"[A-Z][A-Za-z0-9]*")
 """Names become classes and fields, so they must be plain words that begin with a capital letter."""
 
 Tables = dict[str, dict[int, str]]
+Header = tuple[tuple[str, int, int], ...]
+"""Of each signal its name, first bit and bits."""
 
 
 def parse_schema(content: bytes, source: str) -> Schema:
@@ -101,7 +105,9 @@ def _message_spec(
             key=lambda signal: signal.start_bit,
         )
     )
-    _check_layout(signals, message.length, is_protected, where)
+    is_short = _attribute(database, message, "E2EProfile", where) == "P01"
+    header = (SHORT_HEADER if is_short else E2E_HEADER) if is_protected else None
+    _check_layout(signals, message.length, header, where)
     return MessageSpec(
         name=message.name,
         can_id=message.frame_id,
@@ -113,6 +119,7 @@ def _message_spec(
         data_id=_data_id(database, message, where) if is_protected else None,
         signals=signals,
         comment=message.comment or "",
+        is_short=is_short,
     )
 
 
@@ -239,7 +246,7 @@ def _table_name(signal: ParsedSignal, tables: Tables, where: str) -> str | None:
 
 
 def _check_layout(
-    signals: tuple[SignalSpec, ...], length: int, is_protected: bool, where: str
+    signals: tuple[SignalSpec, ...], length: int, header: Header | None, where: str
 ) -> None:
     """Each name once, each bit inside the frame and used once, the E2E header in its place."""
     _refuse_twice((signal.name.lower() for signal in signals), f"{where}: signal")
@@ -248,16 +255,19 @@ def _check_layout(
         if signal.start_bit < end:
             raise SchemaError(f"{where}: signals {owner} and {signal.name} overlap")
         end, owner = signal.start_bit + signal.bits, signal.name
-        low = signal.raw_min if is_protected else signal.type_min
-        high = signal.raw_max if is_protected else signal.type_max
+        low = signal.type_min if header is None else signal.raw_min
+        high = signal.type_max if header is None else signal.raw_max
         if not low <= signal.raw_start <= high:
             start = f"GenSigStartValue {signal.raw_start}, {low}..{high} is allowed"
             raise SchemaError(f"{where}: signal {signal.name}: {start}")
     if end > 8 * length:
         raise SchemaError(f"{where}: signal {owner} ends at bit {end}, {8 * length} is allowed")
-    header = tuple((s.name, s.start_bit, s.bits) for s in signals if s.start_bit < 24)
-    if is_protected and header != E2E_HEADER:
-        raise SchemaError(f"{where}: starts with {header}, the header {E2E_HEADER} is allowed")
+    if header is None:
+        return
+    bits = sum(width for _, _, width in header)
+    found = tuple((s.name, s.start_bit, s.bits) for s in signals if s.start_bit < bits)
+    if found != header:
+        raise SchemaError(f"{where}: starts with {found}, the header {header} is allowed")
 
 
 def _check_names(names: Iterable[str], where: str) -> None:

@@ -54,6 +54,8 @@ class MessageSpec:
     data_id: int | None
     signals: tuple[SignalSpec, ...]
     comment: str
+    is_short: bool = False
+    """Whether the E2E header is that of profile 1, for frames of 8 bytes, instead of profile 5."""
 
     @property
     def is_cyclic(self) -> bool:
@@ -62,7 +64,7 @@ class MessageSpec:
 
     @property
     def is_protected(self) -> bool:
-        """Whether the frame starts with an E2E profile 5 header; the others are J1939's."""
+        """Whether the frame starts with an E2E header; the others are J1939's."""
         return self.data_id is not None
 
 

@@ -11,7 +11,9 @@ from meshpoint.bus.authentication.cores import VerifyingCore
 from meshpoint.bus.authentication.keys import CommandKeys
 from meshpoint.bus.authentication.proof import CHALLENGE_BITS
 from meshpoint.bus.clock import NodeClock
+from meshpoint.bus.core import Core
 from meshpoint.bus.driver import OpenBus, run_node
+from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.settle import settle
 from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.gearbox import GearboxSheet
@@ -31,10 +33,15 @@ async def run_rig(
     on_event: Callable[[str], None],
     stop: asyncio.Event,
     keys: CommandKeys | None = None,
+    wire: WireProfile = WireProfile.FD,
 ) -> NodeStatistics:
     """Runs a rig until `stop` is set; its last frame shows all valves off. With `keys` it takes
-    proven commands alone."""
-    core = RigCore(sheet, settings)
+    proven commands alone. `wire`: the frames on the bus."""
+    core: Core = RigCore(sheet, settings)
+    if wire is WireProfile.CLASSIC:
+        from meshpoint.bus.classic.cores import ClassicRigCore
+
+        core = ClassicRigCore(core, sheet)
     settle()
     return await run_node(
         core if keys is None else VerifyingCore(core, keys, lambda: randbits(CHALLENGE_BITS)),

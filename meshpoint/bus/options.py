@@ -18,6 +18,7 @@ import can.util
 from meshpoint.bus.kernel_drops import count_lost_frames
 from meshpoint.bus.local.channel import ChannelError, TcpChannel, parse_channel
 from meshpoint.bus.local.register import register_interface
+from meshpoint.bus.profile import WireProfile
 
 DEFAULT_INTERFACE = "meshpoint"
 IN_PROCESS = frozenset({"virtual", "meshpoint_simulated"})
@@ -140,7 +141,8 @@ def bus_config(namespace: argparse.Namespace) -> dict[str, Any]:
         ambient = can.util.load_file_config() | can.util.load_environment_config() | dict(can.rc)
         wanted, usual = given.get("interface"), ambient.get("interface")
         asked = ambient | given if wanted is None or usual in (None, wanted) else given
-        asked = _defaults(asked.get("interface", DEFAULT_INTERFACE)) | asked
+        is_classic = is_classic_profile(namespace)
+        asked = _defaults(asked.get("interface", DEFAULT_INTERFACE), not is_classic) | asked
         # python-can casts values and builds bit timings; it also adds what we have left out.
         config = can.util.load_config(config=dict(asked))
     except can.CanInterfaceNotImplementedError as error:  # python-can's for an unknown name
@@ -151,8 +153,13 @@ def bus_config(namespace: argparse.Namespace) -> dict[str, Any]:
     wanted_keys = asked.keys() | ({"timing"} if "f_clock" in asked else set())
     result = {key: value for key, value in config.items() if key in wanted_keys}
     if result["interface"] == "socketcan":
-        _check_socketcan(result.get("channel"))
+        _check_socketcan(result.get("channel"), not is_classic)
     return result
+
+
+def is_classic_profile(namespace: argparse.Namespace) -> bool:
+    """Whether `--profile classic` was given: no bus needs CAN FD then."""
+    return getattr(namespace, "wire", None) == WireProfile.CLASSIC
 
 
 LISTEN_ONLY: dict[str, dict[str, Any]] = {
@@ -207,10 +214,10 @@ def is_local_bus(namespace: argparse.Namespace) -> bool:
     return not isinstance(place, TcpChannel) or place.is_local
 
 
-def _defaults(interface: str) -> dict[str, Any]:
+def _defaults(interface: str, needs_fd: bool) -> dict[str, Any]:
     defaults: dict[str, Any] = {"interface": interface}
     if interface in _FD_BY_DEFAULT:
-        defaults["fd"] = True
+        defaults["fd"] = needs_fd
     if interface == "udp_multicast":
         defaults |= _UDP_DEFAULTS
     return defaults
@@ -242,14 +249,14 @@ def _section(text: str) -> dict[str, Any]:
     return dict(found)
 
 
-def _check_socketcan(channel: Any) -> None:
+def _check_socketcan(channel: Any, needs_fd: bool) -> None:
     """Says what python-can would say late or not at all: that a device is missing or classic."""
     if channel is None:
         raise BusOpenError(f"interface socketcan needs a channel (-c); {_can_devices()}")
     mtu = _NET_DEVICES / str(channel) / "mtu"
     if not mtu.exists():
         return  # opening it says why
-    if int(mtu.read_text()) < CANFD_MTU:
+    if needs_fd and int(mtu.read_text()) < CANFD_MTU:
         raise BusOpenError(classic_refusal(str(channel)))
 
 
@@ -259,7 +266,8 @@ def classic_refusal(name: str) -> str:
         f"{name} is set up for classic CAN, but CAN FD is needed: set a real device up by "
         f"`ip link set {name} type can bitrate 500000 dbitrate 2000000 fd on`, "
         f"a virtual one by `ip link set {name} mtu {CANFD_MTU}`; an adapter on which the first "
-        "fails has no CAN FD: take one that has it"
+        "fails has no CAN FD: take one that has it, or start controller and rig with "
+        "--profile classic"
     )
 
 

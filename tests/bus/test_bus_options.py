@@ -133,8 +133,22 @@ def test_a_classic_device_is_refused_with_the_remedy(
     (tmp_path / "can0").mkdir()
     (tmp_path / "can0" / "mtu").write_text("16\n")
     monkeypatch.setattr("meshpoint.bus.options._NET_DEVICES", tmp_path)
-    with pytest.raises(BusOpenError, match=r"can0 is set up for classic CAN.*fd on"):
+    with pytest.raises(
+        BusOpenError, match=r"can0 is set up for classic CAN.*fd on.*--profile classic"
+    ):
         open_bus_from(parsed("-i", "socketcan", "-c", "can0"))
+
+
+def test_a_classic_device_is_taken_with_the_classic_profile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """And no CAN FD is asked for, of any interface that has it otherwise."""
+    (tmp_path / "can0").mkdir()
+    (tmp_path / "can0" / "mtu").write_text("16\n")
+    monkeypatch.setattr("meshpoint.bus.options._NET_DEVICES", tmp_path)
+    chosen = parsed("-i", "socketcan", "-c", "can0")
+    chosen.wire = "classic"
+    assert bus_config(chosen) == {"interface": "socketcan", "channel": "can0", "fd": False}
 
 
 def test_a_bus_that_python_can_leaves_unknown_gets_a_name(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -92,7 +92,7 @@ def ask(
     """The command's exit code, and what it printed and said."""
     monkeypatch.setattr(command, "open_bus_from", lambda _namespace: bench)
     monkeypatch.setattr(command.time, "monotonic", lambda: bench.now_s)
-    code = command.run(argparse.Namespace(gear=GEAR, timeout=timeout))
+    code = command.run(argparse.Namespace(gear=GEAR, timeout=timeout, wire="fd"))
     printed, said = capsys.readouterr()
     return code, printed, said
 

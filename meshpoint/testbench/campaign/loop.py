@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from meshpoint.bus.core import Core
+from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import ControllerSettings
@@ -79,6 +80,7 @@ class ClosedLoop:
         preset: Preset,
         drawn: Draw,
         log: list[tuple[int, Frame]] | None = None,
+        wire: WireProfile = WireProfile.FD,
     ) -> None:
         """`log`: every frame of the bus with its time is put in here; a copy has its own."""
         self._sheet = sheet
@@ -102,6 +104,10 @@ class ClosedLoop:
         self._bench = BenchCore(list(drawn.plan), pauses_of(sheet, drawn.profile))
         self._scorer = Scorer(sheet, settings.aim.target_rad(sheet.dog.backlash_rad))
         cores: list[Core] = [self._controller, self._rig, self._bench, self._scorer]
+        if wire is WireProfile.CLASSIC:
+            from meshpoint.bus.classic.cores import on_classic_bus
+
+            cores = on_classic_bus(sheet, self._controller, self._rig, self._bench, self._scorer)
         self._driver = VirtualTime(
             cores,
             [*tick_phases(drawn.seed), NO_STEP_US],
@@ -118,6 +124,11 @@ class ClosedLoop:
     def simulated_s(self) -> float:
         """Virtual time so far."""
         return self._driver.now_us / 1e6
+
+    @property
+    def bus_load(self) -> float:
+        """The share of the time so far that the bus was taken, frames of average length."""
+        return self._driver.bus.busy_us / max(1, self._driver.now_us)
 
     @property
     def rig_truth(self) -> Any:

@@ -61,7 +61,7 @@ def _settle_once() -> None:
 def _shifts(spec: CampaignSpec, job: Job) -> RunResult:
     shifts = spec.learn + spec.judged
     drawn = draw(job.seed, spec.sheet, spec.preset, spec.pairs, shifts, spec.as_built, spec.profile)
-    bench = ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn)
+    bench = ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn, wire=spec.wire)
     for _ in range(spec.learn):
         bench.shift()
     if drawn.judged:

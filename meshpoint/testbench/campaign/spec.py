@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.dbc import DBC_SHA256
@@ -51,6 +52,7 @@ class CampaignSpec:
     strategy_files: Mapping[str, StrategyFile] = field(default_factory=dict)
     """The users' own among `strategies`, by name."""
     profile: Profile = DEFAULT_PROFILE
+    wire: WireProfile = WireProfile.FD
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -81,17 +83,22 @@ class CampaignSpec:
     def to_json(self) -> dict[str, Any]:
         """Everything but what the hashes of the provenance say."""
         files = {name: file.sha256 for name, file in self.strategy_files.items()}
-        return ({"strategy_files": files} if files else {}) | {
-            "strategies": list(self.names),
-            "pairs": [list(pair) for pair in self.pairs],
-            "learning_shifts": self.learn,
-            "judged_shifts": self.judged,
-            "settings": self.settings.values(),
-            "profile": self.profile,
-            "as_built": dict(self.as_built),
-            "sweep": [str(point) for point in self.sweep],
-            "provenance": provenance(self.sheet, self.seed, self.preset.value),
-        }
+        wire = {} if self.wire is WireProfile.FD else {"wire": self.wire.value}
+        return (
+            ({"strategy_files": files} if files else {})
+            | wire
+            | {
+                "strategies": list(self.names),
+                "pairs": [list(pair) for pair in self.pairs],
+                "learning_shifts": self.learn,
+                "judged_shifts": self.judged,
+                "settings": self.settings.values(),
+                "profile": self.profile,
+                "as_built": dict(self.as_built),
+                "sweep": [str(point) for point in self.sweep],
+                "provenance": provenance(self.sheet, self.seed, self.preset.value),
+            }
+        )
 
     @property
     def sha256(self) -> str:

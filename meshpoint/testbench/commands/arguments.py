@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
@@ -13,6 +13,7 @@ from meshpoint.bus.authentication.keys import CommandKeys, load_keys
 from meshpoint.bus.logs.files import MIN_PART_BYTES
 from meshpoint.bus.logs.limits import MAX_LOG_BYTES
 from meshpoint.bus.options import is_local_bus
+from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.settings import (
     ESTIMATOR_NAMES,
     STRATEGY_NAMES,
@@ -21,6 +22,7 @@ from meshpoint.controller.settings import (
     load_settings_file,
 )
 from meshpoint.controller.strategy_file import FORM, StrategyFile, is_file_name
+from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.orders import ScheduledFault
@@ -239,6 +241,46 @@ def add_as_built(parser: Arguments) -> None:
         "file of values that are fixed, TOML or a run's JSON, which may name the profile of the "
         "rest (default: %(default)s)",
     )
+
+
+def add_wire(parser: Arguments) -> None:
+    """--profile."""
+    parser.add_argument(
+        "--profile",
+        dest="wire",
+        choices=tuple(profile.value for profile in WireProfile),
+        default=WireProfile.FD.value,
+        help="the frames on the bus: fd, CAN FD with all edges; or classic, 500 kbit/s and frames "
+        "of 8 bytes, with the rising edges of layshaft and main shaft (docs/wire.md; default: "
+        "%(default)s)",
+    )
+
+
+def wire_of(namespace: argparse.Namespace) -> WireProfile:
+    """The profile of --profile. CommandError where what else is asked for has no room in it."""
+    wire = WireProfile(namespace.wire)
+    if wire is WireProfile.CLASSIC and getattr(namespace, "keys", None) is not None:
+        raise CommandError("--keys: proofs of commands have 32 bytes, --profile classic carries 8")
+    return wire
+
+
+def unpack_of(namespace: argparse.Namespace) -> Callable[[Frame], Iterable[Frame]]:
+    """What makes frames of meshpoint.dbc of those on the bus, for states and outcomes."""
+    if wire_of(namespace) is WireProfile.FD:
+        return lambda frame: (frame,)
+    from meshpoint.bus.classic.cores import bench_unpacker
+
+    return bench_unpacker().take
+
+
+def check_fused(settings: ControllerSettings, wire: WireProfile) -> None:
+    """CommandError for settings that want the edges of shafts whose speeds alone are there."""
+    tuning = settings.crossing_filter
+    if wire is WireProfile.CLASSIC and (tuning.fuse_input or tuning.fuse_propeller):
+        raise CommandError(
+            "crossing_filter.fuse_input and fuse_propeller: --profile classic carries no edges of "
+            "input and propeller shaft, only their speeds"
+        )
 
 
 def add_seed(parser: Arguments) -> None:

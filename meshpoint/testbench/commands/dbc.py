@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
+from pathlib import Path
 from typing import Any
 
 from rich.table import Table
 
+from meshpoint.bus.profile import WireProfile
 from meshpoint.dbc import DBC_PATH, DBC_SHA256
-from meshpoint.dbc.schema import SCHEMA
-from meshpoint.dbc.specs import MessageSpec, SignalSpec
+from meshpoint.dbc.classic.source import CLASSIC_DBC
+from meshpoint.dbc.schema import SCHEMA, parse_schema
+from meshpoint.dbc.specs import MessageSpec, Schema, SignalSpec
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
@@ -26,6 +30,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--path", action="store_true", help="print where the file is, for tools that read DBC"
     )
+    arguments.add_wire(parser)
     arguments.add_json(parser)
     parser.set_defaults(run=run)
 
@@ -33,32 +38,40 @@ def add_parser(commands: Any) -> None:
 def run(namespace: argparse.Namespace) -> int:
     """Prints it."""
     out = console(namespace.json)
+    is_classic = arguments.wire_of(namespace) is WireProfile.CLASSIC
+    path = CLASSIC_DBC if is_classic else DBC_PATH
     if namespace.path:
-        print(DBC_PATH)
+        print(path)
         return Exit.DONE
-    chosen = None if namespace.message is None else _message(namespace.message)
+    schema, sha256 = _classic(path) if is_classic else (SCHEMA, DBC_SHA256)
+    chosen = None if namespace.message is None else _message(schema, namespace.message)
     if namespace.json is not None:
-        messages = SCHEMA.messages if chosen is None else (chosen,)
-        write_json(namespace.json, {"sha256": DBC_SHA256, "messages": [_json(m) for m in messages]})
+        messages = schema.messages if chosen is None else (chosen,)
+        write_json(namespace.json, {"sha256": sha256, "messages": [_json(m) for m in messages]})
     if namespace.json == "-":
         return Exit.DONE
     if chosen is None:
-        out.print(messages_table())
-        out.print(f"\n{DBC_PATH}\nsha256 {DBC_SHA256}", markup=False, soft_wrap=True)
+        out.print(messages_table(schema))
+        out.print(f"\n{path}\nsha256 {sha256}", markup=False, soft_wrap=True)
     else:
         out.print(signals_table(chosen))
     return Exit.DONE
 
 
-def _message(name: str) -> MessageSpec:
-    by_name = {message.name.lower(): message for message in SCHEMA.messages}
+def _classic(path: Path) -> tuple[Schema, str]:
+    content = path.read_bytes()
+    return parse_schema(content, path.name), hashlib.sha256(content).hexdigest()
+
+
+def _message(schema: Schema, name: str) -> MessageSpec:
+    by_name = {message.name.lower(): message for message in schema.messages}
     if name.lower() not in by_name:
-        known = ", ".join(message.name for message in SCHEMA.messages)
+        known = ", ".join(message.name for message in schema.messages)
         raise CommandError(f"there is no message {name!r}; messages are {known}")
     return by_name[name.lower()]
 
 
-def messages_table() -> Table:
+def messages_table(schema: Schema = SCHEMA) -> Table:
     """A line a message."""
     table = Table(box=None, pad_edge=False)
     table.add_column("message", no_wrap=True)
@@ -66,7 +79,7 @@ def messages_table() -> Table:
     table.add_column("bytes", justify="right", no_wrap=True)
     table.add_column("ms", justify="right", no_wrap=True)
     table.add_column("meaning")
-    for message in SCHEMA.messages:
+    for message in schema.messages:
         cycle_us = message.cycle_time_us
         table.add_row(
             message.name, f"{message.can_id:08X}", str(message.length),

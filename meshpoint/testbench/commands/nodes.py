@@ -13,6 +13,7 @@ from typing import Any
 import can
 
 from meshpoint.bus.clock import Clock, NodeClock
+from meshpoint.bus.core import Core
 from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.options import (
     add_bus_arguments,
@@ -21,8 +22,10 @@ from meshpoint.bus.options import (
     open_bus_from,
 )
 from meshpoint.bus.pace import PacedClock, PaceFile
+from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.signals import stop_at_end_of_input, stop_on_signals
 from meshpoint.controller.header import RunHeader, new_header
+from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.commands import arguments
@@ -108,6 +111,7 @@ def add_rig_start(parser: arguments.Arguments) -> None:
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
     arguments.add_keys(parser)
+    arguments.add_wire(parser)
     arguments.add_speed(parser)
     parser.add_argument(
         "--pace",
@@ -132,6 +136,8 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
     sheet, settings = arguments.sheet_of(namespace), arguments.settings_of(namespace)
     calibration, writer = arguments.calibration_of(namespace, sheet, threaded=True, tell=complain)
     armed, keys = arguments.armed_of(namespace), arguments.keys_of(namespace)
+    wire = _wire_of(namespace, sheet)
+    arguments.check_fused(settings, wire)
     header = new_header(product_version(), sheet, settings, calibration, armed)
     if namespace.header_dir is not None:
         header.save(folder_for(namespace.header_dir))
@@ -150,6 +156,7 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     keys=keys,
                     diagnosis=namespace.diagnosis,
                     record=namespace.header_dir,
+                    wire=wire,
                 )
 
     run_loop(run())
@@ -174,6 +181,12 @@ def run_shadow(namespace: argparse.Namespace) -> int:
     if namespace.header_dir is not None:
         header.save(folder_for(namespace.header_dir))
     show = _printer(namespace)
+    core: Core = ShadowCore(header)
+    if _wire_of(namespace, sheet) is WireProfile.CLASSIC:
+        from meshpoint.bus.classic.cores import ClassicListenerCore
+
+        arguments.check_fused(settings, WireProfile.CLASSIC)
+        core = ClassicListenerCore(core, sheet)
     config = bus_config(namespace)
     show(f"controller: {listen_only_words(config)}")
 
@@ -183,7 +196,7 @@ def run_shadow(namespace: argparse.Namespace) -> int:
             async with _recording(namespace, header):
                 warm_up(baselines=False)
                 await run_node(
-                    ShadowCore(header),
+                    core,
                     _opener(namespace, "shadow, sends nothing"),
                     _clock(namespace),
                     on_event=show,
@@ -215,6 +228,7 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
 
         describe_rig(sheet, settings)
         return Exit.DONE
+    wire = _wire_of(namespace, sheet)
 
     async def run() -> None:
         stop = asyncio.Event()
@@ -228,10 +242,21 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
                     on_event=_printer(namespace),
                     stop=stop,
                     keys=keys,
+                    wire=wire,
                 )
 
     run_loop(run())
     return Exit.DONE
+
+
+def _wire_of(namespace: argparse.Namespace, sheet: GearboxSheet) -> WireProfile:
+    """--profile; of the classic one it says how much of the bus it takes."""
+    wire = arguments.wire_of(namespace)
+    if wire is WireProfile.CLASSIC:
+        from meshpoint.bus.classic.traffic import load_words
+
+        _printer(namespace)(f"{namespace.command}: {load_words(sheet)}")
+    return wire
 
 
 @contextmanager

@@ -223,7 +223,7 @@ def _replay(namespace: argparse.Namespace, stop: Callable[[], bool]) -> tuple[in
     tell_buses(out, log.buses, namespace.bus)
     of_another = not any(session.steps for session in sessions) and not refused
     if not verify and of_another:
-        return sensor_replay.run(namespace, files, str(sessions[0]), stop)
+        return _by_sensors(namespace, files, replay, stop)
     if log.defect is not None:
         _end_early(sessions[-1], f"then the log cannot be read: {log.defect}")
     if log.interrupted:
@@ -242,6 +242,15 @@ def _replay(namespace: argparse.Namespace, stop: Callable[[], bool]) -> tuple[in
     if log.defect is not None and not verify:
         return Exit.BAD_INPUT, values
     return _exit_code(sessions, verify) or (Exit.FAILED if errors else Exit.DONE), values
+
+
+def _by_sensors(
+    namespace: argparse.Namespace, files: list[Path], replay: LogReplay, stop: Callable[[], bool]
+) -> tuple[int, dict[str, Any]]:
+    """A log without a run of ours: its sensors alone. CommandError for one of another profile."""
+    if replay.is_classic:
+        raise CommandError(str(replay.sessions[0].reason))
+    return sensor_replay.run(namespace, files, str(replay.sessions[0]), stop)
 
 
 def _chosen(namespace: argparse.Namespace) -> Chosen | None:

@@ -6,12 +6,14 @@ import argparse
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import can
 
 from meshpoint.bus.frames import frame_of
 from meshpoint.bus.options import add_bus_arguments, open_bus_from
+from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.dbc.messages import (
     TC1,
@@ -50,6 +52,7 @@ def add_parser(commands: Any) -> None:
         help="seconds to wait for the outcome, of bus time where that goes slower than the wall "
         "clock; 0: send once and do not wait (default: 10)",
     )
+    arguments.add_wire(parser)
     add_bus_arguments(parser)
     parser.set_defaults(run=run)
 
@@ -65,10 +68,17 @@ def run(namespace: argparse.Namespace) -> int:
             bus.send(message)
             print(f"asked for gear {namespace.gear}")
             return Exit.DONE
-        return _wait(bus, message, namespace.gear, namespace.timeout)
+        unpack = arguments.unpack_of(namespace)
+        return _wait(bus, message, namespace.gear, namespace.timeout, unpack)
 
 
-def _wait(bus: can.BusABC, request: can.Message, gear: int, timeout_s: float) -> int:
+def _wait(
+    bus: can.BusABC,
+    request: can.Message,
+    gear: int,
+    timeout_s: float,
+    unpack: Callable[[Frame], Iterable[Frame]],
+) -> int:
     receiver = Receiver(Node.BENCH)
     asking = _Asking(gear, timeout_s, time.monotonic())
     while not asking.over(now_s := time.monotonic()):
@@ -77,9 +87,10 @@ def _wait(bus: can.BusABC, request: can.Message, gear: int, timeout_s: float) ->
         received = bus.recv(POLL_S)
         if received is None:
             continue
-        code = asking.hear(receiver.receive(frame_of(received)).message, time.monotonic())
-        if code is not None:
-            return code
+        for heard in unpack(frame_of(received)):
+            code = asking.hear(receiver.receive(heard).message, time.monotonic())
+            if code is not None:
+                return code
     _complain(asking.failure())
     return Exit.FAILED
 

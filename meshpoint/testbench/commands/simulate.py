@@ -11,6 +11,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 
+from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.calibration_keeper import CalibrationWriter, Keep
@@ -70,6 +71,7 @@ def add_parser(commands: Any) -> None:
     arguments.add_calibration(parser)
     arguments.add_shifts(parser, default=20, least=1)
     arguments.add_keys(parser)
+    arguments.add_wire(parser)
     _add_bus(parser)
     arguments.add_log(parser)
     arguments.add_json(parser)
@@ -131,12 +133,13 @@ def _add_bus(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _adapter(namespace: argparse.Namespace) -> AdapterProfile | None:
+def _adapter(namespace: argparse.Namespace, sheet: GearboxSheet) -> AdapterProfile | None:
     """The profile that is asked for; CommandError where our messages do not fit through it."""
     if namespace.adapter is None:
         return None
     profile = PROFILES[namespace.adapter]
-    why = unfit(profile)
+    is_classic = arguments.wire_of(namespace) is WireProfile.CLASSIC
+    why = unfit(profile, sheet if is_classic else None)
     if why is not None:
         raise CommandError(f"--adapter {profile.name} cannot work: {why}")
     return profile
@@ -218,10 +221,15 @@ def _setup(
     calibration: Calibration | None,
 ) -> Setup:
     """The run asked for."""
-    built = arguments.as_built_of(namespace)
+    built, settings = arguments.as_built_of(namespace), arguments.settings_of(namespace)
+    wire = arguments.wire_of(namespace)
+    arguments.check_fused(settings, wire)
+    if wire is WireProfile.CLASSIC and namespace.bus_load is not None:
+        raise CommandError("--bus-load: other nodes' frames are drawn for --profile fd alone")
     return Setup(
         sheet=sheet,
-        settings=arguments.settings_of(namespace),
+        settings=settings,
+        wire=wire,
         preset=preset,
         seed=namespace.seed,
         shifts=namespace.shifts,
@@ -232,7 +240,7 @@ def _setup(
         calibration=calibration,
         keys=arguments.keys_of(namespace),
         bus_load=namespace.bus_load,
-        adapter=_adapter(namespace),
+        adapter=_adapter(namespace, sheet),
         bus_queue=QueueOrder(namespace.bus_queue),
     )
 
@@ -270,6 +278,10 @@ def _show(out: Console, setup: Setup, result: Result) -> None:
         out.print(line)
     for line in estimator_notes(name, result.estimation):
         out.print(line)
+    if setup.wire is WireProfile.CLASSIC:
+        from meshpoint.bus.classic.traffic import load_words
+
+        out.print(f"bus taken for {result.bus_load:.1%} of the time; {load_words(setup.sheet)}")
 
 
 def _keep(writer: CalibrationWriter | None, unwritten: list[str]) -> Keep | None:

@@ -7,7 +7,7 @@ import asyncio
 import sys
 import tempfile
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +17,7 @@ from meshpoint.bus.frames import frame_of
 from meshpoint.bus.options import add_bus_arguments, given_bus_arguments, open_bus_from
 from meshpoint.bus.pace import PaceFile
 from meshpoint.bus.signals import stop_on_signals
+from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ControllerState, ControllerStatus, ValveStatus
 from meshpoint.dbc.node import Node
@@ -34,6 +35,8 @@ gear. Ctrl-C or SIGTERM ends both with all valves off: exit code 0. A node that 
 all: exit code 1, or 2 where its input was bad; its own message stands above."""
 FREE_BUS_LISTEN_S: Final = 0.3
 """So long a bus is listened to before it counts as free."""
+CLASSIC_CYCLIC: Final = frozenset({0x18FF8080, 0x0CFF9103})
+"""SensorRead and ValveOrders: a rig or a controller of the classic profile is at work."""
 AT_REST: Final = (ControllerState.IN_GEAR, ControllerState.NEUTRAL)
 
 
@@ -43,6 +46,7 @@ def add_parser(commands: Any) -> None:
     both = parser.add_argument_group("both nodes")
     arguments.add_gearbox(both)
     arguments.add_keys(both)
+    arguments.add_wire(both)
     arguments.add_speed(both)
     both.add_argument(
         "-q", "--quiet", action="store_true", help="only errors, not the nodes' lines"
@@ -75,6 +79,7 @@ def run(namespace: argparse.Namespace) -> int:
     # Bad settings and keys are found before anything is started.
     arguments.armed_of(namespace)
     arguments.keys_of(namespace)
+    arguments.check_fused(arguments.settings_of(namespace), arguments.wire_of(namespace))
     with open_bus_from(namespace) as bus:
         _check_free(bus)
         return asyncio.run(_run(namespace, bus))
@@ -85,7 +90,9 @@ def _check_free(bus: can.BusABC) -> None:
     Whatever comes first within the time says so."""
     receiver = Receiver(*Node)
     while (message := bus.recv(FREE_BUS_LISTEN_S)) is not None:
-        if isinstance(receiver.receive(frame_of(message)).message, (ControllerStatus, ValveStatus)):
+        heard = receiver.receive(frame_of(message)).message
+        is_ours = isinstance(heard, (ControllerStatus, ValveStatus))
+        if is_ours or message.arbitration_id in CLASSIC_CYCLIC:
             raise CommandError(
                 f"other nodes are at work on {bus.channel_info}; `-c` chooses a bus of its own, as "
                 "unix:/tmp/other.sock"
@@ -98,7 +105,7 @@ async def _run(namespace: argparse.Namespace, bus: can.BusABC) -> int:
     with (
         stop_on_signals(stop),
         tempfile.TemporaryDirectory(prefix="meshpoint-") as folder,
-        _Greeting(bus) as greeting,
+        _Greeting(bus, arguments.unpack_of(namespace)) as greeting,
     ):
         show = None if namespace.quiet else _show
         try:
@@ -162,8 +169,9 @@ async def _until_stop(stop: asyncio.Event, children: list[Child]) -> Child | Non
 class _Greeting:
     """Says when the controller knows its gear: from then on it takes requests."""
 
-    def __init__(self, bus: can.BusABC) -> None:
+    def __init__(self, bus: can.BusABC, unpack: Callable[[Frame], Iterable[Frame]]) -> None:
         self._bus = bus
+        self._unpack = unpack
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._listen)
 
@@ -186,10 +194,14 @@ class _Greeting:
                 message = self._bus.recv(0.1)
             except can.CanError:
                 return  # the nodes say what became of the bus
-            status = None if message is None else receiver.receive(frame_of(message)).message
-            if isinstance(status, ControllerStatus) and status.state in AT_REST:
-                _show("up", f"in gear {status.current_gear}, ready for requests; Ctrl-C ends it")
-                return
+            if message is None:
+                continue
+            for heard in self._unpack(frame_of(message)):
+                status = receiver.receive(heard).message
+                if isinstance(status, ControllerStatus) and status.state in AT_REST:
+                    gear = status.current_gear
+                    _show("up", f"in gear {gear}, ready for requests; Ctrl-C ends it")
+                    return
 
 
 def _show(name: str, line: str) -> None:

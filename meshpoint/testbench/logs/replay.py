@@ -53,6 +53,13 @@ LATE_FRAMES: Final = 12
 MOST_WAITING: Final = 65_536
 """Frames kept for a step to come: more than a controller takes in one. It bounds the memory where
 no controller is on the bus."""
+OF_CLASSIC: Final = frozenset({0x0CFF9103, 0x18FF8080})
+"""ValveOrders and SensorRead, which a bus of the classic profile has all the time."""
+CLASSIC_LOG: Final = (
+    "the log is of --profile classic, whose frames have no room for what each step consumed: its "
+    "runs cannot be repeated"
+)
+NO_STATUS: Final = "the log holds no controller status frame"
 UNKNOWN_FRAME: Final = Frame(0x1FFF_FFFF, b"", is_fd=False)
 """Stands for a frame foreign to the DBC: only its number matters."""
 
@@ -130,6 +137,8 @@ class LogReplay:
         self._intruders: Counter[int] = Counter()
         self._passed: list[Frame] = []
         self.sessions: list[Session] = []
+        self.is_classic = False
+        """Whether there are frames of the classic profile in the log."""
 
     def run(self, frames: Iterable[Frame]) -> list[Session]:
         """Takes the whole log. A session that cannot go on is skipped to the next one."""
@@ -140,13 +149,16 @@ class LogReplay:
             self._onlooker.end()
         if not self.sessions:
             session = Session(verdict=Verification.NOT_VERIFIABLE)
-            session.reason = "the log holds no controller status frame"
+            session.reason = CLASSIC_LOG if self.is_classic else NO_STATUS
             self.sessions.append(session)
         return self.sessions
 
     def take(self, frame: Frame) -> None:
         """One frame of the log, in order."""
         frame = canonical(frame)
+        if frame.can_id in OF_CLASSIC and frame.is_extended:
+            self.is_classic = True
+            return
         if not (frame.is_extended and frame.can_id & 0xFF == OWN_ADDRESS):
             if frame.is_extended and frame.can_id in KNOWN_IDS:
                 self._waiting.append(frame)

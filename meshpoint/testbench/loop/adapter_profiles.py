@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import Final
 
 from meshpoint.dbc.schema import SCHEMA
+from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.loop.adapter import AdapterProfile
 
 SOFTWARE_US: Final = 900
@@ -88,17 +89,19 @@ PROFILES: Final[dict[str, AdapterProfile]] = {
 """Each profile by its name."""
 
 
-def unfit(profile: AdapterProfile) -> str | None:
+def unfit(profile: AdapterProfile, classic: GearboxSheet | None = None) -> str | None:
     """Why our messages cannot go through an adapter; None: they can. Known before anything moves:
-    the contract says what is sent how often."""
-    if not profile.is_fd:
-        return f"{profile.name} carries classic frames alone, our edge frames have 64 bytes"
+    the contract says what is sent how often. classic: the data sheet of a gearbox on a bus of the
+    classic profile, whose messages depend on its speeds; None: the FD profile."""
+    if classic is None and not profile.is_fd:
+        return (
+            f"{profile.name} carries classic frames alone, our edge frames have 64 bytes; "
+            "--profile classic has frames of 8"
+        )
     if not profile.bytes_per_s:
         return None
-    wanted = sum(
-        message_bytes(profile, spec.length) * 1e6 / spec.cycle_time_us
-        for spec in SCHEMA.messages
-        if spec.is_cyclic
+    wanted = (
+        _wanted_bytes_per_s(profile) if classic is None else _classic_bytes_per_s(profile, classic)
     )
     if wanted > profile.bytes_per_s:
         return (
@@ -106,6 +109,21 @@ def unfit(profile: AdapterProfile) -> str | None:
             f"alone are {wanted / 1000:.0f} kB/s as it writes them"
         )
     return None
+
+
+def _wanted_bytes_per_s(profile: AdapterProfile) -> float:
+    return sum(
+        message_bytes(profile, spec.length) * 1e6 / spec.cycle_time_us
+        for spec in SCHEMA.messages
+        if spec.is_cyclic
+    )
+
+
+def _classic_bytes_per_s(profile: AdapterProfile, sheet: GearboxSheet) -> float:
+    from meshpoint.bus.classic.traffic import classic_traffic
+
+    frames_per_s = sum(1e9 / message.period_ns for message in classic_traffic(sheet))
+    return frames_per_s * message_bytes(profile, 8)
 
 
 def message_bytes(profile: AdapterProfile, length: int) -> int:

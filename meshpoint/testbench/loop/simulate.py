@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -13,6 +13,7 @@ from meshpoint.bus.authentication.cores import ProvingCore, VerifyingCore
 from meshpoint.bus.authentication.keys import CommandKeys
 from meshpoint.bus.authentication.proof import CHALLENGE_BITS
 from meshpoint.bus.core import Core
+from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.settle import settle
 from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.controller.calibration.learned import Calibration
@@ -68,6 +69,7 @@ class Setup:
     """What lies between the controller and the bus; None: nothing."""
     bus_queue: QueueOrder = QueueOrder.FIFO
     """In which order a node's waiting frames leave, where the bus has a load."""
+    wire: WireProfile = WireProfile.FD
 
     @property
     def header(self) -> RunHeader:
@@ -154,6 +156,10 @@ def _challenges(seed: int) -> Callable[[], int]:
     return lambda: int.from_bytes(rng.bytes(CHALLENGE_BITS // 8), "little")
 
 
+def _as_it_is(frame: Frame) -> Iterable[Frame]:
+    return (frame,)
+
+
 def _virtual_time(now_us: int) -> str:
     return f"{now_us / 1e6:.2f} s of virtual time"
 
@@ -188,10 +194,10 @@ def simulate(
 
     def take(time_us: int, frame: Frame) -> None:
         nonlocal reported
-        message = monitor.take(frame)
+        messages = [monitor.take(heard) for heard in unpack(frame)]
         if on_frame is not None:
             on_frame(time_us, frame)
-        if on_row is not None and type(message) is ShiftOutcome:
+        if on_row is not None and any(type(message) is ShiftOutcome for message in messages):
             for row in monitor.rows.rows[reported:]:
                 on_row(row)
             reported = len(monitor.rows.rows)
@@ -203,9 +209,16 @@ def simulate(
         controller = ProvingCore(controller, setup.keys)
         gearbox = VerifyingCore(rig, setup.keys, _challenges(setup.seed))
     adapter = None
+    operator: Core = bench
+    unpack = _as_it_is
+    if setup.wire is WireProfile.CLASSIC:
+        from meshpoint.bus.classic.cores import bench_unpacker, on_classic_bus
+
+        controller, gearbox, operator = on_classic_bus(setup.sheet, controller, gearbox, bench)
+        unpack = bench_unpacker().take
     if setup.adapter is not None:
         controller = adapter = AdapterCore(controller, setup.adapter, setup.seed)
-    cores: list[Core] = [controller, gearbox, bench]
+    cores: list[Core] = [controller, gearbox, operator]
     filters = [
         frozenset[int](),
         not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
