@@ -43,6 +43,7 @@ from meshpoint.testbench.loop.node_patience import (
     no_shift,
     not_started,
     taken,
+    times_slower,
 )
 from meshpoint.testbench.results.monitor import Monitor
 
@@ -300,6 +301,7 @@ async def _until_heard(
     """Waits until both nodes are on the bus; each is given a time to run, however long that takes
     on this machine."""
     own = {name: OwnTime() for name in NODE_NAMES}
+    limit_s = START_S * times_slower()
     while result.monitor.status is None or result.heard.missing():
         before_s = perf_counter()
         await asyncio.sleep(POLL_S)
@@ -312,9 +314,12 @@ async def _until_heard(
             passed_s = min(perf_counter() - before_s, 2 * POLL_S)
             time.look(None if process is None else taken(process), passed_s)
         missing = result.heard.missing()
-        late = [name for name, time in own.items() if time.seconds > START_S]
+        late = [name for name, time in own.items() if time.seconds > limit_s]
         if late and set(late) & set(missing or late):
-            raise RunError(not_started(missing or late))
+            slow_s = START_S * times_slower()
+            if slow_s <= limit_s:
+                raise RunError(not_started(missing or late, limit_s))
+            limit_s = slow_s  # it has become slower meanwhile
 
 
 def _check(task: asyncio.Task[object]) -> None:
@@ -348,6 +353,7 @@ async def _until_done(session: LiveSession) -> None:
 
 async def _end_nodes(nodes: Nodes, stop: asyncio.Event) -> None:
     stop.set()
+    limit_s = END_S * times_slower()
     for node in nodes.values():
         if isinstance(node, asyncio.Task):
             continue
@@ -356,10 +362,10 @@ async def _end_nodes(nodes: Nodes, stop: asyncio.Event) -> None:
                 node.terminate()
     for node in nodes.values():
         if isinstance(node, asyncio.Task):
-            await asyncio.wait([node], timeout=END_S)
+            await asyncio.wait([node], timeout=limit_s)
             continue
         try:
-            await asyncio.wait_for(node.wait(), END_S)
+            await asyncio.wait_for(node.wait(), limit_s)
         except TimeoutError:
             # It may have ended between the time-out and here.
             with suppress(ProcessLookupError):

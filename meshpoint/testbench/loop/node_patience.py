@@ -2,12 +2,16 @@
 
 A node that starts is measured by its own time: the processor time that it had, and the time in
 which it asked for none. What it spent ready to run, but without a processor, does not count, so a
-busy machine makes a start slow, not late. Once the bus runs, what counts is bus time.
+busy machine makes a start slow, not late. An emulated machine does not know when it was kept from
+running, and is slow itself: its limits are longer by how much slower it computes. Once the bus
+runs, what counts is bus time.
 """
 
 from __future__ import annotations
 
 import os
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -16,6 +20,8 @@ START_S: Final = 120.0
 """A node's own seconds before it must be heard; it needs two, and sixty where it compiles."""
 SHIFT_SILENCE_US: Final = 20_000_000
 """Bus time without a shift after which a run is given up: the bench itself is patient for 8 s."""
+USUAL_S: Final = 0.001
+"""What `_a_little_work` takes of a processor on the machine that these limits were set on."""
 NODE_QUIET_US: Final = 1_000_000
 """Bus time after which a node counts as silent; each speaks every 10 ms."""
 RUNNABLE: Final = "R"
@@ -38,6 +44,18 @@ def taken(process: int) -> Taken | None:
         return None
     fields = text.rpartition(")")[2].split()
     return Taken((int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"), fields[0])
+
+
+def times_slower(clock: Callable[[], float] = time.process_time) -> float:
+    """How many times as long as usual this machine computes just now; at least 1."""
+    begun_s = clock()
+    _a_little_work()
+    return max(1.0, (clock() - begun_s) / USUAL_S)
+
+
+def _a_little_work() -> None:
+    for _ in range(20_000):
+        pass
 
 
 class OwnTime:
@@ -84,12 +102,12 @@ class Heard:
         return [name for name, at_us in self._last_us.items() if now_us - at_us > NODE_QUIET_US]
 
 
-def not_started(missing: list[str]) -> str:
-    """Says which side was late, and what to do."""
+def not_started(missing: list[str], limit_s: float) -> str:
+    """Says which side was late, after how many seconds of its own time, and what to do."""
     late = " and ".join(missing)
     alone = " or ".join(f"meshpoint {name}" for name in missing)
     return (
-        f"{late} not heard on the bus after {START_S:.0f} s of time to run: see what was said "
+        f"{late} not heard on the bus after {limit_s:.0f} s of time to run: see what was said "
         f"above, or start it by hand ({alone}) and see what it says"
     )
 
