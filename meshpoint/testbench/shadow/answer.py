@@ -99,8 +99,9 @@ def _alike(reasons: Counter[str]) -> Counter[str]:
     merged: Counter[str] = Counter()
     for members in kinds.values():
         columns = zip(*(NUMBER.findall(why) for why in members), strict=True)
-        ranges = iter([sorted(set(column), key=float) for column in columns])
-        text = NUMBER.sub(lambda _number, of=ranges: _range(next(of)), members[0])
+        ranges = [_range(sorted(set(column), key=float)) for column in columns]
+        words = NUMBER.split(members[0])
+        text = words[0] + "".join(a + b for a, b in zip(ranges, words[1:], strict=True))
         merged[text] = sum(reasons[why] for why in members)
     return merged
 
