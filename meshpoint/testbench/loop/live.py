@@ -50,6 +50,8 @@ from meshpoint.testbench.results.monitor import Monitor
 BENCH_ADDRESS = 0xF9
 FLUSH_US = 1_000_000
 POLL_S = 0.05
+MOST_POLLS = 20.0
+"""As many times longer it is waited between two looks on a slow machine, at most."""
 END_S = 15.0
 OF_ADDRESS = {
     **dict.fromkeys(rig_node.ADDRESSES, "rig"),
@@ -301,17 +303,18 @@ async def _until_heard(
     """Waits until both nodes are on the bus; each is given a time to run, however long that takes
     on this machine."""
     own = {name: OwnTime() for name in NODE_NAMES}
-    limit_s = START_S * times_slower()
+    slow = times_slower()
+    limit_s, poll_s = START_S * slow, POLL_S * min(slow, MOST_POLLS)
     while result.monitor.status is None or result.heard.missing():
         before_s = perf_counter()
-        await asyncio.sleep(POLL_S)
+        await asyncio.sleep(poll_s)
         _check(recorder)
         _check_nodes(nodes)
         clocks.check()
         for name, time in own.items():
             node = nodes.get(name)
             process = None if node is None or isinstance(node, asyncio.Task) else node.pid
-            passed_s = min(perf_counter() - before_s, 2 * POLL_S)
+            passed_s = min(perf_counter() - before_s, 2 * poll_s)
             time.look(None if process is None else taken(process), passed_s)
         missing = result.heard.missing()
         late = [name for name, time in own.items() if time.seconds > limit_s]
