@@ -9,6 +9,7 @@ import time
 
 import pytest
 
+from meshpoint.bus.slowness import times_slower
 from meshpoint.testbench.loop.compiling import Progress
 from meshpoint.testbench.loop.node_patience import (
     NODE_QUIET_US,
@@ -19,7 +20,6 @@ from meshpoint.testbench.loop.node_patience import (
     no_shift,
     not_started,
     taken,
-    times_slower,
 )
 
 

@@ -26,6 +26,7 @@ from meshpoint.bus.driver import run_node
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.bus.options import IN_PROCESS
 from meshpoint.bus.pace import PacedClock, PaceFile
+from meshpoint.bus.slowness import times_slower
 from meshpoint.controller import node as controller_node
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.node import run_controller
@@ -43,7 +44,6 @@ from meshpoint.testbench.loop.node_patience import (
     no_shift,
     not_started,
     taken,
-    times_slower,
 )
 from meshpoint.testbench.results.monitor import Monitor
 

@@ -10,8 +10,6 @@ runs, what counts is bus time.
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -20,8 +18,6 @@ START_S: Final = 120.0
 """A node's own seconds before it must be heard; it needs two, and sixty where it compiles."""
 SHIFT_SILENCE_US: Final = 20_000_000
 """Bus time without a shift after which a run is given up: the bench itself is patient for 8 s."""
-USUAL_S: Final = 0.001
-"""What `_a_little_work` takes of a processor on the machine that these limits were set on."""
 NODE_QUIET_US: Final = 1_000_000
 """Bus time after which a node counts as silent; each speaks every 10 ms."""
 RUNNABLE: Final = "R"
@@ -44,18 +40,6 @@ def taken(process: int) -> Taken | None:
         return None
     fields = text.rpartition(")")[2].split()
     return Taken((int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK"), fields[0])
-
-
-def times_slower(clock: Callable[[], float] = time.process_time) -> float:
-    """How many times as long as usual this machine computes just now; at least 1."""
-    begun_s = clock()
-    _a_little_work()
-    return max(1.0, (clock() - begun_s) / USUAL_S)
-
-
-def _a_little_work() -> None:
-    for _ in range(20_000):
-        pass
 
 
 class OwnTime:
