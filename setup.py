@@ -1,17 +1,48 @@
-"""Which folder is which package: three of them lie beside `meshpoint/` in the repository."""
+"""Which folder is which package: three of them lie beside `meshpoint/` in the repository. And
+README as a package index can show it."""
+
+import re
+from pathlib import Path
 
 from setuptools import find_packages, setup
 
 BESIDE = ("controller", "dbc", "rig_sim")
+PICTURE = re.compile(r"!\[[^\]]*\]\((?!https?:)[^)\s]+\)\n*")
+LINK = re.compile(r"(?<!!)\[([^\]]+)\]\((?!https?:|#)([^)\s]+)\)")
+FENCE = re.compile(r"(^```.*?^```$)", re.MULTILINE | re.DOTALL)
+NOTE = """\
+*This is the README of the repository, without its pictures. The files it names, docs/ and examples/
+among them, are there, and so is the Makefile: with the package installed, `meshpoint demo` does
+what `make demo` does.*
+"""
 
-setup(
-    package_dir={f"meshpoint.{name}": name for name in BESIDE},
-    packages=[
-        *find_packages(include=["meshpoint", "meshpoint.*"]),
-        *(
-            f"meshpoint.{found}"
-            for name in BESIDE
-            for found in find_packages(include=[name, f"{name}.*"])
-        ),
-    ],
-)
+
+def description(readme: str) -> str:
+    """README for a package index, which has none of the files beside it: pictures are left out,
+    links into the repository become text, and a note below the title says so."""
+    parts = FENCE.split(readme)
+    parts[::2] = (LINK.sub(_words, PICTURE.sub("", part)) for part in parts[::2])
+    title, _, rest = "".join(parts).partition("\n")
+    return f"{title}\n\n{NOTE}{rest}"
+
+
+def _words(link: re.Match[str]) -> str:
+    """A link as text that still says which file it means."""
+    text, file = link[1], link[2].partition("#")[0].rstrip("/")
+    return text if file in text or f"{file}/" in text else f"{text} ({file})"
+
+
+if __name__ == "__main__":
+    setup(
+        long_description=description(Path(__file__).with_name("README.md").read_text("utf-8")),
+        long_description_content_type="text/markdown",
+        package_dir={f"meshpoint.{name}": name for name in BESIDE},
+        packages=[
+            *find_packages(include=["meshpoint", "meshpoint.*"]),
+            *(
+                f"meshpoint.{found}"
+                for name in BESIDE
+                for found in find_packages(include=[name, f"{name}.*"])
+            ),
+        ],
+    )

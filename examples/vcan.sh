@@ -45,12 +45,17 @@ outside() {
         "$here/../tools/with-vcan" --timeout 600 "$here/vcan.sh" "$gear" "$folder"
     else
         say 'this takes about 3 minutes, beside much other work up to 15: the machine is emulated'
+        say 'nothing is seen while it boots: a fifth of that time'
         export NUMBA_DISABLE_JIT=1
         "$here/../tools/with-vcan" --timeout 1800 --keep "$folder" \
             "$here/vcan.sh" "$gear" "$folder"
     fi
     say 'replaying the log through the controller'
     meshpoint replay "$folder/run.log" --verify
+    say "done: gear $gear was engaged, and the log is verified"
+    if [[ $way != direct* ]]; then
+        say 'where the log is silent, bus time waited for a node: candump stamps with the wall clock'
+    fi
 }
 
 # ---------------------------------------------------- where there is vcan0 --

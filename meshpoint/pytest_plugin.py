@@ -181,10 +181,11 @@ def pytest_runtest_makereport(
 
 def _leave(bench: AnyBench, folder: Path) -> list[str]:
     import meshpoint
+    from meshpoint.testbench.results.output import counted
 
     log = bench.save_log(folder)
     lines = [
-        f"at {bench.now_s:.3f} s of bus time, after {len(bench.shifts)} shifts",
+        f"at {bench.now_s:.3f} s of bus time, after {counted(len(bench.shifts))}",
         f"log     {log}",
     ]
     if bench.shifts:

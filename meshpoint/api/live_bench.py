@@ -19,6 +19,7 @@ from meshpoint.api.choices import PathLike, load_settings, setup_of
 from meshpoint.api.watching import DEFAULT_TIMEOUT_S, ShiftError, Watching
 from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.options import IN_PROCESS, add_bus_arguments, open_bus_from
+from meshpoint.bus.slowness import times_slower
 from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE
 from meshpoint.testbench.errors import RunError
@@ -27,6 +28,7 @@ from meshpoint.testbench.loop.live import NODE_NAMES, LiveRun, LiveSession, live
 from meshpoint.testbench.results.output import folder_for
 
 POLL_S: Final = 0.02
+MOST_POLL_S: Final = 1.0
 SHIFT_LIMIT_US: Final = 6 * PATIENCE_US
 """The operator is patient for so long in each of its phases."""
 
@@ -110,6 +112,8 @@ class LiveBench(Watching):
         self.said: list[str] = []
         """What recorder and operator have said: a bus that was lost, a shift that is stuck."""
         self._session: LiveSession | None = None
+        # To look costs processor time, which on a slow machine the nodes want.
+        self._poll_s = min(MOST_POLL_S, POLL_S * times_slower())
         self._orders: list[Callable[[], None]] = []
         self._failure: BaseException | None = None
         self._ready, self._ending = threading.Event(), threading.Event()
@@ -132,7 +136,8 @@ class LiveBench(Watching):
     def run_until(
         self, condition: Callable[[Self], object], timeout_s: float = DEFAULT_TIMEOUT_S
     ) -> float:
-        """Waits until `condition(bench)` is true, which is asked every 20 ms.
+        """Waits until `condition(bench)` is true, which is asked every 20 ms (less often on a
+        slow machine).
 
         Returns bus time, s. TimeoutError after `timeout_s` of bus time."""
         if not self._wait(lambda: bool(condition(self)), round(timeout_s * 1e6)):
@@ -149,7 +154,7 @@ class LiveBench(Watching):
         done, session = threading.Event(), self._session
         if session is not None and self._thread.is_alive():
             self._orders += [session.log.flush, done.set]
-            while not done.wait(POLL_S) and self._thread.is_alive():
+            while not done.wait(self._poll_s) and self._thread.is_alive():
                 pass
         return self.log
 
@@ -168,7 +173,7 @@ class LiveBench(Watching):
             self._session = session
             self._ready.set()
             while not self._ending.is_set():
-                await asyncio.sleep(POLL_S)
+                await asyncio.sleep(self._poll_s)
                 session.check()
                 while self._orders:
                     self._orders.pop(0)()
@@ -193,7 +198,7 @@ class LiveBench(Watching):
             self._raise_failure()
             if self._now_us() > end_us:
                 return False
-            time.sleep(POLL_S)
+            time.sleep(self._poll_s)
         return True
 
     def _until_done(self) -> None:

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, get_args, get_type_hints
 
 from meshpoint.api.choices import PathLike, load_gearbox
 from meshpoint.bus.logs.files import log_files, read_logs
@@ -23,6 +23,7 @@ from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import report_provenance, write_report
 from meshpoint.testbench.results.monitor import RowMonitor
+from meshpoint.testbench.results.phases import PHASES
 from meshpoint.testbench.results.rows import ShiftRow
 
 if TYPE_CHECKING:
@@ -178,10 +179,30 @@ def _column(pa: Any, field: FieldSpec, values: list[Any]) -> Any:
 
 
 def shifts_table(rows: Iterable[ShiftRow]) -> pa.Table:
-    """Shifts as a table: a column for each field of `ShiftRow`, and one for each of its phases."""
+    """Shifts as a table: a column for each field of `ShiftRow`, and one for each of its phases.
+
+    A column's type is the same for all shifts, also where none has a value or there is none."""
     records = []
     for row in rows:
         record = row.to_json()
         record |= record.pop("phases")
         records.append(record)
-    return load_arrow().Table.from_pylist(records)
+    pa = load_arrow()
+    return pa.Table.from_pylist(records, schema=_shift_schema(pa))
+
+
+def _shift_schema(pa: Any) -> pa.Schema:
+    """The columns of `ShiftRow.to_json`, its phases behind the others."""
+    kinds = {str: pa.string(), int: pa.int64(), float: pa.float64()}
+    columns = {
+        name.rstrip("_"): next(kind for plain, kind in kinds.items() if plain in _plain(given))
+        for name, given in get_type_hints(ShiftRow).items()
+        if name != "phases"
+    }
+    columns |= dict.fromkeys(("phase_error_pct_of_pitch", *PHASES), pa.float64())
+    return pa.schema(columns)
+
+
+def _plain(given: Any) -> tuple[Any, ...]:
+    """The types of `X`, or of `X | None`."""
+    return get_args(given) or (given,)

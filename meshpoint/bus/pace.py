@@ -22,6 +22,8 @@ from collections.abc import Iterable
 from pathlib import Path
 from time import perf_counter, sleep
 
+from meshpoint.bus.slowness import times_slower
+
 PACED_NODES = ("rig", "controller", "bench")
 HEARTBEAT_US = 2_000
 """How long, at speed 1, a node may go without looking at the clock."""
@@ -34,7 +36,8 @@ LONGEST_TICK_US = 2_000.0
 not from where it would be."""
 GIVEN_UP_S = 1.0
 """A node that does not move for this long, by the pacemaker's time at speed 1 and above, is not
-waited for any more. Slower bus time is for slower machines: there it is as much longer."""
+waited for any more. On a machine that computes slowly it is as much longer; so it is where bus time
+is slower, which is for slower machines."""
 
 _ABSENT = -1
 _MARK = 0x6563_6170_2D70_6D31
@@ -188,10 +191,10 @@ class PacedClock:
 class Pacemaker:
     """Decides how far bus time goes. Pure: the wall clock comes in as spans."""
 
-    def __init__(self, speed: float) -> None:
+    def __init__(self, speed: float, slower: float = 1.0) -> None:
         self.now_us = 0.0
         self._speed = speed
-        self._given_up_us = GIVEN_UP_S * 1e6 / min(1.0, speed)
+        self._given_up_us = GIVEN_UP_S * 1e6 * max(1.0 / min(1.0, speed), slower)
         self._seen: list[int | None] = [None] * len(PACED_NODES)
         self._still_us = [0.0] * len(PACED_NODES)
 
@@ -213,7 +216,7 @@ def keep_pace(path: Path, speed: float, ending: threading.Event) -> str:
     """Moves the time of the file on until `ending` is set, and returns what ended it before that:
     a file that is none any more. Empty: nothing did."""
     file = PaceFile(path)
-    pacemaker = Pacemaker(speed)
+    pacemaker = Pacemaker(speed, times_slower())
     before_s = perf_counter()
     while not ending.is_set():
         sleep(tick_s(speed))

@@ -104,6 +104,17 @@ def test_the_shifts_of_a_log_are_those_of_the_bench(recorded: Recorded, tmp_path
     table = meshpoint.shifts_table(rows)
     assert table.column("contact").to_pylist() == [row.contact for row in rows]
     assert "braking_ms" in table.column_names
+    assert table.column_names == [
+        *(key for key in rows[0].to_json() if key != "phases"),
+        *rows[0].to_json()["phases"],
+    ]
+    kinds = {field.name: str(field.type) for field in meshpoint.shifts_table([]).schema}
+    assert kinds == {field.name: str(field.type) for field in table.schema}
+    assert (kinds["bound_ms"], kinds["contact_us"], kinds["contact"]) == (
+        "double",
+        "int64",
+        "string",
+    )
     page = log.report(tmp_path / "run.html", title="Mine")
     assert "Mine" in page.read_text() and "gear 8 to 10" in page.read_text()
 

@@ -70,3 +70,8 @@ def test_the_hardware_loop_runs_on_a_bus_in_this_process(
     said = capsys.readouterr().out
     assert "8 -> 10: engaged" in said
     assert "log hardware_loop.log: identical" in said
+
+
+def test_the_settings_for_an_emulated_machine_are_those_that_compute_least() -> None:
+    settings = meshpoint.load_settings(EXAMPLES / "emulated.toml")
+    assert (settings.strategy_name, settings.estimator_name) == ("speed_window", "thesis")

@@ -69,7 +69,7 @@ def test_a_failing_test_leaves_log_report_and_commands(inner: pytest.Pytester) -
     result.stdout.fnmatch_lines(
         [
             "*- meshpoint -*",
-            "at 1.* s of bus time, after 1 shifts",
+            "at 1.* s of bus time, after 1 shift",
             f"log     {folder / 'run.log'}",
             f"report  {folder / 'report.html'}",
             f"replay  meshpoint replay {folder / 'run.log'} --verify",

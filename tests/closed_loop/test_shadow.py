@@ -180,6 +180,18 @@ def test_of_a_controller_that_is_not_ours_only_its_own_contacts_are_told(
     assert "no run of our controller" in found["sentence"]
 
 
+def test_reasons_that_differ_in_a_number_alone_are_told_as_one() -> None:
+    half = "the landing would be known to within {} deg only, of a pitch of 7.50 deg"
+    answer = Answer(9, 2, decided=1, expected=0.5, other="x")
+    answer.why_not.update([half.format(4.1), half.format(1.9), half.format(12.0), "no reference"])
+    assert "in the 1 shift that can be decided" in answer.sentence
+    assert answer.sentence.endswith(
+        "not decidable: 3 x the landing would be known to within 1.9 to 12.0 deg only, of a pitch "
+        "of 7.50 deg; 1 x no reference"
+    )
+    assert len(answer.to_json()["not_decidable"]) == 4, "each with its number"
+
+
 def test_the_interval_of_few_shifts_is_wide_and_none_without_any() -> None:
     assert Answer(0, 0).interval is None
     low, high = Answer(10, 2, decided=4, expected=4.0).interval or (0.0, 0.0)

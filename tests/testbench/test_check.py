@@ -151,6 +151,9 @@ def test_stamps_that_come_in_bundles_scatter_and_drift_are_told(driving) -> None
     fast = [(t * 1.001, f) for t, f in driving]
     assert "+1000" in found(heard(fast))["drift"].text
     assert "drift" in bad(heard(fast))
+    waiting = [(t * 2.5, f) for t, f in driving]
+    assert "runs 0.40 times as fast" in found(heard(waiting))["drift"].text
+    assert "drift" in bad(heard(waiting))
 
 
 @pytest.mark.parametrize(

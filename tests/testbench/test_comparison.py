@@ -68,6 +68,20 @@ def test_a_shift_known_to_one_run_alone_is_not_compared_as_aimed() -> None:
     ]  # fmt: skip
 
 
+def test_an_own_strategy_that_aims_has_its_error_and_no_folder_in_the_table() -> None:
+    name = "/a/folder/far/down/" + "in_it/" * 12 + "own_strategy.py:NextGap"
+    rows = [row("speed_window", (8, 10), "unknown", "tooth", 800.0)]
+    rows += [row(name, (8, 10), "known", "gap", 400.0)] * 2
+    learning, own = compare({name: rows})
+    assert (learning.phase_error_rms_deg, own.phase_error_rms_deg) == (None, 0.5)
+    assert own.strategy == name
+    console = Console(width=80)
+    with console.capture() as captured:
+        console.print(comparison_table([own]))
+    assert "own_strategy.py:NextGap" in captured.get()
+    assert "folder" not in captured.get()
+
+
 def test_contacts_that_nobody_knows_are_no_misses() -> None:
     (group,) = compare({"speed_window": [row("speed_window", (8, 10), "known", None, 1.0)] * 2})
     assert group.contacts == 0

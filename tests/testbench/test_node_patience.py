@@ -9,6 +9,7 @@ import time
 
 import pytest
 
+from meshpoint.bus.slowness import times_slower
 from meshpoint.testbench.loop.compiling import Progress
 from meshpoint.testbench.loop.node_patience import (
     NODE_QUIET_US,
@@ -62,6 +63,13 @@ def test_the_kernel_tells_what_a_process_has_had() -> None:
     assert taken(2**22 + 1) is None
 
 
+def test_a_machine_that_computes_slowly_is_given_more_time() -> None:
+    readings = iter([5.0, 5.0 + 0.12, 7.0, 7.0 + 1e-6])
+    assert times_slower(lambda: next(readings)) == pytest.approx(120.0)
+    assert times_slower(lambda: next(readings)) == 1.0
+    assert 1.0 <= times_slower() < 1000.0
+
+
 def test_the_side_that_is_silent_is_named() -> None:
     heard = Heard()
     assert heard.missing() == ["rig", "controller"]
@@ -75,8 +83,9 @@ def test_the_side_that_is_silent_is_named() -> None:
 
 
 def test_a_limit_that_runs_out_says_which_side_and_what_to_do() -> None:
-    assert "controller not heard" in not_started(["controller"])
-    assert "meshpoint controller" in not_started(["controller"])
+    assert "controller not heard" in not_started(["controller"], 2400.0)
+    assert "2400 s of time to run" in not_started(["controller"], 2400.0)
+    assert "meshpoint controller" in not_started(["controller"], 120.0)
     seconds = SHIFT_SILENCE_US // 1_000_000
     assert f"{seconds} s of bus time: rig silent" in no_shift(["rig"], paced=True)
     assert "--wall-clock" in no_shift([], paced=False)

@@ -91,7 +91,7 @@ def test_the_log_is_verified_with_the_same_file_and_not_without(
 
     code, session = verdicts(capsys, log, "--verify")
     assert (code, session["verdict"]) == (3, "not verifiable")
-    assert f"own strategy {name} is missing" in session["reason"]
+    assert f"name it with --strategy {name}" in session["reason"]
 
     moved.write_text(EXAMPLE.read_text().replace("30 * RPM", "31 * RPM"))
     code, session = verdicts(capsys, log, "--verify", "--strategy", f"{moved}:{CLASS}")

@@ -116,7 +116,7 @@ def campaign_values() -> dict[str, Any]:
     return {
         "runs": 1_000_000,
         "strategies": dict.fromkeys(STRATEGIES, figures),
-        "ratios": {f"{a} / {b}": dict.fromkeys(keys, ratio) for a, b in pairs},
+        "ratios": {f"{a}/{b}": dict.fromkeys(keys, ratio) for a, b in pairs},
     }
 
 
@@ -152,7 +152,9 @@ TABLES: dict[str, Callable[[], Table]] = {
     ),
     "campaign.table._strategies": lambda: campaign_table._strategies(campaign_values()),
     "campaign.table._phases": lambda: campaign_table._phases(campaign_values()),
-    "campaign.table._ratios": lambda: campaign_table._ratios(campaign_values()["ratios"]),
+    "campaign.table._ratios": lambda: campaign_table._ratios(
+        campaign_values()["ratios"], STRATEGIES
+    ),
     "campaign.verdict_words.against_table": lambda: against_table(AGAINST),
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
     "logs.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
@@ -216,6 +218,20 @@ def check(table: Table) -> None:
 @pytest.mark.parametrize("name", TABLES)
 def test_a_table_fits_80_columns(name: str) -> None:
     check(TABLES[name]())
+
+
+def test_a_ratio_names_both_strategies_each_on_lines_of_its_own() -> None:
+    own = "examples/own_strategy.py:NextGap"
+    keys = ("first_contact_gap_rate", "duration_ms_mean", "duration_ms_p99", "impact_j_mean")
+    ratio = {key: {"ratio": 1.0, "ci95": [0.9, 1.1]} for key in keys}
+    table = campaign_table._ratios(
+        {"target_phase/speed_window": ratio, f"{own}/target_phase": ratio},
+        ["speed_window", "target_phase", own],
+    )
+    assert list(table.columns[0].cells) == [
+        "target_phase\n/ speed_window",
+        "own_\nstrategy.py:\nNextGap\n/ target_phase",
+    ]
 
 
 def test_what_was_learned_fits_80_columns(learned: Calibration) -> None:

@@ -203,7 +203,7 @@ def test_the_air_line_shows_what_the_sensors_say(clutch: float, brake_pa: float)
     )
     panel.receive(0.0, Transmitter(Node.GEARBOX_IO).encode(sensors))
     text = "\n".join(picture(panel))
-    assert f"brake {brake_pa / 1e5:4.1f} bar" in text
+    assert f"brake {brake_pa / 1e5:4.1f} bar(a)  supply  9.0 bar(a)  oil" in text
     assert f"clutch {100 * clutch:3.0f} % closed" in text
 
 

@@ -1,9 +1,11 @@
 """Is a wheel complete and alone? Standard input: the package's files as `git ls-files -z` has them.
 
 The wheel has to hold each of them below `meshpoint/`, and nothing besides but its dist-info; so
-does what an installation has put into site-packages. Exit code 1, and what is wrong, otherwise.
+does what an installation has put into site-packages. Its description holds no picture and no link
+that lead into the repository. Exit code 1, and what is wrong, otherwise.
 """
 
+import re
 import sys
 import zipfile
 from importlib.metadata import distribution
@@ -28,6 +30,13 @@ if tops != {"meshpoint", f"meshpoint-{installed.version}.dist-info"}:
     wrong.append(f"put into site-packages: {sorted(tops)}")
 if {PurePosixPath(file).stem for file in outside} != {"meshpoint"}:
     wrong.append(f"put outside of site-packages: {sorted(outside)}")
+described = str(installed.metadata.get_payload())
+wrong += [
+    f"leads into the repository, in the description: {link}"
+    for link in re.findall(r"\]\((?!https?:)[^)]*\)", described)
+]
+if len(described) < 1000:
+    wrong.append(f"no description: {described!r}")
 for line in wrong:
     print(line, file=sys.stderr)
 sys.exit(bool(wrong) or not wanted)

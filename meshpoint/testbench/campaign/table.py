@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 from rich.console import Console
@@ -20,7 +20,7 @@ def print_tables(out: Console, values: dict[str, Any]) -> None:
     out.print(_phases(values))
     if values["ratios"]:
         out.print()
-        out.print(_ratios(values["ratios"]))
+        out.print(_ratios(values["ratios"], list(values["strategies"])))
 
 
 def _strategies(values: dict[str, Any]) -> Table:
@@ -55,7 +55,7 @@ def _phases(values: dict[str, Any]) -> Table:
     return table
 
 
-def _ratios(ratios: dict[str, Any]) -> Table:
+def _ratios(ratios: dict[str, Any], strategies: Sequence[str]) -> Table:
     """Each ratio has its interval below it: side by side they need more than 80 columns."""
     table = Table(title="ratios on the same draws", title_justify="left", box=None, pad_edge=False)
     table.add_column("of\n/ to", no_wrap=True)
@@ -63,11 +63,19 @@ def _ratios(ratios: dict[str, Any]) -> Table:
         table.add_column(column, justify="right", no_wrap=True)
     keys = ("first_contact_gap_rate", "duration_ms_mean", "duration_ms_p99", "impact_j_mean")
     for name, figures in ratios.items():
-        of, _, to = name.partition(" / ")
+        of, to = _pair(name, strategies)
         table.add_row(
             f"{broken(of)}\n/ {broken(to, 12)}", *(_ratio(figures.get(key)) for key in keys)
         )
     return table
+
+
+def _pair(name: str, strategies: Sequence[str]) -> tuple[str, str]:
+    """The two strategies of a ratio; the name of a user's own has slashes in it, too."""
+    for of in strategies:
+        if name.startswith(f"{of}/") and name[len(of) + 1 :] in strategies:
+            return of, name[len(of) + 1 :]
+    raise ValueError(f"{name}: no ratio of two of {', '.join(strategies)}")
 
 
 def records_table(title: str, records: list[JudgedShift]) -> Table:

@@ -25,6 +25,8 @@ MOST_SCATTER_US: Final = 2_000.0
 """A command may come 2 ms late (docs/wire.md)."""
 MOST_DRIFT_PPM: Final = 200.0
 """That much does no harm (docs/wire.md)."""
+NO_CRYSTAL_PPM: Final = 10_000.0
+"""So far apart are no two clocks that both count time: one waits, or counts something else."""
 LONG_ENOUGH_S: Final = 3.0
 EPOCH_S: Final = 86_400.0
 
@@ -116,6 +118,13 @@ def _judge_drift(
     # Standard error of a fitted slope over evenly spaced samples; neighbours are not independent,
     # so a tenth of them counts.
     sd_ppm = scatter_us / span_s * (12.0 / (len(sensor_us) / 10.0)) ** 0.5
+    if abs(drift_ppm) - 2 * sd_ppm > NO_CRYSTAL_PPM:
+        text = (
+            f"the sensor clock runs {1.0 / (1.0 + drift_ppm * 1e-6):.2f} times as fast as this "
+            "machine's: so it does on a bus time that waits for nodes (up, demo, pace) or has "
+            "another --speed; of hardware, is it in microseconds?"
+        )
+        return Finding(GROUP, "drift", Verdict.BAD, text)
     text = f"{drift_ppm:+.0f} +- {2 * sd_ppm:.0f} ppm between this machine and the sensor clock"
     if span_s < LONG_ENOUGH_S or 2 * sd_ppm > MOST_DRIFT_PPM:
         why = "listen longer (--seconds)"

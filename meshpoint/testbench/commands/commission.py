@@ -32,16 +32,17 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "commission",
-        description="On a box that stands, with air: drives each valve once for 0.3 s, after a yes "
-        "of its own, and says which sleeve moved which way, what is miswired, and how long valves "
-        "and sleeves take. Writes a data sheet with what was measured. All other outputs are off "
-        "in every frame; a pulse ends when a shaft turns, air fails or an input is lost. Run "
-        "`meshpoint check --turn` first: it names sensors that are exchanged. docs/bench.md.",
+        description="On a box that stands, with air: drives each valve once for 0.3 s, after you "
+        "have said yes to it, and says which sleeve moved which way, what is miswired, and how "
+        "long valves and sleeves take. Writes a data sheet with what was measured. All other "
+        "outputs are off in every frame; a pulse ends when a shaft turns, air fails or an input "
+        "is lost. Run `meshpoint check --turn` first: it names sensors that are exchanged. "
+        "docs/bench.md.",
     )
     parser.add_argument(
         "--yes",
         action="store_true",
-        help="drive every output without asking: nobody near it",
+        help="drive every output without asking: nobody may be near the gearbox",
     )
     parser.add_argument(
         "--out",

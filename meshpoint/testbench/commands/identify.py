@@ -38,7 +38,7 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "identify",
-        description="Works out from a log what the gearbox is like that it is of: brake, valve, "
+        description="Works out from a log what its gearbox is like: brake, valve, "
         "drag, inertia ratio, sleeve delays, kiss point, teeth, each with a 95 % interval; and "
         "says what the log does not tell, and why. Sensor frames and valve commands are used, "
         "whoever sent them (docs/replay.md).",

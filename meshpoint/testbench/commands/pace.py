@@ -20,8 +20,8 @@ def add_parser(commands: Any) -> None:
     parser: argparse.ArgumentParser = commands.add_parser(
         "pace",
         description="Writes a bus time to FILE until SIGINT or SIGTERM; give every node "
-        "`--pace FILE` and the same --speed. Time goes with the wall clock, but never further than "
-        "every node has promised to look at it again. `demo` does this by itself.",
+        "`--pace FILE` and the same --speed. Bus time goes with the wall clock, but waits wherever "
+        "a node has not done its step yet. `demo` and `up` do this by themselves.",
     )
     parser.add_argument("file", type=Path, metavar="FILE", help="made anew; removed at the end")
     arguments.add_speed(parser)

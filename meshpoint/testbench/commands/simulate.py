@@ -50,6 +50,7 @@ from meshpoint.testbench.results.output import (
     complain_of_strategy,
     console,
     rows_table,
+    shown,
     write_json,
 )
 from meshpoint.testbench.results.rows import ShiftRow, summarise
@@ -270,7 +271,7 @@ def _write_results(
 def _show(out: Console, setup: Setup, result: Result) -> None:
     """Rows, summary and estimators as people read them."""
     name = setup.settings.strategy_name
-    out.print(rows_table(f"{name}, seed {setup.seed}", result.rows))
+    out.print(rows_table(f"{shown(name)}, seed {setup.seed}", result.rows))
     out.print()
     groups = compare({name: result.rows})
     out.print(comparison_table(groups))

@@ -28,8 +28,8 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser(
         "watch",
-        description="Gear, speeds, the tooth against the gap, valves, sleeves, air, the rate and "
-        "age of every message (red: not to be relied on), the last shifts and what happened, in "
+        description="Gear, speeds, the tooth against the gap, valves, sleeves, air, each message's "
+        "rate and its age in ms (red: not to be relied on), the last shifts and what happened, in "
         "80 x 24 characters. It only listens: nothing is sent. With LOG it plays the log; "
         "`--speed 0` draws its end at once. Without a terminal it draws the last picture alone.",
     )

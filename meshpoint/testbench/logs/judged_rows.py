@@ -10,7 +10,7 @@ from rich.table import Table
 
 from meshpoint.testbench.logs.counterfactual import Counterfactual
 from meshpoint.testbench.logs.decisions import Decision, Judged, rounded
-from meshpoint.testbench.results.output import broken
+from meshpoint.testbench.results.output import broken, counted
 from meshpoint.testbench.results.rows import ShiftRow
 
 FIRING: Final = ("strategy", "reference", "fired_ms", "predicted_phase_deg")
@@ -124,7 +124,7 @@ def _landings(judged: Sequence[Judged], asked: str) -> str:
     if not told:
         return f"where {asked} would have met is not in it"
     return (
-        f"where {asked} would have met is worked out for {len(told)} shifts (95 % intervals): "
+        f"where {asked} would have met is worked out for {counted(len(told))} (95 % intervals): "
         f"{sum(told):.1f} first contacts in a gap are expected of these"
     )
 

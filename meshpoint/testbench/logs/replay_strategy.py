@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from meshpoint.controller.calibration.file import read_file
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ControllerSettings, load_settings
-from meshpoint.controller.strategy_file import FORM, StrategyFile
+from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import key_of, load_toml
 from meshpoint.testbench.logs.replay import NotVerifiableError
@@ -63,8 +63,8 @@ def recorded_header(header: RunHeader, chosen: Chosen | None, verify: bool) -> R
         return header
     if chosen is None:
         raise NotVerifiableError(
-            f"own strategy {was.name} is missing: the log was made with a user's own, name its "
-            f"file with --strategy {FORM}"
+            f"the log was made with a strategy of the user's own, whose file a log does not bring "
+            f"along: name it with --strategy {was.name}"
         )
     raise NotVerifiableError(
         f"own strategy {was.name} made this log: without it the state in which each shift was "

@@ -25,7 +25,7 @@ THESIS: Final = "thesis"
 EVERY_S: Final = 5.0
 """Between two lines where they do not overwrite each other."""
 
-FIRST_LINE: Final = "compiling kernels, once on this machine: ten seconds to a minute, by its load"
+FIRST_LINE: Final = "compiling kernels, once on this machine: a minute, beside other work several"
 
 
 class Progress:

@@ -26,6 +26,7 @@ from meshpoint.bus.driver import run_node
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.bus.options import IN_PROCESS
 from meshpoint.bus.pace import PacedClock, PaceFile
+from meshpoint.bus.slowness import times_slower
 from meshpoint.controller import node as controller_node
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.node import run_controller
@@ -49,6 +50,8 @@ from meshpoint.testbench.results.monitor import Monitor
 BENCH_ADDRESS = 0xF9
 FLUSH_US = 1_000_000
 POLL_S = 0.05
+MOST_POLLS = 20.0
+"""As many times longer it is waited between two looks on a slow machine, at most."""
 END_S = 15.0
 OF_ADDRESS = {
     **dict.fromkeys(rig_node.ADDRESSES, "rig"),
@@ -300,21 +303,26 @@ async def _until_heard(
     """Waits until both nodes are on the bus; each is given a time to run, however long that takes
     on this machine."""
     own = {name: OwnTime() for name in NODE_NAMES}
+    slow = times_slower()
+    limit_s, poll_s = START_S * slow, POLL_S * min(slow, MOST_POLLS)
     while result.monitor.status is None or result.heard.missing():
         before_s = perf_counter()
-        await asyncio.sleep(POLL_S)
+        await asyncio.sleep(poll_s)
         _check(recorder)
         _check_nodes(nodes)
         clocks.check()
         for name, time in own.items():
             node = nodes.get(name)
             process = None if node is None or isinstance(node, asyncio.Task) else node.pid
-            passed_s = min(perf_counter() - before_s, 2 * POLL_S)
+            passed_s = min(perf_counter() - before_s, 2 * poll_s)
             time.look(None if process is None else taken(process), passed_s)
         missing = result.heard.missing()
-        late = [name for name, time in own.items() if time.seconds > START_S]
+        late = [name for name, time in own.items() if time.seconds > limit_s]
         if late and set(late) & set(missing or late):
-            raise RunError(not_started(missing or late))
+            slow_s = START_S * times_slower()
+            if slow_s <= limit_s:
+                raise RunError(not_started(missing or late, limit_s))
+            limit_s = slow_s  # it has become slower meanwhile
 
 
 def _check(task: asyncio.Task[object]) -> None:
@@ -348,6 +356,7 @@ async def _until_done(session: LiveSession) -> None:
 
 async def _end_nodes(nodes: Nodes, stop: asyncio.Event) -> None:
     stop.set()
+    limit_s = END_S * times_slower()
     for node in nodes.values():
         if isinstance(node, asyncio.Task):
             continue
@@ -356,10 +365,10 @@ async def _end_nodes(nodes: Nodes, stop: asyncio.Event) -> None:
                 node.terminate()
     for node in nodes.values():
         if isinstance(node, asyncio.Task):
-            await asyncio.wait([node], timeout=END_S)
+            await asyncio.wait([node], timeout=limit_s)
             continue
         try:
-            await asyncio.wait_for(node.wait(), END_S)
+            await asyncio.wait_for(node.wait(), limit_s)
         except TimeoutError:
             # It may have ended between the time-out and here.
             with suppress(ProcessLookupError):

@@ -2,7 +2,9 @@
 
 A node that starts is measured by its own time: the processor time that it had, and the time in
 which it asked for none. What it spent ready to run, but without a processor, does not count, so a
-busy machine makes a start slow, not late. Once the bus runs, what counts is bus time.
+busy machine makes a start slow, not late. An emulated machine does not know when it was kept from
+running, and is slow itself: its limits are longer by how much slower it computes. Once the bus
+runs, what counts is bus time.
 """
 
 from __future__ import annotations
@@ -84,12 +86,12 @@ class Heard:
         return [name for name, at_us in self._last_us.items() if now_us - at_us > NODE_QUIET_US]
 
 
-def not_started(missing: list[str]) -> str:
-    """Says which side was late, and what to do."""
+def not_started(missing: list[str], limit_s: float) -> str:
+    """Says which side was late, after how many seconds of its own time, and what to do."""
     late = " and ".join(missing)
     alone = " or ".join(f"meshpoint {name}" for name in missing)
     return (
-        f"{late} not heard on the bus after {START_S:.0f} s of time to run: see what was said "
+        f"{late} not heard on the bus after {limit_s:.0f} s of time to run: see what was said "
         f"above, or start it by hand ({alone}) and see what it says"
     )
 

@@ -17,11 +17,11 @@ from rich.table import Table
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.report.overview import wilson
-from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.results.output import shown
+from meshpoint.testbench.results.rows import ShiftRow, summarise
 
 LEARNING: Final = "learning"
 AIMED_KIND: Final = "aimed"
-AIMS: Final = "target_phase"
 HEADERS: Final = (
     "shifts", "strategy", "into\nthe gap", "95 %\ninterval", "phase error\nRMS, deg", "mean\nms",
 )  # fmt: skip
@@ -66,8 +66,11 @@ def compare(runs: Mapping[str, Sequence[ShiftRow]]) -> list[ShiftGroup]:
     ]
     aimed = set.intersection(*known) if known else set()
     unknown = set().union(*(set(rows) for rows in keyed.values())) - aimed
+    kinds = {name: summarise(name, list(rows)).aims for name, rows in runs.items()}
     groups = [
-        _group(kind, name, [row for place, row in rows.items() if place in places])
+        _group(
+            kind, name, [row for place, row in rows.items() if place in places], aims=kinds[name]
+        )
         for kind, places in ((LEARNING, unknown), (AIMED_KIND, aimed))
         for name, rows in keyed.items()
     ]
@@ -85,11 +88,11 @@ def _by_place(rows: Sequence[ShiftRow]) -> dict[tuple[int, int, int], ShiftRow]:
     return found
 
 
-def _group(kind: str, strategy: str, rows: list[ShiftRow]) -> ShiftGroup:
+def _group(kind: str, strategy: str, rows: list[ShiftRow], *, aims: bool) -> ShiftGroup:
     errors = [row.phase_error_deg for row in rows if row.phase_error_deg is not None]
     durations = [row.duration_ms for row in rows if row.result == "engaged"]
     rms = None
-    if strategy == AIMS and kind == AIMED_KIND and errors:
+    if aims and kind == AIMED_KIND and errors:
         rms = math.sqrt(sum(error * error for error in errors) / len(errors))
     return ShiftGroup(
         kind=kind,
@@ -106,9 +109,11 @@ def _group(kind: str, strategy: str, rows: list[ShiftRow]) -> ShiftGroup:
 def explain(groups: Sequence[ShiftGroup], sheet: GearboxSheet) -> list[str]:
     """What the groups are, and what luck alone would do."""
     lines = []
+    several = len({group.strategy for group in groups}) > 1
     if any(group.kind == LEARNING for group in groups):
-        lines.append("learning: the gear's phase reference was not known yet, in one run or more.")
-    if len({group.strategy for group in groups}) > 1:
+        unless = ", or not with every strategy" if several else ""
+        lines.append(f"learning: the gear's phase reference was not known yet{unless}.")
+    if several:
         lines.append("aimed: the reference was known to both strategies at this shift of the plan.")
     elif any(group.kind == AIMED_KIND for group in groups):
         lines.append("aimed: the gear's phase reference was known.")
@@ -134,7 +139,12 @@ def comparison_table(groups: Sequence[ShiftGroup]) -> Table:
     table = Table(title="summary", title_justify="left", box=None, pad_edge=False)
     for column in HEADERS:
         left = column in ("shifts", "strategy")
-        table.add_column(column, justify="left" if left else "right", no_wrap=True)
+        table.add_column(
+            column,
+            justify="left" if left else "right",
+            no_wrap=column != "strategy",
+            overflow="fold",
+        )
     for group in groups:
-        table.add_row(group.kind, group.strategy, *cells(group))
+        table.add_row(group.kind, shown(group.strategy), *cells(group))
     return table

@@ -101,7 +101,7 @@ def _size(groups: Sequence[ShiftGroup]) -> list[str]:
     fewest = min((group.shifts for group in groups), default=0)
     if not groups or fewest >= FEW:
         return []
-    return [f"Small sample: with fewer than {FEW} shifts in a row, only its interval is meant."]
+    return [f"Small sample: a row of fewer than {FEW} shifts is to be judged by its interval."]
 
 
 SHIFT_HEAD: Final = [

@@ -18,7 +18,7 @@ from meshpoint.testbench.report.motion import geometry
 from meshpoint.testbench.report.overview import contacts_figure, predictions_figure, shift_key
 from meshpoint.testbench.report.page import page, shift_words
 from meshpoint.testbench.report.run import Report, ReportRun
-from meshpoint.testbench.results.output import check_writable, folder_for
+from meshpoint.testbench.results.output import check_writable, folder_for, shown
 from meshpoint.testbench.results.rows import is_aimed
 from meshpoint.testbench.version import product_version
 
@@ -64,8 +64,8 @@ def aim_rad(header: RunHeader) -> float:
 def estimator_notes(name: str, figures: dict[str, Any]) -> list[str]:
     """What `EstimationScore.figures` says, in words."""
     return [
-        f"{name}, estimator {estimator}: angle RMS {values['angle_rms_deg']:.3f} deg, speed RMS "
-        f"{values['speed_rms_rpm']:.2f} rpm at the layshaft, from neutral to contact"
+        f"{shown(name)}, estimator {estimator}: angle RMS {values['angle_rms_deg']:.3f} deg, "
+        f"speed RMS {values['speed_rms_rpm']:.2f} rpm at the layshaft, from neutral to contact"
         for estimator, values in figures.items()
         if values["samples"]
     ]

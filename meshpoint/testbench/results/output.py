@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 from rich.table import Table
 
+from meshpoint.controller.strategy_file import is_file_name
 from meshpoint.testbench.errors import CommandError
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ def complain(line: str) -> None:
 def complain_of_strategy(errors: Mapping[str, int]) -> None:
     """What was wrong with a user's own strategy, and how many shifts it ended."""
     for line, shifts in errors.items():
-        complain(f"own strategy: {line} ({shifts} shift{'s' if shifts > 1 else ''} ended of it)")
+        complain(f"own strategy: {line} ({counted(shifts)} ended of it)")
 
 
 def console(json_target: str | None = None) -> Console:
@@ -84,10 +85,21 @@ def check_writable(target: str | None) -> None:
         raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
+def shown(strategy: str) -> str:
+    """A strategy's name as tables have it: of a file of the user's own without its folder."""
+    folder, _, name = strategy.replace("\\", "/").rpartition("/")
+    return name if folder and is_file_name(name) else strategy
+
+
+def counted(shifts: int) -> str:
+    """So many shifts, in words."""
+    return f"{shifts} shift" if shifts == 1 else f"{shifts} shifts"
+
+
 def broken(name: str, longest: int = 14) -> str:
-    """A name with underscores in lines of at most so many characters, where its words allow."""
+    """A strategy's name in lines of at most so many characters, where its words allow."""
     lines = [""]
-    for part in name.replace("_", "_\n").split("\n"):
+    for part in shown(name).replace("_", "_\n").replace(":", ":\n").split("\n"):
         if lines[-1] and len(lines[-1] + part) > longest:
             lines.append("")
         lines[-1] += part
@@ -106,7 +118,7 @@ def cells(row: ShiftRow) -> list[str]:
     return [
         str(row.from_),
         str(row.to),
-        row.strategy,
+        shown(row.strategy),
         row.reference,
         f"{row.duration_ms:.0f}",
         _number(row.slip_rpm, 1, signed=True),

@@ -7,6 +7,7 @@ can be repeated; where there is none, it is said that it cannot be decided, and 
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -14,8 +15,10 @@ from typing import Any, Final
 from meshpoint.testbench.logs.judged_rows import JudgedRow
 from meshpoint.testbench.logs.sleeve_contacts import SeenShift
 from meshpoint.testbench.report.overview import wilson
+from meshpoint.testbench.results.output import counted
 from meshpoint.testbench.results.road_speed import span_us
 
+NUMBER: Final = re.compile(r"\d+(?:\.\d+)?")
 LATE_US: Final = 50_000
 """A frame may show a sleeve in gear so long after the controller has said so."""
 
@@ -56,7 +59,7 @@ class Answer:
             return "the log shows no shift with a contact: nothing can be said of either controller"
         was = f"{100 * self.gaps / self.shifts:.0f} %"
         bounds = self.interval
-        reasons = "; ".join(f"{n} x {why}" for why, n in self.why_not.most_common())
+        reasons = "; ".join(f"{n} x {why}" for why, n in _alike(self.why_not).most_common())
         if bounds is None:
             return (
                 f"met the gap in {self.gaps} of {self.shifts} ({was}); what {self.other} would "
@@ -67,7 +70,7 @@ class Answer:
         text = (
             f"{self.other} would have met the gap {then:.0f} -> "
             f"{100 * self.expected / self.decided:.0f} % ({low:.0f} to {high:.0f} %) in the "
-            f"{self.decided} shifts that can be decided; recorded: {self.gaps} of {self.shifts} "
+            f"{counted(self.decided)} that can be decided; recorded: {self.gaps} of {self.shifts} "
             f"({was})"
         )
         return f"{text}; not decidable: {reasons}" if reasons else text
@@ -86,6 +89,25 @@ class Answer:
             "not_decidable": dict(self.why_not),
             "sentence": self.sentence,
         }
+
+
+def _alike(reasons: Counter[str]) -> Counter[str]:
+    """Reasons that differ in their numbers alone as one, with the range of each number."""
+    kinds: dict[str, list[str]] = {}
+    for why in reasons:
+        kinds.setdefault(NUMBER.sub("#", why), []).append(why)
+    merged: Counter[str] = Counter()
+    for members in kinds.values():
+        columns = zip(*(NUMBER.findall(why) for why in members), strict=True)
+        ranges = [_range(sorted(set(column), key=float)) for column in columns]
+        words = NUMBER.split(members[0])
+        text = words[0] + "".join(a + b for a, b in zip(ranges, words[1:], strict=True))
+        merged[text] = sum(reasons[why] for why in members)
+    return merged
+
+
+def _range(numbers: list[str]) -> str:
+    return numbers[0] if len(numbers) == 1 else f"{numbers[0]} to {numbers[-1]}"
 
 
 def of_judged(rows: list[JudgedRow], seen: list[SeenShift], other: str) -> Answer:

@@ -228,7 +228,7 @@ class Panel:
         if sensors is None:
             return text.append("no sensor side heard", style="yellow")
         brake, supply = sensors.brake_pressure_pa / BAR, sensors.supply_pressure_pa / BAR
-        text.append(f"brake {brake:4.1f} bar  supply {supply:4.1f} bar  ")
+        text.append(f"brake {brake:4.1f} bar(a)  supply {supply:4.1f} bar(a)  ")
         text.append(f"oil {sensors.oil_temperature_k - 273.15:3.0f} degC  ")
         return text.append(f"clutch {100 * sensors.clutch_position_fraction:3.0f} % closed")
 
