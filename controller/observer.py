@@ -15,7 +15,7 @@ from meshpoint.controller.estimation.crossing_tracker import CrossingTracker
 from meshpoint.controller.estimation.cruise import CruiseTracker
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels, LayshaftTracker
-from meshpoint.controller.estimation.main_tracker import MainTracker
+from meshpoint.controller.estimation.main_tracker import Behind, MainTracker
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kinematics import are_finite
@@ -110,6 +110,7 @@ class Observer:
                 wheels.main.missing,
                 self._propeller_wheel,
                 (sheet.range_.low.ratio, sheet.range_.high.ratio),
+                Behind(sheet.axle, sheet.dog.backlash_rad / 2.0),
             )
             self.recovery = ReferenceRecovery(sheet, self.references, layshaft.teeth, main.teeth)
         else:
@@ -163,8 +164,7 @@ class Observer:
         """What a calibration file keeps of the driveline's swing."""
         if not isinstance(self._main, MainTracker):
             return SwingRecords()
-        swings = self._main.swings
-        return SwingRecords(swings[Range.LOW].record(), swings[Range.HIGH].record())
+        return SwingRecords(self._main.record(Range.LOW), self._main.record(Range.HIGH))
 
     def take_swings(self, records: SwingRecords) -> None:
         """Sets the driveline's swing as learned in earlier runs."""
@@ -172,7 +172,7 @@ class Observer:
             return
         for step, record in ((Range.LOW, records.low), (Range.HIGH, records.high)):
             if record is not None:
-                self._main.swings[step].restore(record)
+                self._main.restore(step, record)
 
     def _model_layshaft(self) -> None:
         sheet, split = self._sheet, self._split
@@ -321,7 +321,7 @@ class Observer:
         was_free = self.layshaft.free
         self.layshaft.set_free(free, newest.time_us, events)
         if isinstance(self._main, MainTracker):
-            self._main.set_free(free, view.range_, events)
+            self._main.set_free(free, view.range_, events, view.oldest_us)
         if was_free and not free:
             self._model_layshaft()
 

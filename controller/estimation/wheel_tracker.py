@@ -100,9 +100,13 @@ class WheelTracker(ABC):
         if teeth.learner.running:
             if wheel is not None:
                 wheel.learn(self._filter, self._start_p, pressures, switches, model)
-            teeth.learner.take(batch, place, pressures, switches, model)
+            teeth.learner.take(batch, place, pressures, switches, self._teeth_motion(model))
             if teeth.look():
                 self._teeth_found()
+
+    def _teeth_motion(self, model: RecordMemory) -> RecordMemory:
+        """The model by which teeth are learned, where `model` is the filter's."""
+        return model
 
     def _teeth_found(self) -> None:
         """The tooth errors have just become known, so the angles of edges change by up to the error
