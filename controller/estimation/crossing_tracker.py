@@ -93,6 +93,14 @@ class CrossingTracker(WheelTracker):
             raise RuntimeError("the layshaft's model has not been set")
         return self._model
 
+    def drag_nm(self, omega_rad_s: float) -> float:
+        """Torque that brakes the free layshaft at a speed: the sheet's friction, and the drag that
+        was learned (Nm, positive)."""
+        if self._model is None:
+            return 0.0
+        friction = float(self._model.part("friction_per_s")[0]) * self._inertia_kgm2
+        return max(0.0, friction * abs(omega_rad_s) - self._known.drag_nm.value)
+
     @property
     def disturbance(self) -> Disturbance:
         """The torques that the model leaves out, as learned."""

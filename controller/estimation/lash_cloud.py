@@ -16,7 +16,6 @@ is added to a cloud drawn anew are its numbers in another order.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
 from functools import cache
 from statistics import NormalDist
 from typing import Final, NamedTuple
@@ -66,10 +65,11 @@ DRAG_CHANGE: Final = 4.0
 """and density of its change (rad2/s5)."""
 LEAST_DRAG: Final = 0.5
 """Drag is never less (rad/s2): it always slows a shaft down."""
-LEAST_SDS: Final = (0.1, 0.25, 0.12, 0.3)
-"""Stiffness, loss, backlash and drag are never known better than this, in their logarithms."""
-GROWTH: Final = 1.1
-"""Deviations grow by this from shift to shift."""
+SEEN_SDS: Final = (0.2, 0.5, 0.5, 0.5)
+"""What one window tells of stiffness, loss, backlash and drag counts as no surer than this, in
+their logarithms: a shaft that met no flank tells little, and its cloud does not know how little."""
+LEAST_SHARE_SD: Final = 0.5
+"""They are never known better than by this share of what the sheet leaves open."""
 PRIMES: Final = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29)
 DRAWN: Final = (WAY, WHEELS, TYRE, VEHICLE, HILL)
 """What a cloud drawn anew gets its kernel in; beside the shares that follow."""
@@ -86,8 +86,7 @@ class LashStart(NamedTuple):
     """The vehicle's speed at the main shaft: the shaft's mean speed before."""
 
 
-@dataclass(frozen=True)
-class LashFigures:
+class LashFigures(NamedTuple):
     """What is known of a driveline in one step of the range, at the main shaft: logarithms with
     their standard deviations."""
 
@@ -128,8 +127,8 @@ class Lash:
 
     def restore(self, half_rad: float, half_sd: float) -> None:
         """Starts from the half backlash that an earlier run learned."""
-        sd = min(self.prior.half_sd, max(LEAST_SDS[2], half_sd))
-        self.known = replace(self.known, half_log=math.log(half_rad), half_sd=sd)
+        sd = min(self.prior.half_sd, max(LEAST_SHARE_SD * self.prior.half_sd, half_sd))
+        self.known = self.known._replace(half_log=math.log(half_rad), half_sd=sd)
 
     def model(self, speed_rad_s: float) -> LashModel:
         """What is taken as known, at a speed of the main shaft."""
@@ -170,18 +169,17 @@ class Lash:
 
     def learn(self, cloud: LashCloud) -> None:
         """Takes over what a window has shown."""
-        prior, learned = self.prior, []
-        before = (prior.stiff_log, prior.stiff_sd, prior.loss_log, prior.loss_sd)
-        before += (prior.half_log, prior.half_sd, prior.drag_log, prior.drag_sd)
+        learned: list[float] = []
         for k, row in enumerate((STIFF, LOSS, HALF, DRAG)):
             log, sd = cloud.log_figure(row)
-            middle, most = before[2 * k : 2 * k + 2]
             if not (math.isfinite(log) and math.isfinite(sd)):
                 return
-            learned += [
-                min(max(log, middle - 3.0 * most), middle + 3.0 * most),
-                min(most, max(LEAST_SDS[k], GROWTH * sd)),
-            ]
+            middle, most = self.prior[2 * k : 2 * k + 2]
+            before, before_sd = self.known[2 * k : 2 * k + 2]
+            gain = before_sd**2 / (before_sd**2 + max(sd, SEEN_SDS[k]) ** 2)
+            after = before + gain * (log - before)
+            after_sd = max(before_sd * math.sqrt(1.0 - gain), LEAST_SHARE_SD * most)
+            learned += [min(max(after, middle - 2.0 * most), middle + 2.0 * most), after_sd]
         self.known = LashFigures(*learned)
 
 
