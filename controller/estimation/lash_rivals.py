@@ -11,8 +11,8 @@ from meshpoint.controller.records import Vector
 
 AHEAD_US: Final = 45_000.0
 """A sleeve takes this long to its gear, so predictions are compared so far ahead."""
-MOST_SQUARES: Final = 16.0
-"""A prediction off by more than four standard deviations counts as off by four."""
+LUCK: Final = 0.05
+"""A prediction is never taken for quite wrong."""
 FORGET: Final = 0.8
 """Weight of earlier windows against a new one."""
 BELIEVED: Final = 5.0
@@ -60,8 +60,9 @@ class LashRivals:
         """Both predictions of the angle `AHEAD_US` after a time."""
         self._open.append((from_us + AHEAD_US, swing, lash))
 
-    def judge(self, edges: Vector, tooth_rad: float) -> None:
-        """Compares the predictions whose time has come with the edges, (2, n)."""
+    def judge(self, edges: Vector, within_rad: float) -> None:
+        """Compares the predictions whose time has come with the edges, (2, n): how probable each
+        made it that the angle is so near."""
         if not edges.shape[1]:
             return
         if self._newest is not None:
@@ -70,7 +71,7 @@ class LashRivals:
         while self._open and self._open[0][0] <= edges[0, -1]:
             time_us, swing, lash = self._open.pop(0)
             angle = float(np.interp(time_us, edges[0], edges[1]))
-            self._window += _misfit(swing, angle, tooth_rad) - _misfit(lash, angle, tooth_rad)
+            self._window += _misfit(swing, angle, within_rad) - _misfit(lash, angle, within_rad)
 
     def end(self) -> None:
         """The window is over. Predictions overlap: those of one horizon count as one."""
@@ -81,7 +82,9 @@ STEP_SHARE: Final = 10_000.0 / AHEAD_US
 """Time from one prediction to the next over the horizon."""
 
 
-def _misfit(predicted: Prediction, angle_rad: float, tooth_rad: float) -> float:
-    variance = predicted.sd_rad**2 + tooth_rad**2
+def _misfit(predicted: Prediction, angle_rad: float, within_rad: float) -> float:
+    """Minus twice the logarithm of the probability given to the angle within half a gap."""
+    scale = 1.0 / (math.sqrt(2.0) * predicted.sd_rad)
     off = angle_rad - predicted.angle_rad
-    return min(off * off / variance, MOST_SQUARES) + math.log(variance)
+    share = math.erf((off + within_rad) * scale) - math.erf((off - within_rad) * scale)
+    return -2.0 * math.log(LUCK + (1.0 - LUCK) * 0.5 * share)

@@ -114,7 +114,7 @@ class MainTracker(WheelTracker):
         self._cloud.take(edges, tooth_rad)
         course = self._cloud.course(self._half_gap_rad)
         self._course = (self._cloud.time_us, course)
-        rivals.judge(edges, tooth_rad)
+        rivals.judge(edges, self._half_gap_rad)
         if course is not None:
             state = self._filter
             wait_s = AHEAD_US * US

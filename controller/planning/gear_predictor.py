@@ -89,8 +89,8 @@ class GearPredictor:
         angle and speed, and from the scatter of the sleeve's delay."""
         layshaft_sd = self._layshaft_sd_rad(time_us)
         slip = self.slip_rad_s(time_us)
-        angles = math.hypot(self.i_gear * layshaft_sd, self._main_sd_rad(time_us))
-        return math.hypot(self.spread_share * angles, slip * self.delay_sd_s)
+        layshaft = self.spread_share * self.i_gear * layshaft_sd
+        return math.hypot(layshaft, self._main_sd_rad(time_us), slip * self.delay_sd_s)
 
     def _layshaft_sd_rad(self, time_us: float) -> float:
         state = self.layshaft
@@ -101,19 +101,22 @@ class GearPredictor:
 
     def estimate_variance(self, time_us: float) -> float:
         """Variance (rad2) of the phase at a time, without the part from the sleeve's delay."""
-        sd = math.hypot(self.i_gear * self._layshaft_sd_rad(time_us), self._main_sd_rad(time_us))
-        return (self.spread_share * sd) ** 2
+        layshaft = self.spread_share * self.i_gear * self._layshaft_sd_rad(time_us)
+        return math.hypot(layshaft, self._main_sd_rad(time_us)) ** 2
 
     def variances(self, first_us: float, step_us: float, count: int) -> Vector:
         """Variances (rad2) of the phase at equal steps of time, without the part from the sleeve's
         delay: each as predicted by what will be known when its firing has to be decided."""
-        layshaft = (self.i_gear * self._layshaft_sd_rad(first_us)) ** 2
-        main = self.main.variances(first_us, step_us, count)
-        scaled: Vector = self.spread_share**2 * (layshaft + main)
-        return scaled
+        layshaft = (self.spread_share * self.i_gear * self._layshaft_sd_rad(first_us)) ** 2
+        scaled: Vector = self._main_share**2 * self.main.variances(first_us, step_us, count)
+        return scaled + layshaft
 
     def _main_sd_rad(self, time_us: float) -> float:
-        return self.main.theta_sd_at(time_us)
+        return self._main_share * self.main.theta_sd_at(time_us)
+
+    @property
+    def _main_share(self) -> float:
+        return 1.0 if self.main.is_by_cloud else self.spread_share
 
     def trajectory(
         self, first_us: float, step_us: float, count: int, release_us: float | None = None
