@@ -18,7 +18,12 @@ from meshpoint.controller.estimation.free_run import EDGE_TIME, MEMORY, TORQUE, 
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels
 from meshpoint.controller.estimation.likelihood import prior, restored
-from meshpoint.controller.estimation.wheel_tracker import HEED, STRUCK_RAD_S, WheelTracker
+from meshpoint.controller.estimation.wheel_tracker import (
+    HEED,
+    LEAST_RAD_S,
+    STRUCK_RAD_S,
+    WheelTracker,
+)
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kernels import (
     DISTURBANCE,
@@ -149,7 +154,10 @@ class CrossingTracker(WheelTracker):
 
     def latest(self) -> LayshaftState:
         """The state at the newest edge; where a prediction starts. Valid only while `free`."""
-        return self._filter.latest()
+        state = self._filter.latest()
+        omega = max(abs(state.omega_rad_s), LEAST_RAD_S)
+        edge_rad2 = (omega * self.noise[EDGE_TIME].value) ** 2 + self.teeth.sd_rad**2
+        return state._replace(edge_rad2_s=edge_rad2 * self._half_pitch_rad / omega)
 
     def _teeth_found(self) -> None:
         super()._teeth_found()

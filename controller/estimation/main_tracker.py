@@ -22,7 +22,12 @@ from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Pr
 from meshpoint.controller.estimation.lash_start import StartWatch
 from meshpoint.controller.estimation.likelihood import prior, restored
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
-from meshpoint.controller.estimation.wheel_tracker import HEED, STRUCK_RAD_S, WheelTracker
+from meshpoint.controller.estimation.wheel_tracker import (
+    HEED,
+    LEAST_RAD_S,
+    STRUCK_RAD_S,
+    WheelTracker,
+)
 from meshpoint.controller.motion.kernels import OMEGA, THETA
 from meshpoint.controller.motion.lash_course import LashCourse
 from meshpoint.controller.motion.lash_motion import VEHICLE
@@ -41,9 +46,6 @@ STILL: Final = ModeRates(1.0, 0.5, 0.0)
 
 RELEASED_SHARE: Final = 0.1
 """Standard deviation of the speed when a gear comes out, as a share of it."""
-
-LEAST_RAD_S: Final = 1.0
-"""A slower shaft counts as this fast where the time from edge to edge is asked for."""
 
 
 class Behind(NamedTuple):

@@ -18,6 +18,8 @@ from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 
+LEAST_RAD_S: Final = 1.0
+"""A slower shaft counts as this fast where the time from edge to edge is asked for."""
 STRUCK_RAD_S: Final = 5.0
 """Standard deviation of the step that a flank's impact makes in a shaft's speed (48 rpm)."""
 
