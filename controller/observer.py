@@ -44,7 +44,7 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
-from meshpoint.units import US
+from meshpoint.units import SECOND_US, US
 
 DRAGGED_US = 30_000
 """For this long after a change of splitter or range, edges from during the change still arrive."""
@@ -240,13 +240,14 @@ class Observer:
         self._main_dragged, self._dragged = main, layshaft or main
 
     def _sensors(self, sensors: list[GearboxSensors], now_us: int) -> Pressures:
-        """Clutch, air supply, and the brake's pressure, gauge."""
+        """Clutch, air supply, and the brake's pressure, gauge, at the times that it was so."""
         atmosphere_pa = self._sheet.air.atmosphere_pa
+        lag_us = self._sheet.air.sensor_lag_s * SECOND_US
         time_us = np.empty(len(sensors))
         pressure_pa = np.empty(len(sensors))
         for k, sample in enumerate(sensors):
             sampled_us = self._sampled_us(sample.sample_time_us, now_us)
-            time_us[k] = sampled_us
+            time_us[k] = sampled_us - lag_us
             self.view.clutch.take(sampled_us, sample.clutch_position_fraction)
             gauge_pa = sample.brake_pressure_pa - atmosphere_pa
             pressure_pa[k] = self._zero.take(sampled_us, gauge_pa, self._brake_driven)

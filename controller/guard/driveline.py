@@ -28,8 +28,6 @@ NO_OVERRIDE, SPEED_CONTROL, TORQUE_CONTROL = range(3)
 """TSC1's control modes that the guard knows; limits are not passed."""
 TORQUE_BYTE: Final = 3
 TORQUE_OFFSET: Final = 125
-FINE_BYTE: Final = 5
-MOST_EIGHTHS: Final = 7
 PER_CENT: Final = 0.01
 TORQUE_NOISE: Final = 1.5 * PER_CENT
 """A step of the signal, and half a one for rounding."""
@@ -65,9 +63,7 @@ def decode_engine(payload: bytes) -> EngineWish:
     if len(payload) != ENGINE_LENGTH:
         raise ValueError(f"TSC1 of {len(payload)} bytes, allowed is {ENGINE_LENGTH}")
     speed = int.from_bytes(payload[SPEED_BYTES], "little") * SPEED_STEP_RAD_S
-    eighths = payload[FINE_BYTE] & 0x0F
-    fine = 0.125 * eighths if eighths <= MOST_EIGHTHS else 0.0
-    torque = (payload[TORQUE_BYTE] - TORQUE_OFFSET + fine) * PER_CENT
+    torque = (payload[TORQUE_BYTE] - TORQUE_OFFSET) * PER_CENT
     return EngineWish(payload[0] & MODE_BITS, speed, torque)
 
 

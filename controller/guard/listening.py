@@ -70,7 +70,6 @@ OVER_SPAN_S: Final = OVER_SAMPLES * SAMPLE_S
 """A sleeve's speed is taken over so many samples of 1 ms."""
 ENGINE_AT, ENGINE_STEP_RAD_S = 3, 0.125 * math.pi / 30.0
 TORQUE_AT, TORQUE_OFFSET, TORQUE_STEPS = 2, 125, 0xFA
-FINE_AT, FINE_SHIFT, MOST_EIGHTHS = 0, 4, 7
 ENGINE_STEPS: Final = 0xFAFF
 """Above this a J1939 word says that there is no value."""
 GEAR_AT, GEAR_OFFSET, GEAR_STEPS = 2, 125, 0xFA
@@ -214,12 +213,11 @@ class GuardEar:
             return
         if frame.can_id == ENGINE_SPEED:
             (raw,) = _word(data, ENGINE_AT)
-            torque, eighths = data[TORQUE_AT], data[FINE_AT] >> FINE_SHIFT
-            percent = torque - TORQUE_OFFSET + (eighths / 8 if eighths <= MOST_EIGHTHS else 0)
+            torque = data[TORQUE_AT]
             self.engine.append(
                 Engine(
                     raw * ENGINE_STEP_RAD_S if raw <= ENGINE_STEPS else None,
-                    percent / 100 if torque <= TORQUE_STEPS else None,
+                    (torque - TORQUE_OFFSET) / 100 if torque <= TORQUE_STEPS else None,
                 )
             )
         elif frame.can_id == GEAR_REQUEST:

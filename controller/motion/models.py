@@ -211,7 +211,8 @@ def state_of(x: Vector, p: Vector, time_us: float) -> LayshaftState:
     theta, omega, pressure, disturbance, gain, drag = x.tolist()
     variances = p.item(THETA, THETA), p.item(OMEGA, OMEGA), p.item(PRESSURE, PRESSURE)
     sds = [math.sqrt(variance) if variance > 0.0 else 0.0 for variance in variances]
-    return _new(LayshaftState, (time_us, theta, omega, pressure, *sds, disturbance, gain, drag, p, 0.0))
+    rest = (disturbance, gain, drag, p, 0.0)
+    return _new(LayshaftState, (time_us, theta, omega, pressure, *sds, *rest))
 
 
 def diagonal(*sds: float) -> Vector:

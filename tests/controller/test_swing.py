@@ -16,7 +16,7 @@ from meshpoint.controller.estimation.driveline_swing import (
     DrivelineSwing,
     MainWindow,
 )
-from meshpoint.controller.estimation.lash_bank import LashFigures
+from meshpoint.controller.estimation.lash_cloud import LashFigures
 from meshpoint.controller.estimation.likelihood import prior
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.estimation.teeth import WheelTeeth
@@ -199,7 +199,7 @@ def test_frequency_and_damping_are_learned_from_the_ringing_of_three_shifts() ->
         edge_time = swing.learn(window, edge_time, teeth_known=True)
     natural = swing._figures[NATURAL].value
     assert natural == pytest.approx(masses.natural_rad_s, rel=0.02)
-    record = swing.record(LashFigures(-4.0, 0.3, 8.0, 0.3, -5.0, 3.0), has_lash=True)
+    record = swing.record(LashFigures(8.0, 0.3, -2.0, 0.5, -4.0, 0.3, 2.0, 0.4), has_lash=True)
     assert record is not None and record.has_lash
     assert record.half_lash_rad == pytest.approx(math.exp(-4.0))
     again = DrivelineSwing(TUNING)
