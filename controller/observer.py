@@ -242,7 +242,7 @@ class Observer:
     def _sensors(self, sensors: list[GearboxSensors], now_us: int) -> Pressures:
         """Clutch, air supply, and the brake's pressure, gauge, at the times that it was so."""
         atmosphere_pa = self._sheet.air.atmosphere_pa
-        lag_us = self._sheet.air.sensor_lag_s * SECOND_US
+        lag_us = self.brake.sensor_lag_s.value * SECOND_US
         time_us = np.empty(len(sensors))
         pressure_pa = np.empty(len(sensors))
         for k, sample in enumerate(sensors):

@@ -206,6 +206,9 @@ class CrossingTracker(WheelTracker):
                 sd_rad = self.teeth.sd_rad
                 self._run.learn_touch(known, sd_rad, self._brake.arrays(), self.model)
             if self._one_pattern:
+                if learned:
+                    switches = self._brake.arrays()
+                    self._run.learn_lag(known, self.teeth.sd_rad, switches, self.model)
                 self._learn_noise()
         # From here on the torque on the layshaft is unknown.
         state.heed(HEED)

@@ -212,7 +212,7 @@ class Air:
     sensor_sd_pa: float = quantity("sensor_sd_bar", 1e-4, 5.0, BAR, default=SENSOR_SD_PA)
     """Noise of the brake's pressure sensor, standard deviation of a sample."""
     sensor_lag_s: float = quantity("sensor_lag_ms", 0.0, 50.0, MS, default=0.0)
-    """By how much what it says, filtered, lags behind the pressure."""
+    """By how much what it says, filtered, lags behind the pressure; it is learned."""
 
 
 @dataclass(frozen=True)
