@@ -39,7 +39,7 @@ from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.controller.shift.valve_board import ValveBoard
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.j1939 import canonical, checked_request
+from meshpoint.dbc.j1939 import canonical, checked_request, torque_parts, torque_share
 from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
     EEC1,
@@ -270,6 +270,10 @@ class ControllerCore:
         observer = self._observer
         sensor_us = observer.clock.now_us(now_us)
         valves = observer.valves
+        torque = torque_share(None, None)
+        if engine is not None:
+            fine = engine.actual_engine_torque_fine_fraction
+            torque = torque_share(engine.actual_engine_torque_fraction, fine)
         brake = valves is not None and (valves.brake_energised or valves.brake_pending)
         return StepSnapshot(
             sensor_us,
@@ -282,7 +286,7 @@ class ControllerCore:
             brake,
             observer.view.supply_pa,
             None if engine is None else engine.engine_speed_rad_s,
-            None if engine is None else engine.actual_engine_torque_fraction,
+            *torque,
         )
 
     @property
@@ -371,10 +375,14 @@ class ControllerCore:
         if not self._engine_asked:
             return [self._checked(TSC1())] if asked else []
         speed, torque = TscOverrideMode.SPEED_CONTROL, TscOverrideMode.TORQUE_CONTROL
+        whole = fine = None
+        if wanted is None and share is not None:
+            whole, fine = torque_parts(share)
         request = TSC1(
             override_control_mode=torque if wanted is None else speed,
             requested_speed_rad_s=wanted,
-            requested_torque_fraction=share if wanted is None else None,
+            requested_torque_fraction=whole,
+            requested_torque_fine_fraction=fine,
         )
         frame, driveline = self._checked(request), self._driveline_guard
         if not driveline.passes_engine(frame.data, seen):

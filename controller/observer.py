@@ -15,7 +15,7 @@ from meshpoint.controller.estimation.crossing_tracker import CrossingTracker
 from meshpoint.controller.estimation.cruise import CruiseTracker
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels, LayshaftTracker
-from meshpoint.controller.estimation.main_tracker import MainTracker
+from meshpoint.controller.estimation.main_tracker import Behind, MainTracker
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kinematics import are_finite
@@ -44,7 +44,7 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
-from meshpoint.units import US
+from meshpoint.units import SECOND_US, US
 
 DRAGGED_US = 30_000
 """For this long after a change of splitter or range, edges from during the change still arrive."""
@@ -110,6 +110,7 @@ class Observer:
                 wheels.main.missing,
                 self._propeller_wheel,
                 (sheet.range_.low.ratio, sheet.range_.high.ratio),
+                Behind(sheet.axle, sheet.dog.backlash_rad / 2.0),
             )
             self.recovery = ReferenceRecovery(sheet, self.references, layshaft.teeth, main.teeth)
         else:
@@ -163,8 +164,7 @@ class Observer:
         """What a calibration file keeps of the driveline's swing."""
         if not isinstance(self._main, MainTracker):
             return SwingRecords()
-        swings = self._main.swings
-        return SwingRecords(swings[Range.LOW].record(), swings[Range.HIGH].record())
+        return SwingRecords(self._main.record(Range.LOW), self._main.record(Range.HIGH))
 
     def take_swings(self, records: SwingRecords) -> None:
         """Sets the driveline's swing as learned in earlier runs."""
@@ -172,7 +172,7 @@ class Observer:
             return
         for step, record in ((Range.LOW, records.low), (Range.HIGH, records.high)):
             if record is not None:
-                self._main.swings[step].restore(record)
+                self._main.restore(step, record)
 
     def _model_layshaft(self) -> None:
         sheet, split = self._sheet, self._split
@@ -240,13 +240,14 @@ class Observer:
         self._main_dragged, self._dragged = main, layshaft or main
 
     def _sensors(self, sensors: list[GearboxSensors], now_us: int) -> Pressures:
-        """Clutch, air supply, and the brake's pressure, gauge."""
+        """Clutch, air supply, and the brake's pressure, gauge, at the times that it was so."""
         atmosphere_pa = self._sheet.air.atmosphere_pa
+        lag_us = self.brake.sensor_lag_s.value * SECOND_US
         time_us = np.empty(len(sensors))
         pressure_pa = np.empty(len(sensors))
         for k, sample in enumerate(sensors):
             sampled_us = self._sampled_us(sample.sample_time_us, now_us)
-            time_us[k] = sampled_us
+            time_us[k] = sampled_us - lag_us
             self.view.clutch.take(sampled_us, sample.clutch_position_fraction)
             gauge_pa = sample.brake_pressure_pa - atmosphere_pa
             pressure_pa[k] = self._zero.take(sampled_us, gauge_pa, self._brake_driven)
@@ -321,7 +322,7 @@ class Observer:
         was_free = self.layshaft.free
         self.layshaft.set_free(free, newest.time_us, events)
         if isinstance(self._main, MainTracker):
-            self._main.set_free(free, view.range_, events)
+            self._main.set_free(free, view.range_, events, view.oldest_us)
         if was_free and not free:
             self._model_layshaft()
 

@@ -1,4 +1,5 @@
-"""What J1939 adds to an identifier: parameter group, destination, source; TSC1's checksum.
+"""What J1939 adds to an identifier: parameter group, destination, source; TSC1's checksum; and
+torques in whole per cent and eighths.
 
 The DBC has one identifier a message, with one source address. A truck's tools send the same
 parameter group from addresses of their own, and to all.
@@ -6,6 +7,7 @@ parameter group from addresses of their own, and to all.
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from meshpoint.dbc.frame import Frame
@@ -25,6 +27,24 @@ _GROUP: Final = 0x03FF_0000
 _OF_REQUEST: Final = REQUEST_ID & _GROUP
 COUNTER_MODULUS: Final = 8
 """TSC1's message counter runs from 0 to 7."""
+PER_CENT: Final = 0.01
+EIGHTH: Final = PER_CENT / 8.0
+"""The steps of a torque without and with its fine part, as shares of the reference torque."""
+
+
+def torque_parts(share: float) -> tuple[float, float]:
+    """A torque (share of the reference torque) in whole per cent (SPN 513, 518), rounded down, and
+    what is to be added to it in eighths of a per cent (SPN 4154, 4191)."""
+    eighths = round(share / EIGHTH)
+    return PER_CENT * math.floor(eighths / 8), EIGHTH * (eighths % 8)
+
+
+def torque_share(whole: float | None, fine: float | None) -> tuple[float | None, float]:
+    """A torque of two such parts, and the step that it is told in; None where there is none. Who
+    tells no fine part has rounded to whole per cent."""
+    if whole is None:
+        return None, PER_CENT
+    return (whole, PER_CENT) if fine is None else (whole + fine, EIGHTH)
 
 
 def group_of(can_id: int) -> int:

@@ -537,6 +537,9 @@ class EEC1(NamedTuple):
     engine_torque_mode: int | None = ...
     """SPN 899 (0..15 or None)."""
 
+    actual_engine_torque_fine_fraction: float | None = ...
+    """SPN 4154, added to SPN 513 (0..0.00875 or None)."""
+
     driver_demand_torque_fraction: float | None = ...
     """SPN 512 (-1.25..1.25 or None)."""
 
@@ -742,6 +745,9 @@ class TSC1(NamedTuple):
 
     control_purpose: int | None = ...
     """SPN 3350 (0..31 or None)."""
+
+    requested_torque_fine_fraction: float | None = ...
+    """SPN 4191, added to SPN 518 (0..0.00875 or None)."""
 
     message_counter: int | None = ...
     """SPN 4206 (0..15 or None)."""

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from meshpoint.bus.core import Step
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.j1939 import is_intact
+from meshpoint.dbc.j1939 import is_intact, torque_share
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
@@ -227,5 +227,6 @@ def _engine_request(message: TSC1) -> EngineRequest:
     if message.override_control_mode is TscOverrideMode.SPEED_CONTROL:
         return EngineRequest(message.requested_speed_rad_s, None)
     if message.override_control_mode is TscOverrideMode.TORQUE_CONTROL:
-        return EngineRequest(None, message.requested_torque_fraction)
+        whole, fine = message.requested_torque_fraction, message.requested_torque_fine_fraction
+        return EngineRequest(None, torque_share(whole, fine)[0])
     return EngineRequest(None, None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from meshpoint.dbc.j1939 import torque_parts
 from meshpoint.dbc.messages import (
     EEC1,
     EdgesInputFall,
@@ -66,12 +67,7 @@ def read_messages(world: RigWorld, now_us: int) -> list[Message]:
     messages.append(_sensors(sensors, clock_us))
     messages.extend(_sleeves(world, now_us, clock_us))
     messages.append(valve_status(world, now_us))
-    messages.append(
-        EEC1(
-            engine_speed_rad_s=min(sensors.engine_rad_s, ENGINE_MAX_RAD_S),
-            actual_engine_torque_fraction=sensors.torque_share,
-        )
-    )
+    messages.append(_engine(sensors))
     angles, speeds = world.encoder_read(now_us)
     messages.append(ReferenceEncoder(sample_time_us=clock_us, angle_rad=angles, speed_rad_s=speeds))
     messages.append(_phases(world, clock_us))
@@ -106,6 +102,17 @@ def valve_status(world: RigWorld, now_us: int) -> ValveStatus:
             valves.refused % COUNT_MODULUS,
             valves.expired % COUNT_MODULUS,
         )
+    )
+
+
+def _engine(sensors: SensorRead) -> EEC1:
+    whole = fine = None
+    if sensors.torque_share is not None:
+        whole, fine = torque_parts(sensors.torque_share)
+    return EEC1(
+        engine_speed_rad_s=min(sensors.engine_rad_s, ENGINE_MAX_RAD_S),
+        actual_engine_torque_fraction=whole,
+        actual_engine_torque_fine_fraction=fine,
     )
 
 

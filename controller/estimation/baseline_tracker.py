@@ -55,6 +55,7 @@ class BaselineTracker:
         self._cruise = CruiseTracker(settings.cruise_filter, pitch_rad)
         self._window = WindowSpeed()
         self._model: MotionModel | None = None
+        self._inertia_kgm2 = 1.0
         self._free = False
 
     @property
@@ -69,9 +70,16 @@ class BaselineTracker:
             raise RuntimeError("the layshaft's model has not been set")
         return self._model
 
+    def drag_nm(self, omega_rad_s: float) -> float:
+        """The data sheet's friction at a speed (Nm)."""
+        if self._model is None:
+            return 0.0
+        friction = float(self._model.part("friction_per_s")[0]) * self._inertia_kgm2
+        return friction * abs(omega_rad_s)
+
     def set_models(self, models: LayshaftModels) -> None:
         """The splitter's step is known."""
-        self._model = models.motion
+        self._model, self._inertia_kgm2 = models.motion, models.inertia_kgm2
         self._filter.model[:] = models.thesis
 
     def set_free(self, free: bool, time_us: float, events: list[str]) -> None:  # noqa: ARG002

@@ -53,6 +53,9 @@ STILL: Final = np.array([0.0, 0.0, 1.0])
 QUIET: Final = np.zeros(4)
 """Rates and noise densities of a shaft at rest: only the pressure is of interest."""
 
+LAG_TOLERANCE: Final = 1.5
+"""Standard deviation of a sensor's lag as a share of the sheet's: what else filters it is seldom
+told."""
 TOUCH_SD_PA: Final = 0.15e5
 MOST_TOUCH_PA: Final = 1.0e5
 
@@ -75,6 +78,10 @@ class BrakeModel:
         self.drag_nm = Carried(0.0, drag_sd_nm)
         self.touch_pa = Carried(0.0, TOUCH_SD_PA)
         """Gauge pressure at which the pads touch."""
+        lag_s = sheet.air.sensor_lag_s
+        self.sensor_lag_s = Carried(lag_s, LAG_TOLERANCE * lag_s)
+        """By how much the measured pressure comes late; a sheet without a lag leaves none to be
+        learned."""
         delay = sheet.brake.valve_delay_s
         delay_sd_s = max(sheet.brake.valve_delay_tolerance * delay, LEAST_DELAY_SD_S)
         self._mean: Vector = np.zeros(PARAMETERS)

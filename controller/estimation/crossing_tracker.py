@@ -18,7 +18,12 @@ from meshpoint.controller.estimation.free_run import EDGE_TIME, MEMORY, TORQUE, 
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels
 from meshpoint.controller.estimation.likelihood import prior, restored
-from meshpoint.controller.estimation.wheel_tracker import HEED, STRUCK_RAD_S, WheelTracker
+from meshpoint.controller.estimation.wheel_tracker import (
+    HEED,
+    LEAST_RAD_S,
+    STRUCK_RAD_S,
+    WheelTracker,
+)
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kernels import (
     DISTURBANCE,
@@ -93,6 +98,14 @@ class CrossingTracker(WheelTracker):
             raise RuntimeError("the layshaft's model has not been set")
         return self._model
 
+    def drag_nm(self, omega_rad_s: float) -> float:
+        """Torque that brakes the free layshaft at a speed: the sheet's friction, and the drag that
+        was learned (Nm, positive)."""
+        if self._model is None:
+            return 0.0
+        friction = float(self._model.part("friction_per_s")[0]) * self._inertia_kgm2
+        return max(0.0, friction * abs(omega_rad_s) - self._known.drag_nm.value)
+
     @property
     def disturbance(self) -> Disturbance:
         """The torques that the model leaves out, as learned."""
@@ -141,7 +154,10 @@ class CrossingTracker(WheelTracker):
 
     def latest(self) -> LayshaftState:
         """The state at the newest edge; where a prediction starts. Valid only while `free`."""
-        return self._filter.latest()
+        state = self._filter.latest()
+        omega = max(abs(state.omega_rad_s), LEAST_RAD_S)
+        edge_rad2 = (omega * self.noise[EDGE_TIME].value) ** 2 + self.teeth.sd_rad**2
+        return state._replace(edge_rad2_s=edge_rad2 * self._half_pitch_rad / omega)
 
     def _teeth_found(self) -> None:
         super()._teeth_found()
@@ -190,6 +206,9 @@ class CrossingTracker(WheelTracker):
                 sd_rad = self.teeth.sd_rad
                 self._run.learn_touch(known, sd_rad, self._brake.arrays(), self.model)
             if self._one_pattern:
+                if learned:
+                    switches = self._brake.arrays()
+                    self._run.learn_lag(known, self.teeth.sd_rad, switches, self.model)
                 self._learn_noise()
         # From here on the torque on the layshaft is unknown.
         state.heed(HEED)

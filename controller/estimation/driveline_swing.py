@@ -2,7 +2,8 @@
 
 Two modes (`motion/swing_kernels`): the main shaft against the wheels, and both on the tyres. Their
 frequencies, damping, and how far they swing when a gear comes out, differ between the steps of the
-range. The figures are learned by the likelihood of a shift's edges (`likelihood`).
+range. The figures are learned by the likelihood of a shift's edges (`likelihood`). A driveline that
+rattles in its backlash is none of these (`lash_cloud`).
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 
 from meshpoint.controller.calibration.learned import SwingRecord
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
+from meshpoint.controller.estimation.lash_cloud import LashFigures
 from meshpoint.controller.estimation.likelihood import Learned, learn, prior, restored
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.swing import ModeRates, SwingMotion
@@ -31,17 +33,9 @@ NEAR: Final = 0
 """The mode of the main shaft against the wheels."""
 WHITE: Final = OF_A_MODE * MODES
 HILL: Final = WHITE + 1
-LASH: Final = HILL + 1
-EDGE_TIME: Final = LASH + 1
+EDGE_TIME: Final = HILL + 1
 """Density of the white noise of the shaft's acceleration, standard deviation of the steady
-acceleration when a gear comes out (rad/s2), half of the backlash (rad), standard deviation of an
-edge's time (s)."""
-FORGET: Final = 0.8
-BELIEVED: Final = 20.0
-"""Backlash is believed where the windows are likelier with it by e to half of this; the weight of
-earlier windows falls with each new one."""
-SIDES: Final = (1.0, -1.0)
-"""Flanks at which the driveline may lie when a gear comes out."""
+acceleration when a gear comes out (rad/s2), standard deviation of an edge's time (s)."""
 LEAST_EDGES: Final = 60
 """A window with fewer edges is not learned from."""
 MOST_SD: Final = 2.5
@@ -64,16 +58,11 @@ class MainWindow(NamedTuple):
     """Standard deviation of an edge's angle."""
 
 
-class SwingFigures:
-    """What is known of the swing in one step of the range, of a driveline with or without
-    backlash."""
+class DrivelineSwing:
+    """What is known of the swing in one step of the range."""
 
-    def __init__(self, tuning: CrossingFilterTuning, ratio: float, has_lash: bool) -> None:
-        """ratio: the range's, i_range; the backlash lies behind it."""
+    def __init__(self, tuning: CrossingFilterTuning) -> None:
         self._tuning = tuning
-        self.sides = SIDES if has_lash else SIDES[:1]
-        """Flanks at which the driveline may lie when a gear comes out."""
-        self._lash_share = 1.0 if has_lash else 0.0
         noise = prior(tuning.swing_noise_rad2_s3, 8.0, (1e-6, 1e5), 0.2)
         modes = [
             figure
@@ -94,24 +83,21 @@ class SwingFigures:
             )
         ]
         hill = prior(tuning.main_start_rad_s2, 4.0, (1e-2, 1e3), 0.3)
-        half = 0.5 * tuning.lash_rad / ratio
-        lash = prior(half, tuning.lash_factor, (0.25 * half, 4.0 * half), 0.03)
-        self._figures = [*modes, noise, hill, lash]
-        self.edge_time = prior(tuning.edge_time_s, 2.0, (1e-6, 2e-4), 0.03)
-        """Standard deviation (s) of an edge's time by this model."""
+        self._figures = [*modes, noise, hill]
         self.shifts = 0
         """From how many shifts it was learned."""
         self.motion = self._doubting()
 
-    def record(self, has_lash: bool) -> SwingRecord | None:
-        """What a calibration file keeps; None before the first shift it was learned from."""
+    def record(self, lash: LashFigures, has_lash: bool) -> SwingRecord | None:
+        """What a calibration file keeps, with what is known of the backlash; None before the first
+        shift it was learned from."""
         if self.shifts == 0:
             return None
         modes = [self._figures[4 * m : 4 * m + 4] for m in range(MODES)]
         by_kind = [tuple(mode[kind] for mode in modes) for kind in range(OF_A_MODE)]
         natural, damping, speed, noise = by_kind
         noise = (*noise, self._figures[WHITE])
-        hill, lash = self._figures[HILL], self._figures[LASH]
+        hill = self._figures[HILL]
         return SwingRecord(
             self.shifts,
             *_parts(natural),
@@ -121,8 +107,8 @@ class SwingFigures:
             hill.value,
             hill.sd,
             has_lash,
-            lash.value,
-            lash.sd,
+            math.exp(lash.half_log),
+            lash.half_sd,
         )
 
     def restore(self, record: SwingRecord) -> None:
@@ -141,7 +127,6 @@ class SwingFigures:
                 figures[k] = restored(figures[k], values[m], sds[m])
         figures[WHITE] = restored(figures[WHITE], record.noise_rad2_s3[-1], record.noise_sd[-1])
         figures[HILL] = restored(figures[HILL], record.hill_rad_s2, record.hill_sd)
-        figures[LASH] = restored(figures[LASH], record.half_lash_rad, record.half_lash_sd)
         self._figures = figures
         self.motion = self._doubting()
 
@@ -164,16 +149,14 @@ class SwingFigures:
             natural, damping, _, noise = (math.exp(log) for log in logs[m * 4 : m * 4 + 4])
             modes.append(ModeRates(natural, min(damping, DAMPED_BY) * natural, noise))
         walk = self._tuning.main_walk_rad_s2**2
-        half = self._lash_share * math.exp(logs[LASH])
-        return SwingMotion(math.exp(logs[WHITE]), walk, modes, half)
+        return SwingMotion(math.exp(logs[WHITE]), walk, modes)
 
-    def start(self, x: Vector, p: Vector, side: float, logs: Sequence[float] | None = None) -> None:
+    def start(self, x: Vector, p: Vector, logs: Sequence[float] | None = None) -> None:
         """A gear has come out: what is known of angle and speed is kept, the rest of state and
-        covariance is what it may be then. side: the flank that the driveline lies at, +1 or -1."""
+        covariance is what it may be then."""
         share = START_SHARE if logs is None else 1.0
         logs = [one.log for one in self._figures] if logs is None else logs
         x[2:], p[2:, :], p[:, 2:] = 0.0, 0.0, 0.0
-        x[FIRST_MODE] = side * self._lash_share * math.exp(logs[LASH])
         p[STEADY, STEADY] = (share * math.exp(logs[HILL])) ** 2
         for m in range(MODES):
             natural = math.exp(logs[4 * m + NATURAL])
@@ -181,67 +164,28 @@ class SwingFigures:
             i = FIRST_MODE + 2 * m
             p[i, i], p[i + 1, i + 1] = (speed / natural) ** 2, speed * speed
 
-    def learn(self, window: MainWindow, edge_time: Learned, teeth_known: bool) -> float:
-        """Learns from a window, an edge's time (`edge_time`) with it where the teeth are known.
-        Returns the misfit."""
+    def learn(self, window: MainWindow, edge_time: Learned, teeth_known: bool) -> Learned:
+        """Learns from a window, an edge's time with it where the teeth are known: returns what is
+        then known of that."""
+        if window.edges.shape[1] < LEAST_EDGES:
+            return edge_time
         known = [*self._figures, edge_time] if teeth_known else self._figures
         none, switches = Pressures(np.empty(0), np.empty(0)), np.empty((2, 0))
         run, count = CrossingFilter(self._tuning, MAIN_FILTER), window.edges.shape[1]
 
         def misfit(logs: Sequence[float]) -> float:
             run.set_edge_time(math.exp(logs[EDGE_TIME]) if teeth_known else edge_time.value)
-            found, motion = math.inf, self._motion(logs)
-            for side in self.sides:
-                x, p = window.x.copy(), window.p.copy()
-                self.start(x, p, side, logs)
-                run.begin(window.time_us, x, p)
-                run.take(window.edges, window.tooth_rad, none, switches, motion)
-                found = min(found, run.misfit(count))
-            return found
+            x, p = window.x.copy(), window.p.copy()
+            self.start(x, p, logs)
+            run.begin(window.time_us, x, p)
+            run.take(window.edges, window.tooth_rad, none, switches, self._motion(logs))
+            return run.misfit(count)
 
-        scanned = (NATURAL, LASH) if self._lash_share else (NATURAL,)
-        found, least = learn(known, misfit, scanned)
+        found, _ = learn(known, misfit, (NATURAL,))
         self._figures = found[:EDGE_TIME]
-        self.edge_time = found[EDGE_TIME] if teeth_known else edge_time
         self.motion = self._doubting()
         self.shifts += 1
-        return least
-
-
-class DrivelineSwing:
-    """The swing in one step of the range, with the driveline's backlash or without.
-
-    Both are learned from every window. The backlash is believed once the windows are likelier with
-    it, the latest weighing most."""
-
-    def __init__(self, tuning: CrossingFilterTuning, ratio: float) -> None:
-        self._plain = SwingFigures(tuning, ratio, has_lash=False)
-        self._lashed = SwingFigures(tuning, ratio, has_lash=True)
-        self._for_lash = 0.0
-        self.used = self._plain
-        """The one that is believed."""
-
-    def learn(self, window: MainWindow, edge_time: Learned, teeth_known: bool) -> Learned:
-        """Learns from a window; returns what is then known of an edge's time."""
-        if window.edges.shape[1] < LEAST_EDGES:
-            return edge_time
-        misfits = [one.learn(window, edge_time, teeth_known) for one in (self._plain, self._lashed)]
-        ahead = misfits[0] - misfits[1]
-        if math.isfinite(ahead):
-            self._for_lash = FORGET * self._for_lash + ahead
-        self.used = self._lashed if self._for_lash > BELIEVED else self._plain
-        return self.used.edge_time
-
-    def record(self) -> SwingRecord | None:
-        """What a calibration file keeps; None before the first shift it was learned from."""
-        return self.used.record(self.used is self._lashed)
-
-    def restore(self, record: SwingRecord) -> None:
-        """Starts from a record."""
-        self.used = self._lashed if record.has_lash else self._plain
-        self._for_lash = 2.0 * BELIEVED if record.has_lash else 0.0
-        for one in (self._plain, self._lashed):
-            one.restore(record)
+        return found[EDGE_TIME] if teeth_known else edge_time
 
 
 def _parts(figures: tuple[Learned, ...]) -> tuple[tuple[float, ...], tuple[float, ...]]:

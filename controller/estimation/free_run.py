@@ -18,6 +18,7 @@ from meshpoint.controller.motion.kernels import DISTURBANCE
 from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import Disturbance, MotionModel
 from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.units import SECOND_US
 
 EDGE_TIME, TORQUE, MEMORY = range(3)
 """Figures of the noise, in their order."""
@@ -26,6 +27,10 @@ MOST_PA = 0.25e5
 """Largest change of the touch pressure by one run."""
 CAUTION = 2.0
 """Factor on the estimate's standard deviation, for other errors of the model."""
+PROBE_LAG_S = 1.5e-3
+MOST_LAG_S = 20e-3
+DRIFT_LAG_S = 0.1e-3
+"""The same of the lag of the brake's sensor."""
 DRIFT_PA = 0.01e5
 """Standard deviation of the touch pressure's change from shift to shift."""
 
@@ -79,6 +84,31 @@ class FreeRun:
         value = min(max(value, 0.0), MOST_TOUCH_PA)
         brake.touch_pa = Carried(value, float(np.sqrt((1.0 - gain) * prior)))
 
+    def learn_lag(
+        self, brake: BrakeModel, sd_rad: float, switches: Vector, model: MotionModel
+    ) -> None:
+        """Updates the lag of the brake's sensor: the brake may act sooner, or later, than pressures
+        and law say, and one lag fits this run best."""
+        known, touch_pa = brake.sensor_lag_s, brake.touch_pa.value
+        if known.sd <= 0.0:
+            return
+        low, middle, high = (
+            self._misfit(brake, touch_pa, sd_rad, switches, model, probe_s)
+            for probe_s in (-PROBE_LAG_S, 0.0, PROBE_LAG_S)
+        )
+        curvature = (low - 2.0 * middle + high) / PROBE_LAG_S**2
+        if not np.isfinite(curvature) or curvature <= 0.0:
+            return
+        found = -(high - low) / (2.0 * PROBE_LAG_S) / curvature
+        variance = CAUTION**2 * 2.0 / curvature
+        prior = known.sd**2 + DRIFT_LAG_S**2
+        gain = prior / (prior + variance)
+        step = float(np.clip(found, -PROBE_LAG_S, PROBE_LAG_S))
+        value = min(max(known.value + gain * step, 0.0), MOST_LAG_S)
+        # A parabola that leads out of the probes tells the direction alone.
+        left = prior if step != found else (1.0 - gain) * prior
+        brake.sensor_lag_s = Carried(value, float(np.sqrt(left)))
+
     def learn_noise(
         self,
         known: list[Learned],
@@ -120,11 +150,14 @@ class FreeRun:
         sd_rad: float,
         switches: Vector,
         model: MotionModel,
+        sooner_s: float = 0.0,
     ) -> float:
         run = CrossingFilter(self._tuning)
         run.begin(self._time_us, self._x, self._p)
-        measured = self.pressures
-        above = Pressures(measured.time_us, np.maximum(measured.pressure_pa - touch_pa, 0.0))
+        measured, sooner_us = self.pressures, sooner_s * SECOND_US
+        pressure_pa = np.maximum(measured.pressure_pa - touch_pa, 0.0)
+        above = Pressures(measured.time_us - sooner_us, pressure_pa)
         edges = np.concatenate(self._edges, axis=1)
-        run.take(edges, sd_rad, above, switches, model.with_law(brake.law(touch_pa)))
+        acting = switches - np.array([[sooner_us], [0.0]])
+        run.take(edges, sd_rad, above, acting, model.with_law(brake.law(touch_pa)))
         return float(run.nis[0])

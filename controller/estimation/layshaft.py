@@ -49,5 +49,8 @@ class LayshaftTracker(Protocol):
     def at(self, time_us: float) -> LayshaftState | None:
         """The state at a time; None without a speed, or without an edge for 60 ms."""
 
+    def drag_nm(self, omega_rad_s: float) -> float:
+        """Torque that brakes the free layshaft at a speed, the brake's left out (Nm, positive)."""
+
     def latest(self) -> LayshaftState:
         """The state at the newest edge; where a prediction starts. Valid only while `free`."""

@@ -1,50 +1,58 @@
 """The main shaft by the crossing-time filter, on a driveline that swings.
 
-It has two models: while the main box is in neutral and the clutch open it turns with the vehicle
-alone, and swings with its driveline (`motion/swing_kernels`) as was learned from earlier shifts;
-with a gear in mesh its acceleration is unknown.
+While the main box is in neutral and the clutch open it turns with the vehicle alone. It then swings
+with its driveline as was learned from earlier shifts, by one of two models: linear
+(`motion/swing_kernels`), or with the driveline's backlash (`motion/lash_kernels`), whichever has
+predicted better. With a gear in mesh its acceleration is unknown.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES, CrossingFilter
-from meshpoint.controller.estimation.driveline_swing import (
-    SIDES,
-    DrivelineSwing,
-    EdgeRun,
-    MainWindow,
-)
+from meshpoint.controller.calibration.learned import SwingRecord
+from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
+from meshpoint.controller.estimation.driveline_swing import DrivelineSwing, EdgeRun, MainWindow
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
+from meshpoint.controller.estimation.lash_cloud import Lash, LashCloud
+from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Prediction
+from meshpoint.controller.estimation.lash_start import StartWatch
 from meshpoint.controller.estimation.likelihood import prior, restored
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
-from meshpoint.controller.estimation.wheel_tracker import HEED, STRUCK_RAD_S, WheelTracker
+from meshpoint.controller.estimation.wheel_tracker import (
+    HEED,
+    LEAST_RAD_S,
+    STRUCK_RAD_S,
+    WheelTracker,
+)
 from meshpoint.controller.motion.kernels import OMEGA, THETA
+from meshpoint.controller.motion.lash_course import LashCourse
+from meshpoint.controller.motion.lash_motion import VEHICLE
 from meshpoint.controller.motion.swing import ModeRates, ShaftState, Swing, SwingMotion
 from meshpoint.controller.motion.swing_kernels import MODES, STEADY, SWING_STATES
-from meshpoint.controller.records import Vector
+from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import Range
+from meshpoint.gearbox.sheet import Axle
 from meshpoint.units import US
 
 NO_SWITCHES: Final = np.empty((2, 0))
 STILL: Final = ModeRates(1.0, 0.5, 0.0)
 """A mode that does not swing."""
 
-CLEAR: Final = 20.0
-"""Of two flanks one is certain when its likelihood is greater by e to half of this;"""
-MOST_COMPARED: Final = 120
-"""and after so many edges both tell the same."""
 RELEASED_SHARE: Final = 0.1
 """Standard deviation of the speed when a gear comes out, as a share of it."""
 
-LEAST_RAD_S: Final = 1.0
-"""A slower shaft counts as this fast where the time from edge to edge is asked for."""
+
+class Behind(NamedTuple):
+    """What turns behind the gearbox, and how closely the main shaft's angle has to be known."""
+
+    axle: Axle = Axle()
+    half_gap_rad: float = math.radians(1.0)
 
 
 class MainTracker(WheelTracker):
@@ -57,25 +65,30 @@ class MainTracker(WheelTracker):
         missing: tuple[int, ...] = (),
         geared: GearedWheel | None = None,
         range_ratios: tuple[float, float] = (1.0, 1.0),
+        behind: Behind | None = None,
     ) -> None:
-        """range_ratios: i_range of low and high."""
+        """range_ratios: i_range of low and high; behind: what turns behind the gearbox."""
         super().__init__(tuning, teeth, missing, geared, MAIN_FILTER)
         white = 2.0 * tuning.follow_rad_s2**2 * tuning.follow_s
         self._following = SwingMotion(white, tuning.main_walk_rad_s2**2, [STILL] * MODES)
-        self.swings = {
-            step: DrivelineSwing(tuning, ratio)
-            for step, ratio in zip((Range.LOW, Range.HIGH), range_ratios, strict=True)
+        steps = (Range.LOW, Range.HIGH)
+        axle, self._half_gap_rad = Behind() if behind is None else behind
+        self._swings = {step: DrivelineSwing(tuning) for step in steps}
+        self._lashes = {
+            step: Lash(axle, tuning.lash_rad, tuning.lash_factor, ratio)
+            for step, ratio in zip(steps, range_ratios, strict=True)
         }
+        self._rivals = {step: LashRivals() for step in steps}
         self.edge_time = prior(tuning.edge_time_s, 2.0, (1e-6, 2e-4), 0.03)
         """Standard deviation (s) of an edge's time."""
-        self._swing = self.swings[Range.HIGH]
+        self._range = Range.HIGH
         self._free = False
         self._run = EdgeRun()
-        self._other: CrossingFilter | None = None
-        """The same shaft with its driveline at the other flank of the backlash when the gear came
-        out, until the edges have told which."""
-        self._side = SIDES[0]
-        self._compared = 0
+        self._before = StartWatch()
+        self._cloud: LashCloud | None = None
+        """Hypotheses of the driveline, once the first edges in neutral have come."""
+        self._course: tuple[float, LashCourse | None] = (0.0, None)
+        """The newest edges' time and the course from then on."""
         self._began = (0.0, np.zeros(0), np.zeros((0, 0)))
 
     def edges(self, batch: EdgeBatch) -> None:
@@ -83,21 +96,42 @@ class MainTracker(WheelTracker):
         if self.teeth.learner.running and batch.time_us.size:
             self._run.add(batch.time_us, batch.theta_rad, self.teeth.place(batch))
         self._take(batch, NO_PRESSURES, NO_SWITCHES, self._motion)
-        if self._other is not None:
-            teeth = self.teeth
-            known = teeth.edges(batch, teeth.place(batch))
-            self._other.take(known, teeth.sd_rad, NO_PRESSURES, NO_SWITCHES, self._motion)
-            self._compare(self._other, batch.time_us.size)
+        if batch.time_us.size and self._running:
+            self._follow_lash(self.teeth.edges(batch, self.teeth.place(batch)))
 
-    def _compare(self, other: CrossingFilter, edges: int) -> None:
-        """Goes on with the flank that explains the edges better; with that alone once it is
-        clear."""
-        self._compared += edges
-        ahead = self._filter.misfit(0) - other.misfit(0)
-        if math.isfinite(ahead) and ahead > 0.0:
-            self._filter, self._other, self._side = other, self._filter, -self._side
-        if abs(ahead) > CLEAR or self._compared > MOST_COMPARED:
-            self._other = None
+    def _follow_lash(self, edges: Vector) -> None:
+        """The cloud takes new edges, and both models say what comes next."""
+        before, lash = self._before, self._lashes[self._range]
+        if not self._free:
+            before.take_in_gear(edges)
+            return
+        tooth_rad, rivals = self.teeth.sd_rad, self._rivals[self._range]
+        if not rivals.tries_lash:
+            return
+        if self._cloud is None:
+            start = before.take_out(edges)
+            if start is None:
+                return
+            self._cloud, edges = LashCloud(lash, start, self.edge_time.value), before.waiting
+        self._cloud.take(edges, tooth_rad)
+        course = self._cloud.course(self._half_gap_rad)
+        self._course = (self._cloud.time_us, course)
+        rivals.judge(edges, self._half_gap_rad)
+        if course is not None:
+            state = self._filter
+            wait_s = AHEAD_US * US
+            x, p = Swing(state.x, state.p, self._motion).spread_ahead(wait_s)
+            swing = Prediction(x.item(THETA), math.sqrt(max(0.0, p.item(THETA, THETA))))
+            wait_s += (state.time_us - self._cloud.time_us) * US
+            other = Prediction(course.ahead(wait_s)[0], course.theta_sd_ahead(wait_s))
+            rivals.predict(state.time_us, swing, other)
+
+    @property
+    def _edge_rad2_s(self) -> float:
+        """Variance of an edge's angle times the time from edge to edge: two edges a pitch."""
+        omega = self._filter.x.item(OMEGA)
+        edge_rad2 = (omega * self.edge_time.value) ** 2 + self.teeth.sd_rad**2
+        return edge_rad2 * self._half_pitch_rad / max(abs(omega), LEAST_RAD_S)
 
     def take_edge_time(self, value_s: float, sd: float) -> None:
         """Sets what an earlier run learned of an edge's time."""
@@ -106,48 +140,70 @@ class MainTracker(WheelTracker):
 
     @property
     def _motion(self) -> SwingMotion:
-        return self._swing.used.motion if self._free else self._following
+        return self._swings[self._range].motion if self._free else self._following
+
+    def _teeth_motion(self, model: RecordMemory) -> RecordMemory:
+        """A driveline that rattles in its backlash moves otherwise than its linear swing: what is
+        left over would be taken for teeth. So those are learned by any motion then."""
+        return self._following if self._has_lash else model
+
+    @property
+    def _has_lash(self) -> bool:
+        return self._rivals[self._range].believes_lash
+
+    def record(self, step: Range) -> SwingRecord | None:
+        """What a calibration file keeps of the driveline in a step of the range."""
+        has_lash = self._rivals[step].believes_lash
+        return self._swings[step].record(self._lashes[step].known, has_lash)
+
+    def restore(self, step: Range, record: SwingRecord) -> None:
+        """Starts from such a record."""
+        self._swings[step].restore(record)
+        self._lashes[step].restore(record.half_lash_rad, record.half_lash_sd)
+        self._rivals[step].restore(record.has_lash)
 
     def lose_speed(self) -> None:
         """Starts again with the next edges; teeth keep their numbers."""
         super().lose_speed()
-        self._free, self._other = False, None
+        self._free, self._cloud = False, None
+        self._before.lose()
 
-    def set_free(self, free: bool, range_: Range | None, events: list[str]) -> None:
-        """Whether it turns with the vehicle alone; its teeth and its swing are learned then."""
+    def set_free(
+        self, free: bool, range_: Range | None, events: list[str], since_us: float = 0.0
+    ) -> None:
+        """Whether it turns with the vehicle alone, surely so since a time; its teeth and its swing
+        are learned then."""
         if free and not self._free and self._running and range_ is not None:
-            self._begin_free(range_)
+            self._begin_free(range_, since_us)
         elif not free and self._free:
             self._end_free(events)
 
-    def _begin_free(self, range_: Range) -> None:
-        state, swing = self._filter, self.swings[range_]
+    def _begin_free(self, range_: Range, since_us: float) -> None:
+        state, swing = self._filter, self._swings[range_]
         state.forget_past()
         state.heed(0.0)
-        self._swing, self._free = swing, True
+        self._range, self._free = range_, True
         # The torque that the gear had before it came out may have moved the shaft in any way since
         # the last edges: a few new ones tell more than what the estimate was.
         state.p[:2, :2] = 0.0
         state.p[THETA, THETA] = self._half_pitch_rad**2
         state.p[OMEGA, OMEGA] = (RELEASED_SHARE * state.x[OMEGA]) ** 2 + STRUCK_RAD_S**2
         x, p = state.x.copy(), state.p.copy()
-        self._side, self._compared = SIDES[0], 0
-        other = CrossingFilter(self._tuning, MAIN_FILTER)
-        other.set_edge_time(self.edge_time.value)
+        swing.start(x, p)
         time_us = state.time_us
-        sides = swing.used.sides
-        for side, run in zip(sides, (state, other), strict=False):
-            swing.used.start(x, p, side)
-            run.begin(time_us, x, p)
-        self._other = other if self._geared is None and len(sides) > 1 else None
-        self._began = (state.time_us, x.copy(), p.copy())
+        state.begin(time_us, x, p)
+        self._before.released(max(since_us, time_us))
+        self._rivals[range_].begin()
+        self._cloud, self._course = None, (0.0, None)
+        self._began = (time_us, x.copy(), p.copy())
         self._start_p = p
         self._run.begin()
-        self.teeth.learner.begin(state.time_us, x, p)
+        self.teeth.learner.begin(time_us, x, p)
         self._fuse(True)
 
     def _end_free(self, events: list[str]) -> None:
-        self._free, self._other = False, None
+        self._free = False
+        self._end_lash()
         self._learn_swing()
         line = self.teeth.end_window()
         if line is not None:
@@ -164,37 +220,45 @@ class MainTracker(WheelTracker):
         state.p[THETA, THETA] += self._half_pitch_rad**2
         state.p[OMEGA, OMEGA] += STRUCK_RAD_S**2
 
+    def _end_lash(self) -> None:
+        cloud, rivals = self._cloud, self._rivals[self._range]
+        rivals.end()
+        self._cloud, self._course = None, (0.0, None)
+        if cloud is not None and cloud.is_alive and rivals.believes_lash:
+            self._lashes[self._range].learn(cloud)
+            self._before.take_vehicle(cloud.time_us, cloud.mean(VEHICLE))
+
     def _learn_swing(self) -> None:
         """The window's swing, and its teeth once more with what is known of the swing now."""
         teeth, run, (time_us, x, p) = self.teeth, self._run, self._began
-        edges, places = run.edges, run.places
+        edges, places, swing = run.edges, run.places, self._swings[self._range]
         known = edges
         if teeth.learned:
             known = edges.copy()
             known[1] += teeth.error_rad[places]
         window = MainWindow(known, time_us, x, p, teeth.sd_rad)
-        self.edge_time = self._swing.learn(window, self.edge_time, teeth.learned)
+        self.edge_time = swing.learn(window, self.edge_time, teeth.learned)
         self._filter.set_edge_time(self.edge_time.value)
         if teeth.learner.running:
             start_p = self._start_p.copy()
-            self._swing.used.start(x, start_p, self._side)
+            swing.start(x, start_p)
             teeth.learner.begin(time_us, x, start_p)
             teeth.learner.set_edge_time(self.edge_time.value)
-            teeth.learner.take_all(edges, places, self._swing.used.motion)
+            teeth.learner.take_all(edges, places, self._teeth_motion(swing.motion))
 
     def at(self, time_us: float) -> ShaftState | None:
         """The state at a time; None before enough edges, or without any for 60 ms."""
         if not self._fresh(time_us):
             return None
+        newest_us, course = self._course
+        if course is not None and self._has_lash:
+            return _by_lash(time_us, newest_us, course)
         state = self._filter
         motion = self._motion
         newest = Swing(state.x, state.p, motion)
         x, p = newest.spread_ahead((time_us - state.time_us) * US)
         theta_sd, omega_sd = (math.sqrt(max(0.0, p.item(i, i))) for i in (THETA, OMEGA))
-        edge_rad2 = (x[OMEGA] * self.edge_time.value) ** 2 + self.teeth.sd_rad**2
-        # There are two edges a pitch, and half a pitch takes this long.
-        edge_s = self._half_pitch_rad / max(abs(x[OMEGA]), LEAST_RAD_S)
-        swing = Swing(x, p, motion, edge_rad2 * edge_s)
+        swing = Swing(x, p, motion, self._edge_rad2_s)
         return ShaftState(time_us, x[THETA], x[OMEGA], theta_sd, omega_sd, x[STEADY], swing)
 
     def _first_state(self, omega_sd_rad_s: float) -> tuple[Vector, Vector]:
@@ -203,3 +267,12 @@ class MainTracker(WheelTracker):
         p[OMEGA, OMEGA] = omega_sd_rad_s**2
         p[STEADY, STEADY] = self._tuning.main_start_rad_s2**2
         return np.zeros(SWING_STATES), p
+
+
+def _by_lash(time_us: float, newest_us: float, course: LashCourse) -> ShaftState:
+    """The state by the cloud of drivelines."""
+    later = course.after((time_us - newest_us) * US)
+    theta, omega = later.ahead(0.0)
+    theta_sd = later.theta_sd_ahead(0.0)
+    sds, hill = (theta_sd, course.speed_sd_rad_s), course.hill_rad_s2
+    return ShaftState(time_us, theta, omega, *sds, hill, later)

@@ -27,10 +27,8 @@ from meshpoint.controller.motion.kernels import mirror
 from meshpoint.controller.motion.swing_kernels import (
     FIRST_MODE,
     MODES,
-    MOST_PARTS,
     SWING_STATES,
     SwingStep,
-    stay,
     swing_on,
     swing_spread,
     swing_step,
@@ -78,20 +76,15 @@ def swing_filter(
 @inlined
 def swing_to(f: SwingFilter, to_us: float, teeth: Vector) -> None:
     """State, covariance, and what depends on them to a time."""
-    left, step = (to_us - f.time_us) * US, f.step
-    for _ in range(MOST_PARTS):
-        dt = stay(f.state, left, f.model)
-        swing_step(f.state, dt, f.model, step)
-        swing_on(f.state, step)
-        swing_spread(f.p, dt, step, f.model, f.restless)
-        for c in range(teeth.shape[1]):
-            carry_swing(teeth, c, step)
-        if f.offset_rad2 > 0.0:
-            carry_swing_offset(f, step)
-            f.offset_rad2 += dt * f.at_flank_rad2_s
-        left -= dt
-        if left <= 0.0:
-            break
+    dt, step = (to_us - f.time_us) * US, f.step
+    swing_step(dt, f.model, step)
+    swing_on(f.state, step)
+    swing_spread(f.p, dt, step, f.model, f.restless)
+    for c in range(teeth.shape[1]):
+        carry_swing(teeth, c, step)
+    if f.offset_rad2 > 0.0:
+        carry_swing_offset(f, step)
+        f.offset_rad2 += dt * f.at_flank_rad2_s
     f.time_us = to_us
 
 

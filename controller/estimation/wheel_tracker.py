@@ -18,6 +18,8 @@ from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 
+LEAST_RAD_S: Final = 1.0
+"""A slower shaft counts as this fast where the time from edge to edge is asked for."""
 STRUCK_RAD_S: Final = 5.0
 """Standard deviation of the step that a flank's impact makes in a shaft's speed (48 rpm)."""
 
@@ -100,9 +102,13 @@ class WheelTracker(ABC):
         if teeth.learner.running:
             if wheel is not None:
                 wheel.learn(self._filter, self._start_p, pressures, switches, model)
-            teeth.learner.take(batch, place, pressures, switches, model)
+            teeth.learner.take(batch, place, pressures, switches, self._teeth_motion(model))
             if teeth.look():
                 self._teeth_found()
+
+    def _teeth_motion(self, model: RecordMemory) -> RecordMemory:
+        """The model by which teeth are learned, where `model` is the filter's."""
+        return model
 
     def _teeth_found(self) -> None:
         """The tooth errors have just become known, so the angles of edges change by up to the error

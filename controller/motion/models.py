@@ -22,6 +22,7 @@ from meshpoint.controller.motion.kinematics import are_finite
 from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import GearboxSheet, Split
+from meshpoint.units import US
 
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 
@@ -44,6 +45,8 @@ class LayshaftState(NamedTuple):
     """Steady acceleration beside the viscous friction; negative: it brakes."""
     covariance: Vector | None = None
     """Of the six states of `motion_kernels` (6, 6), where the estimator has one."""
+    edge_rad2_s: float = 0.0
+    """Variance of an edge's angle times the time from edge to edge, where the estimator tells."""
 
     @property
     def is_finite(self) -> bool:
@@ -149,7 +152,7 @@ def predict(
     theta, omega, pressure, disturbance, gain, drag = x.tolist()
     return _new(
         LayshaftState,
-        (to_us, theta, omega, pressure, *state[4:7], disturbance, gain, drag, state.covariance),
+        (to_us, theta, omega, pressure, *state[4:7], disturbance, gain, drag, *state[10:]),
     )
 
 
@@ -160,6 +163,33 @@ def predict_spread(
     if state.covariance is None:
         raise ValueError("the estimator of this state has no covariance")
     return ahead(state.vector, state.covariance, state.time_us, to_us, switches, model)
+
+
+class Ticks(NamedTuple):
+    """Steps in which edges come."""
+
+    horizon_us: float
+    """From a tick to the time that is predicted."""
+    tick_us: float
+    count: int
+
+
+def outlook(state: LayshaftState, ticks: Ticks, switches: Vector, model: MotionModel) -> Vector:
+    """Variances (rad2) of the angle predicted a horizon ahead: now, and after each further tick of
+    edges. The state must have a covariance."""
+    horizon_us, tick_us, count = ticks
+    found = np.empty(count)
+    heard = state.edge_rad2_s / (tick_us * US)
+    for k in range(count):
+        then = predict_spread(state, state.time_us + horizon_us, switches, model)
+        found[k] = then.theta_sd_rad**2
+        after = predict_spread(state, state.time_us + tick_us, switches, model)
+        p = after.covariance
+        if p is None:  # pragma: no cover - predict_spread gives one
+            break
+        gain = p[:, THETA] / (p[THETA, THETA] + heard)
+        state = state_of(after.vector, p - np.outer(gain, p[THETA]), after.time_us)
+    return found
 
 
 def ahead(
@@ -181,7 +211,8 @@ def state_of(x: Vector, p: Vector, time_us: float) -> LayshaftState:
     theta, omega, pressure, disturbance, gain, drag = x.tolist()
     variances = p.item(THETA, THETA), p.item(OMEGA, OMEGA), p.item(PRESSURE, PRESSURE)
     sds = [math.sqrt(variance) if variance > 0.0 else 0.0 for variance in variances]
-    return _new(LayshaftState, (time_us, theta, omega, pressure, *sds, disturbance, gain, drag, p))
+    rest = (disturbance, gain, drag, p, 0.0)
+    return _new(LayshaftState, (time_us, theta, omega, pressure, *sds, *rest))
 
 
 def diagonal(*sds: float) -> Vector:

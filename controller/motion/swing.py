@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.controller.motion.lash_course import LashCourse
 from meshpoint.controller.motion.swing_kernels import (
     FIRST_MODE,
     SWING_MODEL,
@@ -34,15 +35,11 @@ class SwingMotion(RecordMemory):
     """A `swing_kernels.SwingModel`. It is not changed once it is made."""
 
     def __init__(
-        self,
-        white_rad2_s3: float,
-        walk_rad2_s5: float,
-        modes: Sequence[ModeRates],
-        half_lash_rad: float = 0.0,
+        self, white_rad2_s3: float, walk_rad2_s5: float, modes: Sequence[ModeRates]
     ) -> None:
         super().__init__(SWING_MODEL)
         rates = [value for mode in modes for value in mode]
-        self.flat[:] = [white_rad2_s3, walk_rad2_s5, half_lash_rad, *rates]
+        self.flat[:] = [white_rad2_s3, walk_rad2_s5, *rates]
 
 
 class Swing(NamedTuple):
@@ -100,8 +97,14 @@ class ShaftState(NamedTuple):
     omega_sd_rad_s: float
     acceleration_rad_s2: float = 0.0
     """Without its swing. Zero where it is not estimated: speed held (4.16)."""
-    swing: Swing | None = None
+    swing: Swing | LashCourse | None = None
     """How it swings, where the estimator knows that."""
+
+    @property
+    def is_by_cloud(self) -> bool:
+        """Whether a cloud of drivelines tells it: its deviations are whole then, and what it is off
+        by is a flank that was met or not."""
+        return isinstance(self.swing, LashCourse)
 
     def theta_at(self, time_us: float) -> float:
         """The angle at another time: the swing goes on; without one, acceleration held."""

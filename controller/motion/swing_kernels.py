@@ -13,10 +13,9 @@ with c = cos(v D), s = sin(v D) / v, v^2 = w^2 - d^2 and e = e^(-d D) a step of 
 and its noise of density N adds S - A S A' to its covariance, S = N / (4 d) diag(1/w^2, 1) being
 that of a mode that has swung for ever.
 
-The first mode has the driveline's backlash, half of it h: its shafts twist only by what q_1 is
-beyond +-h, and between these the main shaft coasts, q_1'' = 0. A step ends where it meets or leaves
-a flank (`stay`), a time that is known in closed form, so each part of it is exact. Compiled by
-numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain Python. State is updated in place.
+A step of any length is exact. A driveline that rattles in its backlash moves otherwise
+(`lash_kernels`). Compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
+State is updated in place.
 """
 
 from __future__ import annotations
@@ -31,10 +30,6 @@ from meshpoint.controller.motion.kernels import measure
 from meshpoint.controller.records import WORD_BYTES, Over, Records, Vector, layout_of
 
 MODES: Final = 2
-SHORTEST_S: Final = 2e-6
-"""A part of a step is no shorter, so that it gets past the flank at which the one before ended."""
-MOST_PARTS: Final = 200
-"""A step is cut into no more parts."""
 SWING_STATES: Final = 3 + 2 * MODES
 STEADY: Final = 2
 FIRST_MODE: Final = 3
@@ -71,8 +66,6 @@ class SwingModel:
     """Density of the white noise of the shaft's acceleration."""
     walk_rad2_s5: float
     """Density of that which drives the steady acceleration."""
-    half_lash_rad: float
-    """Half of the driveline's backlash, as an angle of the shaft."""
     modes: Annotated[Records[Mode], MODES]
 
 
@@ -86,8 +79,6 @@ class SwingStep:
     noise: Annotated[Vector, MODES, 3]
     """Variances that each mode's noise has added: of its angle, of both, of its speed."""
     work: Annotated[Vector, SWING_STATES, SWING_STATES]
-    rest_rad: float
-    """Where the first mode's shafts do not twist: at the flank that it lies at."""
 
 
 SWING_STATE: Final = layout_of(SwingState)
@@ -97,52 +88,24 @@ SWING_MODEL_WORDS: Final = SWING_MODEL.itemsize // WORD_BYTES
 
 
 @inlined
-def stay(state: SwingState, dt: float, model: SwingModel) -> float:
-    """How much of `dt` passes before the driveline meets a flank of its backlash or leaves it."""
-    half = model.half_lash_rad
-    if half <= 0.0:
-        return dt
-    q, r = state.modes[0, 0], state.modes[0, 1]
-    if abs(q) < half:
-        if r == 0.0:
-            return dt
-        return float(min(dt, max(SHORTEST_S, ((half if r > 0.0 else -half) - q) / r)))
-    side = 1.0 if q > 0.0 else -1.0
-    w, d = model.modes[0].natural_rad_s, model.modes[0].decay_per_s
-    v = math.sqrt(w * w - d * d)
-    twist = side * q - half
-    turn = math.atan2(twist, -(side * r + d * twist) / v)
-    return float(min(dt, max(SHORTEST_S, turn / v)))
-
-
-@inlined
-def swing_step(state: SwingState, dt: float, model: SwingModel, step: SwingStep) -> None:
-    """The matrix of a step of `dt` seconds, in which no flank is met or left, and the modes' noise,
-    into `step`."""
+def swing_step(dt: float, model: SwingModel, step: SwingStep) -> None:
+    """The matrix of a step of `dt` seconds and the modes' noise, into `step`."""
     theta_by, omega_by = step.theta_by, step.omega_by
     theta_by[0], theta_by[1], theta_by[STEADY] = 1.0, dt, 0.5 * dt * dt
     omega_by[0], omega_by[1], omega_by[STEADY] = 0.0, 1.0, dt
-    half, q = model.half_lash_rad, state.modes[0, 0]
-    coasts = abs(q) < half
-    step.rest_rad = half if q > 0.0 else -half
     for m in range(MODES):
         mode = model.modes[m]
         noise = mode.noise_rad2_s3
-        if m == 0 and coasts:
-            qq, qr, rq, rr = 1.0, dt, 0.0, 1.0
-            step.noise[m, 0], step.noise[m, 1] = noise * dt**3 / 3.0, noise * dt * dt / 2.0
-            step.noise[m, 2] = noise * dt
-        else:
-            w2, d = mode.natural_rad_s * mode.natural_rad_s, mode.decay_per_s
-            v = math.sqrt(w2 - d * d)
-            e = math.exp(-d * dt)
-            c, s = e * math.cos(v * dt), e * math.sin(v * dt) / v
-            qq, qr, rq, rr = c + d * s, s, -w2 * s, c - d * s
-            spread_r = noise / (4.0 * d)
-            spread_q = spread_r / w2
-            step.noise[m, 0] = spread_q - qq * qq * spread_q - qr * qr * spread_r
-            step.noise[m, 1] = -qq * rq * spread_q - qr * rr * spread_r
-            step.noise[m, 2] = spread_r - rq * rq * spread_q - rr * rr * spread_r
+        w2, d = mode.natural_rad_s * mode.natural_rad_s, mode.decay_per_s
+        v = math.sqrt(w2 - d * d)
+        e = math.exp(-d * dt)
+        c, s = e * math.cos(v * dt), e * math.sin(v * dt) / v
+        qq, qr, rq, rr = c + d * s, s, -w2 * s, c - d * s
+        spread_r = noise / (4.0 * d)
+        spread_q = spread_r / w2
+        step.noise[m, 0] = spread_q - qq * qq * spread_q - qr * qr * spread_r
+        step.noise[m, 1] = -qq * rq * spread_q - qr * rr * spread_r
+        step.noise[m, 2] = spread_r - rq * rq * spread_q - rr * rr * spread_r
         step.blocks[m, 0], step.blocks[m, 1] = qq, qr
         step.blocks[m, 2], step.blocks[m, 3] = rq, rr
         i = FIRST_MODE + 2 * m
@@ -154,8 +117,6 @@ def swing_step(state: SwingState, dt: float, model: SwingModel, step: SwingStep)
 def swing_on(state: SwingState, step: SwingStep) -> None:
     """Moves the state by a step, in place."""
     x, theta, omega = state.x, 0.0, 0.0
-    rest = step.rest_rad
-    x[FIRST_MODE] -= rest  # from where its shafts do not twist; in the backlash it makes no odds
     for k in range(SWING_STATES):
         theta += step.theta_by[k] * x[k]
         omega += step.omega_by[k] * x[k]
@@ -164,7 +125,6 @@ def swing_on(state: SwingState, step: SwingStep) -> None:
         q, r = x[i], x[i + 1]
         x[i] = step.blocks[m, 0] * q + step.blocks[m, 1] * r
         x[i + 1] = step.blocks[m, 2] * q + step.blocks[m, 3] * r
-    x[FIRST_MODE] += rest
     x[0], x[1] = theta, omega
 
 
@@ -239,7 +199,7 @@ def swing_ahead(x: Vector, p: Vector, dt: float, model: Vector) -> None:
     state, motion = record_on(x, SWING_STATE), record_on(model, SWING_MODEL)
     step = new_record(SWING_STEP)
     if dt < 0.0:
-        swing_step(state, dt, motion, step)
+        swing_step(dt, motion, step)
         swing_on(state, step)
         return
     swing_through(state, p, dt, motion, step)
@@ -252,15 +212,10 @@ def swing_ahead(x: Vector, p: Vector, dt: float, model: Vector) -> None:
 def swing_through(
     state: SwingState, p: Vector, dt: float, model: SwingModel, step: SwingStep
 ) -> None:
-    """State and covariance, its upper half, after `dt` seconds through every flank, in place."""
-    for _ in range(MOST_PARTS):
-        part = stay(state, dt, model)
-        swing_step(state, part, model, step)
-        swing_on(state, step)
-        swing_spread(p, part, step, model, 1.0)
-        dt -= part
-        if dt <= 0.0:
-            return
+    """State and covariance, its upper half, after `dt` seconds, in place."""
+    swing_step(dt, model, step)
+    swing_on(state, step)
+    swing_spread(p, dt, step, model, 1.0)
 
 
 @compiled
@@ -272,13 +227,8 @@ def swing_course(x: Vector, model: Vector, wait_s: float, step_s: float, found: 
     step = new_record(SWING_STEP)
     dt = wait_s
     for k in range(found.shape[1]):
-        for _ in range(MOST_PARTS):
-            part = stay(state, dt, motion)
-            swing_step(state, part, motion, step)
-            swing_on(state, step)
-            dt -= part
-            if dt <= 0.0:
-                break
+        swing_step(dt, motion, step)
+        swing_on(state, step)
         found[0, k], found[1, k] = state.theta_rad, state.omega_rad_s
         dt = step_s
 

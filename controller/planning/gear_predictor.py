@@ -11,10 +11,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kinematics import slip_rad_s
 from meshpoint.controller.motion.linear_kernels import Vector
-from meshpoint.controller.motion.models import LayshaftState, MotionModel, predict, predict_spread
+from meshpoint.controller.motion.models import (
+    LayshaftState,
+    MotionModel,
+    Ticks,
+    outlook,
+    predict,
+    predict_spread,
+)
 from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.plan_kernels import MEETING, course
@@ -22,6 +31,10 @@ from meshpoint.controller.records import filled
 from meshpoint.gearbox import MainGear
 from meshpoint.units import US
 
+TICK_US = 10_000.0
+MOST_TICKS = 16
+"""What will be known of the layshaft is worked out at so many steps of this, with some edges in
+each."""
 MOST_STEPS = 40
 LEAST_ROOT_SHARE = 1e-3
 CLOSE_RAD_S = 1e-4
@@ -89,8 +102,8 @@ class GearPredictor:
         angle and speed, and from the scatter of the sleeve's delay."""
         layshaft_sd = self._layshaft_sd_rad(time_us)
         slip = self.slip_rad_s(time_us)
-        angles = math.hypot(self.i_gear * layshaft_sd, self._main_sd_rad(time_us))
-        return math.hypot(self.spread_share * angles, slip * self.delay_sd_s)
+        layshaft = self.spread_share * self.i_gear * layshaft_sd
+        return math.hypot(layshaft, self._main_sd_rad(time_us), slip * self.delay_sd_s)
 
     def _layshaft_sd_rad(self, time_us: float) -> float:
         state = self.layshaft
@@ -101,19 +114,40 @@ class GearPredictor:
 
     def estimate_variance(self, time_us: float) -> float:
         """Variance (rad2) of the phase at a time, without the part from the sleeve's delay."""
-        sd = math.hypot(self.i_gear * self._layshaft_sd_rad(time_us), self._main_sd_rad(time_us))
-        return (self.spread_share * sd) ** 2
+        layshaft = self.spread_share * self.i_gear * self._layshaft_sd_rad(time_us)
+        return math.hypot(layshaft, self._main_sd_rad(time_us)) ** 2
 
-    def variances(self, first_us: float, step_us: float, count: int) -> Vector:
+    def variances(
+        self, first_us: float, step_us: float, count: int, release_us: float | None = None
+    ) -> Vector:
         """Variances (rad2) of the phase at equal steps of time, without the part from the sleeve's
-        delay: each as predicted by what will be known when its firing has to be decided."""
-        layshaft = (self.i_gear * self._layshaft_sd_rad(first_us)) ** 2
-        main = self.main.variances(first_us, step_us, count)
-        scaled: Vector = self.spread_share**2 * (layshaft + main)
-        return scaled
+        delay: each as predicted by what will be known when its firing has to be decided. The brake
+        is as commanded, or released at `release_us`."""
+        seen = self._layshaft_variances(first_us, step_us, count, release_us)
+        layshaft = (self.spread_share * self.i_gear) ** 2 * seen
+        scaled: Vector = self._main_share**2 * self.main.variances(first_us, step_us, count)
+        return scaled + layshaft
+
+    def _layshaft_variances(
+        self, first_us: float, step_us: float, count: int, release_us: float | None
+    ) -> Vector:
+        state, brake = self.layshaft, self.brake
+        if state.covariance is None or state.edge_rad2_s <= 0.0:
+            return np.full(count, self._layshaft_sd_rad(first_us) ** 2)
+        switches = brake.arrays() if release_us is None else brake.with_release(release_us)
+        span_us = step_us * max(1, count - 1)
+        ticks = min(2 + int(span_us // TICK_US), MOST_TICKS)
+        horizon_us = max(0.0, first_us - state.time_us)
+        found = outlook(state, Ticks(horizon_us, TICK_US, ticks), switches, self.model)
+        times = step_us * np.arange(count)
+        return np.asarray(np.interp(times, TICK_US * np.arange(ticks), found))
 
     def _main_sd_rad(self, time_us: float) -> float:
-        return self.main.theta_sd_at(time_us)
+        return self._main_share * self.main.theta_sd_at(time_us)
+
+    @property
+    def _main_share(self) -> float:
+        return 1.0 if self.main.is_by_cloud else self.spread_share
 
     def trajectory(
         self, first_us: float, step_us: float, count: int, release_us: float | None = None

@@ -70,9 +70,10 @@ class PhaseDrifts:
 
     def learn(self, fired: GearPredictor, seen: GearPredictor, contact_us: float) -> None:
         """An aimed contact was at `contact_us`: `fired` is the predictor when the sleeve was fired,
-        `seen` the last one before it entered its gear."""
+        `seen` the last one before it entered its gear. Where the main shaft may have met a flank
+        meanwhile there is no telling a drift from that."""
         passed_s = (contact_us - fired.main.time_us) * 1e-6
-        if passed_s < LEAST_S:
+        if passed_s < LEAST_S or fired.main.is_by_cloud:
             return
         apart = _undrifted_rad(seen, contact_us) - _undrifted_rad(fired, contact_us)
         variance = fired.estimate_variance(contact_us) / fired.spread_share**2

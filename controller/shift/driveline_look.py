@@ -21,8 +21,6 @@ ENGINE_LOOKS: Final = 6
 MOST_LOOKS: Final = 400
 LEAST_LOOKS: Final = 25
 """Fewer say nothing of a swing."""
-HALF_STEP: Final = 0.005
-"""EEC1 says whole per cent of the torque: so far beside it the torque may be."""
 LOADED_SHARE: Final = 0.5
 """Between two shifts a trailer may have been coupled or a load taken up: 1 / J_2 changes by this
 share of what the sheet leaves open."""
@@ -50,6 +48,8 @@ class DrivelineLook:
         """The same after the ramp under way."""
         self._gear: int | None = None
         self._torque_share: float | None = None
+        self.torque_step = 0.01
+        """EEC1 says the torque in steps of this share of the reference torque."""
         self._asked_share: float | None = None
         self._looks: deque[tuple[int, float, float]] = deque(maxlen=MOST_LOOKS)
         """Times, the engine's speed, and its torque as a share, with one gear in mesh."""
@@ -73,6 +73,7 @@ class DrivelineLook:
         self.rings.look(state, snapshot)
         if snapshot.engine_torque_share is not None:
             self._torque_share = snapshot.engine_torque_share
+            self.torque_step = snapshot.engine_torque_step
         gear, speed = snapshot.view.gear_number, snapshot.engine_rad_s
         opening = state is State.CLUTCH_OPENING
         if not opening:
@@ -91,7 +92,8 @@ class DrivelineLook:
         before_us, _, share = self._looks[-1]
         follows = -math.expm1(-(now_us - before_us) * US / self._sheet.engine.lag_s)
         share += follows * (self._asked_share - share)
-        return min(max(share, said - HALF_STEP), said + HALF_STEP)
+        half_step = 0.5 * self.torque_step
+        return min(max(share, said - half_step), said + half_step)
 
     def ask(self, share: float) -> None:
         """The torque asked for from this step on."""
@@ -108,6 +110,14 @@ class DrivelineLook:
         sd = min(math.hypot(self.known.vehicle_sd, LOADED_SHARE * self._open_sd), self._open_sd)
         self.known = self.known._replace(vehicle_sd=sd, stiffness_sd=stiffness_sd)
         self.learned = self.known
+
+    def torque_sd_nm(self, engine_rad_s2: float) -> float:
+        """Error of the torque by which the engine is told to load the shafts, at the crankshaft: of
+        its steps, and of its inertia at this acceleration."""
+        engine = self._sheet.engine
+        own_nm = engine.inertia_tolerance * engine.inertia_kgm2 * engine_rad_s2
+        read_nm = 0.5 * self.torque_step * engine.reference_nm
+        return math.hypot(own_nm, read_nm) / math.sqrt(3.0)
 
     def mean_share(self, period_us: float) -> float | None:
         """The engine's torque over the last period; None before it was seen."""

@@ -25,10 +25,9 @@ from meshpoint.controller.shift.unloading import (
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import SECOND_US
 
-PER_CENT: Final = 0.01
-"""Step of the torque that TSC1 asks for."""
-BESIDE_SHARE: Final = 0.5 * PER_CENT
-"""The guard allows for one step and rounding; half of a step is taken by `owed_share`."""
+BESIDE_SHARE: Final = 0.005
+"""The guard allows for a step of the torque, a per cent, and rounding; half of a step is taken by
+`owed_share`."""
 BEFORE: Final = 1.0
 """So many periods before the ramp are looked at with it."""
 LEAST_BEFORE_US: Final = 400 * MS_IN_US
@@ -71,7 +70,9 @@ def _begun(context: ShiftContext, snapshot: StepSnapshot) -> Unloading | None:
     if not seen.twists or gear is None or most_us == 0:
         return None
     seen.loaded()
-    bodies = geared_bodies(context.sheet, gear, seen.known)
+    layshaft = snapshot.speeds.layshaft
+    drag_nm = 0.0 if layshaft is None else snapshot.layshaft.drag_nm(layshaft)
+    bodies = geared_bodies(context.sheet, gear, seen.known, drag_nm)
     period_us = 2.0 * bodies.half_period_us
     own = seen.mean_share(period_us)
     fitted = seen.fit(bodies, snapshot.now_us - max(BEFORE * period_us, LEAST_BEFORE_US))
@@ -82,6 +83,7 @@ def _begun(context: ShiftContext, snapshot: StepSnapshot) -> Unloading | None:
         own * context.sheet.engine.reference_nm,
         bodies.shafts_nm(torque_nm, found.acceleration_rad_s2),
         bodies.coasting_rad_s2(torque_nm, found.acceleration_rad_s2),
+        seen.torque_sd_nm(bodies.ratio * found.acceleration_rad_s2),
     )
     ramps = unloading(context.sheet, bodies, begun, snapshot.now_us)
     short = [ramp for ramp in ramps if ramp.over_us - snapshot.now_us <= most_us]
@@ -92,13 +94,14 @@ def _begun(context: ShiftContext, snapshot: StepSnapshot) -> Unloading | None:
 def _ask(context: ShiftContext, ramp: Unloading, snapshot: StepSnapshot) -> float:
     """Asks for the ramp's torque at this time; returns it, as a share of the reference torque.
 
-    TSC1 says whole per cent: what rounding leaves out is asked for with the next frames."""
-    engine, shift = context.sheet.engine, context.running
+    TSC1 says it in the steps in which EEC1 does: what rounding leaves out is asked for with the
+    next frames."""
+    engine, shift, step = context.sheet.engine, context.running, context.driveline.torque_step
     if snapshot.now_us >= ramp.next_us:
         shift.unloading = ramp = _stepped(context, ramp, snapshot.now_us)
     wanted = _no_further(context, ramp.torque_nm / engine.reference_nm)
     owed = wanted + shift.owed_share
-    context.engine_share = PER_CENT * round(owed / PER_CENT)
+    context.engine_share = step * round(owed / step)
     shift.owed_share = owed - context.engine_share
     context.driveline.ask(wanted)
     return wanted
@@ -124,7 +127,7 @@ def _refitted(context: ShiftContext, ramp: Unloading) -> Unloading:
     found, torque_nm = fitted
     bodies = before._replace(known=found.known)
     coasting = bodies.coasting_rad_s2(torque_nm, found.acceleration_rad_s2)
-    left_nm = bodies.coasting_nm(context.sheet, coasting)
+    left_nm = bodies.coasting_nm(coasting)
     driveline.learned = found.known
     return ramp._replace(bodies=bodies, left_nm=left_nm)
 

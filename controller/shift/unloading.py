@@ -9,8 +9,10 @@ period is not quite known. A frequency that is off by a share d leaves sin(d pi 
 and that squared.
 
 The torque to end at is not none. Once the shafts carry nothing the vehicle coasts, and an engine
-that gives no torque would be turned by the clutch: so it is asked for what makes it slow down, or
-speed up, with the vehicle. Then the clutch carries nothing, and may open.
+that gives no torque would be turned by them: so it is asked for what makes engine and gearbox slow
+down, or speed up, with the vehicle, and for the gearbox's drag. The clutch then carries as little
+as that, and may open; the shafts take it over, and it has hardly begun to twist them when the gear
+is out.
 """
 
 from __future__ import annotations
@@ -26,8 +28,6 @@ SHAPES: Final = ((1.0,), (0.5, 0.5), (0.25, 0.5, 0.25))
 """Shares of the torque taken away at each half period, the shortest first."""
 SWING_SHARE: Final = 0.125
 """What is left may swing the main shaft by this share of the dog teeth's backlash."""
-READ_SHARE: Final = 0.01 / math.sqrt(12.0)
-"""Error of the engine's torque, which EEC1 says in whole per cent."""
 TOLD_SD: Final = 2.0
 """A torque of the shafts is told from none where it is so many times as large as its error."""
 
@@ -41,6 +41,8 @@ class GearedBodies(NamedTuple):
     known: Known
     harmless_nm: float
     """What may swing in the shafts."""
+    drag_nm: float = 0.0
+    """The gearbox's own drag."""
 
     @property
     def _inverse(self) -> float:
@@ -58,9 +60,9 @@ class GearedBodies(NamedTuple):
         return 0.5 * math.sqrt(3.0) * math.hypot(self.known.stiffness_sd, vehicle)
 
     def shafts_nm(self, torque_nm: float, acceleration_rad_s2: float) -> float:
-        """What the shafts carry, drag neglected: torque of the engine (Nm at the crankshaft),
-        acceleration of the propeller shaft."""
-        return self.ratio * torque_nm - self.engine_kgm2 * acceleration_rad_s2
+        """What the shafts carry: torque of the engine (Nm at the crankshaft), acceleration of the
+        propeller shaft."""
+        return self.ratio * torque_nm - self.engine_kgm2 * acceleration_rad_s2 - self.drag_nm
 
     def coasting_rad_s2(self, torque_nm: float, acceleration_rad_s2: float) -> float:
         """The acceleration of the propeller shaft once the shafts carry nothing, where it is so
@@ -68,20 +70,24 @@ class GearedBodies(NamedTuple):
         pulled = self.shafts_nm(torque_nm, acceleration_rad_s2)
         return acceleration_rad_s2 - self.known.vehicle_inverse * pulled
 
-    def coasting_nm(self, sheet: GearboxSheet, coasting_rad_s2: float) -> float:
-        """The torque with which the engine coasts along with the vehicle (Nm at the crankshaft)."""
-        return sheet.engine.inertia_kgm2 * self.ratio * coasting_rad_s2
+    def coasting_nm(self, coasting_rad_s2: float) -> float:
+        """The torque with which engine and gearbox coast along with the vehicle (Nm at the
+        crankshaft)."""
+        return (self.engine_kgm2 * coasting_rad_s2 + self.drag_nm) / self.ratio
 
 
-def geared_bodies(sheet: GearboxSheet, gear: DriveGear, known: Known) -> GearedBodies:
-    """The bodies of a drive gear, with what is known of shafts and vehicle."""
+def geared_bodies(
+    sheet: GearboxSheet, gear: DriveGear, known: Known, drag_nm: float = 0.0
+) -> GearedBodies:
+    """The bodies of a drive gear, with what is known of shafts and vehicle; drag_nm: of the free
+    gearbox, at the layshaft."""
     ratio, shafts = sheet.overall_ratio(gear), sheet.shafts
     layshaft = ratio * sheet.split_mesh(gear.split).ratio
     engine = (sheet.engine.inertia_kgm2 + shafts.input_inertia_kgm2) * ratio**2
     engine += shafts.layshaft_inertia_kgm2 * layshaft**2
     main_rad = SWING_SHARE * sheet.dog.backlash_rad
     harmless = sheet.driveline.stiffness_nm_rad * main_rad * sheet.range_mesh(gear.range_).ratio
-    return GearedBodies(ratio, engine, known, harmless)
+    return GearedBodies(ratio, engine, known, harmless, layshaft * drag_nm)
 
 
 class Loaded(NamedTuple):
@@ -93,6 +99,8 @@ class Loaded(NamedTuple):
     """What the shafts carry, at the propeller shaft."""
     coasting_rad_s2: float
     """The acceleration of the propeller shaft once they carry nothing."""
+    doubt_nm: float
+    """Error of `own_nm`: of what is read, and of what the engine needs for its own speed."""
 
 
 class Unloading(NamedTuple):
@@ -102,7 +110,7 @@ class Unloading(NamedTuple):
     own_nm: float
     """The engine's torque when it began, without what swings."""
     left_nm: float
-    """The torque with which the engine coasts along with the vehicle."""
+    """The torque with which engine and gearbox coast along with the vehicle."""
     shares: tuple[float, ...]
     settle_us: float
     """From the last step until the engine has followed."""
@@ -137,11 +145,11 @@ def unloading(
     """Ramps with their first step at `now_us`, the shortest first; the last is the shortest that
     leaves a harmless swing."""
     engine = sheet.engine
-    own_nm, pulled_nm, coasting_rad_s2 = loaded
-    left_nm = bodies.coasting_nm(sheet, coasting_rad_s2)
-    doubt_nm = bodies.ratio * READ_SHARE * engine.reference_nm
+    own_nm, pulled_nm, coasting_rad_s2, own_sd_nm = loaded
+    left_nm = bodies.coasting_nm(coasting_rad_s2)
+    doubt_nm = bodies.ratio * own_sd_nm
     away_nm = abs(pulled_nm) + doubt_nm
-    if abs(pulled_nm) < TOLD_SD * doubt_nm:
+    if abs(pulled_nm) < max(TOLD_SD * doubt_nm, bodies.harmless_nm):
         # Nothing that could be told from none: the shafts are as much at rest as they can be.
         return [Unloading(bodies, own_nm, own_nm, SHAPES[0], 0.0, 1, now_us, now_us)]
     swings = math.sin(0.5 * math.pi * min(bodies.tolerance, 1.0))

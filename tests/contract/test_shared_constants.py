@@ -17,6 +17,7 @@ ROOT: Final = Path(__file__).parents[2]
 VALVES: Final = "wire contract: number of a valve in the DBC"
 SHARES: Final = "chance: a share without a counterpart in the rig"
 COUNT: Final = "chance: a count"
+SPAN: Final = "chance: a step of the computation; the rig's is the scatter of a sleeve"
 DRAWN: Final = "chance: drag and torque of chance are learned; this is where learning begins"
 REASONS: Final = {
     "settings.py: gain_pause": "chance: the brake's gain; the rig's are gains of sensors",
@@ -37,7 +38,14 @@ REASONS: Final = {
     "limits.py: CLUTCH_CLOSED_SHARE": "chance: a position; the rig's is the sine of a threshold",
     "context.py: SEQUENCE_CLUTCH_CLOSED_SHARE": "chance: as CLUTCH_CLOSED_SHARE",
     "learned.py: CALIBRATION_FORMAT": COUNT,
-    "driveline_swing.py: SIDES": "chance: a direction, +1 or -1",
+    "lash_cloud.py: FIRST_DRAG": "chance: where learning begins; the rig's is an area",
+    "lash_cloud.py: LEAST_DRAG": "chance: an acceleration; the rig's is an area",
+    "lash_cloud.py: LEAST_SHARE": SHARES,
+    "lash_course.py: STEP_S": SPAN,
+    "lash_motion.py: ROWS": COUNT,
+    "lash_start.py: FIRST_EDGES": COUNT,
+    "gear_predictor.py: MOST_TICKS": COUNT,
+    "step_snapshot.py: engine_torque_step": "wire contract: a per cent, J1939",
     "models.py: gain": "physical: as the data sheet says",
     "observer.py: LOOK_SHARE": SHARES,
     "gap_posterior.py: INDEPENDENT": SHARES,
@@ -76,7 +84,6 @@ REASONS: Final = {
     "brake_input.py: SWITCHES_KEPT": COUNT,
     "reference.py: MOVED_LOOKS": COUNT,
     "driveline_swing.py: LEAST_EDGES": COUNT,
-    "main_tracker.py: MOST_COMPARED": COUNT,
     "case.py: REACT_US": "chance: a reaction time; the rig's is a deviation of the engine's lag",
     "own_speed.py: MEASURED_US": "chance: a window; the rig's is a deviation of the engine's lag",
     "chain_kernels.py: SPAN_US": "chance: a window; the rig's is a deviation of the engine's lag",

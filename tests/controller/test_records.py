@@ -123,7 +123,7 @@ falls = rises + np.array([[0], [250]])
 gate.given[:] = rises.shape[1]
 found, numbers = np.zeros((2, 800)), np.zeros((3, 800), np.int64)
 n = gate_edges(gate.flat, wheel, rises, falls, found, numbers)
-motion = SwingMotion(0.5, 20.0, [ModeRates(70.0, 3.0, 2.0), ModeRates(25.0, 1.0, 0.5)], 0.01)
+motion = SwingMotion(0.5, 20.0, [ModeRates(70.0, 3.0, 2.0), ModeRates(25.0, 1.0, 0.5)])
 main = CrossingFilter(tuning, MAIN_FILTER)
 main.begin(0.0, np.array([1.0, 63.0, 0.0, 0.01, 1.0, 0.0, 0.0]), np.diag(np.linspace(0.1, 2.0, 7)))
 main.take(edges * [[1.0], [0.9]], 1e-3, Pressures(np.empty(0), np.empty(0)), switches, motion)

@@ -8,16 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.estimation.driveline_swing import (
-    LASH,
     NATURAL,
     DrivelineSwing,
     MainWindow,
 )
+from meshpoint.controller.estimation.lash_cloud import LashFigures
 from meshpoint.controller.estimation.likelihood import prior
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.estimation.teeth import WheelTeeth
@@ -87,9 +86,9 @@ def state_of(masses: TwoMasses, twist: float, slip: float) -> Vector:
     return np.array([q, OMEGA + r, 0.0, q, r, 0.0, 0.0])
 
 
-def model_of(masses: TwoMasses, noise: float = 0.0, lash: float = 0.0) -> SwingMotion:
+def model_of(masses: TwoMasses, noise: float = 0.0) -> SwingMotion:
     near = ModeRates(masses.natural_rad_s, masses.decay_per_s, noise)
-    return SwingMotion(0.0, 0.0, [near, QUIET], lash)
+    return SwingMotion(0.0, 0.0, [near, QUIET])
 
 
 def test_two_masses_on_a_spring_are_followed_exactly_however_long_the_step() -> None:
@@ -99,29 +98,6 @@ def test_two_masses_on_a_spring_are_followed_exactly_however_long_the_step() -> 
         assert swing.ahead(t)[0] == pytest.approx(
             masses.angle(twist, slip, np.array([t]))[0], abs=1e-12
         )
-
-
-def test_backlash_is_passed_at_its_flanks() -> None:
-    """Against SciPy's integrator of the same dead zone, through a dozen meetings."""
-    masses, half = TwoMasses(), 0.02
-    w2, d = masses.natural_rad_s**2, masses.decay_per_s
-
-    def rate(_t: float, y: Vector) -> list[float]:
-        beyond = math.copysign(max(abs(y[2]) - half, 0.0), y[2])
-        a = -w2 * beyond - (2.0 * d * y[3] if abs(y[2]) > half else 0.0)
-        return [y[1], a, y[3], a]
-
-    x = np.array([0.0, OMEGA, 0.0, 0.035, -3.0, 0.0, 0.0])
-    swing = Swing(x, np.zeros((7, 7)), model_of(masses, lash=half))
-    times = np.linspace(0.01, 0.5, 50)
-    truth = solve_ivp(
-        rate, (0.0, 0.5), [0.0, OMEGA, 0.035, -3.0], t_eval=times, rtol=1e-10, atol=1e-12,
-        max_step=1e-4,
-    ).y  # fmt: skip
-    found = np.empty((2, 50))
-    swing.course(0.01, 0.01, found)
-    assert np.abs(found[0] - truth[0]).max() < 2e-4
-    assert np.abs(truth[2]).min() < half < np.abs(truth[2]).max()
 
 
 def test_the_covariance_is_that_of_the_matrix_exponential() -> None:
@@ -215,86 +191,83 @@ def window_of(angle: Any, seed: int) -> MainWindow:
 
 
 def test_frequency_and_damping_are_learned_from_the_ringing_of_three_shifts() -> None:
-    masses, swing = TwoMasses(spring_nm_rad=26_000.0), DrivelineSwing(TUNING, 1.0)
+    masses, swing = TwoMasses(spring_nm_rad=26_000.0), DrivelineSwing(TUNING)
     edge_time, rng = prior(JITTER_S, 2.0, (1e-7, 2e-4), 0.03), np.random.default_rng(1)
     for k in range(3):
         twist, slip = rng.normal(0.0, 0.03), rng.normal(0.0, 3.0)
         window = window_of(lambda t, a=twist, b=slip: masses.angle(a, b, t), k)
         edge_time = swing.learn(window, edge_time, teeth_known=True)
-    natural = swing.used._figures[NATURAL].value
+    natural = swing._figures[NATURAL].value
     assert natural == pytest.approx(masses.natural_rad_s, rel=0.02)
-    record = swing.record()
-    assert record is not None and not record.has_lash
-    again = DrivelineSwing(TUNING, 1.0)
+    record = swing.record(LashFigures(8.0, 0.3, -2.0, 0.5, -4.0, 0.3, 2.0, 0.4), has_lash=True)
+    assert record is not None and record.has_lash
+    assert record.half_lash_rad == pytest.approx(math.exp(-4.0))
+    again = DrivelineSwing(TUNING)
     again.restore(record)
-    assert again.used.motion.flat == pytest.approx(swing.used.motion.flat, rel=1e-6)
+    assert again.motion.flat == pytest.approx(swing.motion.flat, rel=1e-6)
 
 
 def test_a_driveline_that_does_not_swing_is_not_given_one() -> None:
-    swing = DrivelineSwing(TUNING, 1.0)
+    swing = DrivelineSwing(TUNING)
     edge_time = prior(JITTER_S, 2.0, (1e-7, 2e-4), 0.03)
     for k in range(6):
         edge_time = swing.learn(window_of(lambda t: OMEGA * t, k), edge_time, teeth_known=True)
     x, p = np.zeros(SWING_STATES), np.zeros((SWING_STATES, SWING_STATES))
-    swing.used.start(x, p, 1.0)
+    swing.start(x, p)
     assert math.sqrt(p[4, 4]) < 0.5 * TUNING.near_rad_s
     assert edge_time.value == pytest.approx(JITTER_S, rel=0.3)
 
 
-def test_backlash_is_believed_where_it_is_seen_and_its_width_is_learned() -> None:
-    masses, half = TwoMasses(spring_nm_rad=12_000.0), math.radians(2.0)
-    motion = model_of(masses, lash=half)
-    swing = DrivelineSwing(TUNING, 1.0)
-    edge_time = prior(JITTER_S, 2.0, (1e-7, 2e-4), 0.03)
-    rng = np.random.default_rng(2)
-    for k in range(3):
-        x = np.array([0.0, OMEGA, 0.0, half + 0.1, rng.normal(0.0, 0.5), 0.0, 0.0])
-        x[1] += x[4]
-
-        def angle(t: Vector, x: Vector = x) -> Vector:
-            found = np.empty((2, t.size))
-            Swing(x, np.zeros((7, 7)), motion).course(0.0, t[1] - t[0], found)
-            return found[0]
-
-        edge_time = swing.learn(window_of(angle, k), edge_time, teeth_known=True)
-    record = swing.record()
-    assert record is not None and record.has_lash
-    assert swing.used._figures[LASH].value == pytest.approx(half, rel=0.1)
-    assert swing.used._figures[NATURAL].value == pytest.approx(masses.natural_rad_s, rel=0.03)
+def rattling(slip: float, count: int) -> Vector:
+    """Angle of the light one of two masses each 40 us, with a backlash of 8 degrees between them;
+    by small steps of the textbook's equations, not by the controller's."""
+    masses, half, dt = TwoMasses(spring_nm_rad=12_000.0), math.radians(4.0), 40e-6
+    angle, speed, twist, relative = 0.0, OMEGA + slip, half + 0.02, slip
+    found = np.empty(count)
+    for k in range(count):
+        found[k] = angle
+        beyond = math.copysign(max(abs(twist) - half, 0.0), twist)
+        push = masses.natural_rad_s**2 * beyond
+        push += 2.0 * masses.decay_per_s * relative * (beyond != 0.0)
+        speed -= push * dt
+        relative -= push * dt
+        angle += speed * dt
+        twist += relative * dt
+    return found
 
 
 def test_a_motion_that_the_model_does_not_have_is_not_taken_for_teeth() -> None:
     """A driveline that knocks about in its backlash, by a model that knows none: what is left over
-    is none of the wheel's."""
-    masses, half = TwoMasses(spring_nm_rad=12_000.0), math.radians(4.0)
-    real, rng = model_of(masses, lash=half), np.random.default_rng(3)
+    is none of the wheel's. By a model of any motion no more is taken for teeth than is theirs."""
+    rng = np.random.default_rng(3)
     errors = np.radians(0.1) * rng.standard_normal(EDGES)
     errors -= errors.mean()
 
     def learned(model: SwingMotion, slips: tuple[float, ...]) -> WheelTeeth:
         teeth = WheelTeeth(EDGES // 2, TUNING, (), MAIN_FILTER)
         for slip in slips:
-            x = np.array([0.0, OMEGA + slip, 0.0, half + 0.02, slip, 0.0, 0.0])
-            found = np.empty((2, 20_001))
-            Swing(x, np.zeros((7, 7)), real).course(0.0, 4e-5, found)
-            passed = np.arange(1, int(found[0, -1] / (2.0 * math.pi / EDGES)) - 1)
+            found = rattling(slip, 20_001)
+            passed = np.arange(1, int(found[-1] / (2.0 * math.pi / EDGES)) - 1)
             places = passed % EDGES
             times = np.interp(
-                2.0 * math.pi / EDGES * passed + errors[places], found[0], np.arange(20_001) * 40.0
+                2.0 * math.pi / EDGES * passed + errors[places], found, np.arange(20_001) * 40.0
             )
             times += 5.0 * rng.standard_normal(times.size)
             edges = np.array((times, passed * 2.0 * math.pi / EDGES))
-            x0, p0 = x.copy(), np.diag([0.03**2, 5.0**2, 1.0, 0.05**2, 4.0**2, 1e-12, 1e-12])
+            x0 = np.array([0.0, OMEGA + slip, 0.0, 0.0, slip, 0.0, 0.0])
+            p0 = np.diag([0.03**2, 5.0**2, 1.0, 0.05**2, 4.0**2, 1e-12, 1e-12])
             teeth.learner.begin(0.0, x0, p0)
             teeth.learner.take_all(edges, places, model)
             teeth.end_window()
         return teeth
 
-    slips = (-3.0, 2.0, -5.0, 4.0)
-    known = learned(real, slips)
+    slips = (-3.0, 2.0, -5.0, 4.0, 1.0, -1.0)
+    any_motion = SwingMotion(2.0 * TUNING.follow_rad_s2**2 * TUNING.follow_s, 25.0, [QUIET] * 2)
+    known = learned(any_motion, slips)
     assert known.learned
-    assert np.abs(known.error_rad - errors).max() < 0.1 * np.abs(errors).max() + 3e-4
-    assert not learned(model_of(masses, noise=1.0), slips).learned
+    assert (known.error_rad - errors).std() < 0.7 * errors.std()
+    linear = model_of(TwoMasses(spring_nm_rad=12_000.0), noise=1.0)
+    assert not learned(linear, slips).learned
 
 
 def test_what_will_be_known_makes_a_later_contact_surer() -> None:
@@ -308,10 +281,9 @@ def test_what_will_be_known_makes_a_later_contact_surer() -> None:
     assert np.all(np.diff(found) <= 1e-12) and found[-1] < 0.02 * found[0]
 
 
-@pytest.mark.parametrize("half_lash_rad", [0.0, 0.01])
-def test_the_outlook_is_that_of_edges_taken_one_tick_after_the_other(half_lash_rad: float) -> None:
+def test_the_outlook_is_that_of_edges_taken_one_tick_after_the_other() -> None:
     modes = [ModeRates(110.0, 5.0, 2.0), ModeRates(26.0, 1.5, 2.0)]
-    motion = SwingMotion(1.0, 25.0, modes, half_lash_rad)
+    motion = SwingMotion(1.0, 25.0, modes)
     x = np.array([0.3, 52.0, -4.0, 0.008, 2.5, -0.01, 1.2])
     p = np.diag([1e-5, 0.3, 20.0, 1e-3, 3.0, 1e-3, 3.0])
     horizon_s, tick_s, edge_rad2_s, count = 0.045, 0.01, 1e-8, 20

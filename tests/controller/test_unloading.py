@@ -25,6 +25,8 @@ STEP_S = 0.01
 PARTS = 10
 STIFFNESS, VEHICLE = 16_000.0, 900.0
 KNOWN = Known(STIFFNESS, 0.17, 1.0 / VEHICLE, 3e-4)
+READ_NM = 7.2
+"""Error of a torque that is told in whole per cent."""
 ROAD_NM = 1_500.0
 
 
@@ -55,7 +57,7 @@ class TwoBodies:
 def ramps(gear: int) -> list[Unloading]:
     bodies = bodies_of(gear)
     coasting = -ROAD_NM / VEHICLE
-    return unloading(SHEET, bodies, Loaded(ROAD_NM / bodies.ratio, ROAD_NM, coasting), 0)
+    return unloading(SHEET, bodies, Loaded(ROAD_NM / bodies.ratio, ROAD_NM, coasting, READ_NM), 0)
 
 
 def left_swinging_nm(ramp: Unloading, stiffness: float) -> float:
@@ -93,19 +95,24 @@ def test_the_torque_leaves_the_shafts_with_it(gear: int) -> None:
 
 
 @pytest.mark.parametrize("gear", [13, 4, 12])
-def test_at_rest_the_clutch_carries_nothing(gear: int) -> None:
-    """The engine gives what turns it along with the vehicle; the shafts turn the gearbox alone."""
+def test_at_rest_the_shafts_carry_nothing(gear: int) -> None:
+    """The engine gives what turns it and the gearbox along with the vehicle."""
     ramp = ramps(gear)[-1]
-    inertia = SHEET.engine.inertia_kgm2
     ratio, coasting = ramp.bodies.ratio, -ROAD_NM / VEHICLE
-    assert ramp.left_nm == pytest.approx(inertia * ratio * coasting)
-    behind = ramp.bodies.engine_kgm2 - inertia * ratio**2
-    assert abs(rest_nm(ramp)) < 1.2 * behind * abs(coasting)
+    assert ramp.left_nm == pytest.approx(ramp.bodies.engine_kgm2 * coasting / ratio)
+    assert abs(rest_nm(ramp)) < 1e-6 * ROAD_NM
+    dragged = geared_bodies(SHEET, DRIVE_GEARS[gear], ramp.bodies.known, 6.0)
+    layshaft = ratio * SHEET.split_mesh(DRIVE_GEARS[gear].split).ratio
+    more = dragged.coasting_nm(coasting) - ramp.bodies.coasting_nm(coasting)
+    assert more == pytest.approx(6.0 * layshaft / ratio)
+    assert dragged.shafts_nm(10.0, 0.5) == pytest.approx(
+        ramp.bodies.shafts_nm(10.0, 0.5) - 6.0 * layshaft
+    )
 
 
 def test_what_cannot_be_told_from_none_is_left() -> None:
     bodies = bodies_of(1)
-    (ramp,) = unloading(SHEET, bodies, Loaded(4.0, 100.0, -0.1), 0)
+    (ramp,) = unloading(SHEET, bodies, Loaded(4.0, 100.0, -0.1, READ_NM), 0)
     assert (ramp.torque_nm, ramp.over_us) == (4.0, 0)
 
 

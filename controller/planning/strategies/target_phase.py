@@ -51,6 +51,9 @@ CLOSE_SHARE: Final = 5
 """in steps smaller by this,"""
 CLOSE_OF_GAP: Final = 0.15
 """or smaller, so that one moves the phase by no more than this share of a backlash."""
+COASTS_US: Final = (90_000.0, 60_000.0, 30_000.0, 0.0)
+"""A release may be so much earlier, and the gear coast so much longer: what the valve's scatter and
+the brake's fading have done to its speed is known by then."""
 MOST_REACH_US: Final = 40_000.0
 LEAST_REACH_US: Final = 500.0
 """The span of the releases looked at is kept within these."""
@@ -112,27 +115,36 @@ class TargetPhase:
         return min(max(reach_us, LEAST_REACH_US), MOST_REACH_US)
 
     def release(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> ReleasePlan:
-        """Release and contact planned together: of the releases around the one that leaves
-        `window.aim_slip_rpm`, the one of least expected cost."""
-        slip, settle_us = self._window.aim_slip_rad_s, self._settle_us
-        release_us = release_for_slip(predictor, earliest_us, slip, settle_us)
-        if release_us > earliest_us + NEAR_US:
-            return ReleasePlan(release_us, release_us + round(settle_us))
+        """Release and contact planned together: of the releases around those that leave
+        `window.aim_slip_rpm` after one of the coasts, the one of least expected cost."""
+        slip, least, chosen = self._window.aim_slip_rad_s, math.inf, range(0)
+        for coast_us in COASTS_US:
+            settle_us = self._settle_us + coast_us
+            release_us = release_for_slip(predictor, earliest_us, slip, settle_us)
+            if not chosen and release_us > earliest_us + NEAR_US:
+                return ReleasePlan(release_us, release_us + round(settle_us))
+            steps = self._releases(predictor, earliest_us, release_us)
+            plan, cost = self._best_release(predictor, now_us, earliest_us, steps)
+            if cost < least:
+                least, best, chosen = cost, plan.release_us, steps
+        reach_us = self._reach_us(predictor, best)
+        gap_us = CLOSE_OF_GAP * self._dog.backlash_rad / self._dog.pitch_rad * reach_us
+        close_us = max(1, round(min(chosen.step / CLOSE_SHARE, gap_us)))
+        around = range(max(earliest_us, best - chosen.step), best + chosen.step + 1, close_us)
+        return self._best_release(predictor, now_us, earliest_us, around)[0]
+
+    def _releases(self, predictor: GearPredictor, earliest_us: int, release_us: int) -> range:
+        """The releases around one that together move the phase by more than a pitch."""
         reach_us = self._reach_us(predictor, release_us)
         first_us = max(earliest_us, release_us - round(EARLIER_SHARE * reach_us))
         last_us = release_us + round(LATER_SHARE * reach_us)
         step_us = max(1, round((EARLIER_SHARE + LATER_SHARE) * reach_us / RELEASES))
-        steps = range(first_us, last_us + 1, step_us)
-        best = self._best_release(predictor, now_us, earliest_us, steps).release_us
-        gap_us = CLOSE_OF_GAP * self._dog.backlash_rad / self._dog.pitch_rad * reach_us
-        close_us = max(1, round(min(step_us / CLOSE_SHARE, gap_us)))
-        around = range(max(earliest_us, best - step_us), best + step_us + 1, close_us)
-        return self._best_release(predictor, now_us, earliest_us, around)
+        return range(first_us, last_us + 1, step_us)
 
     def _best_release(
         self, predictor: GearPredictor, now_us: int, earliest_us: int, releases_us: range
-    ) -> ReleasePlan:
-        """The release of least expected cost, and the contact that goes with it."""
+    ) -> tuple[ReleasePlan, float]:
+        """The release of least expected cost with the contact that goes with it, and the cost."""
         terms = self._terms(predictor)
         step_us, count = self._steps(predictor, releases_us[0])
         least, best = math.inf, ReleasePlan(releases_us[0], releases_us[0])
@@ -141,7 +153,7 @@ class TargetPhase:
             first_us = float(fire_us + predictor.delay_us)
             trajectory = predictor.trajectory(first_us, step_us, count, release_us)
             if release_us == releases_us[0]:
-                spread, settled = self._spread_at_release(predictor, trajectory, now_us)
+                spread, settled = self._spread_at_release(predictor, trajectory, now_us, release_us)
             index, cost = expected_least(
                 trajectory.phase_rad,
                 trajectory.slip_rad_s,
@@ -153,7 +165,7 @@ class TargetPhase:
             if cost < least:
                 least = cost
                 best = ReleasePlan(release_us, round(first_us + index * step_us))
-        return best
+        return best, least
 
     def _cheapest(self, predictor: GearPredictor, now_us: int, trajectory: Trajectory) -> float:
         """Time of a trajectory's cheapest contact."""
@@ -169,13 +181,15 @@ class TargetPhase:
         return predictor.variances(first_us, step_us, phase.size) + self._reference_variance
 
     def _spread_at_release(
-        self, predictor: GearPredictor, trajectory: Trajectory, now_us: int
+        self, predictor: GearPredictor, trajectory: Trajectory, now_us: int, release_us: int
     ) -> tuple[float, Vector]:
         """Standard deviation of the phase at the first contact as it is predicted now, and the
-        variances that are left at firing."""
+        variances that are left when the firing for each contact has to be decided."""
+        first_us, step_us, phase, _ = trajectory
         firing_us = float(now_us + predictor.delay_us)
-        settled = predictor.variances(firing_us, trajectory.step_us, trajectory.phase_rad.size)
-        now = predictor.estimate_variance(trajectory.first_us) + self._reference_variance
+        before = max(0, round((first_us - firing_us) / step_us))
+        settled = predictor.variances(firing_us, step_us, before + phase.size, release_us)[before:]
+        now = predictor.estimate_variance(first_us) + self._reference_variance
         return math.sqrt(now), settled + self._reference_variance
 
     def _terms(self, predictor: GearPredictor) -> Vector:

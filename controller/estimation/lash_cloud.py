@@ -1,0 +1,321 @@
+"""Where a driveline lies in its backlash: a cloud of drivelines, weighed by the edges.
+
+When a gear has come out it is not known where between its flanks the driveline lies, how wide the
+backlash is, nor how fast the vehicle is within some tenths. Each driveline of the cloud holds
+another answer to all of it; all move on (`motion/lash_motion`), and each edge weighs them by how
+well they foretold it. When few weigh most, the cloud is drawn anew around those (particle filter:
+Gordon, Salmond and Smith 1993; with a kernel for what does not move: Liu and West 2001). The
+shaft's own angle, speed and drag differ from those foretold by torques of chance: these three are
+estimated in each driveline by a Kalman filter, whose gain is the same for all (Rao and Blackwell;
+Doucet et al. 2000).
+
+There is no randomness in it: the first cloud is a low-discrepancy sequence (Halton 1960), and what
+is added to a cloud drawn anew are its numbers in another order.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from statistics import NormalDist
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.motion.lash_course import LashCourse
+from meshpoint.controller.motion.lash_motion import (
+    ANGLE,
+    DRAG,
+    HALF,
+    HILL,
+    LOSS,
+    ROWS,
+    SPEED,
+    STIFF,
+    TYRE,
+    TYRE_STIFF,
+    VEHICLE,
+    WAY,
+    WHEELS,
+    LashModel,
+    move,
+)
+from meshpoint.controller.records import Vector
+from meshpoint.gearbox.sheet import Axle
+from meshpoint.units import US
+
+DRIVELINES: Final = 2500
+FOLLOWED: Final = 240
+"""So many of them, by their weights, are followed ahead."""
+LOOK_US: Final = 4000.0
+"""Edges within this are taken together: one by itself tells little, and a shaft swings slowly."""
+LEAST_SHARE: Final = 0.25
+"""The cloud is drawn anew when fewer than this share of it carries the weight."""
+KERNEL: Final = 0.2
+"""What is added then, in standard deviations of the cloud."""
+MOST_OFF: Final = 4.0
+"""An angle that is further off, in standard deviations, counts as so far off."""
+AROUND: Final = 1.15
+"""The first cloud lies within the backlash and this much of its half beyond: flanks give way."""
+FIRST_OMEGA: Final = 2.0
+"""Standard deviation (rad/s) of the speed when a gear comes out;"""
+FIRST_DRAG: Final = 0.5
+"""of the drag's acceleration (rad/s2) in one driveline,"""
+DRAG_CHANGE: Final = 4.0
+"""and density of its change (rad2/s5)."""
+LEAST_DRAG: Final = 0.5
+"""Drag is never less (rad/s2): it always slows a shaft down."""
+SEEN_SDS: Final = (0.2, 0.5, 0.5, 0.5)
+"""What one window tells of stiffness, loss, backlash and drag counts as no surer than this, in
+their logarithms: a shaft that met no flank tells little, and its cloud does not know how little."""
+LEAST_SHARE_SD: Final = 0.5
+"""They are never known better than by this share of what the sheet leaves open."""
+PRIMES: Final = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29)
+DRAWN: Final = (WAY, WHEELS, TYRE, VEHICLE, HILL)
+"""What a cloud drawn anew gets its kernel in; beside the shares that follow."""
+SHARES: Final = (STIFF, LOSS, HALF, TYRE_STIFF)
+
+
+class LashStart(NamedTuple):
+    """What is known when a gear has come out."""
+
+    time_us: float
+    angle_rad: float
+    speed_rad_s: float
+    vehicle_rad_s: float
+    """The vehicle's speed at the main shaft: the shaft's mean speed before."""
+
+
+class LashFigures(NamedTuple):
+    """What is known of a driveline in one step of the range, at the main shaft: logarithms with
+    their standard deviations."""
+
+    stiff_log: float
+    stiff_sd: float
+    """Of the shafts' stiffness over the main shaft's inertia (1/s2),"""
+    loss_log: float
+    loss_sd: float
+    """of the loss at a flank (s/rad),"""
+    half_log: float
+    half_sd: float
+    """of half of the backlash (rad),"""
+    drag_log: float
+    drag_sd: float
+    """and of the drag's acceleration (rad/s2)."""
+
+
+class Lash:
+    """The figures of a driveline in one step of the range, from the data sheet, and as learned."""
+
+    def __init__(self, axle: Axle, backlash_rad: float, factor: float, ratio: float) -> None:
+        """ratio: the range's, i_range; factor: most backlash over the sheet's."""
+        self.axle, self.ratio = axle, ratio
+        turned = axle.main_kgm2 + axle.propeller_kgm2 * ratio * ratio
+        self._turned_kgm2 = turned
+        drag = (axle.pinion_nm * ratio + axle.loose_nm) / turned
+        self.prior = LashFigures(
+            math.log(axle.shaft_nm_rad * ratio * ratio / turned),
+            axle.shaft_tolerance,
+            math.log(axle.flank_loss_s_rad * ratio),
+            math.log(axle.flank_loss_factor),
+            math.log(0.5 * backlash_rad / ratio),
+            math.log(factor) / math.sqrt(3.0),
+            math.log(drag),
+            axle.pinion_tolerance / math.sqrt(3.0),
+        )
+        self.known = self.prior
+
+    def restore(self, half_rad: float, half_sd: float) -> None:
+        """Starts from the half backlash that an earlier run learned."""
+        sd = min(self.prior.half_sd, max(LEAST_SHARE_SD * self.prior.half_sd, half_sd))
+        self.known = self.known._replace(half_log=math.log(half_rad), half_sd=sd)
+
+    def model(self, speed_rad_s: float) -> LashModel:
+        """What is taken as known, at a speed of the main shaft."""
+        axle, ratio = self.axle, self.ratio
+        return LashModel(
+            self._turned_kgm2 / (axle.wheels_kgm2 * ratio * ratio),
+            axle.tyre_nms / axle.wheels_kgm2,
+            abs(speed_rad_s) * ratio / axle.relaxation_rad,
+        )
+
+    @property
+    def chance_rad2_s3(self) -> float:
+        """Density of the noise by which torques of chance accelerate the shaft."""
+        axle = self.axle
+        nm = math.hypot(axle.main_chance_nm, self.ratio * axle.propeller_chance_nm)
+        return 2.0 * (nm / self._turned_kgm2) ** 2 * axle.chance_s
+
+    def cloud(self, start: LashStart) -> Vector:
+        """The first cloud, (ROWS, DRIVELINES)."""
+        known, axle, ratio, sure = self.known, self.axle, self.ratio, _normal()
+        x = np.empty((ROWS, DRIVELINES))
+        x[ANGLE], x[SPEED] = start.angle_rad, start.speed_rad_s
+        x[HALF] = np.exp(known.half_log + known.half_sd * sure[0])
+        x[WAY] = (1.0 - AROUND + 2.0 * AROUND * _even()[1]) * x[HALF]
+        x[VEHICLE] = start.vehicle_rad_s + axle.vehicle_start_rad_s * sure[2]
+        x[HILL] = axle.vehicle_rad_s2 / ratio * sure[3]
+        x[WHEELS] = x[VEHICLE] + axle.wheels_start_rad_s * sure[4]
+        x[TYRE] = axle.wheels_start_rad_s / math.sqrt(self._tyre_per_s2) * sure[5]
+        x[STIFF] = np.exp(known.stiff_log + known.stiff_sd * sure[6])
+        x[LOSS] = np.exp(known.loss_log + known.loss_sd * sure[7])
+        x[DRAG] = np.maximum(np.exp(known.drag_log + known.drag_sd * sure[8]), LEAST_DRAG)
+        x[TYRE_STIFF] = self._tyre_per_s2 * np.exp(axle.tyre_tolerance * sure[9])
+        return x
+
+    @property
+    def _tyre_per_s2(self) -> float:
+        return self.axle.tyre_nm_rad / self.axle.wheels_kgm2
+
+    def learn(self, cloud: LashCloud) -> None:
+        """Takes over what a window has shown."""
+        learned: list[float] = []
+        for k, row in enumerate((STIFF, LOSS, HALF, DRAG)):
+            log, sd = cloud.log_figure(row)
+            if not (math.isfinite(log) and math.isfinite(sd)):
+                return
+            middle, most = self.prior[2 * k : 2 * k + 2]
+            before, before_sd = self.known[2 * k : 2 * k + 2]
+            gain = before_sd**2 / (before_sd**2 + max(sd, SEEN_SDS[k]) ** 2)
+            after = before + gain * (log - before)
+            after_sd = max(before_sd * math.sqrt(1.0 - gain), LEAST_SHARE_SD * most)
+            learned += [min(max(after, middle - 2.0 * most), middle + 2.0 * most), after_sd]
+        self.known = LashFigures(*learned)
+
+
+@cache
+def _even() -> Vector:
+    """Halton's sequences in the first primes: numbers that fill 0 to 1 evenly,
+    (len(PRIMES), DRIVELINES)."""
+    found = np.zeros((len(PRIMES), DRIVELINES))
+    for row, base in zip(found, PRIMES, strict=True):
+        rest, share = np.arange(1, DRIVELINES + 1), 1.0
+        while rest.any():
+            share /= base
+            row += share * (rest % base)
+            rest //= base
+    return found
+
+
+@cache
+def _normal() -> Vector:
+    """The same as numbers of the normal law."""
+    law = NormalDist()
+    return np.array([[law.inv_cdf(value) for value in row] for row in _even().tolist()])
+
+
+class LashCloud:
+    """The drivelines of one interval in neutral."""
+
+    def __init__(self, lash: Lash, start: LashStart, edge_time_s: float) -> None:
+        self._x = lash.cloud(start)
+        self._logs = np.zeros(DRIVELINES)
+        self._p = np.diag((0.05**2, FIRST_OMEGA**2, FIRST_DRAG**2))
+        """Covariance of angle, speed and drag in each driveline."""
+        self._model = lash.model(start.speed_rad_s)
+        self._chance_rad2_s3 = lash.chance_rad2_s3
+        self._edge_time_s = edge_time_s
+        self._drawn = 0
+        self.time_us = start.time_us
+        """Up to here edges have been taken."""
+
+    @property
+    def is_alive(self) -> bool:
+        """Whether all of it are numbers."""
+        return bool(np.isfinite(self._x).all() and np.isfinite(self._logs).all())
+
+    @property
+    def weights(self) -> Vector:
+        """Probabilities of the drivelines."""
+        found = np.exp(self._logs - self._logs.max())
+        return np.asarray(found / found.sum())
+
+    def mean(self, row: int) -> float:
+        """Mean of a quantity."""
+        return float(self.weights @ self._x[row])
+
+    def log_figure(self, row: int) -> tuple[float, float]:
+        """Mean and standard deviation of a quantity's logarithm; not numbers where it has none."""
+        if not self.is_alive:
+            return math.nan, math.nan
+        weights, logs = self.weights, np.log(self._x[row])
+        mean = weights @ logs
+        return float(mean), math.sqrt(float(weights @ (logs - mean) ** 2))
+
+    def take(self, edges: Vector, tooth_rad: float) -> None:
+        """Takes edges: times (us) and angles (rad), (2, n), in order of time; late ones are left
+        out. tooth_rad: standard deviation of an edge's angle."""
+        edges = edges[:, edges[0] > self.time_us]
+        if not edges.size:
+            return
+        group = np.floor((edges[0] - edges[0, 0]) / LOOK_US)
+        _, first, count = np.unique(group, return_index=True, return_counts=True)
+        times = np.add.reduceat(edges[0], first) / count
+        angles = np.add.reduceat(edges[1], first) / count
+        jitter_rad = float(self._x[SPEED, 0]) * self._edge_time_s
+        variances = (tooth_rad**2 + jitter_rad**2) / count
+        for time_us, angle_rad, variance in zip(times, angles, variances, strict=True):
+            self._look((float(time_us) - self.time_us) * US, float(angle_rad), float(variance))
+            self.time_us = float(time_us)
+
+    def _look(self, seconds: float, angle_rad: float, variance: float) -> None:
+        x = self._x
+        move(x, seconds, self._model)
+        p = spread(self._p, seconds, self._chance_rad2_s3)
+        whole = float(p[0, 0]) + variance
+        gain = p[:, 0] / whole
+        off = angle_rad - x[ANGLE]
+        most = MOST_OFF * math.sqrt(whole)
+        near = np.clip(off, -most, most)
+        # Beyond `most` the logarithm falls in a line: Huber's law (1964).
+        self._logs -= 0.5 * (2.0 * np.abs(off) - np.abs(near)) * np.abs(near) / whole
+        x[ANGLE] += gain[0] * near
+        x[WAY] += gain[0] * near
+        x[SPEED] += gain[1] * near
+        x[DRAG] = np.maximum(x[DRAG] - gain[2] * near, LEAST_DRAG)
+        self._p = p - np.outer(gain, p[0])
+        weights = self.weights
+        if 1.0 / float(weights @ weights) < LEAST_SHARE * DRIVELINES:
+            self._draw(weights)
+
+    def _draw(self, weights: Vector) -> None:
+        """Draws the cloud anew, each driveline as often as its weight says."""
+        x = self._x
+        places = (np.arange(DRIVELINES) + 0.5) / DRIVELINES
+        chosen = np.minimum(np.searchsorted(np.cumsum(weights), places), DRIVELINES - 1)
+        widths = {row: _sd(x[row], weights) for row in DRAWN}
+        widths |= {row: _sd(np.log(x[row]), weights) for row in SHARES}
+        self._x = x = x[:, chosen]
+        self._logs[:] = 0.0
+        self._drawn += 1
+        for numbers, (row, width) in zip(_normal(), widths.items(), strict=False):
+            added = KERNEL * width * np.roll(numbers, self._drawn * PRIMES[-1] ** 2)
+            if row in SHARES:
+                x[row] *= np.exp(added)
+            else:
+                x[row] += added
+
+    def course(self, half_gap_rad: float) -> LashCourse | None:
+        """The course from the newest edges on, told to half a gap; None where it is lost."""
+        if not self.is_alive:
+            return None
+        places = (np.arange(FOLLOWED) + 0.5) / FOLLOWED
+        chosen = np.minimum(np.searchsorted(np.cumsum(self.weights), places), DRIVELINES - 1)
+        followed = self._x[:, chosen]
+        return LashCourse(followed, self._model, (self._p, self._chance_rad2_s3), half_gap_rad)
+
+
+def spread(p: Vector, seconds: float, chance_rad2_s3: float) -> Vector:
+    """Covariance of angle, speed and drag after some time; drag slows down."""
+    f = np.array(((1.0, seconds, -0.5 * seconds**2), (0.0, 1.0, -seconds), (0.0, 0.0, 1.0)))
+    found = f @ p @ f.T
+    found[0, 0] += chance_rad2_s3 * seconds**3 / 3.0
+    found[0, 1] += chance_rad2_s3 * seconds**2 / 2.0
+    found[1, 0] += chance_rad2_s3 * seconds**2 / 2.0
+    found[1, 1] += chance_rad2_s3 * seconds
+    found[2, 2] += DRAG_CHANGE * seconds
+    return np.asarray(found)
+
+
+def _sd(values: Vector, weights: Vector) -> float:
+    return math.sqrt(float(weights @ (values - weights @ values) ** 2))

@@ -1,0 +1,90 @@
+"""Which model of the main shaft in neutral predicts it better: a linear swing or the backlash."""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.records import Vector
+
+AHEAD_US: Final = 45_000.0
+"""A sleeve takes this long to its gear, so predictions are compared so far ahead."""
+LUCK: Final = 0.05
+"""A prediction is never taken for quite wrong."""
+FORGET: Final = 0.8
+"""Weight of earlier windows against a new one."""
+BELIEVED: Final = 5.0
+"""Backlash is believed where it is likelier by e to half of this;"""
+REJECTED: Final = -50.0
+"""where it is this unlikely it is not even tried, for some windows."""
+
+
+class Prediction(NamedTuple):
+    """An angle predicted, and its standard deviation."""
+
+    angle_rad: float
+    sd_rad: float
+
+
+class LashRivals:
+    """Scores of both models in one step of the range, over the windows seen."""
+
+    def __init__(self) -> None:
+        self._for_lash = 0.0
+        self._window = 0.0
+        self._open: list[tuple[float, Prediction, Prediction]] = []
+        self._newest: tuple[float, float] | None = None
+
+    @property
+    def believes_lash(self) -> bool:
+        """Whether the backlash has predicted better so far."""
+        return self._for_lash > BELIEVED
+
+    @property
+    def tries_lash(self) -> bool:
+        """Whether the backlash is worth a try."""
+        return self._for_lash > REJECTED
+
+    def restore(self, has_lash: bool) -> None:
+        """Starts from what an earlier run believed."""
+        self._for_lash = 2.0 * BELIEVED if has_lash else 0.0
+
+    def begin(self) -> None:
+        """A window begins."""
+        self._window, self._newest = 0.0, None
+        self._open.clear()
+
+    def predict(self, from_us: float, swing: Prediction, lash: Prediction) -> None:
+        """Both predictions of the angle `AHEAD_US` after a time."""
+        self._open.append((from_us + AHEAD_US, swing, lash))
+
+    def judge(self, edges: Vector, within_rad: float) -> None:
+        """Compares the predictions whose time has come with the edges, (2, n): how probable each
+        made it that the angle is so near."""
+        if not edges.shape[1]:
+            return
+        if self._newest is not None:
+            edges = np.concatenate((np.array(self._newest)[:, np.newaxis], edges), axis=1)
+        self._newest = (float(edges[0, -1]), float(edges[1, -1]))
+        while self._open and self._open[0][0] <= edges[0, -1]:
+            time_us, swing, lash = self._open.pop(0)
+            angle = float(np.interp(time_us, edges[0], edges[1]))
+            self._window += _misfit(swing, angle, within_rad) - _misfit(lash, angle, within_rad)
+
+    def end(self) -> None:
+        """The window is over. Predictions overlap: those of one horizon count as one."""
+        self._for_lash = FORGET * self._for_lash + self._window * STEP_SHARE
+
+
+STEP_SHARE: Final = 10_000.0 / AHEAD_US
+"""Time from one prediction to the next over the horizon."""
+
+
+def _misfit(predicted: Prediction, angle_rad: float, within_rad: float) -> float:
+    """Minus twice the logarithm of the probability given to the angle within half a gap."""
+    scale = 1.0 / (math.sqrt(2.0) * predicted.sd_rad)
+    off = angle_rad - predicted.angle_rad
+    share = math.erf((off + within_rad) * scale) - math.erf((off - within_rad) * scale)
+    return -2.0 * math.log(LUCK + (1.0 - LUCK) * 0.5 * share)

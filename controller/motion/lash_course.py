@@ -1,0 +1,157 @@
+"""How a main shaft moves ahead by a cloud of drivelines, as one course."""
+
+from __future__ import annotations
+
+import copy
+import math
+from statistics import NormalDist
+from typing import Final
+
+import numpy as np
+
+from meshpoint.controller.motion.lash_motion import (
+    ANGLE,
+    HILL,
+    SPEED,
+    VEHICLE,
+    LashModel,
+    move,
+)
+from meshpoint.controller.records import Vector
+
+STEP_S: Final = 2.5e-3
+STEPS: Final = 49
+"""The course is worked out at so many steps of this. Beyond the last the speed is held."""
+MOST_TICKS: Final = 8
+"""What will be known is worked out for so many ticks,"""
+COMPARED: Final = 60
+"""by so many of the drivelines."""
+LEAST_SD_RAD: Final = math.radians(0.1)
+"""An angle ahead is never known better: teeth and bearings."""
+MOST_SURE: Final = 0.9999
+_TABLE: Final = np.linspace(0.0, MOST_SURE, 400)
+_WIDTHS: Final = np.array([NormalDist().inv_cdf(0.5 + 0.5 * share) for share in _TABLE.tolist()])
+
+
+class LashCourse:
+    """The course of a main shaft from a time on: what `Swing` is for a linear one.
+
+    At each time it gives the angle that most of the drivelines are within half a gap of, and the
+    standard deviation of a normal law that lies within half a gap with the same probability."""
+
+    def __init__(
+        self, x: Vector, model: LashModel, spread: tuple[Vector, float], half_gap_rad: float
+    ) -> None:
+        """x: drivelines (ROWS, n), all alike in weight, at the course's time; they are moved.
+        spread: covariance of angle, speed and drag in each (3, 3), and the density of the noise
+        that accelerates the shaft (rad2/s3)."""
+        self._half_gap_rad = half_gap_rad
+        self._p, self._chance_rad2_s3 = spread
+        self.hill_rad_s2 = float(x[HILL].mean())
+        """The vehicle's acceleration at the main shaft."""
+        self.speed_rad_s = float((x[SPEED] - x[VEHICLE]).mean())
+        """The part of the shaft's speed with which it moves against the vehicle."""
+        own = float(self._p[1, 1])
+        self.speed_sd_rad_s = math.sqrt(float(x[SPEED].var()) + own)
+        """Standard deviation of the speed now."""
+        angle, speed = np.empty((STEPS, x.shape[1])), np.empty((STEPS, x.shape[1]))
+        for k in range(STEPS):
+            if k > 0:
+                move(x, STEP_S, model)
+            angle[k], speed[k] = x[ANGLE], x[SPEED]
+        self._angle = angle
+        self._merged = self._merge(angle, speed)
+        self.since_s = 0.0
+        """Now, on the course's own time."""
+        self._shapes: list[Vector] = []
+        """How `outlook` goes on from its first variance, once it was asked for."""
+
+    def _own_variance(self, wait_s: Vector) -> Vector:
+        """Variance of the angle ahead in one driveline."""
+        p = self._p
+        found = p[0, 0] + wait_s * (2.0 * p[0, 1] + wait_s * (p[1, 1] - p[0, 2]))
+        found = found + wait_s**3 * (self._chance_rad2_s3 / 3.0 - p[1, 2])
+        found = found + 0.25 * wait_s**4 * p[2, 2] + LEAST_SD_RAD**2
+        return np.asarray(np.maximum(found, LEAST_SD_RAD**2))
+
+    def _merge(self, angle: Vector, speed: Vector) -> Vector:
+        """Angle, speed and standard deviation at each step, (3, STEPS)."""
+        count = angle.shape[1]
+        order = np.argsort(angle, axis=1, kind="stable")
+        angle = np.take_along_axis(angle, order, axis=1)
+        speed = np.take_along_axis(speed, order, axis=1)
+        own = self._own_variance(STEP_S * np.arange(STEPS))
+        merged = np.empty((3, STEPS))
+        for k in range(STEPS):
+            row = angle[k]
+            ends = np.searchsorted(row, row + 2.0 * self._half_gap_rad, side="right")
+            inside = ends - np.arange(count)
+            most = inside.max()
+            # Of windows that hold as many the one in the middle: a lone group is met in its middle.
+            first = int(np.median(np.flatnonzero(inside == most)))
+            within = slice(first, first + int(most))
+            merged[0, k], merged[1, k] = row[within].mean(), speed[k, within].mean()
+            width = math.sqrt(float(row[within].var() + own[k]))
+            share = most / count * math.erf(self._half_gap_rad / (math.sqrt(2.0) * width))
+            merged[2, k] = self._half_gap_rad / float(_width(np.array(share)))
+        return merged
+
+    def after(self, wait_s: float) -> LashCourse:
+        """The same as seen from a later time."""
+        later = copy.copy(self)
+        later.since_s += wait_s
+        return later
+
+    def ahead(self, wait_s: float) -> tuple[float, float]:
+        """Angle and speed after a time."""
+        found = np.empty((2, 1))
+        self.course(wait_s, 0.0, found)
+        return float(found[0, 0]), float(found[1, 0])
+
+    def course(self, wait_s: float, step_s: float, found: Vector) -> None:
+        """Angle and speed at equal steps of time, the first after `wait_s`, to the rows of found
+        (2, n). Before now and after the last step of the course the speed is held."""
+        waits = self.since_s + wait_s + step_s * np.arange(found.shape[1])
+        inside = np.clip(waits, 0.0, STEP_S * (STEPS - 1))
+        times = STEP_S * np.arange(STEPS)
+        found[1] = np.interp(inside, times, self._merged[1])
+        found[0] = np.interp(inside, times, self._merged[0]) + (waits - inside) * found[1]
+
+    def theta_sd_ahead(self, wait_s: float) -> float:
+        """Standard deviation of the angle after a time."""
+        at = min(max(self.since_s + wait_s, 0.0) / STEP_S, float(STEPS - 1))
+        return float(np.interp(at, np.arange(STEPS), self._merged[2]))
+
+    def outlook(self, horizon_s: float, tick_s: float, count: int) -> Vector:
+        """Variances (rad2) of the angle predicted `horizon_s` ahead: now, and after each further
+        tick of edges, which will have told some of the drivelines from others."""
+        if not self._shapes:
+            self._shapes.append(self._settled(self.since_s + horizon_s, tick_s))
+        now, shape = self.theta_sd_ahead(horizon_s) ** 2, self._shapes[0]
+        found: Vector = now * shape[np.minimum(np.arange(count), MOST_TICKS - 1)]
+        return found
+
+    def _settled(self, horizon_s: float, tick_s: float) -> Vector:
+        """Variances of `outlook` over the first one. It is worked out once a course: a sleeve's way
+        differs by some milliseconds only.
+
+        Each of the drivelines may be the real one. Those that keep near it until then are still
+        possible then; of these the share within half a gap of it will be the probability."""
+        angle = self._angle[:, :: max(1, self._angle.shape[1] // COMPARED)]
+        off = np.abs(angle[:, :, np.newaxis] - angle[:, np.newaxis])
+        own = self._own_variance(STEP_S * np.arange(STEPS))
+        told = self._p[0, 0] + LEAST_SD_RAD**2
+        alike = np.exp(-np.maximum.accumulate(0.25 * off**2 / told, axis=0))
+        then = np.minimum(np.rint(tick_s * np.arange(MOST_TICKS) / STEP_S), STEPS - 1).astype(int)
+        later = np.minimum(then + round(horizon_s / STEP_S), STEPS - 1)
+        weights = alike[then] / alike[then].sum(axis=2, keepdims=True)
+        shares = (weights * (off[later] < self._half_gap_rad)).sum(axis=2).mean(axis=1)
+        width = math.sqrt(own[min(round(horizon_s / STEP_S), STEPS - 1)])
+        shares *= math.erf(self._half_gap_rad / (math.sqrt(2.0) * width))
+        variances = _width(shares) ** -2.0
+        return np.asarray(np.minimum(variances / variances[0], 1.0))
+
+
+def _width(share: Vector) -> Vector:
+    """Half width of the normal law's span, in its deviations, that holds a share."""
+    return np.asarray(np.maximum(np.interp(share, _TABLE, _WIDTHS), 1e-2))

@@ -1,0 +1,245 @@
+"""The driveline in its backlash: the model against SciPy, a cloud of drivelines against a known
+truth, and whether what it promises is so."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from meshpoint.controller.estimation.lash_cloud import (
+    SEEN_SDS,
+    Lash,
+    LashCloud,
+    LashStart,
+    spread,
+)
+from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Prediction
+from meshpoint.controller.estimation.lash_start import StartWatch
+from meshpoint.controller.motion.lash_motion import (
+    ANGLE,
+    DRAG,
+    HALF,
+    HILL,
+    LOSS,
+    ROWS,
+    SPEED,
+    STIFF,
+    TYRE,
+    TYRE_STIFF,
+    VEHICLE,
+    WAY,
+    WHEELS,
+    LashModel,
+    move,
+)
+from meshpoint.controller.records import Vector
+from meshpoint.gearbox.sheet import Axle, Driveline
+
+AXLE, RATIO, EDGE_RAD = Axle(), 0.27, math.pi / 45.0
+BACKLASH = Driveline()
+HALF_GAP_RAD = math.radians(0.95)
+MODEL = LashModel(wheels_share=0.25, tyre_per_s=4.0, fading_per_s=17.0)
+
+
+def a_driveline(slip: float = 2.0) -> Vector:
+    """One driveline, (ROWS, 1), on its way between the flanks."""
+    x = np.zeros((ROWS, 1))
+    x[SPEED], x[WHEELS], x[VEHICLE], x[WAY] = 60.0 + slip, 60.0, 60.0, 0.01
+    x[DRAG], x[HILL], x[STIFF], x[LOSS], x[HALF], x[TYRE_STIFF] = 6.0, 1.5, 4800.0, 0.1, 0.06, 5500
+    return x
+
+
+def rates(x: Vector) -> Vector:
+    """The equations of the driveline as the textbooks have them, apart from the kernels."""
+    twist, rate = x[WAY] - x[HALF], x[SPEED] - x[WHEELS]
+    side, beyond = math.copysign(1.0, twist), abs(twist) - x[HALF]
+    torque = 0.0
+    if beyond > 0.0:
+        torque = side * max(0.0, x[STIFF] * beyond * (1.0 + x[LOSS] * side * rate))
+    found = np.zeros(ROWS)
+    found[ANGLE], found[SPEED], found[WAY] = x[SPEED], -x[DRAG] - torque, rate
+    slack = MODEL.fading_per_s * MODEL.tyre_per_s / x[TYRE_STIFF]
+    found[TYRE] = (x[WHEELS] - x[VEHICLE] - MODEL.fading_per_s * x[TYRE]) / (1.0 + slack)
+    traction = x[TYRE_STIFF] * x[TYRE] + MODEL.tyre_per_s * found[TYRE]
+    found[WHEELS] = MODEL.wheels_share * torque - traction
+    found[VEHICLE] = x[HILL]
+    return found
+
+
+def course_of(x: Vector, model: LashModel, step_s: float, count: int) -> Vector:
+    """Angles of one driveline at equal steps of time."""
+    x, angles = x.copy(), np.empty(count)
+    for k in range(count):
+        angles[k] = x[ANGLE, 0]
+        move(x, step_s, model)
+    return angles
+
+
+@pytest.mark.parametrize("slip", [2.0, -5.0])
+def test_flanks_are_met_and_left_as_by_scipy(slip: float) -> None:
+    """0.3 s of rattling, against DOP853 in steps that no flank escapes."""
+    times = 2.5e-3 * np.arange(121)
+    start = a_driveline(slip)
+    whole = solve_ivp(
+        lambda _t, x: rates(x), (0.0, 0.3), start[:, 0], method="DOP853", t_eval=times,
+        rtol=1e-9, atol=1e-11, max_step=5e-4,
+    ).y  # fmt: skip
+    found = course_of(start, MODEL, 2.5e-3, 121)
+    assert np.abs(found - whole[ANGLE]).max() < 1.7e-3  # 0.1 deg, a tenth of half a gap
+    assert (whole[WAY] < -1e-4).any() and (whole[WAY] > 0.03).any()
+
+
+def test_flanks_push_and_never_pull() -> None:
+    """A shaft that is torn off a flank faster than it would go by itself."""
+    x = a_driveline()
+    x[WAY] = -0.001
+    for rate in np.linspace(-30.0, 30.0, 13):
+        x[SPEED] = 60.0 + rate
+        before = x.copy()
+        move(x, 1e-4, MODEL)
+        assert x[SPEED, 0] - before[SPEED, 0] >= -1e-4 * x[DRAG, 0] * (1.0 + 1e-9)
+        x = before
+
+
+def test_the_spread_of_a_driveline_is_that_of_the_matrix_exponential() -> None:
+    """Angle, speed and drag over 60 ms in one step and in sixty; white noise of the speed alone."""
+    p = np.diag((1e-6, 0.04, 0.25))
+    many = p.copy()
+    for _ in range(60):
+        many = spread(many, 1e-3, 0.5)
+    assert spread(p, 60e-3, 0.5)[:2, :2] == pytest.approx(many[:2, :2], rel=0.02)
+
+
+class Truth:
+    """A driveline drawn from what the cloud may start from, and its edges."""
+
+    def __init__(self, lash: Lash, seed: int, tooth_rad: float) -> None:
+        rng = np.random.default_rng(seed)
+        first = lash.cloud(LashStart(0.0, 0.0, 60.0, 60.0))
+        x = first[:, [int(rng.integers(first.shape[1]))]]
+        x[SPEED] = 60.0 + 1.5 * rng.standard_normal()
+        self.step_s, count = 1e-3, 420
+        self.angle = course_of(x, lash.model(60.0), self.step_s, count)
+        passed = EDGE_RAD / 2.0 * np.arange(1, int(self.angle[-1] / EDGE_RAD * 2.0))
+        times = np.interp(passed, self.angle, 1e6 * self.step_s * np.arange(count))
+        self.edges = np.array((times, passed + tooth_rad * rng.standard_normal(times.size)))
+
+    def angle_at(self, time_us: float) -> float:
+        times = 1e6 * self.step_s * np.arange(self.angle.size)
+        return float(np.interp(time_us, times, self.angle))
+
+
+def a_lash() -> Lash:
+    return Lash(AXLE, BACKLASH.backlash_rad, BACKLASH.backlash_factor, RATIO)
+
+
+def test_a_promised_probability_is_kept() -> None:
+    """16 drivelines drawn as the cloud takes them, without chance: 45 ms ahead the truth is within
+    half a gap at least as often as promised, and where much is promised nearly always."""
+    tooth_rad, promised, kept = 2e-3, [], []
+    for seed in range(16):
+        lash = a_lash()
+        truth, cloud = Truth(lash, seed, tooth_rad), None
+        cloud = LashCloud(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
+        for until_us in (100e3, 160e3, 220e3):
+            cloud.take(truth.edges[:, truth.edges[0] <= until_us], tooth_rad)
+            course = cloud.course(HALF_GAP_RAD)
+            assert course is not None
+            wait_s = (until_us + AHEAD_US - cloud.time_us) * 1e-6
+            off = course.ahead(wait_s)[0] - truth.angle_at(until_us + AHEAD_US)
+            sd = course.theta_sd_ahead(wait_s)
+            promised.append(math.erf(HALF_GAP_RAD / (math.sqrt(2.0) * sd)))
+            kept.append(abs(off) < HALF_GAP_RAD)
+    sure = np.array(kept)[np.array(promised) > 0.8]
+    assert np.mean(kept) > np.mean(promised) - 0.1
+    assert np.mean(kept) > 0.55
+    assert sure.size > 8
+    assert sure.mean() > 0.85
+
+
+def test_what_a_window_tells_of_the_backlash_is_taken_over_in_part() -> None:
+    lash = a_lash()
+    half = 1.6 * math.exp(lash.known.half_log)
+    for slip in (3.0, -4.0, 3.5, -3.0):
+        x = a_driveline(slip)
+        x[HALF], x[STIFF], x[DRAG], x[HILL] = half, math.exp(lash.known.stiff_log), 9.0, 0.0
+        x[WAY] = half * (1.0 - math.copysign(0.98, slip))
+        angle = course_of(x, lash.model(60.0), 1e-3, 300)
+        passed = EDGE_RAD / 2.0 * np.arange(1, int(angle[-1] / EDGE_RAD * 2.0))
+        edges = np.array((np.interp(passed, angle, 1e3 * np.arange(300)), passed))
+        cloud = LashCloud(lash, LashStart(0.0, 0.0, float(x[SPEED, 0]), 60.0), 1e-6)
+        cloud.take(edges, 1e-3)
+        lash.learn(cloud)
+    told = (lash.known.half_log - lash.prior.half_log) / math.log(1.6)
+    assert 0.2 < told < 1.6
+    assert 0.3 * lash.prior.half_sd < lash.known.half_sd < lash.prior.half_sd
+    assert len(SEEN_SDS) == 4
+
+
+def test_what_is_not_a_number_leaves_no_course() -> None:
+    lash = a_lash()
+    cloud = LashCloud(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
+    cloud.take(np.array([[1e3], [math.nan]]), 1e-3)
+    assert not cloud.is_alive and cloud.course(HALF_GAP_RAD) is None
+    known = lash.known
+    lash.learn(cloud)
+    assert lash.known == known
+
+
+def test_the_same_edges_give_the_same_cloud() -> None:
+    lash = a_lash()
+    truth, courses = Truth(lash, 7, 2e-3), []
+    for _ in range(2):
+        cloud = LashCloud(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
+        cloud.take(truth.edges, 2e-3)
+        course = cloud.course(HALF_GAP_RAD)
+        assert course is not None
+        courses.append([*course.ahead(0.05), course.theta_sd_ahead(0.05)])
+    assert courses[0] == courses[1]
+
+
+def test_what_will_be_known_is_never_less() -> None:
+    lash = a_lash()
+    truth = Truth(lash, 3, 2e-3)
+    cloud = LashCloud(lash, LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
+    cloud.take(truth.edges[:, truth.edges[0] < 80e3], 2e-3)
+    course = cloud.course(HALF_GAP_RAD)
+    assert course is not None
+    found = course.outlook(0.045, 0.01, 12)
+    assert found[0] == pytest.approx(course.theta_sd_ahead(0.045) ** 2)
+    assert (found <= found[0] * (1.0 + 1e-9)).all()
+
+
+def test_the_model_that_predicts_better_is_believed_and_forgotten_again() -> None:
+    rivals = LashRivals()
+    near, far = Prediction(1.0, 0.01), Prediction(1.2, 0.05)
+    edges = np.array([[0.0, AHEAD_US, 2.0 * AHEAD_US], [1.0, 1.0, 1.0]])
+    for swing, lash, believed in ((far, near, True), (near, far, False)):
+        for _ in range(6):
+            rivals.begin()
+            for tick in range(4):
+                rivals.predict(1e4 * tick, swing, lash)
+            rivals.judge(edges, HALF_GAP_RAD)
+            rivals.end()
+        assert rivals.believes_lash is believed
+
+
+def test_the_vehicle_s_speed_is_the_mean_in_gear_or_what_the_last_window_told() -> None:
+    watch = StartWatch()
+    times = np.arange(0.0, 400e3, 1e3)
+    angle = 60e-6 * times + 0.02 * np.sin(2.0 * math.pi * 12.0 * times * 1e-6)
+    for first in range(0, 400, 10):
+        watch.take_in_gear(np.array((times, angle))[:, first : first + 10])
+    watch.released(400e3)
+    later = 400e3 + 1e3 * np.arange(1, 20)
+    start = watch.take_out(np.array((later, 24.0 + 61e-6 * (later - 400e3))))
+    assert start is not None
+    assert start.vehicle_rad_s == pytest.approx(60.0, abs=0.2)
+    assert (start.angle_rad, start.speed_rad_s) == pytest.approx((24.0, 61.0))
+    watch.take_vehicle(500e3, 59.0)
+    watch.released(600e3)
+    start = watch.take_out(np.array((later + 200e3, 36.0 + 61e-6 * (later - 400e3))))
+    assert start is not None and start.vehicle_rad_s == 59.0
