@@ -22,6 +22,7 @@ from meshpoint.controller.records import Vector
 STEP_S: Final = 2.5e-3
 STEPS: Final = 49
 """The course is worked out at so many steps of this. Beyond the last the speed is held."""
+TIMES: Final[Vector] = STEP_S * np.arange(float(STEPS))
 MOST_TICKS: Final = 8
 """What will be known is worked out for so many ticks,"""
 COMPARED: Final = 60
@@ -80,7 +81,7 @@ class LashCourse:
         order = np.argsort(angle, axis=1, kind="stable")
         angle = np.take_along_axis(angle, order, axis=1)
         speed = np.take_along_axis(speed, order, axis=1)
-        own = self._own_variance(STEP_S * np.arange(STEPS))
+        own = self._own_variance(TIMES)
         merged = np.empty((3, STEPS))
         for k in range(STEPS):
             row = angle[k]
@@ -113,9 +114,8 @@ class LashCourse:
         (2, n). Before now and after the last step of the course the speed is held."""
         waits = self.since_s + wait_s + step_s * np.arange(found.shape[1])
         inside = np.clip(waits, 0.0, STEP_S * (STEPS - 1))
-        times = STEP_S * np.arange(STEPS)
-        found[1] = np.interp(inside, times, self._merged[1])
-        found[0] = np.interp(inside, times, self._merged[0]) + (waits - inside) * found[1]
+        found[1] = np.interp(inside, TIMES, self._merged[1])
+        found[0] = np.interp(inside, TIMES, self._merged[0]) + (waits - inside) * found[1]
 
     def theta_sd_ahead(self, wait_s: float) -> float:
         """Standard deviation of the angle after a time."""
@@ -139,7 +139,7 @@ class LashCourse:
         possible then; of these the share within half a gap of it will be the probability."""
         angle = self._angle[:, :: max(1, self._angle.shape[1] // COMPARED)]
         off = np.abs(angle[:, :, np.newaxis] - angle[:, np.newaxis])
-        own = self._own_variance(STEP_S * np.arange(STEPS))
+        own = self._own_variance(TIMES)
         told = self._p[0, 0] + LEAST_SD_RAD**2
         alike = np.exp(-np.maximum.accumulate(0.25 * off**2 / told, axis=0))
         then = np.minimum(np.rint(tick_s * np.arange(MOST_TICKS) / STEP_S), STEPS - 1).astype(int)

@@ -171,16 +171,16 @@ class Ticks(NamedTuple):
     horizon_us: float
     """From a tick to the time that is predicted."""
     tick_us: float
-    count: int
+    looks: int
 
 
 def outlook(state: LayshaftState, ticks: Ticks, switches: Vector, model: MotionModel) -> Vector:
     """Variances (rad2) of the angle predicted a horizon ahead: now, and after each further tick of
     edges. The state must have a covariance."""
-    horizon_us, tick_us, count = ticks
-    found = np.empty(count)
+    horizon_us, tick_us, looks = ticks
+    found = np.empty(looks)
     heard = state.edge_rad2_s / (tick_us * US)
-    for k in range(count):
+    for k in range(looks):
         then = predict_spread(state, state.time_us + horizon_us, switches, model)
         found[k] = then.theta_sd_rad**2
         after = predict_spread(state, state.time_us + tick_us, switches, model)
