@@ -324,41 +324,41 @@ class Axle:
     shaft_nm_rad: float = quantity("shaft_nm_rad", 1e3, 1e6, default=20e3)
     """Stiffness of propeller shaft and half-shafts."""
     shaft_tolerance: float = quantity("shaft_tolerance_percent", 0.1, 90.0, 0.01, default=0.3)
-    """By how much that may differ."""
+    """By how much the stiffness of the shafts may differ."""
     flank_loss_s_rad: float = quantity("flank_loss_s_rad", 0.01, 10.0, default=0.3)
     """Loss at the flanks of the final drive over their torque and speed (Hunt and Crossley 1975): a
-    blow at 1 rad/s comes back with about 1 - 2/3 of it;"""
+    blow at 1 rad/s loses about two thirds of it."""
     flank_loss_factor: float = quantity("flank_loss_factor", 1.1, 10.0, default=2.0)
-    """it may be so many times as large or small."""
+    """The loss at the flanks may be so many times as large or small."""
     wheels_kgm2: float = quantity("wheels_inertia_kgm2", 0.1, 200.0, default=16.0)
     """Driven wheels and final drive."""
     tyre_nm_rad: float = quantity("tyre_nm_rad", 1e3, 1e6, default=90e3)
     """Stiffness of the tyres."""
     tyre_tolerance: float = quantity("tyre_tolerance_percent", 0.1, 90.0, 0.01, default=0.4)
-    """By how much that may differ."""
+    """By how much the stiffness of the tyres may differ."""
     tyre_nms: float = quantity("tyre_nms", 0.0, 1e3, default=60.0)
-    """Damping of their carcass."""
+    """Damping of the tyres' carcass."""
     relaxation_rad: float = quantity("relaxation_rad", 0.1, 100.0, default=3.4)
     """Turn of the propeller shaft after which a rolling tyre's twist has faded to 1/e."""
     pinion_nm: float = quantity("pinion_nm", 0.0, 100.0, default=5.0)
     """Drag of the axle's pinion, in front of the backlash."""
     pinion_tolerance: float = quantity("pinion_tolerance_percent", 1.0, 100.0, 0.01, default=0.8)
-    """By how much that may differ."""
+    """By how much the pinion's drag may differ."""
     loose_nm: float = quantity("loose_nm", 0.0, 50.0, default=2.0)
     """Drag of the loose gears' bearings on the main shaft, at the main shaft."""
     vehicle_start_rad_s: float = quantity("vehicle_start_rad_s", 0.01, 10.0, default=0.5)
     """Standard deviation of the vehicle's speed at the main shaft as told by the shafts in gear,
-    which swing;"""
+    which swing."""
     wheels_start_rad_s: float = quantity("wheels_start_rad_s", 0.01, 10.0, default=0.15)
-    """that of the wheels against it, at the main shaft too;"""
+    """Standard deviation of the wheels' speed against the vehicle's, at the main shaft."""
     vehicle_rad_s2: float = quantity("vehicle_rad_s2", 0.01, 20.0, default=1.0)
-    """and of the vehicle's acceleration, by hills."""
+    """Standard deviation of the vehicle's acceleration, by hills."""
     main_chance_nm: float = quantity("main_chance_nm", 0.0, 50.0, default=0.4)
-    """Standard deviation of chance torques on the main shaft: oil, meshes, seals;"""
+    """Standard deviation of chance torques on the main shaft: oil, meshes, seals."""
     propeller_chance_nm: float = quantity("propeller_chance_nm", 0.0, 200.0, default=2.0)
-    """on the propeller shaft;"""
+    """Standard deviation of chance torques on the propeller shaft."""
     chance_s: float = quantity("chance_ms", 1.0, 1e4, MS, default=50.0 * MS)
-    """they last for so long."""
+    """How long a chance torque lasts."""
 
 
 @dataclass(frozen=True)
