@@ -17,6 +17,8 @@ FORGET: Final = 0.8
 """Weight of earlier windows against a new one."""
 BELIEVED: Final = 5.0
 """Backlash is believed where it is likelier by e to half of this;"""
+LEAST_WINDOWS: Final = 2
+"""not after the first window, in which the linear swing had nothing but its priors;"""
 REJECTED: Final = -50.0
 """where it is this unlikely it is not even tried, for some windows."""
 
@@ -33,6 +35,8 @@ class LashRivals:
 
     def __init__(self) -> None:
         self._for_lash = 0.0
+        self._windows = 0
+        """How many have ended."""
         self._window = 0.0
         self._open: list[tuple[float, Prediction, Prediction]] = []
         self._newest: tuple[float, float] | None = None
@@ -40,7 +44,7 @@ class LashRivals:
     @property
     def believes_lash(self) -> bool:
         """Whether the backlash has predicted better so far."""
-        return self._for_lash > BELIEVED
+        return self._windows >= LEAST_WINDOWS and self._for_lash > BELIEVED
 
     @property
     def tries_lash(self) -> bool:
@@ -50,6 +54,7 @@ class LashRivals:
     def restore(self, has_lash: bool) -> None:
         """Starts from what an earlier run believed."""
         self._for_lash = 2.0 * BELIEVED if has_lash else 0.0
+        self._windows = LEAST_WINDOWS if has_lash else 0
 
     def begin(self) -> None:
         """A window begins."""
@@ -75,6 +80,7 @@ class LashRivals:
 
     def end(self) -> None:
         """The window is over. Predictions overlap: those of one horizon count as one."""
+        self._windows += 1
         self._for_lash = FORGET * self._for_lash + self._window * STEP_SHARE
 
 

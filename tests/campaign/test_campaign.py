@@ -170,8 +170,8 @@ def test_a_failed_run_is_named_by_its_seed_and_the_others_count(
     shift, begin = ClosedLoop.shift, ClosedLoop.__init__
     seeds: dict[int, int] = {}
 
-    def note(loop: ClosedLoop, sheet, settings, preset, drawn, log=None) -> None:  # type: ignore[no-untyped-def]
-        begin(loop, sheet, settings, preset, drawn, log)
+    def note(loop: ClosedLoop, sheet, settings, preset, drawn, **more) -> None:  # type: ignore[no-untyped-def]
+        begin(loop, sheet, settings, preset, drawn, **more)
         seeds[id(loop)] = drawn.seed
 
     def breaks(loop: ClosedLoop) -> ShiftRow | None:

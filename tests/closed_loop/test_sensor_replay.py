@@ -26,6 +26,7 @@ from meshpoint.testbench.logs.sensor_replay import SensorReplay
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "other_bus"
 SHEET = load_sheet("thesis")
+WAITED = ("fired", "not fired")
 ETC1_ID = CODECS["ETC1"].spec.can_id
 
 
@@ -89,13 +90,15 @@ def test_sensor_frames_alone_are_enough(
     asked = [(row["from"], row["to"]) for row in found["decisions"]]
     assert asked == ([(8, 10), (10, 12)] * 3)[:shifts]
     for row in found["decisions"]:
-        assert row["status"] == "fired"
+        # Without a phase it waits for a small slip, and the log's gear may be in before that.
+        assert row["status"] in (("fired",) if row["strategy"] == "target_phase" else WAITED)
         assert "result" not in row
         assert row["contact"] is None
     assert found["unfinished_requests"] == 0
     if shifts > 5:
-        assert found["decisions"][-1]["reference"] == "known"
-        assert abs(found["decisions"][-1]["predicted_phase_deg"]) < 1.5
+        aimed = [row for row in found["decisions"] if row["strategy"] == "target_phase"]
+        assert aimed[-1]["reference"] == "known"
+        assert abs(aimed[-1]["predicted_phase_deg"]) < 1.5
     seen = [(s["from"], s["to"]) for s in found["shifts_by_sleeves"]]
     assert [pair for pair in seen if pair != (12, 8)] == asked
     assert found["cannot"] == [

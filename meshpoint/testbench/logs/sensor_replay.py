@@ -244,6 +244,24 @@ class SensorReplay:
             if isinstance(message, ShiftOutcome):
                 self.outcomes.append((self._asked_s, message))
                 self._asked = None
+                return
+        self._see_engaged_sooner(self._asked)
+
+    def _see_engaged_sooner(self, asked: ControllerCore) -> None:
+        """The gear asked for may be in before this controller would have fired: then it has decided
+        to wait, and no more is to be learned of it."""
+        shift = asked.running_shift
+        if shift is None or shift.attempts or self._core.observer.view.gear_number is None:
+            return
+        if self._core.observer.view.gear_number == shift.to_number != shift.from_number:
+            waited = ShiftOutcome(
+                from_gear=shift.from_number,
+                to_gear=shift.to_number,
+                request_time_us=shift.request_us & 0xFFFF_FFFF,
+                strategy=shift.strategy,
+            )
+            self.outcomes.append((self._asked_s, waited))
+            self._asked = None
 
     def _tell(self, now_us: int, line: str) -> None:
         if self._on_event is not None:
