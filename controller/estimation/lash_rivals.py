@@ -19,8 +19,10 @@ BELIEVED: Final = 5.0
 """Backlash is believed where it is likelier by e to half of this;"""
 LEAST_WINDOWS: Final = 2
 """not after the first window, in which the linear swing had nothing but its priors;"""
-REJECTED: Final = -50.0
-"""where it is this unlikely it is not even tried, for some windows."""
+REJECTED: Final = -4.0
+"""where it is this unlikely it is not even tried,"""
+RETRIED: Final = -1.0
+"""until the windows that spoke against it are forgotten so far."""
 
 
 class Prediction(NamedTuple):
@@ -37,6 +39,7 @@ class LashRivals:
         self._for_lash = 0.0
         self._windows = 0
         """How many have ended."""
+        self._tried = True
         self._window = 0.0
         self._open: list[tuple[float, Prediction, Prediction]] = []
         self._newest: tuple[float, float] | None = None
@@ -49,7 +52,7 @@ class LashRivals:
     @property
     def tries_lash(self) -> bool:
         """Whether the backlash is worth a try."""
-        return self._for_lash > REJECTED
+        return self._tried
 
     def restore(self, has_lash: bool) -> None:
         """Starts from what an earlier run believed."""
@@ -82,6 +85,7 @@ class LashRivals:
         """The window is over. Predictions overlap: those of one horizon count as one."""
         self._windows += 1
         self._for_lash = FORGET * self._for_lash + self._window * STEP_SHARE
+        self._tried = self._for_lash > (REJECTED if self._tried else RETRIED)
 
 
 STEP_SHARE: Final = 10_000.0 / AHEAD_US

@@ -243,3 +243,18 @@ def test_the_vehicle_s_speed_is_the_mean_in_gear_or_what_the_last_window_told() 
     watch.released(600e3)
     start = watch.take_out(np.array((later + 200e3, 36.0 + 61e-6 * (later - 400e3))))
     assert start is not None and start.vehicle_rad_s == 59.0
+
+
+def test_a_backlash_that_nothing_speaks_for_is_tried_again_after_some_windows() -> None:
+    rivals, tried = LashRivals(), []
+    edges = np.array([[0.0, AHEAD_US, 2.0 * AHEAD_US], [1.0, 1.0, 1.0]])
+    for _ in range(20):
+        tried.append(rivals.tries_lash)
+        rivals.begin()
+        for tick in range(10 if rivals.tries_lash else 0):
+            rivals.predict(4e3 * tick, Prediction(1.0, 0.01), Prediction(1.5, 0.05))
+        rivals.judge(edges, HALF_GAP_RAD)
+        rivals.end()
+    assert tried[0] and not tried[1]
+    assert any(tried[2:])
+    assert sum(tried) < 5
