@@ -204,3 +204,17 @@ def test_without_a_timeout_it_is_sent_once(monkeypatch, capsys) -> None:
     bench = Bench([LATE_REFUSAL])
     code, printed, _ = ask(bench, monkeypatch, capsys, timeout=0.0)
     assert (code, bench.asked, printed) == (Exit.DONE, 1, "asked for gear 10\n")
+
+
+def test_a_controller_on_a_slow_machine_may_be_silent_for_longer(monkeypatch, capsys) -> None:
+    bench = Bench()
+    speak = bench.recv
+
+    def pauses(timeout: float | None) -> can.Message | None:
+        bench.speaks = not 501.0 < bench.now_s < 509.0
+        return speak(timeout)
+
+    monkeypatch.setattr(bench, "recv", pauses)
+    monkeypatch.setattr("meshpoint.testbench.commands.request.times_slower", lambda: 10.0)
+    code, _, said = ask(bench, monkeypatch, capsys, timeout=2.0)
+    assert "silent" not in said, code

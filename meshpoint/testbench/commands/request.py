@@ -13,6 +13,7 @@ import can
 
 from meshpoint.bus.frames import frame_of
 from meshpoint.bus.options import add_bus_arguments, open_bus_from
+from meshpoint.bus.slowness import times_slower
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.dbc.messages import (
@@ -100,6 +101,8 @@ class _Asking:
 
     def __init__(self, gear: int, timeout_s: float, now_s: float) -> None:
         self._gear, self._timeout_s = gear, timeout_s
+        self._patience_s = timeout_s * times_slower()
+        """How long a controller that was heard may be silent: one on a slow machine computes."""
         self._again_s = now_s
         self._asked = 0
         self._acting = False
@@ -122,7 +125,8 @@ class _Asking:
     def over(self, now_s: float) -> bool:
         """Whether the time is up: that of the bus, or the wall's where no controller is heard."""
         silent_s = now_s - self._heard_s
-        return max(self._waited_s, silent_s) >= self._timeout_s
+        patience_s = self._timeout_s if self._status is None else self._patience_s
+        return self._waited_s >= self._timeout_s or silent_s >= patience_s
 
     def hear(self, message: Message | None, now_s: float) -> int | None:
         """The exit code, once the outcome is final."""
@@ -171,7 +175,7 @@ class _Asking:
                 "`meshpoint up` in another terminal starts one"
             )
         if self._waited_s < self._timeout_s:
-            return f"the controller was heard, then was silent for {self._timeout_s:g} s"
+            return f"the controller was heard, then was silent for {self._patience_s:g} s"
         tried = f"asked {self._asked} times"
         if self._late:
             late = ", ".join(f"{n} x {fault.name.lower()}" for fault, n in self._late.items())
