@@ -53,7 +53,7 @@ STILL: Final = np.array([0.0, 0.0, 1.0])
 QUIET: Final = np.zeros(4)
 """Rates and noise densities of a shaft at rest: only the pressure is of interest."""
 
-LAG_TOLERANCE: Final = 1.5
+LAG_TOLERANCE: Final = 3.0
 """Standard deviation of a sensor's lag as a share of the sheet's: what else filters it is seldom
 told."""
 TOUCH_SD_PA: Final = 0.15e5
