@@ -67,6 +67,13 @@ class MessageSpec:
         """Whether the frame starts with an E2E header; the others are J1939's."""
         return self.data_id is not None
 
+    @property
+    def protected_id(self) -> int:
+        """The data ID; ValueError where the message has none."""
+        if self.data_id is None:
+            raise ValueError(f"{self.name} is not a protected message")
+        return self.data_id
+
 
 @dataclass(frozen=True)
 class Schema:

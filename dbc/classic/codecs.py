@@ -45,16 +45,22 @@ class Hearing(NamedTuple):
     message: Any
 
 
+def plain_frame(name: str, message: Any) -> Frame:
+    """The frame of a message without protection: J1939's."""
+    codec = CLASSIC_CODECS[name]
+    buffer = bytearray(LENGTH)
+    codec.encode(buffer, 0, message)
+    return Frame(codec.spec.can_id, bytes(buffer), is_fd=False)
+
+
 class ClassicSender:
     """Sends one protected message; keeps its counter."""
 
     def __init__(self, name: str) -> None:
         codec = CLASSIC_CODECS[name]
-        if codec.spec.data_id is None:
-            raise ValueError(f"{name} is not protected")
         self._encode = codec.encode
         self._can_id = codec.spec.can_id
-        self._data_id = codec.spec.data_id
+        self._data_id = codec.spec.protected_id
         self.message_type = codec.message_type
         self.counter = COUNTERS - 1
         """Of the frame before; the first one carries 0."""
@@ -78,10 +84,8 @@ class ClassicEar:
 
     def __init__(self, name: str) -> None:
         codec = CLASSIC_CODECS[name]
-        if codec.spec.data_id is None:
-            raise ValueError(f"{name} is not protected")
         self._decode = codec.decode
-        self._data_id = codec.spec.data_id
+        self._data_id = codec.spec.protected_id
         self.can_id = codec.spec.can_id
         self._counter: int | None = None
 

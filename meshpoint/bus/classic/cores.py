@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any, Final
@@ -102,30 +103,25 @@ class _PartsQueue:
         return self.take(len(self._waiting))
 
 
-class ClassicControllerCore(AroundCore[Core]):
-    """A controller on a classic bus.
+class _UnpackingCore(AroundCore[Core]):
+    """A core that hears a classic bus."""
 
-    The guard has passed the command of meshpoint.dbc. Its packed frames are read back from their
-    bytes and compared with it; where they say anything else, all valves off are sent instead."""
-
-    def __init__(self, core: Core, sheet: GearboxSheet) -> None:
+    def __init__(self, core: Core, unpacker: Unpacker) -> None:
         super().__init__(core)
-        self._sensors = SensorIntake(sheet)
-        self._intake = Unpacker(self._sensors)
-        self._orders = OrderSender()
-        self._filled = 0
-        self._status = _Paced(
-            "ControllerStatus", STATUS_CYCLE_MS * 1000, CHANGED_LEAST_US, "state", "current_gear",
-            "active_fault", "reference_known",
-        )  # fmt: skip
-        self._prediction = _Paced("ShiftPrediction", PREDICTION_CYCLE_US, 0, "decision")
-        self._outcome = PartsSender("ShiftOutcome")
-        self._parts = _PartsQueue()
+        self.unpacker = unpacker
 
     def receive(self, frame: Frame) -> None:
         """Hands on what the frame comes to."""
-        for inner in self._intake.take(frame):
+        for inner in self.unpacker.take(frame):
             self._core.receive(inner)
+
+
+class _PackingCore(_UnpackingCore):
+    """One that sends on it, too; parts of its long messages wait for their turn."""
+
+    def __init__(self, core: Core, unpacker: Unpacker) -> None:
+        super().__init__(core, unpacker)
+        self._parts = _PartsQueue()
 
     def step(self, now_us: int) -> Step:
         """The core's step, packed."""
@@ -136,6 +132,29 @@ class ClassicControllerCore(AroundCore[Core]):
         """The core's last frames, packed, and the parts that wait."""
         step = self._packed(self._core.shutdown(now_us), now_us)
         return Step([*step.frames, *self._parts.take_all()], step.events)
+
+    @abstractmethod
+    def _packed(self, step: Step, now_us: int) -> Step:
+        """A step of the core inside with its frames packed; parts are added to those that wait."""
+
+
+class ClassicControllerCore(_PackingCore):
+    """A controller on a classic bus.
+
+    The guard has passed the command of meshpoint.dbc. Its packed frames are read back from their
+    bytes and compared with it; where they say anything else, all valves off are sent instead."""
+
+    def __init__(self, core: Core, sheet: GearboxSheet) -> None:
+        self._sensors = SensorIntake(sheet)
+        super().__init__(core, Unpacker(self._sensors))
+        self._orders = OrderSender()
+        self._filled = 0
+        self._status = _Paced(
+            "ControllerStatus", STATUS_CYCLE_MS * 1000, CHANGED_LEAST_US, "state", "current_gear",
+            "active_fault", "reference_known",
+        )  # fmt: skip
+        self._prediction = _Paced("ShiftPrediction", PREDICTION_CYCLE_US, 0, "decision")
+        self._outcome = PartsSender("ShiftOutcome")
 
     def _packed(self, step: Step, now_us: int) -> Step:
         named = {_NAMES.get(frame.can_id, ""): frame for frame in step.frames}
@@ -178,34 +197,17 @@ class ClassicControllerCore(AroundCore[Core]):
             events.append(f"{lost} edges lost with a frame, put evenly between their neighbours")
 
 
-class ClassicRigCore(AroundCore[Core]):
-    """A rig on a classic bus."""
+class ClassicRigCore(_PackingCore):
+    """A rig on a classic bus. The last status of its valves alone has no frame."""
 
     def __init__(self, core: Core, sheet: GearboxSheet) -> None:
-        super().__init__(core)
-        self._intake = Unpacker(OrderIntake(), PartsIntake("BenchCommand"))
+        super().__init__(core, Unpacker(OrderIntake(), PartsIntake("BenchCommand")))
         self._sensors = SensorSender(sheet)
         self._engagement = PartsSender("ReferenceEngagement")
-        self._parts = _PartsQueue()
         self._read: dict[str, Any] = {}
         self._counter: int | None = None
 
-    def receive(self, frame: Frame) -> None:
-        """Hands on what the frame comes to."""
-        for inner in self._intake.take(frame):
-            self._core.receive(inner)
-
-    def step(self, now_us: int) -> Step:
-        """The core's step, packed read by read."""
-        step = self._packed(self._core.step(now_us))
-        return Step([*step.frames, *self._parts.take()], step.events)
-
-    def shutdown(self, now_us: int) -> Step:
-        """The core's last reads, packed. The last status of the valves alone has no frame."""
-        step = self._packed(self._core.shutdown(now_us))
-        return Step([*step.frames, *self._parts.take_all()], step.events)
-
-    def _packed(self, step: Step) -> Step:
+    def _packed(self, step: Step, now_us: int) -> Step:  # noqa: ARG002
         frames: list[Frame] = []
         for frame in step.frames:
             name = _NAMES.get(frame.can_id)
@@ -231,21 +233,15 @@ class ClassicRigCore(AroundCore[Core]):
         return self._sensors.pack(read)
 
 
-class ClassicBenchCore(AroundCore[Core]):
+class ClassicBenchCore(_UnpackingCore):
     """A bench's operator, or whoever else wants outcomes, events and states, on a classic bus."""
 
     def __init__(self, core: Core) -> None:
-        super().__init__(core)
-        self.unpacker = bench_unpacker()
+        super().__init__(core, bench_unpacker())
         self._command = _Paced(
             "BenchCommand", COMMAND_CYCLE_MS * 1000, 0, "action", "gear", "sequence",
             "main_speed_rad_s",
         )  # fmt: skip
-
-    def receive(self, frame: Frame) -> None:
-        """Hands on what the frame comes to."""
-        for inner in self.unpacker.take(frame):
-            self._core.receive(inner)
 
     def step(self, now_us: int) -> Step:
         """The core's step, packed. Faults cannot be ordered over this bus: it says so."""
@@ -274,19 +270,13 @@ def on_classic_bus(sheet: GearboxSheet, controller: Core, rig: Core, *benches: C
     ]
 
 
-class ClassicListenerCore(AroundCore[Core]):
+class ClassicListenerCore(_UnpackingCore):
     """A core that hears everything on a classic bus, commands of another controller too, and sends
     nothing."""
 
     def __init__(self, core: Core, sheet: GearboxSheet) -> None:
-        super().__init__(core)
         told = map(PartsIntake, _TOLD)
-        self._intake = Unpacker(SensorIntake(sheet), OrderIntake(), *told)
-
-    def receive(self, frame: Frame) -> None:
-        """Hands on what the frame comes to."""
-        for inner in self._intake.take(frame):
-            self._core.receive(inner)
+        super().__init__(core, Unpacker(SensorIntake(sheet), OrderIntake(), *told))
 
 
 _TOLD: Final = ("ControllerStatus", "ShiftPrediction", "ShiftOutcome", "ReferenceEngagement")

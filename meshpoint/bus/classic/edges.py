@@ -124,17 +124,26 @@ class EdgeArray:
     def report(self, read_us: int, stopped: bool, fault: bool) -> EdgeReport:
         """The array as meshpoint.dbc has it, at a read."""
         times = self._times
-        lows = [time_us & LOW for time_us in times]
-        spans = [(times[k] - times[k + 1]) % WRAP for k in range(len(times) - 1)]
-        return EdgeReport(
-            read_time_us=read_us,
-            newest_index=(self._index or 0) % INDEX_WRAP,
-            valid_stamps=len(lows),
-            long_interval=any(span > LOW for span in spans),
-            stopped=stopped,
-            sensor_fault=fault,
-            timestamp_low_us=(*lows, *(0,) * (STAMPS - len(lows))),
-        )
+        spans = [(newer - older) % WRAP for newer, older in itertools.pairwise(times)]
+        return _report(read_us, self._index or 0, (list(times), spans), stopped, fault)
+
+
+def _report(
+    read_us: int, index: int, edges: tuple[list[int], list[int]], stopped: bool, fault: bool
+) -> EdgeReport:
+    """An array as meshpoint.dbc has it. edges: their times, newest first, and the spans between
+    them."""
+    times, spans = edges
+    lows = [time_us & LOW for time_us in times]
+    return EdgeReport(
+        read_time_us=read_us,
+        newest_index=index % INDEX_WRAP,
+        valid_stamps=len(lows),
+        long_interval=any(span > LOW for span in spans),
+        stopped=stopped,
+        sensor_fault=fault,
+        timestamp_low_us=(*lows, *(0,) * (STAMPS - len(lows))),
+    )
 
 
 class SpeedWheel:
@@ -165,14 +174,6 @@ class SpeedWheel:
         self._phase, self._count = turned - whole, self._count + whole
         since_us = self._clock_us - (self._times[0] if self._times else 0.0)
         ages = [round(self._clock_us - time_us) for time_us in self._times]
-        lows = [(read_us - age) & LOW for age in ages]
+        times = [read_us - age for age in ages]
         spans = [older - newer for newer, older in itertools.pairwise(ages)]
-        return EdgeReport(
-            read_time_us=read_us,
-            newest_index=self._count % INDEX_WRAP,
-            valid_stamps=len(lows),
-            long_interval=any(span > LOW for span in spans),
-            stopped=since_us > LOW,
-            sensor_fault=False,
-            timestamp_low_us=(*lows, *(0,) * (STAMPS - len(lows))),
-        )
+        return _report(read_us, self._count, (times, spans), since_us > LOW, False)

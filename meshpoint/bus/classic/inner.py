@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-from meshpoint.bus.classic.errors import not_protected
 from meshpoint.dbc.e2e import COUNTER_MODULUS, write_crc
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
@@ -17,10 +16,8 @@ class InnerChannel:
 
     def __init__(self, name: str) -> None:
         spec = CODECS[name].spec
-        if spec.data_id is None:
-            raise not_protected(name)
         self._encode = CODECS[name].encode
-        self._can_id, self._data_id, self._length = spec.can_id, spec.data_id, spec.length
+        self._can_id, self._data_id, self._length = spec.can_id, spec.protected_id, spec.length
         self._is_fd = spec.is_fd
         self._counter = COUNTER_MODULUS - 1
         self._latest: Frame | None = None

@@ -24,6 +24,7 @@ from meshpoint.dbc.classic.codecs import (
     ClassicSender,
     Heard,
     Hearing,
+    plain_frame,
 )
 from meshpoint.dbc.classic.contract import (
     AUX_CYCLE_MS,
@@ -177,26 +178,20 @@ class SensorSender:
         return frames
 
     def _speeds(self, messages: dict[str, Any]) -> Frame:
-        codec = CLASSIC_CODECS["ETC1"]
         speeds = []
         for name, teeth in zip((INPUT, PROPELLER), self._teeth, strict=True):
             rate = edges_per_us(EdgeReport._make(messages[name]))
             speeds.append(None if rate is None else rate * 1e6 * TURN / teeth)
-        message = codec.message_type(
+        message = CLASSIC_CODECS["ETC1"].message_type(
             input_shaft_speed_rad_s=speeds[0], output_shaft_speed_rad_s=speeds[1]
         )
-        buffer = bytearray(LENGTH)
-        codec.encode(buffer, 0, message)
-        return Frame(codec.spec.can_id, bytes(buffer), is_fd=False)
+        return plain_frame("ETC1", message)
 
     def _engine(self, messages: dict[str, Any]) -> list[Frame]:
         message: EEC1 | None = messages.get("EEC1")
         if message is None or not self._is_due(ENGINE_CYCLE_MS):
             return []
-        codec = CLASSIC_CODECS["EEC1"]
-        buffer = bytearray(LENGTH)
-        codec.encode(buffer, 0, message)
-        return [Frame(codec.spec.can_id, bytes(buffer), is_fd=False)]
+        return [plain_frame("EEC1", message)]
 
 
 class SensorIntake:
