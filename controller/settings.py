@@ -10,7 +10,8 @@ from typing import Any, Final
 
 from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.dbc.messages import Estimator, Strategy
-from meshpoint.gearbox.sheet import SENSOR_SD_PA, Driveline, GearboxSheet
+from meshpoint.gearbox.driveline import Driveline
+from meshpoint.gearbox.sheet import SENSOR_SD_PA, GearboxSheet
 from meshpoint.gearbox.tables import (
     TableError,
     count,
