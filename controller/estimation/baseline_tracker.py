@@ -74,8 +74,7 @@ class BaselineTracker:
         """The data sheet's friction at a speed (Nm)."""
         if self._model is None:
             return 0.0
-        friction = float(self._model.part("friction_per_s")[0]) * self._inertia_kgm2
-        return friction * abs(omega_rad_s)
+        return self._inertia_kgm2 * self._model.friction_per_s * abs(omega_rad_s)
 
     def set_models(self, models: LayshaftModels) -> None:
         """The splitter's step is known."""

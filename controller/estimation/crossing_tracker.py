@@ -18,12 +18,7 @@ from meshpoint.controller.estimation.free_run import EDGE_TIME, MEMORY, TORQUE, 
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels
 from meshpoint.controller.estimation.likelihood import prior, restored
-from meshpoint.controller.estimation.wheel_tracker import (
-    HEED,
-    LEAST_RAD_S,
-    STRUCK_RAD_S,
-    WheelTracker,
-)
+from meshpoint.controller.estimation.wheel_tracker import HEED, STRUCK_RAD_S, WheelTracker
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kernels import (
     DISTURBANCE,
@@ -103,8 +98,8 @@ class CrossingTracker(WheelTracker):
         was learned (Nm, positive)."""
         if self._model is None:
             return 0.0
-        friction = float(self._model.part("friction_per_s")[0]) * self._inertia_kgm2
-        return max(0.0, friction * abs(omega_rad_s) - self._known.drag_nm.value)
+        friction_nm = self._inertia_kgm2 * self._model.friction_per_s * abs(omega_rad_s)
+        return max(0.0, friction_nm - self._known.drag_nm.value)
 
     @property
     def disturbance(self) -> Disturbance:
@@ -155,9 +150,8 @@ class CrossingTracker(WheelTracker):
     def latest(self) -> LayshaftState:
         """The state at the newest edge; where a prediction starts. Valid only while `free`."""
         state = self._filter.latest()
-        omega = max(abs(state.omega_rad_s), LEAST_RAD_S)
-        edge_rad2 = (omega * self.noise[EDGE_TIME].value) ** 2 + self.teeth.sd_rad**2
-        return state._replace(edge_rad2_s=edge_rad2 * self._half_pitch_rad / omega)
+        edge_time_s = self.noise[EDGE_TIME].value
+        return state._replace(edge_rad2_s=self._edge_rad2_s(state.omega_rad_s, edge_time_s))
 
     def _teeth_found(self) -> None:
         super()._teeth_found()

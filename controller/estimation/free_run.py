@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -33,6 +34,27 @@ DRIFT_LAG_S = 0.1e-3
 """The same of the lag of the brake's sensor."""
 DRIFT_PA = 0.01e5
 """Standard deviation of the touch pressure's change from shift to shift."""
+
+
+class _Least(NamedTuple):
+    """The minimum of a parabola of misfits: where, from the middle probe, and its variance."""
+
+    offset: float
+    variance: float
+
+
+def _least(low: float, middle: float, high: float, probe: float) -> _Least | None:
+    """The minimum through the misfits of three probes; None where they have none."""
+    curvature = (low - 2.0 * middle + high) / probe**2
+    if not math.isfinite(curvature) or curvature <= 0.0:
+        return None
+    return _Least(-(high - low) / (2.0 * probe) / curvature, CAUTION**2 * 2.0 / curvature)
+
+
+def _gain(known: Carried, drift_sd: float, found: _Least) -> tuple[float, float]:
+    """Weight of what was found, and the variance of what was known, grown by its drift."""
+    prior = known.sd**2 + drift_sd**2
+    return prior / (prior + found.variance), prior
 
 
 class FreeRun:
@@ -73,16 +95,13 @@ class FreeRun:
             self._misfit(brake, centre + probe, sd_rad, switches, model)
             for probe in (-PROBE_PA, 0.0, PROBE_PA)
         )
-        curvature = (low - 2.0 * middle + high) / PROBE_PA**2
-        if not np.isfinite(curvature) or curvature <= 0.0:
+        found = _least(low, middle, high, PROBE_PA)
+        if found is None:
             return
-        found = centre - (high - low) / (2.0 * PROBE_PA) / curvature
-        variance = CAUTION**2 * 2.0 / curvature
-        prior = known.sd**2 + DRIFT_PA**2
-        gain = prior / (prior + variance)
-        value = known.value + gain * float(np.clip(found - known.value, -MOST_PA, MOST_PA))
-        value = min(max(value, 0.0), MOST_TOUCH_PA)
-        brake.touch_pa = Carried(value, float(np.sqrt((1.0 - gain) * prior)))
+        gain, prior = _gain(known, DRIFT_PA, found)
+        step = float(np.clip(centre + found.offset - known.value, -MOST_PA, MOST_PA))
+        value = min(max(known.value + gain * step, 0.0), MOST_TOUCH_PA)
+        brake.touch_pa = Carried(value, math.sqrt((1.0 - gain) * prior))
 
     def learn_lag(
         self, brake: BrakeModel, sd_rad: float, switches: Vector, model: MotionModel
@@ -96,18 +115,15 @@ class FreeRun:
             self._misfit(brake, touch_pa, sd_rad, switches, model, probe_s)
             for probe_s in (-PROBE_LAG_S, 0.0, PROBE_LAG_S)
         )
-        curvature = (low - 2.0 * middle + high) / PROBE_LAG_S**2
-        if not np.isfinite(curvature) or curvature <= 0.0:
+        found = _least(low, middle, high, PROBE_LAG_S)
+        if found is None:
             return
-        found = -(high - low) / (2.0 * PROBE_LAG_S) / curvature
-        variance = CAUTION**2 * 2.0 / curvature
-        prior = known.sd**2 + DRIFT_LAG_S**2
-        gain = prior / (prior + variance)
-        step = float(np.clip(found, -PROBE_LAG_S, PROBE_LAG_S))
+        gain, prior = _gain(known, DRIFT_LAG_S, found)
+        step = float(np.clip(found.offset, -PROBE_LAG_S, PROBE_LAG_S))
         value = min(max(known.value + gain * step, 0.0), MOST_LAG_S)
         # A parabola that leads out of the probes tells the direction alone.
-        left = prior if step != found else (1.0 - gain) * prior
-        brake.sensor_lag_s = Carried(value, float(np.sqrt(left)))
+        left = prior if step != found.offset else (1.0 - gain) * prior
+        brake.sensor_lag_s = Carried(value, math.sqrt(left))
 
     def learn_noise(
         self,

@@ -40,8 +40,8 @@ from meshpoint.controller.motion.lash_motion import (
     LashModel,
     move,
 )
-from meshpoint.controller.records import Vector
-from meshpoint.gearbox.sheet import Axle
+from meshpoint.controller.records import Integers, Vector
+from meshpoint.gearbox.driveline import Axle
 from meshpoint.units import US
 
 DRIVELINES: Final = 2500
@@ -281,8 +281,7 @@ class LashCloud:
     def _draw(self, weights: Vector) -> None:
         """Draws the cloud anew, each driveline as often as its weight says."""
         x = self._x
-        places = (np.arange(DRIVELINES) + 0.5) / DRIVELINES
-        chosen = np.minimum(np.searchsorted(np.cumsum(weights), places), DRIVELINES - 1)
+        chosen = _drawn(weights, DRIVELINES)
         widths = {row: _sd(x[row], weights) for row in DRAWN}
         widths |= {row: _sd(np.log(x[row]), weights) for row in SHARES}
         self._x = x = x[:, chosen]
@@ -299,9 +298,7 @@ class LashCloud:
         """The course from the newest edges on, told to half a gap; None where it is lost."""
         if not self.is_alive:
             return None
-        places = (np.arange(FOLLOWED) + 0.5) / FOLLOWED
-        chosen = np.minimum(np.searchsorted(np.cumsum(self.weights), places), DRIVELINES - 1)
-        followed = self._x[:, chosen]
+        followed = self._x[:, _drawn(self.weights, FOLLOWED)]
         return LashCourse(followed, self._model, (self._p, self._chance_rad2_s3), half_gap_rad)
 
 
@@ -315,6 +312,12 @@ def spread(p: Vector, seconds: float, chance_rad2_s3: float) -> Vector:
     found[1, 1] += chance_rad2_s3 * seconds
     found[2, 2] += DRAG_CHANGE * seconds
     return np.asarray(found)
+
+
+def _drawn(weights: Vector, count: int) -> Integers:
+    """So many indices, each as often as its weight says, by one row of even steps."""
+    places = (np.arange(count) + 0.5) / count
+    return np.minimum(np.searchsorted(np.cumsum(weights), places), weights.size - 1)
 
 
 def _sd(values: Vector, weights: Vector) -> float:

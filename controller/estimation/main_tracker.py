@@ -2,7 +2,7 @@
 
 While the main box is in neutral and the clutch open it turns with the vehicle alone. It then swings
 with its driveline as was learned from earlier shifts, by one of two models: linear
-(`motion/swing_kernels`), or with the driveline's backlash (`motion/lash_kernels`), whichever has
+(`motion/swing_kernels`), or with the driveline's backlash (`motion/lash_motion`), whichever has
 predicted better. With a gear in mesh its acceleration is unknown.
 """
 
@@ -22,12 +22,7 @@ from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Pr
 from meshpoint.controller.estimation.lash_start import StartWatch
 from meshpoint.controller.estimation.likelihood import prior, restored
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
-from meshpoint.controller.estimation.wheel_tracker import (
-    HEED,
-    LEAST_RAD_S,
-    STRUCK_RAD_S,
-    WheelTracker,
-)
+from meshpoint.controller.estimation.wheel_tracker import HEED, STRUCK_RAD_S, WheelTracker
 from meshpoint.controller.motion.kernels import OMEGA, THETA
 from meshpoint.controller.motion.lash_course import LashCourse
 from meshpoint.controller.motion.lash_motion import VEHICLE
@@ -37,7 +32,7 @@ from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox import Range
-from meshpoint.gearbox.sheet import Axle
+from meshpoint.gearbox.driveline import Axle
 from meshpoint.units import US
 
 NO_SWITCHES: Final = np.empty((2, 0))
@@ -86,7 +81,7 @@ class MainTracker(WheelTracker):
         self._run = EdgeRun()
         self._before = StartWatch()
         self._cloud: LashCloud | None = None
-        """Hypotheses of the driveline, once the first edges in neutral have come."""
+        """The drivelines that may be, once the first edges in neutral have come."""
         self._course: tuple[float, LashCourse | None] = (0.0, None)
         """The newest edges' time and the course from then on."""
         self._began = (0.0, np.zeros(0), np.zeros((0, 0)))
@@ -126,13 +121,6 @@ class MainTracker(WheelTracker):
             other = Prediction(course.ahead(wait_s)[0], course.theta_sd_ahead(wait_s))
             rivals.predict(state.time_us, swing, other)
 
-    @property
-    def _edge_rad2_s(self) -> float:
-        """Variance of an edge's angle times the time from edge to edge: two edges a pitch."""
-        omega = self._filter.x.item(OMEGA)
-        edge_rad2 = (omega * self.edge_time.value) ** 2 + self.teeth.sd_rad**2
-        return edge_rad2 * self._half_pitch_rad / max(abs(omega), LEAST_RAD_S)
-
     def take_edge_time(self, value_s: float, sd: float) -> None:
         """Sets what an earlier run learned of an edge's time."""
         self.edge_time = restored(self.edge_time, value_s, sd)
@@ -165,7 +153,8 @@ class MainTracker(WheelTracker):
     def lose_speed(self) -> None:
         """Starts again with the next edges; teeth keep their numbers."""
         super().lose_speed()
-        self._free, self._cloud = False, None
+        self._free = False
+        self._let_cloud_go()
         self._before.lose()
 
     def set_free(
@@ -194,7 +183,6 @@ class MainTracker(WheelTracker):
         state.begin(time_us, x, p)
         self._before.released(max(since_us, time_us))
         self._rivals[range_].begin()
-        self._cloud, self._course = None, (0.0, None)
         self._began = (time_us, x.copy(), p.copy())
         self._start_p = p
         self._run.begin()
@@ -223,10 +211,13 @@ class MainTracker(WheelTracker):
     def _end_lash(self) -> None:
         cloud, rivals = self._cloud, self._rivals[self._range]
         rivals.end()
-        self._cloud, self._course = None, (0.0, None)
+        self._let_cloud_go()
         if cloud is not None and cloud.is_alive and rivals.believes_lash:
             self._lashes[self._range].learn(cloud)
             self._before.take_vehicle(cloud.time_us, cloud.mean(VEHICLE))
+
+    def _let_cloud_go(self) -> None:
+        self._cloud, self._course = None, (0.0, None)
 
     def _learn_swing(self) -> None:
         """The window's swing, and its teeth once more with what is known of the swing now."""
@@ -258,7 +249,8 @@ class MainTracker(WheelTracker):
         newest = Swing(state.x, state.p, motion)
         x, p = newest.spread_ahead((time_us - state.time_us) * US)
         theta_sd, omega_sd = (math.sqrt(max(0.0, p.item(i, i))) for i in (THETA, OMEGA))
-        swing = Swing(x, p, motion, self._edge_rad2_s)
+        edge_rad2_s = self._edge_rad2_s(state.x.item(OMEGA), self.edge_time.value)
+        swing = Swing(x, p, motion, edge_rad2_s)
         return ShaftState(time_us, x[THETA], x[OMEGA], theta_sd, omega_sd, x[STEADY], swing)
 
     def _first_state(self, omega_sd_rad_s: float) -> tuple[Vector, Vector]:
@@ -273,6 +265,5 @@ def _by_lash(time_us: float, newest_us: float, course: LashCourse) -> ShaftState
     """The state by the cloud of drivelines."""
     later = course.after((time_us - newest_us) * US)
     theta, omega = later.ahead(0.0)
-    theta_sd = later.theta_sd_ahead(0.0)
-    sds, hill = (theta_sd, course.speed_sd_rad_s), course.hill_rad_s2
-    return ShaftState(time_us, theta, omega, *sds, hill, later)
+    sds = later.theta_sd_ahead(0.0), course.speed_sd_rad_s
+    return ShaftState(time_us, theta, omega, *sds, course.hill_rad_s2, later)

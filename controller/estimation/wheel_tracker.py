@@ -106,6 +106,11 @@ class WheelTracker(ABC):
             if teeth.look():
                 self._teeth_found()
 
+    def _edge_rad2_s(self, omega_rad_s: float, edge_time_s: float) -> float:
+        """Variance of an edge's angle times the time from edge to edge: two edges a pitch."""
+        edge_rad2 = (omega_rad_s * edge_time_s) ** 2 + self.teeth.sd_rad**2
+        return edge_rad2 * self._half_pitch_rad / max(abs(omega_rad_s), LEAST_RAD_S)
+
     def _teeth_motion(self, model: RecordMemory) -> RecordMemory:
         """The model by which teeth are learned, where `model` is the filter's."""
         return model

@@ -69,6 +69,11 @@ class MotionModel(RecordMemory):
         self.flat[:] = np.concatenate((rates, law.ravel(), noise))
 
     @property
+    def friction_per_s(self) -> float:
+        """Viscous friction over inertia."""
+        return float(self.part("friction_per_s")[0])
+
+    @property
     def brake_rad_s2_pa(self) -> float:
         """Deceleration by the brake's pressure."""
         return float(self.part("brake_rad_s2_pa")[0])

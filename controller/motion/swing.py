@@ -23,6 +23,17 @@ OUTLOOK_US: Final = 10_000.0
 """What will be known is worked out at steps of this, in which some edges come."""
 
 
+def ticks_over(step_us: float, count: int) -> int:
+    """Ticks of `OUTLOOK_US` that so many steps of time lie between."""
+    return 2 + int(step_us * max(1, count - 1) // OUTLOOK_US)
+
+
+def between_ticks(found: Vector, step_us: float, count: int) -> Vector:
+    """Values at equal steps of time from those at ticks of `OUTLOOK_US`; the last one holds on."""
+    times_us = OUTLOOK_US * np.arange(found.size)
+    return np.asarray(np.interp(step_us * np.arange(count), times_us, found))
+
+
 class ModeRates(NamedTuple):
     """One way in which the driveline swings (`swing_kernels.Mode`)."""
 
@@ -139,13 +150,8 @@ class ShaftState(NamedTuple):
         horizon_s = max(0.0, (first_us - self.time_us) * US)
         if self.swing is None:
             return np.full(count, self.theta_sd_at(first_us) ** 2)
-        span_us = step_us * max(1, count - 1)
-        ticks = 2 + int(span_us // OUTLOOK_US)
-        found = self.swing.outlook(horizon_s, OUTLOOK_US * US, ticks)
-        variances: Vector = np.interp(
-            step_us * np.arange(count), OUTLOOK_US * np.arange(ticks), found
-        )
-        return variances
+        found = self.swing.outlook(horizon_s, OUTLOOK_US * US, ticks_over(step_us, count))
+        return between_ticks(found, step_us, count)
 
     def course(self, first_us: float, step_us: float, count: int) -> Vector:
         """Angle and speed (2, count) at equal steps of time."""

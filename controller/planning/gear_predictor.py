@@ -24,17 +24,15 @@ from meshpoint.controller.motion.models import (
     predict,
     predict_spread,
 )
-from meshpoint.controller.motion.swing import ShaftState
+from meshpoint.controller.motion.swing import OUTLOOK_US, ShaftState, between_ticks, ticks_over
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.plan_kernels import MEETING, course
 from meshpoint.controller.records import filled
 from meshpoint.gearbox import MainGear
 from meshpoint.units import US
 
-TICK_US = 10_000.0
 MOST_TICKS = 16
-"""What will be known of the layshaft is worked out at so many steps of this, with some edges in
-each."""
+"""What will be known of the layshaft is worked out at so many ticks of `OUTLOOK_US`."""
 MOST_STEPS = 40
 LEAST_ROOT_SHARE = 1e-3
 CLOSE_RAD_S = 1e-4
@@ -100,10 +98,8 @@ class GearPredictor:
     def phase_sd_rad(self, time_us: float) -> float:
         """Standard deviation (rad) of the phase at a contact at that time: from the estimates of
         angle and speed, and from the scatter of the sleeve's delay."""
-        layshaft_sd = self._layshaft_sd_rad(time_us)
         slip = self.slip_rad_s(time_us)
-        layshaft = self.spread_share * self.i_gear * layshaft_sd
-        return math.hypot(layshaft, self._main_sd_rad(time_us), slip * self.delay_sd_s)
+        return math.hypot(self._estimate_sd_rad(time_us), slip * self.delay_sd_s)
 
     def _layshaft_sd_rad(self, time_us: float) -> float:
         state = self.layshaft
@@ -114,8 +110,11 @@ class GearPredictor:
 
     def estimate_variance(self, time_us: float) -> float:
         """Variance (rad2) of the phase at a time, without the part from the sleeve's delay."""
+        return self._estimate_sd_rad(time_us) ** 2
+
+    def _estimate_sd_rad(self, time_us: float) -> float:
         layshaft = self.spread_share * self.i_gear * self._layshaft_sd_rad(time_us)
-        return math.hypot(layshaft, self._main_sd_rad(time_us)) ** 2
+        return math.hypot(layshaft, self._main_sd_rad(time_us))
 
     def variances(
         self, first_us: float, step_us: float, count: int, release_us: float | None = None
@@ -135,12 +134,10 @@ class GearPredictor:
         if state.covariance is None or state.edge_rad2_s <= 0.0:
             return np.full(count, self._layshaft_sd_rad(first_us) ** 2)
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
-        span_us = step_us * max(1, count - 1)
-        ticks = min(2 + int(span_us // TICK_US), MOST_TICKS)
-        horizon_us = max(0.0, first_us - state.time_us)
-        found = outlook(state, Ticks(horizon_us, TICK_US, ticks), switches, self.model)
-        times = step_us * np.arange(count)
-        return np.asarray(np.interp(times, TICK_US * np.arange(ticks), found))
+        looks = min(ticks_over(step_us, count), MOST_TICKS)
+        ticks = Ticks(max(0.0, first_us - state.time_us), OUTLOOK_US, looks)
+        found = outlook(state, ticks, switches, self.model)
+        return between_ticks(found, step_us, count)
 
     def _main_sd_rad(self, time_us: float) -> float:
         return self._main_share * self.main.theta_sd_at(time_us)

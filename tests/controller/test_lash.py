@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from meshpoint.controller.calibration.learned import SwingRecord
 from meshpoint.controller.estimation.lash_cloud import (
     SEEN_SDS,
     Lash,
@@ -18,6 +19,7 @@ from meshpoint.controller.estimation.lash_cloud import (
 )
 from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Prediction
 from meshpoint.controller.estimation.lash_start import StartWatch
+from meshpoint.controller.estimation.main_tracker import MainTracker
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
     DRAG,
@@ -36,7 +38,10 @@ from meshpoint.controller.motion.lash_motion import (
     move,
 )
 from meshpoint.controller.records import Vector
-from meshpoint.gearbox.sheet import Axle, Driveline
+from meshpoint.controller.sensing.wheel_edges import EdgeBatch
+from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.gearbox import Range
+from meshpoint.gearbox.driveline import Axle, Driveline
 
 AXLE, RATIO, EDGE_RAD = Axle(), 0.27, math.pi / 45.0
 BACKLASH = Driveline()
@@ -258,3 +263,29 @@ def test_a_backlash_that_nothing_speaks_for_is_tried_again_after_some_windows() 
     assert tried[0] and not tried[1]
     assert any(tried[2:])
     assert sum(tried) < 5
+
+
+def test_a_cloud_of_before_is_not_asked_once_the_speed_was_lost() -> None:
+    """Missing edges in neutral; when the shaft is seen again a gear may be in."""
+    main = MainTracker(CrossingFilterTuning(), 45, range_ratios=(RATIO, 1.0))
+    record = SwingRecord(
+        5, (120.0, 25.0), (0.01, 0.2), (0.05, 0.1), (0.3, 0.3), (1.0, 0.3), (1.0, 0.5),
+        (0.1, 0.1, 0.1), (1.0, 1.0, 1.0), 1.0, 0.3, True, 0.06, 0.3,
+    )  # fmt: skip
+    main.restore(Range.LOW, record)
+
+    def turn(first: int, last: int) -> None:
+        for number in range(first, last, 10):
+            edges = np.arange(number, number + 10)
+            angle = EDGE_RAD / 2.0 * edges
+            main.edges(EdgeBatch(angle / 60e-6, angle, edges // 2, edges % 2))
+
+    turn(0, 100)
+    main.set_free(True, Range.LOW, [], main.newest_us)
+    turn(100, 160)
+    free = main.at(main.newest_us)
+    assert free is not None and free.is_by_cloud
+    main.lose_speed()
+    turn(160, 260)
+    seen = main.at(main.newest_us)
+    assert seen is not None and not seen.is_by_cloud
