@@ -30,6 +30,7 @@ class BrakeInput:
         self._delays_us = (valve_delay_us, valve_delay_us)
         self._switches: list[Switch] = []
         self._arrays: Vector | None = None
+        self._arrays_of: list[Switch] = []
 
     def schedule(self, time_us: int, on: bool, now_us: int) -> None:
         """The valve will be `on` from `time_us`; replaces what was planned after `now_us`."""
@@ -37,19 +38,17 @@ class BrakeInput:
         if (not kept or kept[-1].on != on) and (kept or on):
             kept.append(Switch(time_us, on))
         if kept != self._switches:
-            self._switches = kept[-SWITCHES_KEPT:]
-            self._arrays = None
+            self._switches[:] = kept[-SWITCHES_KEPT:]
 
     def seen_through(self, valve_delay_us: int) -> BrakeInput:
-        """The same switches with another delay of the valve."""
+        """The same switches, those still to come too, with another delay of the valve."""
         other = BrakeInput(valve_delay_us)
-        other._switches = list(self._switches)
+        other._switches = self._switches
         return other
 
     def follow(self, other: BrakeInput) -> None:
         """Takes over another's switches; the delays stay."""
-        if self._switches != other.switches:
-            self._switches, self._arrays = other.switches, None
+        self._switches[:] = other.switches
 
     @property
     def switches(self) -> list[Switch]:
@@ -75,8 +74,8 @@ class BrakeInput:
     def arrays(self) -> Vector:
         """Times at which pressure starts to react, and u from then on: two rows, the switches of
         the kernels."""
-        if self._arrays is None:
-            self._arrays = self._with(None)
+        if self._arrays is None or self._arrays_of != self._switches:
+            self._arrays, self._arrays_of = self._with(None), self.switches
         return self._arrays
 
     def with_release(self, release_us: float) -> Vector:

@@ -72,3 +72,14 @@ def test_a_planned_release_can_be_moved_either_way() -> None:
         moved = brake.with_release(release_us)
         assert u_at(moved, release_us + DELAY_US - 1) == 1.0
         assert u_at(moved, release_us + DELAY_US) == 0.0
+
+
+def test_what_is_seen_through_another_valve_is_the_same_brake_also_when_it_is_moved_later() -> None:
+    brake = BrakeInput(10_000)
+    brake.schedule(1_000, True, 0)
+    brake.schedule(90_000, False, 20_000)
+    other = brake.seen_through(4_000)
+    assert list(other.arrays()[0]) == [5_000, 94_000]
+    brake.schedule(70_000, False, 30_000)
+    assert list(other.arrays()[0]) == [5_000, 74_000]
+    assert list(brake.arrays()[0]) == [11_000, 80_000]
