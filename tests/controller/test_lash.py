@@ -253,7 +253,7 @@ def test_the_vehicle_s_course_is_what_the_shaft_swings_about_in_gear() -> None:
     assert (start.angle_rad, start.speed_rad_s) == pytest.approx((24.0, 61.0))
     watch.take_vehicle(500e3, 59.0)
     watch.released(600e3)
-    start = watch.take_out(out + [[200e3], [12.0]], VEHICLE_SDS)
+    start = watch.take_out(out + np.array([[200e3], [12.0]]), VEHICLE_SDS)
     assert start is not None and start.vehicle_rad_s == 59.0
 
 
