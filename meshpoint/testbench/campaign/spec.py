@@ -26,7 +26,7 @@ SEEDS_APART: Final = 1_000_000
 """Run k of campaign seed S has seed S * 10^6 + k: no two campaigns share a draw."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Job:
     """One run: its seed, and the point of the sweep it is made at."""
 

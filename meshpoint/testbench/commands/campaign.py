@@ -265,7 +265,7 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
         stopping = _stopping(namespace, spec, stack)
         jobs = spec.jobs(namespace.runs)
         _compile(namespace)
-        collected = Collected(spec, jobs, [] if store is None else store.records)
+        collected = Collected(spec, jobs, None if store is None else store.shifts)
         finished = _make(namespace, spec, store, collected, stopping)
     values = to_json(spec, collected) | stopping.to_json()
     if not finished:
@@ -294,7 +294,7 @@ def _write(
 ) -> int:
     """Everything that was asked for; the command's exit code."""
     if store is not None:
-        store.finish(collected.records)
+        store.finish(collected.shifts)
         out.print(f"table {store.table}", markup=False)
         write_report(store.report, spec, collected, values)
         out.print(f"report {store.report}", markup=False)
@@ -355,8 +355,7 @@ def _make(
                 made = spec.jobs(runs)
                 if not run_all(spec, collected.left(made), where, take):
                     return False
-                seeds = {job.seed for job in made}
-                if stopping.enough([r for r in collected.records if r.seed in seeds]):
+                if stopping.enough(collected.within(made)):
                     break
         collected.stop_at(made)
         return True
