@@ -141,7 +141,6 @@ def resample(runs: int, figures: Sequence[Resampled]) -> list[Floats]:
     """Each figure in each resample of whole runs: the same resamples for all of them.
 
     The resamples are drawn once, a few at a time, and none is kept."""
-    runs = max(1, runs)
     rng = np.random.Generator(np.random.PCG64(SEED))
     share = np.full(runs, 1.0 / runs)
     found = [np.empty(RESAMPLES) for _ in figures]

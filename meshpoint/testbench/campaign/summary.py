@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, Final
 
@@ -46,8 +47,9 @@ class Shots:
         return self.is_gap.astype(np.float64), self.cluster
 
     def gap_rate(self) -> Rate:
-        """Share of first contacts in a gap, with its interval."""
-        return (float(self.is_gap.mean()), *rate_interval(self.is_gap, self.cluster))
+        """Share of first contacts in a gap, with its interval; NaN where there was no shift."""
+        rate = float(self.is_gap.mean()) if self.is_gap.size else math.nan
+        return (rate, *rate_interval(self.is_gap, self.cluster))
 
     def impacts(self) -> tuple[Floats, Integers]:
         """Loss in flank impacts, J, and the runs."""
@@ -198,7 +200,7 @@ def compare(shots: dict[str, Shots], resamples: Resamples) -> dict[str, Any]:
 def summarise(shifts: Shifts, names: tuple[str, ...]) -> dict[str, Any]:
     """`strategies` and `ratios` for the shifts of one point of the sweep."""
     shots = by_strategy(shifts, names)
-    resamples = Resamples(shots, np.unique(shifts.column("seed")).size)
+    resamples = Resamples(shots, max(1, np.unique(shifts.column("seed")).size))
     return {
         "strategies": {
             name: strategy_figures(name, shot, resamples) for name, shot in shots.items()
