@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from meshpoint.controller.planning.strategies.table import AIMING
-from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.testbench.campaign.columns import Shifts
+from meshpoint.testbench.campaign.spec import is_blind
 
 LEAST_RUNS: Final = 32
 GROWTH: Final = math.sqrt(2.0)
@@ -99,11 +98,6 @@ def looks(most_runs: int) -> Iterator[int]:
         yield round(runs)
         runs *= GROWTH
     yield most_runs
-
-
-def is_blind(strategy: str) -> bool:
-    """Whether a strategy of ours fires without any knowledge of the phase."""
-    return strategy in STRATEGY_NAMES and strategy not in AIMING
 
 
 def estimate(

@@ -15,9 +15,9 @@ from meshpoint.testbench.campaign.sequential import (
     Estimate,
     Goal,
     estimate,
-    is_blind,
     looks,
 )
+from meshpoint.testbench.campaign.spec import is_blind
 from meshpoint.testbench.campaign.verdict import Comparison, Verdict
 from meshpoint.testbench.campaign.verdict import looks as paired_looks
 

@@ -80,6 +80,12 @@ def add_parser(commands: Any) -> None:
         help="shifts of each run and strategy that are judged (default: 2)",
     )  # fmt: skip
     parser.add_argument(
+        "--judged-blind", type=arguments.whole(1, 1000), metavar="K",
+        help="of those, so many also by strategies that are blind to the phase, beside the "
+        "controller's own (default: all). --until integrates their gap rate, which is then the "
+        "same of one shift of a run as of all",
+    )  # fmt: skip
+    parser.add_argument(
         "--strategy", dest="strategies", type=_strategies, metavar="A,B,...",
         help=f"strategies to compare, of {', '.join(STRATEGY_NAMES)}, and your own as {FORM} "
         "(default: all of ours; with --against the controller's own alone, which is judged)",
@@ -218,6 +224,7 @@ def run(namespace: argparse.Namespace) -> int:
         pairs=namespace.pairs,
         learn=namespace.learn,
         judged=namespace.judged,
+        judged_blind=namespace.judged_blind,
         seed=namespace.seed,
         profile=built.profile,
         wire=_wire(namespace, settings),
