@@ -109,11 +109,14 @@ class MainTracker(WheelTracker):
                 return
             self._cloud, edges = LashCloud(lash, start, self.edge_time.value), before.waiting
         self._cloud.take(edges, tooth_rad)
+        rivals.judge(edges, self._half_gap_rad)
+        state = self._filter
+        asked = rivals.wants(state.time_us)
+        if not (asked or rivals.believes_lash):
+            return
         course = self._cloud.course(self._half_gap_rad)
         self._course = (self._cloud.time_us, course)
-        rivals.judge(edges, self._half_gap_rad)
-        if course is not None:
-            state = self._filter
+        if asked and course is not None:
             wait_s = AHEAD_US * US
             x, p = Swing(state.x, state.p, self._motion).spread_ahead(wait_s)
             swing = Prediction(x.item(THETA), math.sqrt(max(0.0, p.item(THETA, THETA))))
