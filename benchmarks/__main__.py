@@ -18,14 +18,15 @@ from benchmarks import (
 
 
 def interpreter() -> str:
-    """Which Python this is, and whether it was built with profile (PGO) and link-time optimisation,
-    which alone make it a quarter to a third faster."""
+    """Which Python this is, and whether it says that it was built with profile (PGO) and link-time
+    optimisation, which alone make it a quarter to a third faster. A distributor's may be without
+    saying so."""
     given = str(sysconfig.get_config_var("CONFIG_ARGS"))
     optimised = [name for name in ("enable-optimizations", "with-lto") if name in given]
-    built = " ".join(optimised) or "neither PGO nor LTO"
+    built = " and ".join(optimised) or "no word of PGO or LTO"
     load = ", ".join(f"{value:.1f}" for value in os.getloadavg())
     return (
-        f"Python {platform.python_version()} at {sys.executable}, built with {built}; "
+        f"Python {platform.python_version()} at {sys.executable}, configured with {built}; "
         f"{os.cpu_count()} processors, load {load}"
     )
 
