@@ -13,7 +13,6 @@ from typing import Any, cast
 
 import pytest
 from campaigns import campaign, small_spec
-from patience import HANG_S
 
 from meshpoint.testbench.campaign import runner
 from meshpoint.testbench.campaign.record import JudgedShift
@@ -104,6 +103,20 @@ def test_what_was_done_before_the_workers_were_lost_is_handed_over(
     assert raised.startswith(said)
 
 
+def test_ctrl_c_takes_what_was_done_by_then_and_what_failed() -> None:
+    taken: list[RunResult] = []
+
+    def take(results: list[RunResult]) -> None:
+        taken.extend(results)
+        if len(taken) == 1:
+            raise KeyboardInterrupt
+
+    workers = Workers({2: KilledWorker("task")})
+    assert not run_all(SPEC, SPEC.jobs(4), workers, take)
+    assert [each.job for each in taken] == SPEC.jobs(4)
+    assert [each.error is None for each in taken] == [True, True, False, True]
+
+
 def test_a_pool_that_takes_no_more_work_is_lost() -> None:
     class Broken(Workers):
         def submit(self, *_work: Any) -> Future[Any]:  # type: ignore[override]
@@ -157,48 +170,42 @@ def test_a_campaign_whose_workers_are_lost_says_what_is_kept_and_goes_on_from_th
     assert resumed.table == wanted.table
 
 
-SCHEDULER = """
+CLUSTER = """
 import asyncio
-from distributed import Scheduler
+from distributed import Scheduler, Worker
 
 async def main():
     async with Scheduler(host="127.0.0.1", port=0, dashboard=False) as scheduler:
-        print(scheduler.address, flush=True)
-        await scheduler.finished()
+        async with Worker(scheduler.address, nthreads=1, dashboard=False):
+            print(scheduler.address, flush=True)
+            await scheduler.finished()
 
 asyncio.run(main())
 """
 
 
 @contextmanager
-def scheduler_and_worker() -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """In processes of their own: the scheduler's address, and its process."""
+def scheduler_with_a_worker() -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """In a process of its own: the scheduler's address, and the process."""
     with subprocess.Popen(
-        [sys.executable, "-c", SCHEDULER],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
+        [sys.executable, "-c", CLUSTER], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
         text=True,
-    ) as scheduler:
-        assert scheduler.stdout is not None
-        address = scheduler.stdout.readline().strip()
-        one = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--death-timeout", f"{HANG_S:g}"]
-        with subprocess.Popen(
-            [sys.executable, "-m", "distributed.cli.dask_worker", address, *one],
-            stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        ) as worker:  # fmt: skip
-            try:
-                yield address, scheduler
-            finally:
-                worker.kill()
-                scheduler.kill()
+    ) as process:  # fmt: skip
+        try:
+            assert process.stdout is not None
+            yield process.stdout.readline().strip(), process
+        finally:
+            process.kill()
 
 
 @pytest.mark.long
 def test_a_scheduler_that_is_killed_costs_nothing_that_was_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    from dask.distributed import LocalCluster
+
     add = Store.add
-    with scheduler_and_worker() as (address, scheduler), monkeypatch.context() as patch:
+    with scheduler_with_a_worker() as (address, scheduler), monkeypatch.context() as patch:
 
         def killed(store: Store, records: list[JudgedShift]) -> None:
             add(store, records)
@@ -217,8 +224,10 @@ def test_a_scheduler_that_is_killed_costs_nothing_that_was_done(
         add(store, records)
 
     monkeypatch.setattr(Store, "add", counted)
-    with scheduler_and_worker() as (address, _):
-        resumed = campaign(tmp_path, *CHEAP, "--dask", address, "--resume")
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None
+    ) as another:
+        resumed = campaign(tmp_path, *CHEAP, "--dask", another.scheduler_address, "--resume")
     assert resumed.code == Exit.DONE
     assert len(made) == 3 - done
     (tmp_path / "here").mkdir()

@@ -88,8 +88,8 @@ def run_all(
     except KeyboardInterrupt:
         at_work = work.cancel()
         complain(f"interrupted: ending the runs in work first, {len(at_work)} of them")
-        for future in at_work:
-            take(future.result())
+        for future, job in at_work.items():
+            take(work.result(future, job))
         return False
     except WorkersLostError:
         work.cancel()
@@ -119,12 +119,12 @@ class _Work:
         while self._left:
             future = self._done.get()
             job = self._left.pop(future)
-            self._take(self._result(future, job))
+            self._take(self.result(future, job))
             self._hand_over()
 
-    def cancel(self) -> list[Future[list[RunResult]]]:
-        """What is not begun is not made; the runs in work."""
-        left = [future for future in self._left if not future.cancel()]
+    def cancel(self) -> dict[Future[list[RunResult]], Job]:
+        """What is not begun is not made; the runs in work, or made and not yet taken."""
+        left = {future: job for future, job in self._left.items() if not future.cancel()}
         self._left.clear()
         return left
 
@@ -138,7 +138,8 @@ class _Work:
             self._left[future] = job
             future.add_done_callback(self._done.put)
 
-    def _result(self, future: Future[list[RunResult]], job: Job) -> list[RunResult]:
+    def result(self, future: Future[list[RunResult]], job: Job) -> list[RunResult]:
+        """What came of a run, waited for. WorkersLostError where nobody can say."""
         try:
             results = future.result()
         except CancelledError as error:  # not by us: those are not asked any more
