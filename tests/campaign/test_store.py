@@ -141,3 +141,24 @@ def test_the_table_has_words_once_and_a_sweep_point_a_row_group(tmp_path: Path) 
     assert file.num_row_groups == 2
     assert [(s.min, s.max) for s in said] == [("", ""), (POINT.name, POINT.name)]
     assert list(collected.at(POINT)) == [each for job in jobs[30:] for each in run_of(job)]
+
+
+def test_a_table_with_a_damaged_name_of_a_column_is_refused_or_read_as_it_was(
+    tmp_path: Path,
+) -> None:
+    """pyarrow raises KeyError where two lists of names in a file are not alike."""
+    write_shifts(tmp_path / "good.parquet", Shifts.of(run_of(Job(1))))
+    good = (tmp_path / "good.parquet").read_bytes()
+    refused = 0
+    for place in (k for k in range(len(good)) if good.startswith(b"main_gear", k)):
+        damaged = tmp_path / "damaged.parquet"
+        damaged.write_bytes(good[:place] + b"main_geaq" + good[place + 9 :])
+        columns = ShiftColumns()
+        try:
+            read_shifts(damaged, columns)
+        except CommandError as error:
+            assert "damaged.parquet: not a part of a campaign: " in str(error)
+            refused += 1
+        else:
+            assert list(columns.all()) == run_of(Job(1))
+    assert refused

@@ -82,7 +82,7 @@ def read_shifts(path: Path, into: ShiftColumns) -> None:
             for batch in file.iter_batches(READ_AT_ONCE, columns=list(FIELDS)):
                 table = pa.Table.from_batches([batch]).select(list(FIELDS)).cast(columns)
                 into.extend_by(*_columns_of(path, table))
-    except (OSError, pa.ArrowException, ValueError, IndexError) as error:
+    except (OSError, pa.ArrowException, ValueError, LookupError) as error:
         raise CommandError(f"{path}: not a part of a campaign: {error}") from error
     pa.default_memory_pool().release_unused()  # it would keep what reading took for more of it
 
