@@ -66,12 +66,18 @@ class Stage(Enum):
 class CommissionCore:
     """Drives each valve of a standing box. `question` is the output that waits for a consent."""
 
-    def __init__(self, sheet: GearboxSheet, *, consents: bool = False) -> None:
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        *,
+        consents: bool = False,
+        transmitter: Transmitter | None = None,
+    ) -> None:
         """consents: every output is consented to, without being asked about."""
         self._sheet = sheet
         self._consents = consents
         self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
-        self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
+        self._transmitter = transmitter or Transmitter(Node.TRANSMISSION_CONTROL)
         self._inbox: list[Frame] = []
         self._wheels = {shaft: WheelCount() for shaft in Shaft}
         self._counts: deque[tuple[int, int]] = deque()
