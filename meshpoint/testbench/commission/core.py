@@ -230,7 +230,12 @@ class CommissionCore:
         ]
         free = [valve for valve in open_ if self._is_free(valve)]
         if open_ and not free:
-            return self._way_to_neutral()
+            way = self._way_to_neutral()
+            # Where names are known to be wrong, they say nothing of which sleeve would move. The
+            # box stands: a second gear would lock it, and is taken out again.
+            if way is not None or not self._is_crossed():
+                return way
+            return min(open_, key=lambda valve: (self._tries[valve], valve))
         free.sort(key=lambda valve: (self._tries[valve], self._stands_there(valve), valve))
         return free[0] if free else None
 
@@ -242,6 +247,15 @@ class CommissionCore:
                 if away and trial.valve not in self.declined and self._tries[trial.valve] < RETURNS:
                     return trial.valve
         return None
+
+    def _is_crossed(self) -> bool:
+        """Whether an output has moved another sleeve than its own."""
+        return any(
+            sleeve is not EXPECTED[trial.valve][0]
+            for trial in self.trials
+            if trial.valve in EXPECTED
+            for sleeve, _ in trial.moved
+        )
 
     def _is_free(self, valve: ValveName) -> bool:
         """Whether no second main gear could get in: the other main sleeve is in neutral."""

@@ -36,7 +36,9 @@ from meshpoint.gearbox.tables import merged_tables, parse_toml, read_group
 from meshpoint.testbench.check.finding import Finding, Verdict
 from meshpoint.testbench.check.shafts import Shaft
 from meshpoint.testbench.commission.edge_log import EdgeLog, Window
+from meshpoint.testbench.commission.kiss import kiss_points
 from meshpoint.testbench.commission.roles import GROUP, RANGE_STATES, rate
+from meshpoint.testbench.commission.running import RunningCore
 from meshpoint.testbench.commission.verdict import measured_sheet
 from meshpoint.testbench.commission.wheels import (
     GEAR_STATES,
@@ -54,8 +56,9 @@ LEAST_WHEEL, MOST_WHEEL = 8, 200
 """Teeth that a gear wheel of a sheet may have."""
 NEAR_COUNT: Final = 0.1
 """The engine's speed gives the input wheel's teeth to within this many."""
-SEARCHED_KISS: Final = (0.4, 0.2)
-"""The kiss point is looked for around here, twice so far either way."""
+LEAST_TOUCHES: Final = 5
+LEAST_KISS: Final = 0.02
+"""A kiss point is known no better than so: it moves with wear and heat."""
 
 
 @dataclass
@@ -81,9 +84,9 @@ class Commissioned:
 
 def commissioned(core: WholeCommission, sheet: GearboxSheet, version: str, written: str) -> Commissioned:
     """From a box on which nothing was found miswired. What was not measured stays the sheet's."""
-    standing, _ = measured_sheet(sheet, core.standing)
+    standing, measured = measured_sheet(sheet, core.standing)
     found = Commissioned(standing)
-    for name in measured_sheet(sheet, core.standing)[1]:
+    for name in measured:
         table, key = name.split(".")
         found.entries.append(Entry(table, key, float(_tables(standing)[table][key]), "at standstill"))
     running = core.running
@@ -94,6 +97,8 @@ def commissioned(core: WholeCommission, sheet: GearboxSheet, version: str, writt
     for key, times in (("open_delay_ms", running.opening_s), ("close_delay_ms", running.closing_s)):
         if times:
             found.add("clutch", key, median(times) / MS, "by its position")
+    found.sheet = with_entries(standing, found.entries)
+    _kiss(found, running)
     found.sheet = with_entries(standing, found.entries)
     _identify(found, core.recorded)
     _calibrate(found, core.recorded, version, written)
@@ -216,6 +221,19 @@ def _whole_teeth(measured: Measured, mesh: Mesh) -> tuple[int, int]:
     return factor * told.numerator, factor * told.denominator
 
 
+def _kiss(found: Commissioned, running: RunningCore) -> None:
+    teeth = found.sheet.wheels.input_.teeth
+    edges_us = running.log.tracks[Shaft.INPUT, 0].times
+    shares = kiss_points(running.closings, edges_us, teeth)
+    if shares.size < LEAST_TOUCHES:
+        text = f"{shares.size} of {len(running.closings)} closings show it"
+        found.unknown("clutch kiss point", text)
+        return
+    half = max(LEAST_KISS, 2.0 * float(shares.std(ddof=1)))
+    found.add("clutch", "kiss_percent", 100.0 * float(np.median(shares)), "by the input shaft")
+    found.add("clutch", "kiss_tolerance_percent", 100.0 * half, "two standard deviations")
+
+
 def _content(sheet: GearboxSheet, recorded: list[tuple[int, Frame]]) -> LogContent:
     reader = LogReader(sheet)
     for time_us, frame in recorded:
@@ -224,17 +242,16 @@ def _content(sheet: GearboxSheet, recorded: list[tuple[int, Frame]]) -> LogConte
 
 
 def _identify(found: Commissioned, recorded: list[tuple[int, Frame]]) -> None:
-    """Brake, drag, inertias, sleeves, kiss point and duty, by the log of the guided manoeuvres."""
-    kiss, tolerance = SEARCHED_KISS
-    clutch = replace(found.sheet.clutch, kiss_share=kiss, kiss_tolerance=tolerance)
-    searched = replace(found.sheet, clutch=clutch)
-    content = _content(searched, recorded)
-    found.identified = identify(content, searched)
+    """Brake, drag, inertias, sleeves and duty, by the log of the guided manoeuvres."""
+    content = _content(found.sheet, recorded)
+    found.identified = identify(content, found.sheet)
     told = {(entry.table, entry.key): entry for entry in found.entries}
-    told |= {(entry.table, entry.key): entry for entry in entries(found.identified, searched)}
+    for entry in entries(found.identified, found.sheet):
+        if entry.table != "clutch":
+            told[entry.table, entry.key] = entry
     found.entries = list(told.values())
     for figure in found.identified.figures:
-        if figure.value is None:
+        if figure.value is None and not figure.name.startswith("clutch"):
             found.unknown(figure.name, figure.why)
     found.sheet = with_entries(found.sheet, found.entries)
 

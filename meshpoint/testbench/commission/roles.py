@@ -99,36 +99,39 @@ class Turning:
     def order(self) -> Iterator[tuple[Sleeve, bool]]:
         """Of each sleeve whose two sides have been turned: whether the side that it reported is the
         one whose ratio was measured."""
-        shaft = {self.shaft_of(sensor): sensor for sensor in Shaft}
-        lay, main = shaft.get(Shaft.LAYSHAFT), shaft.get(Shaft.MAIN)
-        propeller = shaft.get(Shaft.PROPELLER)
-        if lay is None or main is None or propeller is None:
-            return
+        lay, main, propeller = Shaft.LAYSHAFT, Shaft.MAIN, Shaft.PROPELLER
         gears = [self.rates[GEAR_STATES[gear]][main] for gear in MAIN_GEARS]
         rank = {gear: sorted(gears).index(value) for gear, value in zip(MAIN_GEARS, gears, strict=True)}
         for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD):
             own = [gear for gear in MAIN_GEARS if SLEEVE_OF_MAIN[gear].sleeve is sleeve]
             yield sleeve, all(rank[gear] == MAIN_GEARS.index(gear) for gear in own)
         splits = [self.rates[SPLIT_STATES[split]][lay] for split in Split]
-        yield Sleeve.SPLITTER, splits[0] < splits[1]
-        third = self.rates[GEAR_STATES[MainGear.THIRD]][propeller]
-        yield Sleeve.RANGE, third < self.rates[HIGH_STATE][propeller]
+        yield Sleeve.SPLITTER, splits[0] < (1.0 - SAME) * splits[1]
+        low, high = self.rates[GEAR_STATES[MainGear.THIRD]], self.rates[HIGH_STATE]
+        ends = low[propeller] / max(low[main], SAME), high[propeller] / max(high[main], SAME)
+        yield Sleeve.RANGE, ends[0] < (1.0 - SAME) * ends[1]
 
 
 def judge_turning(log: EdgeLog, wires: Mapping[SleeveSide, ValveName]) -> Iterator[Finding]:
-    """Sensors by shafts; then what the standing part has left open, valves or position sensors."""
+    """Sensors by shafts; then what the standing part has left open, valves or position sensors.
+    One thing wrong is told at a time: it is mended, and all is done again."""
     turning = Turning(log)
     if not turning.is_whole:
         yield Finding(GROUP, "shafts", Verdict.UNKNOWN, "not everything was turned")
         return
-    yield from turning.sensors()
-    truth = dict(turning.order())
     crossed: dict[Sleeve, set[Sleeve]] = {}
     for side, valve in wires.items():
         meant = SleeveSide(*EXPECTED[valve])
         if side != meant:
             crossed.setdefault(meant.sleeve, set()).add(side.sleeve)
-    for sleeve, is_true in truth.items():
+    if not crossed:
+        sensors = list(turning.sensors())
+        yield from sensors
+        if any(finding.verdict is Verdict.BAD for finding in sensors):
+            return
+    # Where outputs are crossed the wheels' sensors are believed, and tell what is: valves or
+    # position sensors. With both wrong at once this contradicts itself, and is told again later.
+    for sleeve, is_true in turning.order():
         name = sleeve.name.lower()
         seen = crossed.get(sleeve, set())
         yield _sleeve_finding(name, is_true, seen, sleeve)

@@ -51,6 +51,7 @@ from meshpoint.testbench.commission.core import (
     TICK_US,
 )
 from meshpoint.testbench.commission.edge_log import EdgeLog, State
+from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.units import MM, RPM, US
 
 NEEDED: Final = (GearboxSensors, SleevesMain, SleevesAux, EEC1)
@@ -61,9 +62,9 @@ STEP_IN_M: Final = 4.0 * MM
 CREEP_RPM: Final = 700.0
 """Engine speed at which a gear is turned in."""
 GEAR_RPM: Final = 1200.0
-DRIVEN_RPM: Final = (1250.0, 1400.0, 1320.0, 1450.0, 1280.0, 1380.0, 1430.0)
+DRIVEN_RPM: Final = (1250.0, 1400.0, 1320.0, 1450.0, 1280.0, 1380.0)
 """Engine speeds before the layshaft is let go, in turn."""
-PULSES_US: Final = (90_000, 160_000, 0, 230_000, 120_000, 60_000, 190_000)
+PULSES_US: Final = (90_000, 160_000, 0, 230_000, 120_000, 190_000)
 """How long the brake is on in each of these."""
 COUNT_US: Final = 2_500_000
 COAST_US: Final = 250_000
@@ -115,6 +116,9 @@ class RunningCore:
         self._sensors: GearboxSensors | None = None
         self._due_us, self._now_us = 0, 0
         self._valve: tuple[ValveName, int] | None = None
+        """The output that is driven, and since when."""
+        self._off_us: int | None = None
+        """Until when; None: until further notice."""
         self._clutch = ClutchAction.OPEN
         self._travel: list[tuple[int, float]] = []
         self._engine_rad_s: float | None = None
@@ -130,6 +134,8 @@ class RunningCore:
         self.closing_s: list[float] = []
         self.opening_s: list[float] = []
         """From one end of the clutch's travel to the other, of each travel."""
+        self.closings: list[list[tuple[int, float]]] = []
+        """Samples of the clutch on its way: log's time (us), share of the travel from open."""
         self.stopped = ""
         """Why it ended before its end; empty if it did not."""
 
@@ -187,7 +193,8 @@ class RunningCore:
 
     def _end(self, why: str) -> None:
         self._program, self.stopped, self.question = None, why, None
-        self._valve, self._clutch, self._engine_rad_s = None, ClutchAction.OPEN, None
+        self._valve = self._off_us = None
+        self._clutch, self._engine_rad_s = ClutchAction.OPEN, None
         if why:
             self._events.append(f"given up: {why}")
 
@@ -201,13 +208,16 @@ class RunningCore:
             self._positions_m[Sleeve.RANGE] = message.sleeve_range_m[0]
         elif isinstance(message, GearboxSensors):
             self._sensors = message
-            self._time_clutch(message.clutch_position_fraction)
+            at_us = self.log.now_us + span_us(
+                message.sample_time_us, self.log.now_us & 0xFFFF_FFFF
+            )
+            self._time_clutch(at_us, message.clutch_position_fraction)
 
-    def _time_clutch(self, closed: float) -> None:
+    def _time_clutch(self, at_us: int, closed: float) -> None:
         """A travel from end to end by its samples within the ends, at even speed."""
         travel, closes = self._travel, self._clutch is ClutchAction.CLOSE
         if NEAR_END < closed < 1.0 - NEAR_END:
-            travel.append((self._now_us, closed))
+            travel.append((at_us, closed))
             return
         if len(travel) >= LEAST_TRAVEL:
             (t0, x0), (t1, x1) = travel[0], travel[-1]
@@ -215,6 +225,8 @@ class RunningCore:
             if way > 0.5:
                 times = self.closing_s if closes else self.opening_s
                 times.append((t1 - t0) * US / way)
+                if closes:
+                    self.closings.append(list(travel))
         travel.clear()
 
     def _look_out(self) -> None:
@@ -318,9 +330,7 @@ class RunningCore:
                 yield from self._count(State(split, MainGear.NEUTRAL, Range.HIGH), COUNT_US)
             yield from self._let_go()
             if pulse_us:
-                self._activate(ValveName.BRAKE)
-                yield from self._hold(LEAD_US + pulse_us)
-                self._valve = None
+                yield from self._pulse(ValveName.BRAKE, pulse_us)
             yield from self._hold(COAST_US)
 
     def _spin(self, rpm: float) -> Program:
@@ -392,6 +402,15 @@ class RunningCore:
             raise GivenUp(why)
         yield from self._hold(150_000)
 
+    def _pulse(self, valve: ValveName, during_us: int) -> Program:
+        """Off at a time as exact as on: a fit of the pressure's fall goes by it."""
+        self._activate(valve)
+        yield from self._hold(during_us)
+        if self._valve is not None:
+            self._off_us = (self._valve[1] + during_us) & 0xFFFF_FFFF
+        yield from self._hold(2 * LEAD_US)
+        self._valve = self._off_us = None
+
     def _push(self, side: SleeveSide) -> None:
         self._activate(self._wires[side])
 
@@ -424,9 +443,10 @@ class RunningCore:
         values: dict[str, Any] = {}
         if self._valve is not None:
             name, activation_us = self._valve
+            is_off = self._off_us is not None
             values = {
-                f"{name.name.lower()}_action": ValveAction.ON_AT,
-                f"{name.name.lower()}_time_us": activation_us,
+                f"{name.name.lower()}_action": ValveAction.OFF_AT if is_off else ValveAction.ON_AT,
+                f"{name.name.lower()}_time_us": self._off_us if is_off else activation_us,
             }
         request = TSC1()
         if self._engine_rad_s is not None:
