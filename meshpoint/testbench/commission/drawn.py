@@ -118,10 +118,16 @@ def withheld(like: GearboxSheet) -> GearboxSheet:
         range_=replace(like.range_, low=Mesh(10, 30), high=Mesh(30, 30)),
         wheels=replace(like.wheels, input_=wheel, layshaft=wheel, main=wheel, propeller=wheel),
         shafts=replace(like.shafts, input_inertia_kgm2=0.12, friction_nms=0.1),
-        brake=replace(brake, max_torque_nm=110.0, valve_delay_s=15.0 * MS, time_constant_s=40.0 * MS),
+        brake=replace(
+            brake, max_torque_nm=110.0, valve_delay_s=15.0 * MS, time_constant_s=40.0 * MS
+        ),
         air=replace(like.air, supply_gauge_pa=8.0 * BAR),
         sleeve=replace(sleeve, delay_s=50.0 * MS, valve_delay_s=15.0 * MS),
         clutch=replace(
-            clutch, open_delay_s=150.0 * MS, close_delay_s=250.0 * MS, kiss_share=0.4, kiss_tolerance=0.2
+            clutch,
+            open_delay_s=150.0 * MS,
+            close_delay_s=250.0 * MS,
+            kiss_share=0.4,
+            kiss_tolerance=0.2,
         ),
     )

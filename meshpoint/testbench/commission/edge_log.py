@@ -6,6 +6,7 @@ each wheel, and when, while something was in mesh.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
@@ -66,7 +67,7 @@ class Track:
         low = frame.timestamp_low_us
         time_us = read_us - (read_us - low[0]) % STAMP
         times = [time_us]
-        for newer, older in zip(low[: valid - 1], low[1:valid], strict=True):
+        for newer, older in itertools.pairwise(low):
             time_us -= (newer - older) % STAMP
             times.append(time_us)
         # What came in before a standstill cannot be chained over it.

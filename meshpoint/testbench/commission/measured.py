@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from fractions import Fraction
 from statistics import median
 from typing import Any, Final
@@ -35,7 +35,7 @@ from meshpoint.gearbox.sheet import Mesh
 from meshpoint.gearbox.tables import merged_tables, parse_toml, read_group
 from meshpoint.testbench.check.finding import Finding, Verdict
 from meshpoint.testbench.check.shafts import Shaft
-from meshpoint.testbench.commission.edge_log import EdgeLog, Window
+from meshpoint.testbench.commission.edge_log import EdgeLog, State
 from meshpoint.testbench.commission.kiss import kiss_points
 from meshpoint.testbench.commission.roles import GROUP, RANGE_STATES, rate
 from meshpoint.testbench.commission.running import RunningCore
@@ -82,13 +82,15 @@ class Commissioned:
         self.findings.append(Finding(GROUP, subject, Verdict.UNKNOWN, text))
 
 
-def commissioned(core: WholeCommission, sheet: GearboxSheet, version: str, written: str) -> Commissioned:
+def commissioned(
+    core: WholeCommission, sheet: GearboxSheet, version: str, written: str
+) -> Commissioned:
     """From a box on which nothing was found miswired. What was not measured stays the sheet's."""
     standing, measured = measured_sheet(sheet, core.standing)
     found = Commissioned(standing)
     for name in measured:
         table, key = name.split(".")
-        found.entries.append(Entry(table, key, float(_tables(standing)[table][key]), "at standstill"))
+        found.add(table, key, value_of(standing, table, key), "at standstill")
     running = core.running
     if running is None or not running.log.windows:
         return found
@@ -109,8 +111,16 @@ def _tables(sheet: GearboxSheet) -> dict[str, Any]:
     return parse_toml(to_toml(groups_of(GearboxSheet, sheet), ""), sheet.name)
 
 
+def value_of(sheet: GearboxSheet, table: str, key: str) -> float:
+    """A sheet's value of a key, in the unit of its file."""
+    place = _tables(sheet)
+    for part in table.split("."):
+        place = place[part]
+    return float(place[key])
+
+
 def with_entries(sheet: GearboxSheet, told: list[Entry]) -> GearboxSheet:
-    """The sheet with measured keys in place of its own. TableError where they do not go together."""
+    """The sheet with measured keys in place of its own. TableError where they do not fit."""
     above: dict[str, Any] = {}
     for entry in told:
         place = above
@@ -196,7 +206,7 @@ def _meshes(found: Commissioned, log: EdgeLog) -> None:
 def _steps(sheet: GearboxSheet) -> Iterator[tuple[str, tuple[Shaft, Shaft], tuple[Any, ...], Mesh]]:
     for split in Split:
         pair = (Shaft.INPUT, Shaft.LAYSHAFT)
-        states = (SPLIT_STATES[split],)
+        states: tuple[State, ...] = (SPLIT_STATES[split],)
         if split is Split.LOW:
             states += tuple(GEAR_STATES.values())
         yield f"splitter.{split.name.lower()}", pair, states, sheet.split_mesh(split)
@@ -256,7 +266,9 @@ def _identify(found: Commissioned, recorded: list[tuple[int, Frame]]) -> None:
     found.sheet = with_entries(found.sheet, found.entries)
 
 
-def _calibrate(found: Commissioned, recorded: list[tuple[int, Frame]], version: str, written: str) -> None:
+def _calibrate(
+    found: Commissioned, recorded: list[tuple[int, Frame]], version: str, written: str
+) -> None:
     """What a controller would have to learn in its first shifts: teeth, and each gear's sleeve."""
     if found.identified is None:
         return

@@ -102,17 +102,20 @@ class Miswiring:
         others = [f for f in findings if f.group != TURNING]
         if self.sensors is not None:
             a, b = self.sensors
-            text = f"the sensors of {{}} and {{}} are exchanged"
-            told = {f"{a} sensor turned": text.format(a, b), f"{b} sensor turned": text.format(b, a)}
+            text = "the sensors of {} and {} are exchanged"
+            told = {
+                f"{a} sensor turned": text.format(a, b),
+                f"{b} sensor turned": text.format(b, a),
+            }
             return turned == told and Miswiring().is_named_by(others)
         sleeves: dict[Sleeve, str] = {}
         if self.mirrored is not None:
             sleeves = {self.mirrored: "mounted the other way round"}
         elif self.positions is not None:
-            a, b = self.positions
+            one, other = self.positions
             sleeves = {
-                a: f"exchanged with that of {b.name.lower()}",
-                b: f"exchanged with that of {a.name.lower()}",
+                one: f"exchanged with that of {other.name.lower()}",
+                other: f"exchanged with that of {one.name.lower()}",
             }
         elif self.valves is not None and ValveName.BRAKE not in self.valves:
             sleeves = {EXPECTED[valve][0]: "its valves are exchanged" for valve in self.valves}

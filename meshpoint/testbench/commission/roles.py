@@ -26,6 +26,7 @@ from meshpoint.testbench.check.shafts import Shaft
 from meshpoint.testbench.commission.edge_log import EdgeLog, State, Window
 from meshpoint.testbench.commission.trial import EXPECTED
 from meshpoint.testbench.commission.wheels import GEAR_STATES, HIGH_STATE, SPLIT_STATES
+from meshpoint.units import TURN, US
 
 GROUP: Final = "turning"
 SAME: Final = 0.01
@@ -39,9 +40,9 @@ def rate(log: EdgeLog, shaft: Shaft, window: Window) -> float:
     times, numbers = log.edges(shaft, window)
     if numbers.size < FEW or not window.engine_rad_s:
         return 0.0
-    seconds = (times[-1] - times[0]) * 1e-6
+    seconds = float(times[-1] - times[0]) * US
     mean = sum(window.engine_rad_s) / len(window.engine_rad_s)
-    return float(numbers[-1] - numbers[0]) / (seconds * mean / 6.283185307179586)
+    return float(numbers[-1] - numbers[0]) / (seconds * mean / TURN)
 
 
 class Turning:
@@ -66,9 +67,7 @@ class Turning:
     @property
     def silent(self) -> list[Shaft]:
         """Sensors that have counted in no window."""
-        return [
-            shaft for shaft in Shaft if not any(seen[shaft] for seen in self.rates.values())
-        ]
+        return [shaft for shaft in Shaft if not any(seen[shaft] for seen in self.rates.values())]
 
     def shaft_of(self, sensor: Shaft) -> Shaft | None:
         """The shaft on which this sensor sits; None where what it counts fits none."""
@@ -86,7 +85,12 @@ class Turning:
         for sensor, place in places.items():
             subject = f"{sensor} sensor turned"
             if sensor in self.silent:
-                yield Finding(GROUP, subject, Verdict.BAD, "it counts nothing: not wired, or too far from its wheel")
+                yield Finding(
+                    GROUP,
+                    subject,
+                    Verdict.BAD,
+                    "it counts nothing: not wired, or too far from its wheel",
+                )
             elif place is sensor:
                 yield Finding(GROUP, subject, Verdict.GOOD, f"it counts as the {place} shaft turns")
             elif place is not None and places[place] is sensor:
@@ -101,7 +105,9 @@ class Turning:
         one whose ratio was measured."""
         lay, main, propeller = Shaft.LAYSHAFT, Shaft.MAIN, Shaft.PROPELLER
         gears = [self.rates[GEAR_STATES[gear]][main] for gear in MAIN_GEARS]
-        rank = {gear: sorted(gears).index(value) for gear, value in zip(MAIN_GEARS, gears, strict=True)}
+        rank = {
+            gear: sorted(gears).index(value) for gear, value in zip(MAIN_GEARS, gears, strict=True)
+        }
         for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD):
             own = [gear for gear in MAIN_GEARS if SLEEVE_OF_MAIN[gear].sleeve is sleeve]
             yield sleeve, all(rank[gear] == MAIN_GEARS.index(gear) for gear in own)
@@ -143,7 +149,9 @@ def _sleeve_finding(name: str, is_true: bool, seen: set[Sleeve], sleeve: Sleeve)
     if not seen and is_true:
         return Finding(GROUP, subject, Verdict.GOOD, "the ratios are those of the sides it says")
     if not seen:
-        text = "the ratios are those of other sides than it says, though its valves move it as named"
+        text = (
+            "the ratios are those of other sides than it says, though its valves move it as named"
+        )
         return Finding(GROUP, subject, Verdict.BAD, text)
     if is_true:
         text = "what it says is true: its valves are exchanged, not its position sensor"

@@ -10,6 +10,7 @@ a longest time, and ends with all valves off and the clutch open.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Mapping
+from functools import partial
 from typing import Any, Final
 
 from meshpoint.bus.core import Step
@@ -41,7 +42,6 @@ from meshpoint.gearbox.gears import (
     SleeveSide,
     Split,
 )
-from meshpoint.testbench.check.shafts import Shaft
 from meshpoint.testbench.commission.core import (
     CONSENT_US,
     LEAD_US,
@@ -86,12 +86,15 @@ QUIET_US: Final = 250_000
 OVER_SHARE: Final = 1.15
 """An engine that is this much faster than asked for is out of hand."""
 
-SPLITS: Final = {Split.LOW: SleeveSide(Sleeve.SPLITTER, -1), Split.HIGH: SleeveSide(Sleeve.SPLITTER, 1)}  # fmt: skip
+SPLITS: Final = {
+    Split.LOW: SleeveSide(Sleeve.SPLITTER, -1),
+    Split.HIGH: SleeveSide(Sleeve.SPLITTER, 1),
+}
 RANGES: Final = {Range.LOW: SleeveSide(Sleeve.RANGE, -1), Range.HIGH: SleeveSide(Sleeve.RANGE, 1)}
 Program = Generator[None, None, None]
 
 
-class GivenUp(Exception):
+class GivenUpError(Exception):
     """Why the rest is not done."""
 
 
@@ -161,7 +164,7 @@ class RunningCore:
     def answer(self, is_yes: bool, now_us: int) -> None:
         """A person's answer to `question`."""
         if self.question is not None:
-            self._answer = is_yes, now_us
+            self._answer = (is_yes, now_us)
 
     def step(self, now_us: int) -> Step:
         """Takes in what was heard, goes on with the program, commands."""
@@ -181,7 +184,7 @@ class RunningCore:
                 next(self._program)
             except StopIteration:
                 self._end("")
-            except GivenUp as given_up:
+            except GivenUpError as given_up:
                 self._end(str(given_up))
         events, self._events = self._events, []
         return Step(self._frames(), events)
@@ -208,9 +211,7 @@ class RunningCore:
             self._positions_m[Sleeve.RANGE] = message.sleeve_range_m[0]
         elif isinstance(message, GearboxSensors):
             self._sensors = message
-            at_us = self.log.now_us + span_us(
-                message.sample_time_us, self.log.now_us & 0xFFFF_FFFF
-            )
+            at_us = self.log.now_us + span_us(message.sample_time_us, self.log.now_us & 0xFFFF_FFFF)
             self._time_clutch(at_us, message.clutch_position_fraction)
 
     def _time_clutch(self, at_us: int, closed: float) -> None:
@@ -230,20 +231,20 @@ class RunningCore:
         travel.clear()
 
     def _look_out(self) -> None:
-        """Raises GivenUp where nothing may be driven on."""
+        """Raises GivenUpError where nothing may be driven on."""
         if not self._complete():
             if self.log.windows or self._valve is not None:
-                raise GivenUp("an input is lost")
+                raise GivenUpError("an input is lost")
             return
         sensors, engine = self._sensors, self.log.engine_rad_s
         if sensors is None or engine is None:
             return
         gauge_pa = sensors.supply_pressure_pa - self._sheet.air.atmosphere_pa
         if gauge_pa < LEAST_SUPPLY * self._sheet.air.supply_gauge_pa:
-            raise GivenUp("too little air")
+            raise GivenUpError("too little air")
         most = min(self._sheet.limits.input_max_rad_s, OVER_SHARE * max(DRIVEN_RPM) * RPM)
         if engine > most:
-            raise GivenUp("the engine is faster than it was asked to be")
+            raise GivenUpError("the engine is faster than it was asked to be")
 
     def _complete(self) -> bool:
         known = self._sensors is not None and len(self._positions_m) == len(Sleeve)
@@ -269,22 +270,27 @@ class RunningCore:
         yield from self._stand()
 
     def _consented(self, what: str, name: str) -> Generator[None, None, bool]:
-        while True:
+        """Whether a person says yes, now; not asked where all is consented to."""
+        while not self._consents:
             self.question, self._answer = f"may the engine turn {what}? (yes/no)", None
-            if not self._consents:
-                self._events.append(self.question)
-                while self._answer is None:
-                    yield
-                is_yes, at_us = self._answer
-                if not is_yes:
-                    self.declined.add(name)
-                    self.question = None
-                    return False
-                if self._now_us - at_us > CONSENT_US:
-                    self._events.append("the consent has run out")
-                    continue
+            self._events.append(self.question)
+            while (answer := self._taken_answer()) is None:
+                yield
+            is_yes, at_us = answer
+            if is_yes and self._now_us - at_us <= CONSENT_US:
+                return True
+            if not is_yes:
+                self.declined.add(name)
+                return False
+            self._events.append("the consent has run out")
+        return True
+
+    def _taken_answer(self) -> tuple[bool, int] | None:
+        """The answer, once; the question is none any more."""
+        answer, self._answer = self._answer, None
+        if answer is not None:
             self.question = None
-            return True
+        return answer
 
     def _turn_in(self, gear: MainGear, range_: Range) -> Program:
         """A gear is pushed in at standstill, turned, counted, and taken out again."""
@@ -318,7 +324,7 @@ class RunningCore:
             self._clutch = ClutchAction.OPEN
             yield from self._hold(INCH_US)
         if not self._at(side, IN_M):
-            raise GivenUp(f"{name}: does not go in")
+            raise GivenUpError(f"{name}: does not go in")
         yield from self._hold(100_000)
         self._valve = None
 
@@ -369,37 +375,35 @@ class RunningCore:
         yield from self._hold(300_000)
 
     def _change(self, *sides: SleeveSide) -> Program:
+        """Splitter and range to these sides."""
         for side in sides:
             if not self._at(side, STEP_IN_M):
                 name = side.sleeve.name.lower()
-                yield from self._drive(
-                    side, lambda side=side: self._at(side, STEP_IN_M), MOVE_US, f"{name}: not moved"
-                )
+                is_there = partial(self._at, side, STEP_IN_M)
+                yield from self._drive(side, is_there, MOVE_US, f"{name}: not moved")
 
     def _to_neutral(self) -> Program:
         for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD):
             for _ in range(4):
                 position = self._positions_m[sleeve]
-                if abs(position) < NEUTRAL_M:
+                if self._in_neutral(sleeve):
                     break
                 back = SleeveSide(sleeve, -1 if position > 0.0 else 1)
-                yield from self._drive(
-                    back, lambda s=sleeve: abs(self._positions_m[s]) < NEUTRAL_M, 400_000
-                )
+                yield from self._drive(back, partial(self._in_neutral, sleeve), 400_000)
             else:
-                raise GivenUp(f"{sleeve.name.lower()}: does not come to neutral")
+                raise GivenUpError(f"{sleeve.name.lower()}: does not come to neutral")
 
     def _drive(
         self, side: SleeveSide, until: Callable[[], bool], most_us: int, why: str = ""
     ) -> Program:
-        """One output until something is so, at most so long; GivenUp with `why` after that."""
+        """One output until something is so, at most so long; GivenUpError with `why` after that."""
         self._push(side)
         end_us = self._now_us + LEAD_US + most_us
         while not until() and self._now_us < end_us:
             yield
         self._valve = None
         if why and not until():
-            raise GivenUp(why)
+            raise GivenUpError(why)
         yield from self._hold(150_000)
 
     def _pulse(self, valve: ValveName, during_us: int) -> Program:
@@ -422,6 +426,9 @@ class RunningCore:
     def _at(self, side: SleeveSide, way_m: float) -> bool:
         return self._positions_m[side.sleeve] * side.direction > way_m
 
+    def _in_neutral(self, sleeve: Sleeve) -> bool:
+        return abs(self._positions_m[sleeve]) < NEUTRAL_M
+
     def _count(self, state: State, during_us: int) -> Program:
         self.log.begin(state)
         yield from self._hold(during_us)
@@ -436,7 +443,7 @@ class RunningCore:
         end_us = self._now_us + most_us
         while not condition():
             if self._now_us > end_us:
-                raise GivenUp(why)
+                raise GivenUpError(why)
             yield
 
     def _frames(self) -> list[Frame]:

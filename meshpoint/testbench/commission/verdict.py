@@ -182,9 +182,7 @@ def measured_sheet(sheet: GearboxSheet, core: CommissionCore) -> tuple[GearboxSh
     if braked:
         delay_s, lag_s = _brake_course(braked[0])
         if not math.isnan(lag_s):
-            brake = replace(
-                brake, valve_delay_s=_in(MS, delay_s), time_constant_s=_in(MS, lag_s)
-            )
+            brake = replace(brake, valve_delay_s=_in(MS, delay_s), time_constant_s=_in(MS, lag_s))
             changed += ["brake.valve_delay_ms", "brake.time_constant_ms"]
     if core.supply_pa:
         gauge_pa = median(core.supply_pa) - air.atmosphere_pa

@@ -35,15 +35,13 @@ DEGREE_TURNS: Final = 0.25 / 360.0
 """By so much the end of a count may be wrong: teeth that are off, a flank that was left."""
 MOST_WHEEL: Final = 150
 """Teeth of a gear wheel: a fraction that needs more is none of two wheels."""
-SPLIT_STATES: Final = {
-    split: State(split, MainGear.NEUTRAL, Range.HIGH) for split in Split
-}
+SPLIT_STATES: Final = {split: State(split, MainGear.NEUTRAL, Range.HIGH) for split in Split}
 GEAR_STATES: Final = {gear: State(Split.LOW, gear, Range.LOW) for gear in MAIN_GEARS}
 HIGH_STATE: Final = State(Split.LOW, MainGear.THIRD, Range.HIGH)
 
 
 class Measured(NamedTuple):
-    """A ratio: speed of the second wheel over the first, by how much it may be off, and as teeth."""
+    """A ratio: speed of the second wheel over the first, how far it may be off, and as teeth."""
 
     value: float
     tolerance: float
@@ -70,7 +68,8 @@ def tooth_count(times: Vector) -> int | None:
 
 def _unexplained(gaps: Vector, teeth: int) -> float:
     """Variance of the relative intervals that a pattern of so many teeth leaves."""
-    turn = np.convolve(gaps, np.ones(teeth), "valid") / teeth
+    past = np.concatenate(((0.0,), np.cumsum(gaps)))
+    turn = (past[teeth:] - past[:-teeth]) / teeth
     first = teeth // 2
     share = gaps[first : first + turn.size] / turn - 1.0
     # A slow change of speed is none of the pattern's: the mean of a turn moves with it.
@@ -130,7 +129,9 @@ def fraction_of(value: float, tolerance: float) -> Fraction | None:
     for one, other in ((low, found), (found, high)):
         if one < other:
             nudge = Fraction(1, 10**9)
-            second = _simplest(one + (nudge if one == found else 0), other - (nudge if other == found else 0))
+            second = _simplest(
+                one + (nudge if one == found else 0), other - (nudge if other == found else 0)
+            )
             if max(second.numerator, second.denominator) <= MOST_WHEEL:
                 return None
     return found

@@ -24,7 +24,8 @@ class WholeCommission:
         self.standing = CommissionCore(sheet, consents=consents, transmitter=self._transmitter)
         self.running: RunningCore | None = None
         self.recorded: list[tuple[int, Frame]] = []
-        """Every frame of the bus, and the time of the step that took or sent it (us)."""
+        """Frames of the bus but for those while a person is asked, and the time of the step that
+        took or sent each (us)."""
         self._inbox: list[Frame] = []
 
     @property
@@ -66,7 +67,8 @@ class WholeCommission:
                 self.running = RunningCore(
                     self._sheet, wires, consents=self._consents, transmitter=self._transmitter
                 )
-        self.recorded.extend((now_us, frame) for frame in (*inbox, *step.frames))
+        if not self.is_asking:
+            self.recorded.extend((now_us, frame) for frame in (*inbox, *step.frames))
         return step
 
     def shutdown(self, now_us: int) -> Step:

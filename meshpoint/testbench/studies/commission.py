@@ -98,12 +98,13 @@ def _conclude(given: Given[Settings]) -> Finding:
         "in_gap_measured": list(with_own),
         "difference": [difference, low, high],
         "by_gearbox": [
-            [seed, sum(box.true_gaps), sum(box.gaps), box.told, box.mistaken]
-            for seed, box in sound
+            [seed, sum(box.true_gaps), sum(box.gaps), box.told, box.mistaken] for seed, box in sound
         ],
         "simulated_s": sum(box.simulated_s for _, box in boxes),
     }
-    tables = (Table("boxes", "Miswired gearboxes, and those not called what they are", COLUMNS, rows),)
+    tables = (
+        Table("boxes", "Miswired gearboxes, and those not called what they are", COLUMNS, rows),
+    )
     return Finding(statements, values, (), tables)
 
 

@@ -93,9 +93,7 @@ class CommissionRun:
 def _compared(true: GearboxSheet, found: GearboxSheet, unknown: set[str]) -> tuple[int, int]:
     """Tooth counts of sensor wheels and exact ratios: how many were told, and how many of these are
     not the true ones."""
-    right = {
-        f"{shaft} wheel": _wheel(true, shaft) == _wheel(found, shaft) for shaft in Shaft
-    }
+    right = {f"{shaft} wheel": _wheel(true, shaft) == _wheel(found, shaft) for shaft in Shaft}
     for split in Split:
         same = true.split_mesh(split).exact == found.split_mesh(split).exact
         right[f"splitter.{split.name.lower()}"] = same
