@@ -1,4 +1,4 @@
-"""A log of the classic profile, told and watched."""
+"""The classic profile told, watched and checked."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ from pathlib import Path
 
 import pytest
 
+from meshpoint.bus.classic.cores import ClassicRigCore, listener_unpacker
+from meshpoint.bus.frames import message_of
 from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import ClosedLoop
+from meshpoint.testbench.check.finding import Verdict
+from meshpoint.testbench.check.listener import Listener
 from meshpoint.testbench.cli import main
 
 SHEET = load_sheet("truck12")
@@ -59,3 +64,42 @@ def test_it_is_watched(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "no sensor side heard" not in picture
     assert "foreign" not in picture
     assert "ValveCommand   1" in picture, "a rate of a hundred and more"
+
+
+def heard(turns: bool) -> Listener:
+    """Four seconds of a rig on a classic bus."""
+    rpm = 600.0 if turns else 0.0
+    rig = RigCore(SHEET, RigSettings(preset=Preset.THESIS, seed=1, main_speed_rpm=rpm))
+    core = ClassicRigCore(rig, SHEET)
+    listener = Listener(SHEET, listener_unpacker(SHEET).take)
+    for tick in range(400):
+        now_us = tick * 10_000
+        for frame in core.step(now_us).frames:
+            listener.take(now_us * 1e-6, message_of(frame, now_us * 1e-6, received=True))
+    return listener
+
+
+def test_a_check_finds_all_that_a_classic_bus_has() -> None:
+    findings = {finding.subject: finding for finding in heard(turns=True).findings()}
+    bad = [finding for finding in findings.values() if finding.verdict is Verdict.BAD]
+    assert not [finding for finding in bad if finding.group != "stamps"]
+    assert findings["EEC1"].text.startswith("50")
+    assert findings["layshaft sensor"].verdict is Verdict.GOOD
+    assert "falling" not in findings["layshaft sensor"].text
+    assert "input sensor" not in findings
+    assert not [name for name in findings if name.endswith("Fall")]
+    (pair,) = [finding for name, finding in findings.items() if " to " in name]
+    assert pair.verdict is Verdict.GOOD
+
+
+def test_a_check_of_shafts_that_stand_says_that_they_were_not_turned() -> None:
+    findings = {finding.subject: finding for finding in heard(turns=False).findings()}
+    assert findings["main sensor"].verdict is Verdict.UNKNOWN
+
+
+def test_a_shaft_without_edges_on_the_bus_cannot_be_asked_for(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    words = ["check", "--profile", "classic", "--turn", "input", "-i", "virtual", "-c", "x"]
+    assert main([*words, "--gearbox", "truck12"]) != 0
+    assert "no edges" in " ".join(capsys.readouterr().err.split())
