@@ -109,6 +109,9 @@ class BrakeRecord:
     touch_pa: float = quantity("touch_bar", 0.0, 2.0, BAR)
     """Gauge pressure at which the pads touch."""
     touch_sd_pa: float = quantity("touch_sd_bar", 0.0, 2.0, BAR)
+    sensor_lag_s: float = quantity("sensor_lag_ms", 0.0, 100.0, MS)
+    """By how much the measured pressure comes late."""
+    sensor_lag_sd_s: float = quantity("sensor_lag_sd_ms", 0.0, 300.0, MS)
     emptying: tuple[float, ...] = quantities("emptying", 0.1, 10.0)
     """Rates of pressure change at the law's knots over those of the data sheet."""
     emptying_sd: tuple[float, ...] = quantities("emptying_sd", 0.0, 2.0)

@@ -53,7 +53,7 @@ STILL: Final = np.array([0.0, 0.0, 1.0])
 QUIET: Final = np.zeros(4)
 """Rates and noise densities of a shaft at rest: only the pressure is of interest."""
 
-LAG_TOLERANCE: Final = 3.0
+LAG_TOLERANCE: Final = 1.5
 """Standard deviation of a sensor's lag as a share of the sheet's: what else filters it is seldom
 told."""
 TOUCH_SD_PA: Final = 0.15e5
@@ -106,6 +106,8 @@ class BrakeModel:
             drag_sd_nm=self.drag_nm.sd,
             touch_pa=self.touch_pa.value,
             touch_sd_pa=self.touch_pa.sd,
+            sensor_lag_s=self.sensor_lag_s.value,
+            sensor_lag_sd_s=self.sensor_lag_s.sd,
             emptying=tuple(factors[:RATES].tolist()),
             emptying_sd=tuple(sd[:RATES].tolist()),
             filling=tuple(factors[RATES:].tolist()),
@@ -122,6 +124,7 @@ class BrakeModel:
         self.gain = Carried(record.gain, record.gain_sd)
         self.drag_nm = Carried(record.drag_nm, record.drag_sd_nm)
         self.touch_pa = Carried(record.touch_pa, record.touch_sd_pa)
+        self.sensor_lag_s = Carried(record.sensor_lag_s, record.sensor_lag_sd_s)
         rates = np.log([*record.emptying, *record.filling])
         self._mean = np.array([*rates, record.off_delay_s, record.on_delay_s])
         sd = [*record.emptying_sd, *record.filling_sd]

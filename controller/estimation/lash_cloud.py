@@ -55,8 +55,10 @@ KERNEL: Final = 0.2
 """What is added then, in standard deviations of the cloud."""
 MOST_OFF: Final = 4.0
 """An angle that is further off, in standard deviations, counts as so far off."""
+PRESSED: Final = 0.6
+"""Share of the first cloud that is still pressed to the flank that the shafts' torque held;"""
 AROUND: Final = 1.15
-"""The first cloud lies within the backlash and this much of its half beyond: flanks give way."""
+"""the rest lies within the backlash and this much of its half beyond: flanks give way."""
 FIRST_OMEGA: Final = 2.0
 """Standard deviation (rad/s) of the speed when a gear comes out;"""
 FIRST_DRAG: Final = 0.5
@@ -83,7 +85,12 @@ class LashStart(NamedTuple):
     angle_rad: float
     speed_rad_s: float
     vehicle_rad_s: float
-    """The vehicle's speed at the main shaft: the shaft's mean speed before."""
+    """The vehicle's speed at the main shaft, and its acceleration,"""
+    hill_rad_s2: float = 0.0
+    vehicle_root: Vector | None = None
+    """with a root of their covariance, (2, 2); None: as the sheet says."""
+    pressed: int = 0
+    """The flank that the shafts' torque held before: of drive 1, of coast -1, 0 unknown."""
 
 
 class LashFigures(NamedTuple):
@@ -134,7 +141,7 @@ class Lash:
         """What is taken as known, at a speed of the main shaft."""
         axle, ratio = self.axle, self.ratio
         return LashModel(
-            self._turned_kgm2 / (axle.wheels_kgm2 * ratio * ratio),
+            self._share,
             axle.tyre_nms / axle.wheels_kgm2,
             abs(speed_rad_s) * ratio / axle.relaxation_rad,
         )
@@ -148,20 +155,42 @@ class Lash:
 
     def cloud(self, start: LashStart) -> Vector:
         """The first cloud, (ROWS, DRIVELINES)."""
-        known, axle, ratio, sure = self.known, self.axle, self.ratio, _normal()
+        known, axle, sure = self.known, self.axle, _normal()
         x = np.empty((ROWS, DRIVELINES))
         x[ANGLE], x[SPEED] = start.angle_rad, start.speed_rad_s
         x[HALF] = np.exp(known.half_log + known.half_sd * sure[0])
-        x[WAY] = (1.0 - AROUND + 2.0 * AROUND * _even()[1]) * x[HALF]
-        x[VEHICLE] = start.vehicle_rad_s + axle.vehicle_start_rad_s * sure[2]
-        x[HILL] = axle.vehicle_rad_s2 / ratio * sure[3]
+        root = np.diag(self.vehicle_sds) if start.vehicle_root is None else start.vehicle_root
+        off_speed, off_hill = root @ sure[2:4]
+        x[VEHICLE], x[HILL] = start.vehicle_rad_s + off_speed, start.hill_rad_s2 + off_hill
         x[WHEELS] = x[VEHICLE] + axle.wheels_start_rad_s * sure[4]
         x[TYRE] = axle.wheels_start_rad_s / math.sqrt(self._tyre_per_s2) * sure[5]
         x[STIFF] = np.exp(known.stiff_log + known.stiff_sd * sure[6])
         x[LOSS] = np.exp(known.loss_log + known.loss_sd * sure[7])
         x[DRAG] = np.maximum(np.exp(known.drag_log + known.drag_sd * sure[8]), LEAST_DRAG)
         x[TYRE_STIFF] = self._tyre_per_s2 * np.exp(axle.tyre_tolerance * sure[9])
+        self._press(x, start.pressed)
         return x
+
+    def _press(self, x: Vector, pressed: int) -> None:
+        """Places the drivelines between their flanks, and at the one that was pressed on."""
+        axle, even, share = self.axle, _even()[1], PRESSED * abs(pressed)
+        on, rest = even < share, (even - share) / (1.0 - share)
+        # The law of what a ramp leaves has a mean and is no less than none: exponential.
+        left_nm = -axle.left_nm * np.log1p(-np.where(on, even / PRESSED, 0.0))
+        twist = left_nm * self.ratio / (self._turned_kgm2 * x[STIFF])
+        flank = (1 + pressed) * x[HALF] + pressed * twist
+        x[WAY] = np.where(on, flank, (1.0 - AROUND + 2.0 * AROUND * rest) * x[HALF])
+        x[TYRE] += pressed * left_nm * self.ratio / self._turned_kgm2 * self._share / x[TYRE_STIFF]
+
+    @property
+    def vehicle_sds(self) -> tuple[float, float]:
+        """What is not known of the vehicle's speed and acceleration, at the main shaft."""
+        return self.axle.vehicle_start_rad_s, self.axle.vehicle_rad_s2 / self.ratio
+
+    @property
+    def _share(self) -> float:
+        """The inertia of what turns with the main shaft over that of the wheels."""
+        return self._turned_kgm2 / (self.axle.wheels_kgm2 * self.ratio * self.ratio)
 
     @property
     def _tyre_per_s2(self) -> float:

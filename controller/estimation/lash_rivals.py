@@ -11,6 +11,8 @@ from meshpoint.controller.records import Vector
 
 AHEAD_US: Final = 45_000.0
 """A sleeve takes this long to its gear, so predictions are compared so far ahead."""
+EACH_US: Final = 18_000.0
+"""Every second step asks for a prediction: those of nearer ones overlap the more."""
 LUCK: Final = 0.05
 """A prediction is never taken for quite wrong."""
 FORGET: Final = 0.8
@@ -64,6 +66,10 @@ class LashRivals:
         self._window, self._newest = 0.0, None
         self._open.clear()
 
+    def wants(self, from_us: float) -> bool:
+        """Whether the next predictions are due."""
+        return not self._open or from_us + AHEAD_US >= self._open[-1][0] + EACH_US
+
     def predict(self, from_us: float, swing: Prediction, lash: Prediction) -> None:
         """Both predictions of the angle `AHEAD_US` after a time."""
         self._open.append((from_us + AHEAD_US, swing, lash))
@@ -88,7 +94,7 @@ class LashRivals:
         self._tried = self._for_lash > (REJECTED if self._tried else RETRIED)
 
 
-STEP_SHARE: Final = 10_000.0 / AHEAD_US
+STEP_SHARE: Final = 20_000.0 / AHEAD_US
 """Time from one prediction to the next over the horizon."""
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Final
 
@@ -11,10 +12,21 @@ from meshpoint.controller.estimation.lash_cloud import LashStart
 from meshpoint.controller.records import Vector
 from meshpoint.units import US
 
-MEAN_US: Final = 250_000.0
-"""The vehicle's speed is the shaft's mean over the last so long in gear: over some swings."""
-LEAST_MEAN_US: Final = 50_000.0
-"""Over less than this it is the shaft's speed as the gear comes out."""
+FIT_US: Final = 300_000.0
+"""The vehicle's course is that about which the shaft has swung in gear for so long."""
+LEAST_FIT_US: Final = 150_000.0
+"""Over less than this its speed is the shaft's as the gear comes out."""
+SWING_S: Final = 0.2
+"""Memory of that swing."""
+SWINGS_RAD: Final = np.geomspace(1e-3, 0.5, 12)
+"""Standard deviations that it may have."""
+CHANGE_S: Final = 0.33
+"""While torque is taken away, the vehicle's acceleration changes within this by as much as hills
+may make of it."""
+EDGE_RAD: Final = 2.5e-3
+"""Standard deviation of an edge: teeth may not be learned yet."""
+BROAD: Final = 10.0
+"""Speeds may be so many times as far off as swings leave them."""
 KEPT_US: Final = 400_000.0
 """What a window in neutral has told of the vehicle holds so long."""
 FIRST_EDGES: Final = 12
@@ -28,6 +40,7 @@ class StartWatch:
         self._in_gear: deque[tuple[float, float]] = deque()
         """The newest edge of each batch: time (us) and angle (rad)."""
         self._since_us = 0.0
+        self._pressed = 0
         self._vehicle: tuple[float, float] | None = None
         self.waiting: Vector = np.empty((2, 0))
         """Edges since the gear came out, until they were enough."""
@@ -41,36 +54,72 @@ class StartWatch:
         """New edges (2, n) with a gear in mesh."""
         seen = self._in_gear
         seen.append((float(edges[0, -1]), float(edges[1, -1])))
-        while seen[-1][0] - seen[0][0] > MEAN_US:
+        while seen[-1][0] - seen[0][0] > FIT_US:
             seen.popleft()
 
     def take_vehicle(self, time_us: float, speed_rad_s: float) -> None:
         """A window in neutral has told the vehicle's speed, at the main shaft."""
         self._vehicle = (time_us, speed_rad_s)
 
-    def released(self, since_us: float) -> None:
-        """A gear came out no later than this."""
-        self._since_us = since_us
+    def released(self, since_us: float, pressed: int = 0) -> None:
+        """A gear came out no later than this; pressed: the flank that was held before, as in
+        `LashStart`."""
+        self._since_us, self._pressed = since_us, pressed
         self.waiting = np.empty((2, 0))
 
-    def take_out(self, edges: Vector) -> LashStart | None:
-        """New edges since then; the start once they are enough."""
+    def take_out(self, edges: Vector, vehicle_sds: tuple[float, float]) -> LashStart | None:
+        """New edges since then; the start once they are enough. vehicle_sds: what is not known of
+        the vehicle's speed (rad/s) and acceleration (rad/s2)."""
         after = edges[:, edges[0] > self._since_us]
         self.waiting = np.concatenate((self.waiting, after), axis=1)
         if self.waiting.shape[1] < FIRST_EDGES:
             return None
         waits = (self.waiting[0] - self._since_us) * US
         speed, angle = np.polyfit(waits, self.waiting[1], 1).tolist()
-        vehicle = self._vehicle_rad_s(speed)
+        before = np.array(self._in_gear).T.reshape(2, -1)
+        before = before[:, before[0] <= self._since_us]
+        kept, self._vehicle = self._vehicle, None
         self._in_gear.clear()
-        self._vehicle = None
-        return LashStart(self._since_us, angle, speed, vehicle)
+        start = LashStart(self._since_us, angle, speed, speed, pressed=self._pressed)
+        if kept is not None and self._since_us - kept[0] < KEPT_US:
+            return start._replace(vehicle_rad_s=kept[1])
+        if before.shape[1] < 2 or before[0, -1] - before[0, 0] < LEAST_FIT_US:
+            return start
+        waits = (before[0] - self._since_us) * US
+        (mean, hill), covariance = vehicle_course(waits, before[1], vehicle_sds)
+        root = np.linalg.cholesky(covariance)
+        return start._replace(vehicle_rad_s=mean, hill_rad_s2=hill, vehicle_root=root)
 
-    def _vehicle_rad_s(self, speed_rad_s: float) -> float:
-        if self._vehicle is not None and self._since_us - self._vehicle[0] < KEPT_US:
-            return self._vehicle[1]
-        seen = self._in_gear
-        if len(seen) < 2 or seen[-1][0] - seen[0][0] < LEAST_MEAN_US:
-            return speed_rad_s
-        (first_us, first), (last_us, last) = seen[0], seen[-1]
-        return (last - first) / ((last_us - first_us) * US)
+
+def vehicle_course(
+    waits_s: Vector, angles_rad: Vector, sds: tuple[float, float]
+) -> tuple[tuple[float, float], Vector]:
+    """Speed (rad/s) and acceleration (rad/s2) of the vehicle at the time 0 of the waits, and their
+    covariance, from the shaft's angles in gear.
+
+    The vehicle's course is one of the third degree, the shaft's swing about it a Gaussian process
+    (Rasmussen and Williams 2006, 2.7: parametric basis functions; Matern's kernel of 3/2). How
+    strong the swing is is not known: strengths are weighed by their likelihood."""
+    speed_sd, hill_sd = sds
+    apart = math.sqrt(3.0) * np.abs(waits_s[:, np.newaxis] - waits_s) / SWING_S
+    swing, edge = (1.0 + apart) * np.exp(-apart), EDGE_RAD**2 * np.eye(waits_s.size)
+    basis = np.stack([waits_s**k / math.factorial(k) for k in range(4)], axis=1)
+    prior_sd = np.array((BROAD, BROAD * speed_sd, hill_sd, hill_sd / CHANGE_S))
+    line = np.polyfit(waits_s, angles_rad, 1)
+    off = angles_rad - np.polyval(line, waits_s)
+    logs, means, spreads = np.empty(SWINGS_RAD.size), [], []
+    for k, swing_rad in enumerate(SWINGS_RAD):
+        noise = swing_rad**2 * swing + edge
+        whole = np.linalg.cholesky(noise + (basis * prior_sd**2) @ basis.T)
+        logs[k] = -0.5 * np.sum(np.linalg.solve(whole, off) ** 2) - np.sum(np.log(np.diag(whole)))
+        weighed = np.linalg.solve(noise, basis)
+        spread = np.linalg.inv(basis.T @ weighed + np.diag(prior_sd**-2.0))
+        means.append((spread @ weighed.T @ off)[1:3])
+        spreads.append(spread[1:3, 1:3])
+    weights = np.exp(logs - logs.max())
+    weights /= weights.sum()
+    mean = weights @ np.array(means)
+    covariance = np.diag((speed_sd**2, 0.0))
+    for weight, own, spread in zip(weights, means, spreads, strict=True):
+        covariance += weight * (spread + np.outer(own - mean, own - mean))
+    return (float(line[0] + mean[0]), float(mean[1])), covariance

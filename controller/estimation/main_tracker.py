@@ -104,16 +104,19 @@ class MainTracker(WheelTracker):
         if not rivals.tries_lash:
             return
         if self._cloud is None:
-            start = before.take_out(edges)
+            start = before.take_out(edges, lash.vehicle_sds)
             if start is None:
                 return
             self._cloud, edges = LashCloud(lash, start, self.edge_time.value), before.waiting
         self._cloud.take(edges, tooth_rad)
+        rivals.judge(edges, self._half_gap_rad)
+        state = self._filter
+        asked = rivals.wants(state.time_us)
+        if not (asked or rivals.believes_lash):
+            return
         course = self._cloud.course(self._half_gap_rad)
         self._course = (self._cloud.time_us, course)
-        rivals.judge(edges, self._half_gap_rad)
-        if course is not None:
-            state = self._filter
+        if asked and course is not None:
             wait_s = AHEAD_US * US
             x, p = Swing(state.x, state.p, self._motion).spread_ahead(wait_s)
             swing = Prediction(x.item(THETA), math.sqrt(max(0.0, p.item(THETA, THETA))))
@@ -158,16 +161,21 @@ class MainTracker(WheelTracker):
         self._before.lose()
 
     def set_free(
-        self, free: bool, range_: Range | None, events: list[str], since_us: float = 0.0
+        self,
+        free: bool,
+        range_: Range | None,
+        events: list[str],
+        since_us: float = 0.0,
+        pressed: int = 0,
     ) -> None:
         """Whether it turns with the vehicle alone, surely so since a time; its teeth and its swing
-        are learned then."""
+        are learned then. pressed: the flank that the shafts' torque held before (`LashStart`)."""
         if free and not self._free and self._running and range_ is not None:
-            self._begin_free(range_, since_us)
+            self._begin_free(range_, since_us, pressed)
         elif not free and self._free:
             self._end_free(events)
 
-    def _begin_free(self, range_: Range, since_us: float) -> None:
+    def _begin_free(self, range_: Range, since_us: float, pressed: int) -> None:
         state, swing = self._filter, self._swings[range_]
         state.forget_past()
         state.heed(0.0)
@@ -181,7 +189,7 @@ class MainTracker(WheelTracker):
         swing.start(x, p)
         time_us = state.time_us
         state.begin(time_us, x, p)
-        self._before.released(max(since_us, time_us))
+        self._before.released(max(since_us, time_us), pressed)
         self._rivals[range_].begin()
         self._began = (time_us, x.copy(), p.copy())
         self._start_p = p

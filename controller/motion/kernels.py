@@ -105,7 +105,6 @@ STEP: Final = layout_of(MotionStep)
 
 LONGEST_S: Final = 5e-3
 """Within this step the process noise of `spread_over` is good to 2 %."""
-CLOSE: Final = 1e-6
 
 
 @inlined
@@ -138,16 +137,20 @@ def longest_in_segment(model: Model, u: int, pressure_pa: float, dt: float) -> f
 
 
 @inlined
+def built_up(rate_per_s: float, dt: float) -> float:
+    """The integral of exp(-rate t) over `dt`: of two rates' difference, it is theirs together, and
+    they may be equal."""
+    if rate_per_s == 0.0:
+        return dt
+    return -math.expm1(-rate_per_s * dt) / rate_per_s
+
+
+@inlined
 def transition(state: MotionState, dt: float, u: int, model: Model, step: MotionStep) -> None:
     """Moves the state on by `dt` seconds, in place; its derivatives are written to `step`."""
     i = segment(model, u, state.pressure_pa)
     a, g, b_d = model.friction_per_s, model.brake_rad_s2_pa, model.fading_per_s
     b, r = model.law[u, i].b_per_s, model.law[u, i].r_pa_s
-    if abs(b - a) < CLOSE * (abs(b) + a):
-        # Equal rates are a removable singularity; a part in a million of tau is below any data.
-        b = a + 2.0 * CLOSE * (abs(b) + a)
-    if abs(b_d - a) < CLOSE * (b_d + a):
-        b_d = a + 2.0 * CLOSE * (b_d + a)
     ax = a * dt
     if ax < 1e-3:
         phi_a = dt * (1.0 - ax * (0.5 - ax * (1.0 / 6.0 - ax / 24.0)))
@@ -158,15 +161,14 @@ def transition(state: MotionState, dt: float, u: int, model: Model, step: Motion
     e_a = 1.0 - a * phi_a
     phi_b = -math.expm1(-b * dt) / b
     e_b = 1.0 - b * phi_b
-    phi_d = -math.expm1(-b_d * dt) / b_d
-    e_d = 1.0 - b_d * phi_d
-    h, big_h = (e_a - e_b) / (b - a), (phi_a - phi_b) / (b - a)
+    e_d = math.exp(-b_d * dt)
+    h, h_d = e_a * built_up(b - a, dt), e_a * built_up(b_d - a, dt)
+    big_h = (phi_a - h) / b
     omega, pressure, disturbance = state.omega_rad_s, state.pressure_pa, state.disturbance_rad_s2
     gain, drag = state.gain, state.drag_rad_s2
     theta_by, omega_by = step.theta_by, step.omega_by
     theta_by[OMEGA], omega_by[OMEGA] = phi_a, e_a
-    theta_by[DISTURBANCE] = (phi_a - phi_d) / (b_d - a)
-    omega_by[DISTURBANCE] = (e_a - e_d) / (b_d - a)
+    theta_by[DISTURBANCE], omega_by[DISTURBANCE] = (phi_a - h_d) / b_d, h_d
     theta_by[GAIN] = -g * (big_h * pressure + r * (rest - big_h) / b)
     omega_by[GAIN] = -g * (h * pressure + r * (phi_a - h) / b)
     theta_by[PRESSURE], omega_by[PRESSURE] = -g * gain * big_h, -g * gain * h

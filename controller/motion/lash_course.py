@@ -17,7 +17,7 @@ from meshpoint.controller.motion.lash_motion import (
     LashModel,
     move,
 )
-from meshpoint.controller.records import Vector
+from meshpoint.controller.records import Integers, Vector
 
 STEP_S: Final = 2.5e-3
 STEPS: Final = 49
@@ -81,21 +81,17 @@ class LashCourse:
         order = np.argsort(angle, axis=1, kind="stable")
         angle = np.take_along_axis(angle, order, axis=1)
         speed = np.take_along_axis(speed, order, axis=1)
-        own = self._own_variance(TIMES)
-        merged = np.empty((3, STEPS))
-        for k in range(STEPS):
-            row = angle[k]
-            ends = np.searchsorted(row, row + 2.0 * self._half_gap_rad, side="right")
-            inside = ends - np.arange(count)
-            most = inside.max()
-            # Of windows that hold as many the one in the middle: a lone group is met in its middle.
-            first = int(np.median(np.flatnonzero(inside == most)))
-            within = slice(first, first + int(most))
-            merged[0, k], merged[1, k] = row[within].mean(), speed[k, within].mean()
-            width = math.sqrt(float(row[within].var() + own[k]))
-            share = most / count * math.erf(self._half_gap_rad / (math.sqrt(2.0) * width))
-            merged[2, k] = self._half_gap_rad / float(_width(np.array(share)))
-        return merged
+        first, most = _fullest(angle, 2.0 * self._half_gap_rad)
+        places = np.arange(count)
+        held = (places >= first[:, np.newaxis]) & (places < (first + most)[:, np.newaxis])
+        mean = np.sum(angle, axis=1, where=held) / most
+        off = angle - mean[:, np.newaxis]
+        within = np.sum(off * off, axis=1, where=held) / most
+        width = np.sqrt(2.0 * (within + self._own_variance(TIMES)))
+        shares = most / count * [math.erf(each) for each in self._half_gap_rad / width]
+        return np.array(
+            (mean, np.sum(speed, axis=1, where=held) / most, self._half_gap_rad / _width(shares))
+        )
 
     def after(self, wait_s: float) -> LashCourse:
         """The same as seen from a later time."""
@@ -138,14 +134,15 @@ class LashCourse:
         Each of the drivelines may be the real one. Those that keep near it until then are still
         possible then; of these the share within half a gap of it will be the probability."""
         angle = self._angle[:, :: max(1, self._angle.shape[1] // COMPARED)]
-        off = np.abs(angle[:, :, np.newaxis] - angle[:, np.newaxis])
         own = self._own_variance(TIMES)
         told = self._p[0, 0] + LEAST_SD_RAD**2
-        alike = np.exp(-np.maximum.accumulate(0.25 * off**2 / told, axis=0))
         then = np.minimum(np.rint(tick_s * np.arange(MOST_TICKS) / STEP_S), STEPS - 1).astype(int)
         later = np.minimum(then + round(horizon_s / STEP_S), STEPS - 1)
-        weights = alike[then] / alike[then].sum(axis=2, keepdims=True)
-        shares = (weights * (off[later] < self._half_gap_rad)).sum(axis=2).mean(axis=1)
+        most = np.maximum.accumulate(_apart(angle[: then[-1] + 1]), axis=0)[then]
+        weights = np.exp(-0.25 * most**2 / told)
+        weights /= weights.sum(axis=2, keepdims=True)
+        near = _apart(angle[later]) < self._half_gap_rad
+        shares = (weights * near).sum(axis=2).mean(axis=1)
         width = math.sqrt(own[min(round(horizon_s / STEP_S), STEPS - 1)])
         shares *= math.erf(self._half_gap_rad / (math.sqrt(2.0) * width))
         variances = _width(shares) ** -2.0
@@ -155,3 +152,24 @@ class LashCourse:
 def _width(share: Vector) -> Vector:
     """Half width of the normal law's span, in its deviations, that holds a share."""
     return np.asarray(np.maximum(np.interp(share, _TABLE, _WIDTHS), 1e-2))
+
+
+def _apart(angle: Vector) -> Vector:
+    """How far any two of a row's angles (m, n) are apart, (m, n, n)."""
+    return np.abs(angle[:, :, np.newaxis] - angle[:, np.newaxis])
+
+
+def _fullest(angle: Vector, span_rad: float) -> tuple[Integers, Integers]:
+    """In each row of ascending angles (m, n) the span that holds most of them: the first one's
+    index, and how many there are. Of spans that hold as many it is the one in the middle: a lone
+    group is met in its middle."""
+    rows, count = angle.shape
+    # All rows as one ascending line: each begins further on than the one before ends.
+    apart = np.arange(rows)[:, np.newaxis] * (float(np.ptp(angle)) + 2.0 * span_rad)
+    line = angle + apart
+    ends = np.searchsorted(line.ravel(), (line + span_rad).ravel(), side="right")
+    inside = ends.reshape(rows, count) - np.arange(rows * count).reshape(rows, count)
+    most = inside.max(axis=1)
+    counted = np.cumsum(inside == most[:, np.newaxis], axis=1)
+    first = np.argmax(counted > counted[:, -1:] // 2, axis=1)
+    return first, most

@@ -11,7 +11,7 @@ import numpy as np
 from meshpoint.controller.shift.ringing import DrivelineRings
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.swing_fit import EngineCourse, Known, SwingFit, fit_swing
-from meshpoint.controller.shift.unloading import GearedBodies
+from meshpoint.controller.shift.unloading import TOLD_SD, GearedBodies
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import US
@@ -46,6 +46,9 @@ class DrivelineLook:
         )
         self.learned = self.known
         """The same after the ramp under way."""
+        self.pressed = 0
+        """The flank that the shafts' torque held as the ramp under way began: of drive 1, of coast
+        -1; 0 where it could not be told from none."""
         self._gear: int | None = None
         self._torque_share: float | None = None
         self.torque_step = 0.01
@@ -76,6 +79,8 @@ class DrivelineLook:
             self.torque_step = snapshot.engine_torque_step
         gear, speed = snapshot.view.gear_number, snapshot.engine_rad_s
         opening = state is State.CLUTCH_OPENING
+        if state is State.IN_GEAR:
+            self.pressed = 0
         if not opening:
             self._asked_share = None
         if (state is not State.IN_GEAR and not opening) or gear != self._gear:
@@ -110,6 +115,11 @@ class DrivelineLook:
         sd = min(math.hypot(self.known.vehicle_sd, LOADED_SHARE * self._open_sd), self._open_sd)
         self.known = self.known._replace(vehicle_sd=sd, stiffness_sd=stiffness_sd)
         self.learned = self.known
+
+    def press(self, pulled_nm: float, doubt_nm: float) -> None:
+        """What the shafts carry as a ramp begins, and its error: it tells their flank."""
+        told = abs(pulled_nm) > TOLD_SD * doubt_nm
+        self.pressed = int(math.copysign(1.0, pulled_nm)) if told else 0
 
     def torque_sd_nm(self, engine_rad_s2: float) -> float:
         """Error of the torque by which the engine is told to load the shafts, at the crankshaft: of

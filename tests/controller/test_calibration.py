@@ -61,6 +61,8 @@ BRAKE = st.builds(
     drag_sd_nm=st.floats(0.0, 10.0),
     touch_pa=st.floats(0.0, 1e5),
     touch_sd_pa=st.floats(0.0, 1e5),
+    sensor_lag_s=st.floats(0.0, 0.02),
+    sensor_lag_sd_s=st.floats(0.0, 0.01),
     emptying=FACTORS,
     emptying_sd=SDS,
     filling=FACTORS,
@@ -113,8 +115,8 @@ def example() -> Calibration:
             WheelRecord(45, 6895, 1e-4, pattern), WheelRecord(45, 5466, 1e-4, pattern)
         ),
         references=ReferenceRecords(second_rad=0.05, third_rad=-0.03),
-        brake=BrakeRecord(12, 0.96, 0.01, -6.0, 0.5, 8e3, 5e3, four, sds, four, sds,
-                          0.0098, 1e-4, 0.0083, 2e-4),
+        brake=BrakeRecord(12, 0.96, 0.01, -6.0, 0.5, 8e3, 5e3, 3.2e-3, 1e-3, four, sds, four,
+                          sds, 0.0098, 1e-4, 0.0083, 2e-4),
         noise=NoiseRecord(12, 8e-6, 0.1, 9e-6, 0.1, 1.2, 0.2, 0.03, 0.2),
         swings=SwingRecords(high=SwingRecord(5, (120.0, 25.0), (0.01, 0.2), (0.05, 0.1),
                             (0.1, 0.3), (1.0, 0.2), (0.3, 0.3), (0.1, 0.2, 0.1), (0.2,) * 3,
@@ -298,10 +300,15 @@ def test_a_wheel_taken_apart_gives_what_it_was_made_of(
     assert take_apart(errors).pitch_worst_rad == pytest.approx(0.1, rel=0.1)
 
 
-def test_scatter_and_swing_are_carried_over_a_restart() -> None:
+def test_brake_scatter_and_swing_are_carried_over_a_restart() -> None:
     header = new_header("0.1.0", SHEET, ControllerSettings(), example())
     kept = ControllerCore(header).calibration("later")
     given = example()
+    assert kept.brake is not None
+    assert given.brake is not None
+    assert set(vars(kept.brake)) == set(vars(given.brake))
+    for name, figure in vars(given.brake).items():
+        assert getattr(kept.brake, name) == pytest.approx(figure), name
     assert kept.noise is not None
     assert given.noise is not None
     assert vars(kept.noise) == pytest.approx(vars(given.noise))

@@ -18,7 +18,7 @@ from meshpoint.controller.estimation.lash_cloud import (
     spread,
 )
 from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Prediction
-from meshpoint.controller.estimation.lash_start import StartWatch
+from meshpoint.controller.estimation.lash_start import StartWatch, vehicle_course
 from meshpoint.controller.estimation.main_tracker import MainTracker
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
@@ -45,6 +45,7 @@ from meshpoint.gearbox.driveline import Axle, Driveline
 
 AXLE, RATIO, EDGE_RAD = Axle(), 0.27, math.pi / 45.0
 BACKLASH = Driveline()
+VEHICLE_SDS = (AXLE.vehicle_start_rad_s, AXLE.vehicle_rad_s2 / RATIO)
 HALF_GAP_RAD = math.radians(0.95)
 MODEL = LashModel(wheels_share=0.25, tyre_per_s=4.0, fading_per_s=17.0)
 
@@ -232,22 +233,62 @@ def test_the_model_that_predicts_better_is_believed_and_forgotten_again() -> Non
         assert rivals.believes_lash is believed
 
 
-def test_the_vehicle_s_speed_is_the_mean_in_gear_or_what_the_last_window_told() -> None:
+def test_the_vehicle_s_course_is_what_the_shaft_swings_about_in_gear() -> None:
+    """On a hill that slows it by 5 rad/s2; or what the last window has told."""
     watch = StartWatch()
     times = np.arange(0.0, 400e3, 1e3)
-    angle = 60e-6 * times + 0.02 * np.sin(2.0 * math.pi * 12.0 * times * 1e-6)
+    seconds = 1e-6 * (times - 400e3)
+    swing = 0.002 * np.sin(2.0 * math.pi * 12.0 * seconds)
+    angle = 24.0 + 60.0 * seconds - 2.5 * seconds**2 + swing
     for first in range(0, 400, 10):
         watch.take_in_gear(np.array((times, angle))[:, first : first + 10])
-    watch.released(400e3)
+    watch.released(400e3, -1)
     later = 400e3 + 1e3 * np.arange(1, 20)
-    start = watch.take_out(np.array((later, 24.0 + 61e-6 * (later - 400e3))))
+    out = np.array((later, 24.0 + 61e-6 * (later - 400e3)))
+    start = watch.take_out(out, VEHICLE_SDS)
     assert start is not None
-    assert start.vehicle_rad_s == pytest.approx(60.0, abs=0.2)
+    assert start.vehicle_rad_s == pytest.approx(60.0, abs=0.3)
+    assert start.hill_rad_s2 == pytest.approx(-5.0, abs=2.0)
+    assert start.pressed == -1
     assert (start.angle_rad, start.speed_rad_s) == pytest.approx((24.0, 61.0))
     watch.take_vehicle(500e3, 59.0)
     watch.released(600e3)
-    start = watch.take_out(np.array((later + 200e3, 36.0 + 61e-6 * (later - 400e3))))
+    start = watch.take_out(out + np.array([[200e3], [12.0]]), VEHICLE_SDS)
     assert start is not None and start.vehicle_rad_s == 59.0
+
+
+def test_the_vehicle_s_course_is_as_sure_as_it_says() -> None:
+    """Of vehicles on hills, whose shafts ring as each pleases, that say nothing of their own."""
+    rng, off = np.random.default_rng(5), []
+    waits = np.arange(-0.3, 0.0, 0.01)
+    speed_sd, hill_sd = VEHICLE_SDS
+    for _ in range(60):
+        hill, change = hill_sd * rng.standard_normal(), 3.0 * hill_sd * rng.standard_normal()
+        strength, pitch_hz, at = rng.uniform(0.0, 0.03), rng.uniform(1.0, 15.0), rng.uniform(0, 6)
+        angles = 60.0 * waits + hill * waits**2 / 2 + change * waits**3 / 6
+        angles += strength * np.sin(2.0 * math.pi * pitch_hz * waits + at)
+        angles += 2e-3 * rng.standard_normal(waits.size)
+        (speed, found), covariance = vehicle_course(waits, angles, VEHICLE_SDS)
+        off.append((speed - 60.0, found - hill) / np.sqrt(np.diag(covariance)))
+        assert covariance[0, 0] > speed_sd**2
+    assert np.abs(off).max() < 4.0
+    assert ((np.abs(off) < 2.0).mean(axis=0) > 0.85).all()
+
+
+@pytest.mark.parametrize(("pressed", "place"), [(1, 2.0), (-1, 0.0)])
+def test_most_of_a_first_cloud_is_at_the_flank_that_was_pressed_on(
+    pressed: int, place: float
+) -> None:
+    """With the tyres wound up as the shafts are, so that nothing moves yet."""
+    lash = Lash(AXLE, BACKLASH.backlash_rad, BACKLASH.backlash_factor, RATIO)
+    x = lash.cloud(LashStart(0.0, 0.0, 60.0, 60.0, pressed=pressed))
+    beyond = pressed * (x[WAY] - place * x[HALF])
+    at_flank = (beyond >= 0.0) & (x[TYRE] * pressed > -0.02)
+    assert 0.6 < at_flank.mean() < 0.8
+    assert np.quantile(beyond, 0.9) > 2.0 * np.quantile(beyond, 0.5) > 0.0
+    anywhere = lash.cloud(LashStart(0.0, 0.0, 60.0, 60.0))
+    share = anywhere[WAY] / anywhere[HALF]
+    assert np.histogram(share, 4, (-0.15, 2.15))[0] == pytest.approx(625, abs=20)
 
 
 def test_a_backlash_that_nothing_speaks_for_is_tried_again_after_some_windows() -> None:

@@ -85,12 +85,13 @@ def test_a_prediction_solves_the_equations_through_switches_and_segments(
 
 
 @settings(deadline=None, max_examples=60, derandomize=True)
+@example(rates=(2.0, 1e-3, 2.0), b=2.0, start=(0.0, 50.0, 3e5, 9.0, 1.0, 5.0), span_us=5_000)
 @given(rates=RATES, b=st.floats(2.0, 300.0), start=STATE, span_us=st.integers(1, 50_000))
 def test_within_a_segment_the_transition_is_the_matrix_exponential(
     rates: tuple[float, float, float], b: float, start: tuple[float, ...], span_us: int
 ) -> None:
     """State, and without noise the covariance F P F': six states and 1, the gain's column being
-    what the brake does in the time."""
+    what the brake does in the time. Rates may be equal."""
     (a, g, b_d), seconds = rates, span_us * US
     law = law_array(law=(((b, b * SUPPLY_PA),),) * 2)
     model = MotionModel(np.array(rates), law, QUIET)

@@ -136,7 +136,9 @@ def _brake(brake: BrakeRecord) -> str:
     return (
         f"brake, over {brake.shifts} shifts: gain {brake.gain:.3f} +- {brake.gain_sd:.3f}, "
         f"drag {brake.drag_nm:+.2f} +- {brake.drag_sd_nm:.2f} Nm, "
-        f"pads touch at {brake.touch_pa / 1e5:.3f} +- {brake.touch_sd_pa / 1e5:.3f} bar\n"
+        f"pads touch at {brake.touch_pa / 1e5:.3f} +- {brake.touch_sd_pa / 1e5:.3f} bar, "
+        f"pressure sensor late by {1e3 * brake.sensor_lag_s:.2f} "
+        f"+- {1e3 * brake.sensor_lag_sd_s:.2f} ms\n"
         f"pressure rates over those of the data sheet: emptying {emptying}; filling {filling}\n"
         f"valve: off after {1e3 * brake.off_delay_s:.2f} +- {1e3 * brake.off_delay_sd_s:.2f} ms, "
         f"on after {1e3 * brake.on_delay_s:.2f} +- {1e3 * brake.on_delay_sd_s:.2f} ms"
