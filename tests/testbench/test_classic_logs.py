@@ -66,6 +66,20 @@ def test_it_is_watched(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "ValveCommand   1" in picture, "a rate of a hundred and more"
 
 
+def test_its_contacts_are_reported_and_what_cannot_be_decided_is_said(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["report", str(log), "--gearbox", "truck12"]
+    assert main([*words, "--profile", "classic"]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    assert "met the gap in" in told
+    assert "of 1 (" in told
+    assert "not decidable" in told
+    assert "classic" in told
+    assert main(words) != 0
+    assert "--profile classic" in " ".join(capsys.readouterr().err.split())
+
+
 def heard(turns: bool) -> Listener:
     """Four seconds of a rig on a classic bus."""
     rpm = 600.0 if turns else 0.0
