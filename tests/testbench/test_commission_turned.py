@@ -202,6 +202,18 @@ def test_a_wheels_teeth_are_counted_by_their_own_errors(teeth, seed) -> None:
     assert tooth_count(times) == teeth
 
 
+def test_a_wheel_made_well_is_counted_by_many_windows_together() -> None:
+    """One window alone does not tell it: its errors are little more than the stamps' jitter."""
+    rng = np.random.Generator(np.random.PCG64(3))
+    errors = rng.uniform(-0.04, 0.04, 38) * math.tau / 360.0
+    windows = []
+    for _ in range(7):
+        angles = np.arange(1500) * math.tau / 38 + np.tile(errors, 40)[:1500]
+        windows.append(1e6 * angles / 100.0 + rng.normal(0.0, 8.0, 1500))
+    assert tooth_count(*windows) == 38
+    assert [tooth_count(window) for window in windows].count(38) < 7
+
+
 def test_teeth_that_are_all_alike_are_not_counted() -> None:
     rng = np.random.Generator(np.random.PCG64(1))
     times = np.arange(900) * 1500.0 + rng.normal(0.0, 8.0, 900)

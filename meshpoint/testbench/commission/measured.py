@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -133,16 +132,8 @@ def with_entries(sheet: GearboxSheet, told: list[Entry]) -> GearboxSheet:
 def _wheels(found: Commissioned, log: EdgeLog) -> None:
     """Teeth and duty of each sensor wheel."""
     for shaft in Shaft:
-        votes: Counter[int] = Counter()
-        for window in log.windows:
-            times, _ = log.edges(shaft, window)
-            teeth = tooth_count(times)
-            if teeth is not None:
-                votes[teeth] += times.size
-        subject, told = f"{shaft} wheel", None
-        if votes:
-            (told, most), *_ = votes.most_common(1)
-            told = told if 2 * most > votes.total() else None
+        subject = f"{shaft} wheel"
+        told = tooth_count(*(log.edges(shaft, window)[0] for window in log.windows))
         if shaft is Shaft.INPUT:
             told = _by_engine(found, log, told)
         if told is None:

@@ -8,6 +8,7 @@ common factor, which no phase knows of.
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 from typing import Final, NamedTuple
 
@@ -21,9 +22,12 @@ from meshpoint.testbench.commission.edge_log import EdgeLog, State, Window
 LEAST_TEETH, MOST_TEETH = 20, 90
 """Tooth counts that are looked for."""
 LEAST_TURNS: Final = 4.0
-CLEARER: Final = 1.25
-"""What any other count leaves of the intervals' scatter is this much more, in variance."""
-AS_GOOD: Final = 1.1
+LEAST_VARIANCE: Final = 1e-12
+"""Of relative intervals: a hundredth of a per mille of a pitch is beyond any stamp."""
+CLEARER, CLEARER_EDGES = 0.08, 60.0
+"""Any other count leaves so much more of the intervals' scatter, by the logarithm of its variance,
+and this over the number of intervals: few of them tell less."""
+AS_GOOD, AS_GOOD_EDGES = 0.03, 30.0
 """A count that leaves no more than this over the least one's may be the true one, and the least
 one a multiple of it."""
 LEAST_TOLERANCE: Final = 3e-5
@@ -49,21 +53,25 @@ class Measured(NamedTuple):
     """None where no two wheels, or more than one pair of a kind, explain it."""
 
 
-def tooth_count(times: Vector) -> int | None:
-    """Teeth of a wheel by rising edges (us) of many turns; None where they do not tell it."""
-    gaps = np.diff(times)
-    if gaps.size < LEAST_TURNS * LEAST_TEETH:
-        return None
+def tooth_count(*windows: Vector) -> int | None:
+    """Teeth of a wheel by rising edges (us) in times of steady turning, of many turns all together;
+    None where they do not tell it."""
+    gaps = [np.diff(times) for times in windows if times.size > LEAST_TURNS * LEAST_TEETH]
+    # The same intervals for each count, so that what they leave can be compared.
+    long = [one for one in gaps if one.size >= LEAST_TURNS * MOST_TEETH] or gaps
     left = {}
     for teeth in range(LEAST_TEETH, MOST_TEETH + 1):
-        if gaps.size >= LEAST_TURNS * teeth:
-            left[teeth] = _unexplained(gaps, teeth)
+        if long and all(one.size >= LEAST_TURNS * teeth for one in long):
+            rest = [one.size * math.log(_unexplained(one, teeth)) for one in long]
+            left[teeth] = sum(rest) / sum(one.size for one in long)
     if not left:
         return None
-    least = min(left.values())
-    teeth = min(count for count, rest in left.items() if rest <= AS_GOOD * least)
+    seen = sum(one.size for one in long)
+    most = min(left.values()) + AS_GOOD + AS_GOOD_EDGES / seen
+    teeth = min(count for count, rest in left.items() if rest <= most)
     others = [rest for count, rest in left.items() if count % teeth]
-    return teeth if not others or min(others) >= CLEARER * left[teeth] else None
+    clear = left[teeth] + CLEARER + CLEARER_EDGES / seen
+    return teeth if not others or min(others) >= clear else None
 
 
 def _unexplained(gaps: Vector, teeth: int) -> float:
@@ -77,7 +85,7 @@ def _unexplained(gaps: Vector, teeth: int) -> float:
     count = np.bincount(place, minlength=teeth)
     mean = np.bincount(place, share, minlength=teeth) / np.maximum(count, 1)
     freedom = max(1, share.size - int(np.count_nonzero(count)))
-    return float(np.sum((share - mean[place]) ** 2)) / freedom
+    return max(float(np.sum((share - mean[place]) ** 2)) / freedom, LEAST_VARIANCE)
 
 
 def edges_a_turn(log: EdgeLog, of: Shaft, teeth: int, by: Shaft, window: Window) -> Measured | None:
