@@ -57,6 +57,8 @@ MOST_OFF: Final = 4.0
 """An angle that is further off, in standard deviations, counts as so far off."""
 PRESSED: Final = 0.6
 """Share of the first cloud that is still pressed to the flank that the shafts' torque held;"""
+DOUBT_KEPT: Final = 0.9
+"""Weight of what was doubted before against a new look."""
 AROUND: Final = 1.15
 """the rest lies within the backlash and this much of its half beyond: flanks give way."""
 FIRST_OMEGA: Final = 2.0
@@ -245,6 +247,8 @@ class LashCloud:
         self._chance_rad2_s3 = lash.chance_rad2_s3
         self._edge_time_s = edge_time_s
         self._drawn = 0
+        self._doubt = 1.0
+        """Mean square of how far off the angles were, over how far the cloud let expect."""
         self.time_us = start.time_us
         """Up to here edges have been taken."""
 
@@ -294,6 +298,7 @@ class LashCloud:
         whole = float(p[0, 0]) + variance
         gain = p[:, 0] / whole
         off = angle_rad - x[ANGLE]
+        self._look_back(off, whole)
         most = MOST_OFF * math.sqrt(whole)
         near = np.clip(off, -most, most)
         # Beyond `most` the logarithm falls in a line: Huber's law (1964).
@@ -306,6 +311,14 @@ class LashCloud:
         weights = self.weights
         if 1.0 / float(weights @ weights) < LEAST_SHARE * DRIVELINES:
             self._draw(weights)
+
+    def _look_back(self, off: Vector, variance: float) -> None:
+        """Takes how far off the cloud was: one that has lost the driveline does not know it by
+        itself, because what is drawn anew is as narrow as the little that was left."""
+        weights = self.weights
+        mean = float(weights @ off)
+        expected = float(weights @ (off - mean) ** 2) + variance
+        self._doubt = DOUBT_KEPT * self._doubt + (1.0 - DOUBT_KEPT) * mean**2 / expected
 
     def _draw(self, weights: Vector) -> None:
         """Draws the cloud anew, each driveline as often as its weight says."""
@@ -328,7 +341,9 @@ class LashCloud:
         if not self.is_alive:
             return None
         followed = self._x[:, _drawn(self.weights, FOLLOWED)]
-        return LashCourse(followed, self._model, (self._p, self._chance_rad2_s3), half_gap_rad)
+        doubt = math.sqrt(max(1.0, self._doubt))
+        own = (self._p, self._chance_rad2_s3)
+        return LashCourse(followed, self._model, own, half_gap_rad, doubt)
 
 
 def spread(p: Vector, seconds: float, chance_rad2_s3: float) -> Vector:

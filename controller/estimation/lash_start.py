@@ -87,7 +87,7 @@ class StartWatch:
             return start
         waits = (before[0] - self._since_us) * US
         (mean, hill), covariance = vehicle_course(waits, before[1], vehicle_sds)
-        root = np.linalg.cholesky(covariance)
+        root = np.asarray(np.linalg.cholesky(covariance), np.float64)
         return start._replace(vehicle_rad_s=mean, hill_rad_s2=hill, vehicle_root=root)
 
 

@@ -41,11 +41,17 @@ class LashCourse:
     standard deviation of a normal law that lies within half a gap with the same probability."""
 
     def __init__(
-        self, x: Vector, model: LashModel, spread: tuple[Vector, float], half_gap_rad: float
+        self,
+        x: Vector,
+        model: LashModel,
+        spread: tuple[Vector, float],
+        half_gap_rad: float,
+        doubt: float = 1.0,
     ) -> None:
         """x: drivelines (ROWS, n), all alike in weight, at the course's time; they are moved.
         spread: covariance of angle, speed and drag in each (3, 3), and the density of the noise
-        that accelerates the shaft (rad2/s3)."""
+        that accelerates the shaft (rad2/s3). doubt: how many times as far off as they let expect
+        the drivelines have been."""
         self._half_gap_rad = half_gap_rad
         self._p, self._chance_rad2_s3 = spread
         self.hill_rad_s2 = float(x[HILL].mean())
@@ -62,6 +68,7 @@ class LashCourse:
             angle[k], speed[k] = x[ANGLE], x[SPEED]
         self._angle = angle
         self._merged = self._merge(angle, speed)
+        self._merged[2] *= doubt
         self.since_s = 0.0
         """Now, on the course's own time."""
         self._shapes: list[Vector] = []

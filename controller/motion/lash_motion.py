@@ -30,8 +30,8 @@ from meshpoint.controller.records import Vector
 ANGLE, SPEED, DRAG, WAY, WHEELS, TYRE, VEHICLE, HILL, STIFF, LOSS, HALF, TYRE_STIFF = range(12)
 """theta, w, a, z, w_A, y, w_V, g, k, c, h, c_t."""
 ROWS: Final = 12
-LONGEST_S: Final = 1.25e-3
-"""A step is no longer: the shafts' mode turns by 0.35 rad in it at 45 Hz."""
+LONGEST_S: Final = 1.3e-3
+"""A step is no longer: the shafts' mode turns by 0.37 rad in it at 45 Hz."""
 
 
 class LashModel(NamedTuple):

@@ -174,7 +174,7 @@ def campaign(
         as_built=setup.as_built,
         strategy_files=files,
     )
-    collected = Collected(spec, spec.jobs(runs), [])
+    collected = Collected(spec, spec.jobs(runs))
     with workplace(jobs, None) as where:
         if not run_all(spec, collected.jobs, where, collected.take):
             raise KeyboardInterrupt

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 from concurrent.futures import Future
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
 from campaigns import SMALL, Outcome, campaign
-from patience import HANG_S
 
 from meshpoint.testbench.campaign import runner
 from meshpoint.testbench.campaign.loop import ClosedLoop
@@ -34,22 +32,6 @@ def test_two_workers_give_the_same_bytes_as_one(by_one: Outcome, tmp_path: Path)
     assert by_one.code == by_two.code == Exit.DONE
     assert by_two.text == by_one.text
     assert by_two.table == by_one.table
-
-
-@pytest.fixture
-def cluster() -> Iterator[str]:
-    import dask
-    from dask.distributed import LocalCluster
-
-    # A busy machine may take long to start a worker; none but a hang takes so long.
-    patient = {f"distributed.comm.timeouts.{which}": f"{HANG_S:g}s" for which in ("connect", "tcp")}
-    with (
-        dask.config.set(patient),
-        LocalCluster(
-            n_workers=1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
-        ) as local,
-    ):
-        yield local.scheduler_address
 
 
 @pytest.mark.long
@@ -118,12 +100,15 @@ def test_ctrl_c_waits_for_one_run_of_a_worker_and_says_so(
             handed.append(Run())
             return handed[-1]
 
-    def interrupted(futures: list[Future[list[RunResult]]]) -> Iterator[Future[list[RunResult]]]:
-        futures[0].set_running_or_notify_cancel()
-        yield from ()
-        raise KeyboardInterrupt
+    class Interrupted:
+        def put(self, future: Future[list[RunResult]]) -> None:
+            """Never looked at."""
 
-    monkeypatch.setattr(runner, "as_completed", interrupted)
+        def get(self) -> Future[list[RunResult]]:
+            handed[0].set_running_or_notify_cancel()
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(runner, "SimpleQueue", Interrupted)
     taken: list[list[RunResult]] = []
     jobs: Any = list(range(40))
     assert not runner.run_all(cast(Any, None), jobs, cast(Any, OneWorker()), taken.append)

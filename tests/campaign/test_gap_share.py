@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from meshpoint.gearbox import load_sheet
+from meshpoint.testbench.campaign.columns import FIELDS, Shifts
 from meshpoint.testbench.campaign.record import JudgedShift, gap_share
 from meshpoint.testbench.campaign.sequential import estimate, parse_goal
-from meshpoint.testbench.campaign.store import FIELDS
 from meshpoint.testbench.studies.teeth import Engagements
 from meshpoint.units import MM, RPM
 
@@ -35,7 +35,9 @@ def test_the_rig_meets_a_gap_at_that_share_of_evenly_spread_phases(
 def shifts(rng: np.random.Generator, runs: int) -> list[JudgedShift]:
     """Two of each run and strategy: one misses as the phase comes, one in 1 %."""
     found: list[JudgedShift] = []
-    nothing: dict[str, Any] = dict.fromkeys(FIELDS)
+    nothing: dict[str, Any] = {
+        name: None if field.is_optional else field.kind() for name, field in FIELDS.items()
+    }
     for seed in range(runs):
         share = float(rng.uniform(0.19, 0.23))
         for shift in range(2):
@@ -51,7 +53,7 @@ def test_the_share_of_phases_has_the_mean_of_the_hits_and_not_their_luck() -> No
     rng = np.random.default_rng(1)
     found = [
         [
-            estimate(GOAL, records, "target_phase", "speed_window", plain=plain)
+            estimate(GOAL, Shifts.of(records), "target_phase", "speed_window", plain=plain)
             for plain in (False, True)
         ]
         for records in (shifts(rng, 100) for _ in range(20))
@@ -68,4 +70,6 @@ def test_a_shift_without_contact_hits_nothing_and_aimed_ones_count_as_they_were(
         replace(each, contact=None) if each.strategy == "speed_window" else each for each in records
     ]
     aimed = sum(r.contact == "gap" for r in records if r.strategy == "target_phase") / 80
-    assert estimate(GOAL, never, "target_phase", "speed_window").value == pytest.approx(aimed)
+    assert estimate(GOAL, Shifts.of(never), "target_phase", "speed_window").value == pytest.approx(
+        aimed
+    )

@@ -6,13 +6,18 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from meshpoint.testbench.campaign.intervals import (
-    Bootstrap,
+    RESAMPLES,
+    SEED,
+    Mean,
+    Quantile,
     interval,
     quantile,
     rate_interval,
     rate_ratio_interval,
+    resample,
 )
 
 
@@ -71,8 +76,8 @@ def test_a_ratio_of_paired_strategies_keeps_the_pairing() -> None:
     rng = np.random.Generator(np.random.PCG64(5))
     runs = np.arange(50)
     slow = rng.uniform(400.0, 900.0, 50)
-    bootstrap = Bootstrap(50)
-    paired = interval(bootstrap.means(0.8 * slow, runs) / bootstrap.means(slow, runs))
+    fast, slower = resample(50, [Mean(0.8 * slow, runs, 50), Mean(slow, runs, 50)])
+    paired = interval(fast / slower)
     assert paired == [pytest.approx(0.8), pytest.approx(0.8)]
 
 
@@ -80,6 +85,36 @@ def test_a_quantile_is_one_of_the_values() -> None:
     values = np.arange(1.0, 101.0)
     assert quantile(values, 0.99) == 99.0
     assert quantile(values, 0.5) == 50.0
-    resampled = Bootstrap(100).quantiles(values, np.arange(100), 0.5)
+    (resampled,) = resample(100, [Quantile(values, np.arange(100), 0.5, 100)])
     assert set(resampled) <= set(values)
     assert abs(resampled.mean() - 50.0) < 2.0
+
+
+def test_resamples_that_are_not_kept_give_what_kept_ones_gave() -> None:
+    """Means and a high quantile, looked for among the greatest values alone, beside the same ones
+    of all resamples at once; a strategy has none of its values in some of them."""
+    rng = np.random.Generator(np.random.PCG64(6))
+    clusters = np.sort(rng.integers(0, 600, 1500))
+    values = rng.normal(size=1500).round(1)  # many are equal
+    few = rng.integers(0, 3, 5)
+    mean, high, rare = resample(
+        600,
+        [
+            Mean(values, clusters, 600),
+            Quantile(values, clusters, 0.99, 600),
+            Quantile(values[:5], few, 0.99, 600),
+        ],
+    )
+    kept = np.random.Generator(np.random.PCG64(SEED)).multinomial(
+        600, np.full(600, 1.0 / 600), RESAMPLES
+    )
+    each = kept[:, clusters]
+    assert mean == pytest.approx((each @ values) / each.sum(axis=1), abs=1e-12)
+
+    def quantiles(of: NDArray[np.float64], owners: NDArray[np.int64]) -> NDArray[np.float64]:
+        order = np.argsort(of, kind="stable")
+        heaped = np.cumsum(kept[:, owners[order]], axis=1)
+        return of[order][np.argmax(heaped >= 0.99 * heaped[:, -1:] - 1e-9, axis=1)]
+
+    assert np.array_equal(high, quantiles(values, clusters))
+    assert np.array_equal(rare, quantiles(values[:5], few))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 from campaigns import small_spec
 
@@ -12,10 +14,12 @@ from meshpoint.dbc.messages import TC1, EngagementEvent, ReferenceEngagement
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
+from meshpoint.testbench.campaign.columns import Shifts
 from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import PAUSES, ClosedLoop
 from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.run import run_one
+from meshpoint.testbench.campaign.sequential import estimate, parse_goal
 from meshpoint.testbench.campaign.spec import Job
 
 TICK_US = 10_000
@@ -71,3 +75,22 @@ def test_a_gear_is_asked_for_when_the_old_one_has_been_locked_for_the_pause(pres
     # The thesis's clutch is closed at once: there is nothing more to wait for.
     if preset is Preset.THESIS:
         assert max(rested_us) <= PAUSES.locked_us + 4 * TICK_US
+
+
+def test_a_blind_strategy_may_be_judged_once_a_run_and_until_says_the_same() -> None:
+    """Its gap rate is a number of the gearbox, whatever the shift; what others do is as before."""
+    spec = small_spec(true_state=False, learn=0, judged=2)
+    every, once = (
+        run_one(replace(spec, judged_blind=judged_blind), Job(7)) for judged_blind in (None, 1)
+    )
+    assert (every.error, once.error) == (None, None)
+    assert (every.shifts, once.shifts) == (4, 3)
+    dropped = [r for r in every.records if r.strategy == "speed_window" and r.shift == 1]
+    assert len(dropped) == 1
+    assert once.records == [r for r in every.records if r not in dropped]
+    goal = parse_goal("first_contact_gap difference +-1%")
+    said = []
+    for records in (every.records, once.records):
+        runs = [replace(r, seed=seed) for seed in (7, 8) for r in records]
+        said.append(estimate(goal, Shifts.of(runs), "target_phase", "speed_window").value)
+    assert said[0] == pytest.approx(said[1], rel=1e-12)

@@ -38,7 +38,8 @@ from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.gearbox.tables import TableError
 from meshpoint.rig_sim.truck.as_built import draw_as_built, load_as_built
 from meshpoint.rig_sim.truck.scenario import load_scenario
-from meshpoint.testbench.campaign import store
+from meshpoint.testbench.campaign import stored
+from meshpoint.testbench.campaign.columns import ShiftColumns
 from meshpoint.testbench.cli import main as meshpoint
 from meshpoint.testbench.commands.reference import settings_toml, sheet_toml
 from meshpoint.testbench.errors import CommandError
@@ -108,8 +109,14 @@ def capture_csv(_folder: Path) -> bytes:
 
 def part_parquet(folder: Path) -> bytes:
     path = folder / "part.parquet"
-    pq.write_table(pa.Table.from_pylist([], schema=store._schema()), path)
+    pq.write_table(pa.Table.from_pylist([], schema=stored.schema()), path)
     return path.read_bytes()
+
+
+def read_part(path: Path) -> object:
+    columns = ShiftColumns()
+    stored.read_shifts(path, columns)
+    return columns.all()
 
 
 def keys_toml(_folder: Path) -> bytes:
@@ -159,7 +166,7 @@ FILES = (
            lambda p: parse_schema(p.read_bytes(), p.name), (SchemaError,)),
     Format("keys.toml", keys_toml, read_keys, (TableError,)),
     Format("capture.csv", capture_csv, read_columns, (CommandError,)),
-    Format("part.parquet", part_parquet, store.read_records, (CommandError,)),
+    Format("part.parquet", part_parquet, read_part, (CommandError,)),
     Format("pace", lambda folder: _pace(folder), PaceFile, (PaceError, OSError)),
 )  # fmt: skip
 COSTLY = frozenset({"wire.dbc"})

@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
 from meshpoint.testbench.campaign.record import GAP, JudgedShift
-from meshpoint.testbench.campaign.store import PARTS, SHIFTS_FILE, read_columns
+from meshpoint.testbench.campaign.store import PARTS, SHIFTS_FILE
+from meshpoint.testbench.campaign.stored import read_columns
 from meshpoint.testbench.campaign.sweep import BASE_POINT
 from meshpoint.testbench.campaign.verdict import PairedRun
 from meshpoint.testbench.errors import CommandError
@@ -74,13 +75,13 @@ def outcome_tables(folder: Path) -> list[Path]:
     return [whole] if whole.is_file() else sorted((folder / PARTS).glob("*.parquet"))
 
 
-def paired_runs(before: Outcomes, after: Iterable[JudgedShift], strategy: str) -> list[PairedRun]:
-    """Each run that both have, in order of the seeds. CommandError where a shift was not drawn
-    alike."""
+def paired_runs(before: Outcomes, after: Iterable[JudgedShift]) -> list[PairedRun]:
+    """Each run that both have, in order of the seeds; `after`: by one strategy. CommandError where
+    a shift was not drawn alike."""
     runs: dict[int, list[int]] = {}
     for record in after:
         was = before.get(record.seed, {}).get(record.shift)
-        if was is None or record.strategy != strategy:
+        if was is None:
             continue
         _check_draw(was, record)
         counts = runs.setdefault(record.seed, [0, 0, 0, 0])

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, Final
 
 import numpy as np
 
+from meshpoint.testbench.campaign.columns import Shifts
 from meshpoint.testbench.campaign.intervals import rate_interval
-from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.summary import by_strategy
 from meshpoint.testbench.report.layout import BLUE, GREEN, GREY, INK, ORANGE, PURPLE, Figure
 from meshpoint.testbench.report.overview import gap_band, plain_layout
@@ -17,27 +17,23 @@ CAMPAIGN_COLOURS: Final = (ORANGE, BLUE, PURPLE, GREEN, GREY, INK)
 BIN_PERCENT: Final = 2.5
 BINS: Final = 6
 LEAST_IN_A_BIN: Final = 5
-Value = Callable[[JudgedShift], float | None]
-CURVES: Final[dict[str, tuple[str, Value]]] = {
-    "slip": ("slip at first contact, rpm", lambda r: r.slip_rpm),
-    "backlash": ("backlash, % of pitch", lambda r: r.backlash_percent),
-    "scatter": ("scatter of the sleeve's delay, sd in ms", lambda r: r.delay_sd_ms),
+CURVES: Final[dict[str, tuple[str, str]]] = {
+    "slip": ("slip at first contact, rpm", "slip_rpm"),
+    "backlash": ("backlash, % of pitch", "backlash_percent"),
+    "scatter": ("scatter of the sleeve's delay, sd in ms", "delay_sd_ms"),
 }
+"""Title, and the column of the judged shifts."""
 
 
-def phase_histogram(
-    records: list[JudgedShift], names: tuple[str, ...], gap_percent: float
-) -> Figure:
+def phase_histogram(shifts: Shifts, names: tuple[str, ...], gap_percent: float) -> Figure:
     """Phase at first contact, share of the shifts a bin."""
     edges = np.arange(-50.0, 50.0 + BIN_PERCENT, BIN_PERCENT)
     data = []
     for colour, name in zip(CAMPAIGN_COLOURS, names, strict=False):
-        found = [
-            100.0 * r.phase_error_deg / r.pitch_deg
-            for r in records
-            if r.strategy == name and r.phase_error_deg is not None
-        ]
-        share = 100.0 * np.histogram(found, edges)[0] / max(1, len(found))
+        own = shifts.by(name)
+        found = 100.0 * own.column("phase_error_deg") / own.column("pitch_deg")
+        found = found[~np.isnan(found)]
+        share = 100.0 * np.histogram(found, edges)[0] / max(1, found.size)
         data.append(
             {
                 "type": "scatter", "mode": "lines", "name": name,
@@ -75,16 +71,16 @@ def frontier(points: list[tuple[str, dict[str, Any]]], names: tuple[str, ...]) -
     return {"data": data, "layout": layout}
 
 
-def gap_curve(records: list[JudgedShift], names: tuple[str, ...], title: str, of: Value) -> Figure:
+def gap_curve(shifts: Shifts, names: tuple[str, ...], title: str, column: str) -> Figure:
     """Share of first contacts in a gap over something drawn, in bins of equally many shifts; where
     it takes few values, as in a sweep, one point a value."""
     data = []
     for colour, (name, shots) in zip(
-        CAMPAIGN_COLOURS, by_strategy(records, names).items(), strict=False
+        CAMPAIGN_COLOURS, by_strategy(shifts, names).items(), strict=False
     ):
-        values = [of(r) for r in shots.records]
-        has = np.array([v is not None for v in values], dtype=bool)
-        known = np.array([v for v in values if v is not None])
+        values = shots.shifts.column(column)
+        has = ~np.isnan(values)
+        known = values[has]
         xs, rates, up, down = [], [], [], []
         for chosen in _bins(known):
             hits = shots.is_gap[has][chosen]

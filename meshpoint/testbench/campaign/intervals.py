@@ -12,8 +12,8 @@ of rates of which one has few misses is told from the intervals of both (Donner 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Any, Final
+from collections.abc import Iterator, Sequence
+from typing import Any, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,8 @@ SEED: Final = 0xB007
 AT_ONCE: Final = 250_000
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
+Weights = NDArray[np.uint8]
+"""How often each run is in a resample: a line a resample, a column a run."""
 Interval = tuple[float, float]
 Rate = tuple[float, float, float]
 """A share of shifts and the ends of its interval."""
@@ -80,49 +82,81 @@ def rate_ratio_interval(of: Rate, to: Rate) -> list[float | None]:
     return [finite(end(a_low, b_high, -1.0)), finite(end(a_high, b_low, 1.0))]
 
 
-class Bootstrap:
-    """Resamples of whole runs: how often each run is in each resample."""
+class Resampled(Protocol):
+    """A figure of which resamples are wanted."""
 
-    def __init__(self, runs: int) -> None:
-        runs = max(1, runs)
-        rng = np.random.Generator(np.random.PCG64(SEED))
-        share = np.full(runs, 1.0 / runs)
-        # How often a run is in a resample is a dozen at most: a byte each, not eight.
-        self._weights: NDArray[np.uint8] = np.empty((RESAMPLES, runs), np.uint8)
-        for rows in _parts(runs):
-            size = self._weights[rows].shape[0]
-            self._weights[rows] = rng.multinomial(runs, share, size)
+    def of(self, weights: Weights) -> Floats:
+        """Its value in each of some resamples."""
 
-    def means(self, values: Floats, clusters: Integers) -> Floats:
-        """The mean in each resample."""
-        runs = self._weights.shape[1]
-        sums = np.bincount(clusters, values, minlength=runs)
-        counts = np.bincount(clusters, minlength=runs).astype(np.float64)
-        found: Floats = np.empty(RESAMPLES)
-        for rows in _parts(runs):
-            weights = self._weights[rows].astype(np.float64)
-            with np.errstate(invalid="ignore", divide="ignore"):
-                found[rows] = (weights @ sums) / (weights @ counts)
+
+class Mean:
+    """The mean of some values; `clusters` numbers the run of each from 0."""
+
+    def __init__(self, values: Floats, clusters: Integers, runs: int) -> None:
+        self._sums = np.bincount(clusters, values, minlength=runs)
+        self._counts = np.bincount(clusters, minlength=runs).astype(np.float64)
+
+    def of(self, weights: Weights) -> Floats:
+        """In each resample; NaN in one that has no value."""
+        often = weights.astype(np.float64)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            found: Floats = (often @ self._sums) / (often @ self._counts)
         return found
 
-    def quantiles(self, values: Floats, clusters: Integers, share: float) -> Floats:
-        """The quantile in each resample: the least value that `share` of the shifts do not
-        exceed."""
-        order = np.argsort(values, kind="stable")
-        sorted_values, owners = values[order], clusters[order]
-        found = []
-        for rows in _parts(values.size):
-            heaped = np.cumsum(self._weights[rows][:, owners], axis=1, dtype=np.int32)
-            reached = heaped >= share * heaped[:, -1:] - 1e-9
-            found.append(sorted_values[np.argmax(reached, axis=1)])
+
+class Quantile:
+    """The least value that `share` of some values do not exceed; `clusters` numbers the run of
+    each from 0."""
+
+    def __init__(self, values: Floats, clusters: Integers, share: float, runs: int) -> None:
+        order = np.argsort(values, kind="stable")[::-1]
+        self._share, self._falling, self._owners = share, values[order], clusters[order]
+        self._counts = np.bincount(clusters, minlength=runs).astype(np.float64)
+
+    def of(self, weights: Weights) -> Floats:
+        """In each resample."""
+        # A high quantile lies among the greatest: twice as many as there should be above it nearly
+        # always hold it.
+        most = self._falling.size
+        first = min(most, math.ceil(2.0 * (1.0 - self._share) * most) + 64)
+        above = self._above(weights, first)
+        beyond = above == first
+        if first < most and beyond.any():
+            above[beyond] = self._above(weights[beyond], most)
+        found: Floats = self._falling[np.minimum(above, most - 1)]
+        return found
+
+    def _above(self, weights: Weights, first: int) -> Integers:
+        """How many of the `first` greatest values lie above the quantile."""
+        found: list[Integers] = []
+        for rows in _parts(first, weights.shape[0]):
+            some = weights[rows]
+            total = (some.astype(np.float64) @ self._counts)[:, None]
+            heaped = np.cumsum(some[:, self._owners[:first]], axis=1, dtype=np.int32)
+            found.append(np.sum(total - heaped >= self._share * total - 1e-9, axis=1))
         return np.concatenate(found)
 
 
-def _parts(width: int) -> Iterator[slice]:
-    """All resamples, so many at a time that they take little memory."""
+def resample(runs: int, figures: Sequence[Resampled]) -> list[Floats]:
+    """Each figure in each resample of whole runs: the same resamples for all of them.
+
+    The resamples are drawn once, a few at a time, and none is kept."""
+    rng = np.random.Generator(np.random.PCG64(SEED))
+    share = np.full(runs, 1.0 / runs)
+    found = [np.empty(RESAMPLES) for _ in figures]
+    for rows in _parts(runs, RESAMPLES):
+        # How often a run is in a resample is a dozen at most: a byte each, not eight.
+        weights = rng.multinomial(runs, share, rows.stop - rows.start).astype(np.uint8)
+        for values, figure in zip(found, figures, strict=True):
+            values[rows] = figure.of(weights)
+    return found
+
+
+def _parts(width: int, many: int) -> Iterator[slice]:
+    """So many rows of this width, a few at a time, so that they take little memory."""
     rows = max(1, AT_ONCE // max(1, width))
-    for start in range(0, RESAMPLES, rows):
-        yield slice(start, min(start + rows, RESAMPLES))
+    for start in range(0, many, rows):
+        yield slice(start, min(start + rows, many))
 
 
 def quantile(values: Floats, share: float) -> float:

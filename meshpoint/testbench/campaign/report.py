@@ -16,7 +16,7 @@ from meshpoint.testbench.report.html import (
     NUMBER_CLASS,
     Cell,
     definitions,
-    document,
+    pieces,
     table,
     table_row,
 )
@@ -57,9 +57,10 @@ def write_report(
         "<h2>Provenance</h2>",
         definitions({k: str(v) for k, v in spec.to_json()["provenance"].items()}),
     ]
-    text = document(title, body, figures(spec, collected), get_plotlyjs(), ["campaign/report.js"])
+    page = pieces(title, body, figures(spec, collected), get_plotlyjs(), ["campaign/report.js"])
     try:
-        path.write_text(text, encoding="utf-8", newline="\n")
+        with path.open("w", encoding="utf-8", newline="\n") as file:
+            file.writelines(page)
     except OSError as error:
         raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
 
@@ -75,9 +76,10 @@ def figures(spec: CampaignSpec, collected: Collected) -> dict[str, Any]:
         "phases": phase_histogram(base, names, 100.0 * spec.sheet.dog.backlash_share),
         "frontier": frontier(points, names),
     }
-    for name, (title, of) in CURVES.items():
-        swept = [r for r in collected.records if r.sweep == SWEPT_BY.get(name)]
-        found[name] = gap_curve(swept or base, names, title, of)
+    every = collected.shifts
+    for name, (title, column) in CURVES.items():
+        swept = every.where(every.is_("sweep", SWEPT_BY.get(name)))
+        found[name] = gap_curve(swept if len(swept) else base, names, title, column)
     return found
 
 

@@ -74,7 +74,7 @@ def _shifts(spec: CampaignSpec, job: Job) -> RunResult:
             bench.shift()
             made += 1
         bench.prepare()
-        for name, row in _judged(spec, bench, errors).items():
+        for name, row in _judged(spec, spec.judges(k), bench, errors).items():
             key = {"sweep": job.point.name, "sweep_value": job.point.value, "seed": job.seed}
             record = conditions.record(planned, row, **key, shift=k, strategy=name)
             records[name].append(record)
@@ -83,11 +83,11 @@ def _shifts(spec: CampaignSpec, job: Job) -> RunResult:
 
 
 def _judged(
-    spec: CampaignSpec, bench: ClosedLoop, errors: Counter[str]
+    spec: CampaignSpec, names: tuple[str, ...], bench: ClosedLoop, errors: Counter[str]
 ) -> dict[str, ShiftRow | None]:
-    """One shift by every strategy: each on a copy of the bench, which itself goes on by its own."""
+    """One shift by each of these strategies, on copies of the bench; that goes on by its own."""
     rows: dict[str, ShiftRow | None] = {}
-    for name in spec.names:
+    for name in names:
         if name != spec.own:
             copy = bench.fork()
             copy.use(spec.engagement(name), knows_all=name == TRUE_STATE)

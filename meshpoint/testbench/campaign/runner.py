@@ -6,18 +6,31 @@ put in order of their jobs.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
-from concurrent.futures import BrokenExecutor, Executor, Future, as_completed
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
 from contextlib import contextmanager
+from queue import SimpleQueue
 from typing import Any, Final
 
 from meshpoint.testbench.campaign.run import RunResult, run_many
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 from meshpoint.testbench.campaign.workers import worker_pool
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import CommandError, RunError
 from meshpoint.testbench.results.output import complain
 
+IN_FLIGHT: Final = 1024
+"""Runs handed over and not yet done: enough for as many workers, and little memory."""
+KILLED: Final = "KilledWorker"
+"""Dask's error for work during which one worker after the other died: four, by its defaults. Known
+by its name, as Dask is an extra."""
+DIED: Final = "every worker that made it died; the workers' logs say why, often memory"
+MOST_DEATHS: Final = 3
 DASK_EXTRA: Final = "--dask needs the extra: pip install 'meshpoint[dask]'"
+
+
+class WorkersLostError(RunError):
+    """Nobody is left to make runs; those that came to their end are kept."""
 
 
 @contextmanager
@@ -65,26 +78,88 @@ def run_all(
 ) -> bool:
     """Makes all runs, handing over results as they come; False where it was interrupted.
 
-    `take` gets every result exactly once, in any order."""
+    `take` gets every result exactly once, in any order. A run whose workers die, one after the
+    other, fails alone. WorkersLostError where there is nobody left to make runs."""
     if where is None:
         return _one_by_one(spec, jobs, take)
-    # One at a time: it takes seconds, which is what Ctrl-C waits for.
-    futures = [where.submit(run_many, spec, [job]) for job in jobs]
-    left = set(futures)
+    work = _Work(spec, jobs, where, take)
     try:
-        for future in as_completed(futures):
-            left.discard(future)
-            take(future.result())
+        work.run()
     except KeyboardInterrupt:
-        for future in left:
-            future.cancel()
-        at_work = sum(future.running() for future in left)
-        complain(f"interrupted: ending the runs in work first, {at_work} of them")
-        _take_what_runs(left, take)
+        at_work = work.cancel()
+        complain(f"interrupted: ending the runs in work first, {len(at_work)} of them")
+        for future, job in at_work.items():
+            take(work.result(future, job))
         return False
-    except BrokenExecutor as error:
-        raise CommandError(f"a worker ended before its work: {error}") from error
+    except WorkersLostError:
+        work.cancel()
+        raise
     return True
+
+
+class _Work:
+    """Runs handed to an executor, so many at a time: a future takes kilobytes."""
+
+    def __init__(
+        self,
+        spec: CampaignSpec,
+        jobs: list[Job],
+        where: Executor,
+        take: Callable[[list[RunResult]], None],
+    ) -> None:
+        self._spec, self._waiting, self._where, self._take = spec, iter(jobs), where, take
+        self._left: dict[Future[list[RunResult]], Job] = {}
+        self._done: SimpleQueue[Future[list[RunResult]]] = SimpleQueue()
+        self._deaths = 0
+        """Runs in a row whose workers died."""
+
+    def run(self) -> None:
+        """Every run to its result."""
+        self._hand_over()
+        while self._left:
+            future = self._done.get()
+            job = self._left.pop(future)
+            self._take(self.result(future, job))
+            self._hand_over()
+
+    def cancel(self) -> dict[Future[list[RunResult]], Job]:
+        """What is not begun is not made; the runs in work, or made and not yet taken."""
+        left = {future: job for future, job in self._left.items() if not future.cancel()}
+        self._left.clear()
+        return left
+
+    def _hand_over(self) -> None:
+        for job in itertools.islice(self._waiting, IN_FLIGHT - len(self._left)):
+            # One at a time: it takes seconds, which is what Ctrl-C waits for.
+            try:
+                future = self._where.submit(run_many, self._spec, [job])
+            except (BrokenExecutor, RuntimeError) as error:  # the latter: a client that is closed
+                raise WorkersLostError(f"no worker takes runs any more: {error}") from error
+            self._left[future] = job
+            future.add_done_callback(self._done.put)
+
+    def result(self, future: Future[list[RunResult]], job: Job) -> list[RunResult]:
+        """What came of a run, waited for. WorkersLostError where nobody can say."""
+        try:
+            results = future.result()
+        except CancelledError as error:  # not by us: those are not asked any more
+            raise WorkersLostError("the connection to the scheduler is lost") from error
+        except BrokenExecutor as error:
+            raise WorkersLostError(f"a worker ended before its work: {error}") from error
+        except Exception as error:  # what a run raises is in its result: this is of the workers
+            if type(error).__name__ != KILLED:
+                raise WorkersLostError(
+                    f"a worker cannot make runs: {type(error).__name__}: {error}"
+                ) from error
+            self._deaths += 1
+            if self._deaths == MOST_DEATHS:
+                raise WorkersLostError(
+                    f"{MOST_DEATHS} runs in a row ended the workers that made them, the last one "
+                    f"that of seed {job.seed}: the workers' logs say why, often memory"
+                ) from error
+            return [RunResult(job, error=f"{KILLED}: {DIED}")]
+        self._deaths = 0
+        return results
 
 
 def _one_by_one(
@@ -96,12 +171,3 @@ def _one_by_one(
     except KeyboardInterrupt:
         return False
     return True
-
-
-def _take_what_runs(
-    futures: set[Future[list[RunResult]]], take: Callable[[list[RunResult]], None]
-) -> None:
-    """What workers were at when it was interrupted comes to its end and is kept."""
-    for future in futures:
-        if not future.cancelled():
-            take(future.result())

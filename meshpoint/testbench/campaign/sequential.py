@@ -19,9 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import stdtrit
 
-from meshpoint.controller.planning.strategies.table import AIMING
-from meshpoint.controller.settings import STRATEGY_NAMES
-from meshpoint.testbench.campaign.record import JudgedShift
+from meshpoint.testbench.campaign.columns import Shifts
+from meshpoint.testbench.campaign.spec import is_blind
 
 LEAST_RUNS: Final = 32
 GROWTH: Final = math.sqrt(2.0)
@@ -101,32 +100,28 @@ def looks(most_runs: int) -> Iterator[int]:
     yield most_runs
 
 
-def is_blind(strategy: str) -> bool:
-    """Whether a strategy of ours fires without any knowledge of the phase."""
-    return strategy in STRATEGY_NAMES and strategy not in AIMING
-
-
 def estimate(
-    goal: Goal, records: list[JudgedShift], strategy: str, other: str, *, plain: bool = False
+    goal: Goal, shifts: Shifts, strategy: str, other: str, *, plain: bool = False
 ) -> Estimate:
     """The figure of `strategy` against `other` from the runs so far.
 
     A strategy that is blind to the phase meets it as it comes, evenly spread over the pitch: each
     contact then counts by the share of phases at which it would have been in a gap, which has the
     same mean and none of the luck. plain: it counts as it was."""
-    sums: dict[int, list[float]] = {}
-    for record in records:
-        value = _value(goal.figure, record, plain)
-        if value is None or record.strategy not in (strategy, other):
-            continue
-        run = sums.setdefault(record.seed, [0.0, 0.0, 0.0, 0.0])
-        side = 0 if record.strategy == strategy else 2
-        run[side] += value
-        run[side + 1] += 1.0
-    table = np.array([run for _, run in sorted(sums.items()) if run[1] and run[3]])
-    if table.shape[0] < 2:
-        return Estimate(math.nan, math.inf, table.shape[0])
-    return paired_estimate(goal.kind, *table.T)
+    seeds, run = np.unique(shifts.column("seed"), return_inverse=True)
+    sums = []
+    for name in (strategy, other):
+        own = shifts.is_("strategy", name)
+        values = _values(goal.figure, shifts.where(own), is_integrated=not plain and is_blind(name))
+        has = ~np.isnan(values)
+        of = run[own][has]
+        sums.append(np.bincount(of, values[has], minlength=seeds.size))
+        sums.append(np.bincount(of, minlength=seeds.size).astype(np.float64))
+    table = np.array(sums)
+    table = table[:, (table[1] > 0) & (table[3] > 0)]
+    if table.shape[1] < 2:
+        return Estimate(math.nan, math.inf, table.shape[1])
+    return paired_estimate(goal.kind, *table)
 
 
 def paired_estimate(kind: str, a: Floats, a_n: Floats, b: Floats, b_n: Floats) -> Estimate:
@@ -152,10 +147,12 @@ def paired_estimate(kind: str, a: Floats, a_n: Floats, b: Floats, b_n: Floats) -
     return Estimate(float(value), margin * math.sqrt(max(variance, least)), runs)
 
 
-def _value(figure: str, record: JudgedShift, plain: bool) -> float | None:
-    if figure == GAP:
-        if not plain and record.contact is not None and is_blind(record.strategy):
-            return record.gap_share
-        return float(record.is_gap)
-    value: float | None = getattr(record, figure)
-    return value
+def _values(figure: str, shifts: Shifts, *, is_integrated: bool) -> Floats:
+    """What each shift counts; NaN where it has no such figure."""
+    if figure != GAP:
+        values: Floats = shifts.column(figure)
+        return values
+    hits: Floats = shifts.is_gap.astype(np.float64)
+    if is_integrated:
+        return np.where(shifts.is_("contact", None), hits, shifts.column("gap_share"))
+    return hits

@@ -10,7 +10,8 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from meshpoint.bus.profile import WireProfile
-from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.planning.strategies.table import AIMING
+from meshpoint.controller.settings import STRATEGY_NAMES, ControllerSettings
 from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
@@ -26,12 +27,17 @@ SEEDS_APART: Final = 1_000_000
 """Run k of campaign seed S has seed S * 10^6 + k: no two campaigns share a draw."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class Job:
     """One run: its seed, and the point of the sweep it is made at."""
 
     seed: int
     point: SweepPoint = BASE_POINT
+
+
+def is_blind(strategy: str) -> bool:
+    """Whether a strategy of ours fires without any knowledge of the phase."""
+    return strategy in STRATEGY_NAMES and strategy not in AIMING
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,9 @@ class CampaignSpec:
     """The users' own among `strategies`, by name."""
     profile: Profile = DEFAULT_PROFILE
     wire: WireProfile = WireProfile.FD
+    judged_blind: int | None = None
+    """Of the judged shifts of a run, so many are also made by strategies that are blind to the
+    phase, if they are not the controller's own. None: all."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -75,6 +84,12 @@ class CampaignSpec:
         as_built = {**self.as_built, **fixed}
         return dataclasses.replace(self, sheet=sheet, settings=settings, as_built=as_built)
 
+    def judges(self, shift: int) -> tuple[str, ...]:
+        """The strategies that make a judged shift, by its number in the run."""
+        if self.judged_blind is None or shift < self.judged_blind:
+            return self.names
+        return tuple(name for name in self.names if name == self.own or not is_blind(name))
+
     def engagement(self, name: str) -> ControllerSettings:
         """The controller's settings for a strategy or for `true_state`."""
         strategy = TRUE_STATE_STRATEGY if name == TRUE_STATE else name
@@ -87,6 +102,7 @@ class CampaignSpec:
         return (
             ({"strategy_files": files} if files else {})
             | wire
+            | ({} if self.judged_blind is None else {"judged_shifts_blind": self.judged_blind})
             | {
                 "strategies": list(self.names),
                 "pairs": [list(pair) for pair in self.pairs],

@@ -6,16 +6,18 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any, Protocol
 
+import numpy as np
+
 from meshpoint.testbench.campaign.baseline import Baseline, paired_runs
-from meshpoint.testbench.campaign.record import JudgedShift
+from meshpoint.testbench.campaign.columns import Shifts
 from meshpoint.testbench.campaign.sequential import (
     GAP,
     Estimate,
     Goal,
     estimate,
-    is_blind,
     looks,
 )
+from meshpoint.testbench.campaign.spec import is_blind
 from meshpoint.testbench.campaign.verdict import Comparison, Verdict
 from meshpoint.testbench.campaign.verdict import looks as paired_looks
 
@@ -26,8 +28,8 @@ class Stopping(Protocol):
     def looks(self, most_runs: int) -> Iterator[int]:
         """The numbers of runs at which to look, the last of them `most_runs`."""
 
-    def enough(self, records: list[JudgedShift], /) -> bool:
-        """Whether these are enough; `records` are those of the first so many runs."""
+    def enough(self, shifts: Shifts, /) -> bool:
+        """Whether these are enough; `shifts` are those of the first so many runs."""
 
     def to_json(self) -> dict[str, Any]:
         """What came of it, by name."""
@@ -40,7 +42,7 @@ class AllRuns:
         """At the end alone."""
         yield most_runs
 
-    def enough(self, _records: list[JudgedShift]) -> bool:
+    def enough(self, _shifts: Shifts) -> bool:
         """Never."""
         return False
 
@@ -82,10 +84,10 @@ class Until:
             yield runs
             done = runs
 
-    def enough(self, records: list[JudgedShift]) -> bool:
+    def enough(self, shifts: Shifts) -> bool:
         """Whether the interval is narrow enough."""
-        self._estimate = estimate(self._goal, records, *self._pair)
-        self._plain = estimate(self._goal, records, *self._pair, plain=True)
+        self._estimate = estimate(self._goal, shifts, *self._pair)
+        self._plain = estimate(self._goal, shifts, *self._pair, plain=True)
         reached = self._estimate.half_width <= self._goal.half_width
         self._why = "goal" if reached else self._why
         return reached
@@ -122,14 +124,14 @@ class Against:
         """Every few runs (`verdict.looks`)."""
         yield from paired_looks(most_runs)
 
-    def enough(self, records: list[JudgedShift]) -> bool:
+    def enough(self, shifts: Shifts) -> bool:
         """Whether there is a verdict: the runs are taken in the order of their seeds."""
-        made = len({record.seed for record in records})
+        made = np.unique(shifts.column("seed")).size
         before = self._baseline.first(self._seeds[:made])
-        shifts = [outcome for run in before.values() for outcome in run.values()]
-        self.comparison.shifts = len(shifts)
-        self.comparison.misses = sum(not outcome.is_gap for outcome in shifts)
-        runs = paired_runs(before, records, self._own[1])
+        outcomes = [outcome for run in before.values() for outcome in run.values()]
+        self.comparison.shifts = len(outcomes)
+        self.comparison.misses = sum(not outcome.is_gap for outcome in outcomes)
+        runs = paired_runs(before, shifts.by(self._own[1]))
         for run in runs[self._taken :]:
             self.comparison.take(run)
         self._taken = len(runs)

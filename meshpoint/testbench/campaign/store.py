@@ -1,34 +1,33 @@
 """A campaign on disk: parts while it runs, one Parquet table in the end.
 
 campaign.json     what it runs, with a hash: a resumed one must be the same
-parts/*.parquet   the runs done so far, written whole or not at all
+parts/*.parquet   the runs done so far, written whole or not at all; many small ones become one
 shifts.parquet    every judged shift, sorted, once all runs are done
 """
 
 from __future__ import annotations
 
-import dataclasses
 import json
+import re
 import shutil
-import types
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, get_args, get_type_hints
+from typing import Any, Final
 
 from meshpoint.gearbox.reading import read_text
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
+from meshpoint.testbench.campaign.columns import ShiftColumns, Shifts
 from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.campaign.spec import CampaignSpec, Job
-from meshpoint.testbench.campaign.sweep import SweepPoint
+from meshpoint.testbench.campaign.spec import CampaignSpec
+from meshpoint.testbench.campaign.stored import read_shifts, write_shifts
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.results.output import folder_for
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 SHIFTS_FILE: Final = "shifts.parquet"
 CAMPAIGN_FILE: Final = "campaign.json"
 PARTS: Final = "parts"
-FIELDS: Final = tuple(field.name for field in dataclasses.fields(JudgedShift))
+MERGED: Final = 64
+"""So many small parts become one, and so many of those become one again."""
+LEVELS: Final = 2
 
 
 class Store:
@@ -36,9 +35,8 @@ class Store:
 
     def __init__(self, folder: Path, spec: CampaignSpec, resume: bool) -> None:
         self._folder = folder_for(folder)
-        self._parts = folder_for(folder / PARTS)
-        self._count = 0
-        self.records: list[JudgedShift] = []
+        self._parts = Parts(folder_for(folder / PARTS))
+        self.shifts = ShiftColumns()
         """What was there already."""
         self._begin(spec, resume)
 
@@ -52,24 +50,20 @@ class Store:
         """Where the report goes."""
         return self._folder / "report.html"
 
-    def done(self) -> set[Job]:
-        """The runs that need not be made again."""
-        return {Job(r.seed, SweepPoint(r.sweep, r.sweep_value)) for r in self.records}
-
     def add(self, records: list[JudgedShift]) -> None:
         """Some whole runs, safe on disk when this returns."""
         if records:
-            self._count += 1
-            _write(self._parts / f"{self._count:06d}.parquet", records)
+            self._parts.add(Shifts.of(records))
 
-    def finish(self, records: list[JudgedShift]) -> None:
+    def finish(self, shifts: Shifts) -> None:
         """All runs, in order; the parts are not needed any more."""
-        _write(self.table, records)
-        shutil.rmtree(self._parts)
+        write_shifts(self.table, shifts)
+        shutil.rmtree(self._parts.folder)
 
     def _begin(self, spec: CampaignSpec, resume: bool) -> None:
         head = self._folder / CAMPAIGN_FILE
-        files = [*sorted(self._parts.glob("*.parquet")), *self._folder.glob(SHIFTS_FILE)]
+        parts = self._parts.begin()
+        files = [*self._folder.glob(SHIFTS_FILE), *parts]
         if files and not resume:
             raise CommandError(
                 f"{self._folder}: holds a campaign already; --resume goes on with it, another "
@@ -77,8 +71,8 @@ class Store:
             )
         if files:
             self._check(head, spec)
-            self.records = [record for path in files for record in read_records(path)]
-            self._count = max((int(p.stem) for p in self._parts.glob("*.parquet")), default=0)
+            for path in files:
+                read_shifts(path, self.shifts)
         values = spec.to_json() | {"sha256": spec.sha256}
         head.write_text(json.dumps(values, indent=1, sort_keys=True) + "\n", encoding="utf-8")
 
@@ -99,63 +93,72 @@ class Store:
         )
 
 
+class Parts:
+    """Tables of some runs each, numbered. A merged one bears the first and the last number of what
+    is in it, so one that was left beside what it was merged of is known.
+
+    Each run is on disk when it is done, and a campaign of a million shifts has some two hundred
+    files at the most, in which a shift is written three times."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._levels: list[list[tuple[int, int]]] = [[] for _ in range(LEVELS + 1)]
+        """First and last number of each file, by how often it was merged."""
+        self._last = 0
+
+    def begin(self) -> list[Path]:
+        """What is there already, in order; removes what is in a merged one as well."""
+        spans = sorted(
+            (span for path in self.folder.glob("*.parquet") if (span := _span(path)) is not None),
+            key=lambda span: (span[0], -span[1]),
+        )
+        found = []
+        for first, last in spans:
+            if last <= self._last:
+                self._path(first, last).unlink()
+                continue
+            self._last = last
+            self._keep(first, last)
+            found.append(self._path(first, last))
+        return found
+
+    def add(self, shifts: Shifts) -> None:
+        """One more, safe on disk when this returns."""
+        self._last += 1
+        write_shifts(self._path(self._last, self._last), shifts)
+        self._keep(self._last, self._last)
+        for level in range(LEVELS):
+            if len(self._levels[level]) >= MERGED:
+                self._merge(level)
+
+    def _keep(self, first: int, last: int) -> None:
+        size = last - first + 1
+        level = sum(size >= MERGED**k for k in range(1, LEVELS + 1))
+        self._levels[level].append((first, last))
+
+    def _merge(self, level: int) -> None:
+        """Makes one of all files of a level: they are the youngest that there are, or all younger
+        ones are of the levels below, so the numbers from first to last are theirs alone."""
+        spans, self._levels[level] = self._levels[level], []
+        files = [self._path(*span) for span in spans]
+        merged = ShiftColumns()
+        for path in files:
+            read_shifts(path, merged)
+        first, last = spans[0][0], spans[-1][1]
+        write_shifts(self._path(first, last), merged.all())
+        for path in files:
+            path.unlink()
+        self._keep(first, last)
+
+    def _path(self, first: int, last: int) -> Path:
+        name = f"{first:06d}" if first == last else f"{first:06d}-{last:06d}"
+        return self.folder / f"{name}.parquet"
+
+
+def _span(path: Path) -> tuple[int, int] | None:
+    found = re.fullmatch(r"(\d+)(?:-(\d+))?", path.stem)
+    return None if found is None else (int(found[1]), int(found[2] or found[1]))
+
+
 def _plain(value: Any) -> Any:
     return json.loads(json.dumps(value))
-
-
-def _schema() -> pa.Schema:
-    import pyarrow as pa
-
-    kinds = {int: pa.int64(), float: pa.float64(), str: pa.string(), bool: pa.bool_()}
-    hints = get_type_hints(JudgedShift)
-    fields = []
-    for name in FIELDS:
-        hint = hints[name]
-        is_optional = isinstance(hint, types.UnionType)
-        kind = get_args(hint)[0] if is_optional else hint
-        fields.append(pa.field(name, kinds[kind], nullable=is_optional))
-    return pa.schema(fields)
-
-
-def _write(path: Path, records: list[JudgedShift]) -> None:
-    """Written beside, then renamed: a file with this name is whole."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    # by columns: rows of names and values take several times the records' own memory
-    schema = _schema()
-    columns = [
-        pa.array([getattr(record, field.name) for record in records], field.type)
-        for field in schema
-    ]
-    beside = path.with_suffix(".writing")
-    try:
-        pq.write_table(pa.table(columns, schema=schema), beside)
-        beside.replace(path)
-    except OSError as error:
-        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
-
-
-def read_records(path: Path) -> list[JudgedShift]:
-    """A table of judged shifts. CommandError where it is none."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        rows = pq.read_table(path, schema=_schema()).to_pylist()
-    except (OSError, pa.ArrowException) as error:
-        raise CommandError(f"{path}: not a part of a campaign: {error}") from error
-    return [JudgedShift(**row) for row in rows]
-
-
-def read_columns(path: Path, names: tuple[str, ...]) -> list[list[Any]]:
-    """Some columns of a table of judged shifts, which may be of another version of the product.
-    CommandError where it lacks one."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    try:
-        table = pq.read_table(path, columns=list(names))
-        return [table.column(name).to_pylist() for name in names]
-    except (OSError, KeyError, pa.ArrowException) as error:
-        raise CommandError(f"{path}: not a table of a campaign: {error}") from error

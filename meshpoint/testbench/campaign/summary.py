@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any, Final
 
 import numpy as np
 
+from meshpoint.testbench.campaign.columns import Shifts
 from meshpoint.testbench.campaign.intervals import (
     FEW_RUNS,
-    Bootstrap,
     Floats,
     Integers,
+    Mean,
+    Quantile,
     Rate,
+    Resampled,
     finite,
     interval,
     quantile,
     rate_interval,
     rate_ratio_interval,
+    resample,
     telling_runs,
 )
-from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.spec import TRUE_STATE
 from meshpoint.testbench.results.phases import PHASES
 from meshpoint.testbench.results.rows import SOURCES
@@ -30,24 +34,22 @@ Figure = Callable[["Shots"], tuple[Floats, Integers]]
 
 
 class Shots:
-    """The judged shifts of one strategy as arrays; `cluster` numbers their runs."""
+    """The judged shifts of one strategy; `cluster` numbers their runs."""
 
-    def __init__(self, records: list[JudgedShift], runs: dict[int, int]) -> None:
-        self.records = records
-        self.cluster: Integers = np.array([runs[r.seed] for r in records], dtype=np.int64)
-        self.is_gap = np.array([r.is_gap for r in records], dtype=bool)
-        self.impact_j: Floats = np.array([r.impact_j for r in records])
-        self._durations = np.array(
-            [np.nan if r.duration_ms is None else r.duration_ms for r in records]
-        )
+    def __init__(self, shifts: Shifts, cluster: Integers) -> None:
+        self.shifts, self.cluster = shifts, cluster
+        self.is_gap = shifts.is_gap
+        self.impact_j: Floats = shifts.column("impact_j")
+        self._durations: Floats = shifts.column("duration_ms")
 
     def gaps(self) -> tuple[Floats, Integers]:
         """1 where the first contact was in a gap, and the runs."""
         return self.is_gap.astype(np.float64), self.cluster
 
     def gap_rate(self) -> Rate:
-        """Share of first contacts in a gap, with its interval."""
-        return (float(self.is_gap.mean()), *rate_interval(self.is_gap, self.cluster))
+        """Share of first contacts in a gap, with its interval; NaN where there was no shift."""
+        rate = float(self.is_gap.mean()) if self.is_gap.size else math.nan
+        return (rate, *rate_interval(self.is_gap, self.cluster))
 
     def impacts(self) -> tuple[Floats, Integers]:
         """Loss in flank impacts, J, and the runs."""
@@ -59,39 +61,62 @@ class Shots:
         return self._durations[has], self.cluster[has]
 
     def after_ramp_ms(self) -> Floats:
-        """From the end of the torque ramp to outcome, ms, of all shifts that came to one. What the
+        """From the end of the torque ramp to outcome, ms; NaN of shifts that came to none. What the
         ramp takes is the driveline's, and the same for every strategy."""
-        return np.array(
-            [r.duration_ms - (r.ramp_ms or 0.0) for r in self.records if r.duration_ms is not None]
-        )
+        ramp_ms = self.shifts.column("ramp_ms")
+        return self._durations - np.where(np.isnan(ramp_ms), 0.0, ramp_ms)
 
 
-def by_strategy(records: list[JudgedShift], names: tuple[str, ...]) -> dict[str, Shots]:
-    """The records of one point of the sweep, by strategy."""
-    seeds = sorted({record.seed for record in records})
-    runs = {seed: number for number, seed in enumerate(seeds)}
-    return {name: Shots([r for r in records if r.strategy == name], runs) for name in names}
+class Resamples:
+    """Figures of every strategy in each resample of the runs."""
+
+    def __init__(self, shots: dict[str, Shots], runs: int) -> None:
+        wanted: dict[tuple[str, str], Resampled] = {}
+        for name, shot in shots.items():
+            for figure, of in FIGURES.items():
+                wanted[name, figure] = Mean(*of(shot), runs)
+            durations, owners = shot.durations()
+            if durations.size:
+                wanted[name, DURATION_P99] = Quantile(durations, owners, P99, runs)
+        self._found = dict(zip(wanted, resample(runs, list(wanted.values())), strict=True))
+
+    def of(self, strategy: str, figure: str) -> Floats:
+        """One of `FIGURES`, or `DURATION_P99`."""
+        return self._found[strategy, figure]
 
 
-def strategy_figures(shots: Shots, bootstrap: Bootstrap) -> dict[str, Any]:
+def by_strategy(shifts: Shifts, names: tuple[str, ...]) -> dict[str, Shots]:
+    """The shifts of one point of the sweep, by strategy."""
+    runs = np.unique(shifts.column("seed"), return_inverse=True)[1]
+    found = {}
+    for name in names:
+        own = shifts.is_("strategy", name)
+        found[name] = Shots(shifts.where(own), runs[own])
+    return found
+
+
+def strategy_figures(name: str, shots: Shots, resamples: Resamples) -> dict[str, Any]:
     """The figures of one strategy; null where there is nothing to say."""
-    records = shots.records
-    durations, owners = shots.durations()
+    shifts = shots.shifts
+    durations = shots.durations()[0]
     after_ramp = shots.after_ramp_ms()
-    errors = np.array([r.phase_error_deg for r in records if r.phase_error_deg is not None])
+    after_ramp = after_ramp[~np.isnan(after_ramp)]
+    errors = shifts.known("phase_error_deg")
     low, high = rate_interval(shots.is_gap, shots.cluster)
     return {
-        "shifts": len(records),
+        "shifts": len(shifts),
         "first_contact_gap": {
             "rate": _mean(shots.is_gap),
             "ci95": [finite(low), finite(high)],
         },
         "duration_ms": {
             "mean": _mean(durations),
-            "mean_ci95": interval(bootstrap.means(durations, owners)),
+            "mean_ci95": interval(resamples.of(name, "duration_ms_mean")),
             "p50": quantile(durations, 0.5) if durations.size else None,
             "p99": quantile(durations, P99) if durations.size else None,
-            "p99_ci95": _quantile_interval(bootstrap, durations, owners),
+            "p99_ci95": (
+                interval(resamples.of(name, DURATION_P99)) if durations.size else [None, None]
+            ),
         },
         "after_ramp_ms": {
             "mean": _mean(after_ramp),
@@ -100,61 +125,60 @@ def strategy_figures(shots: Shots, bootstrap: Bootstrap) -> dict[str, Any]:
         },
         "impact_j": {
             "mean": _mean(shots.impact_j),
-            "mean_ci95": interval(bootstrap.means(*shots.impacts())),
+            "mean_ci95": interval(resamples.of(name, "impact_j_mean")),
             "p99": quantile(shots.impact_j, P99) if shots.impact_j.size else None,
         },
-        "phases_ms": {
-            name: _mean(np.array([at for r in records if (at := getattr(r, name)) is not None]))
-            for name in PHASES
-        },
-        "bound_ms": _mean(np.array([r.bound_ms for r in records if r.bound_ms is not None])),
-        "over_bound": _over_bound(records),
-        "retries": sum(max(0, r.attempts - 1) for r in records),
-        "blocked": sum(r.blocked for r in records),
-        "thrown_back": sum(r.is_gap and r.ratchets > 0 for r in records),
-        "ratchets": sum(r.ratchets for r in records),
-        "given_up": sum(not r.engaged for r in records),
+        "phases_ms": {phase: _mean(shifts.known(phase)) for phase in PHASES},
+        "bound_ms": _mean(shifts.known("bound_ms")),
+        "over_bound": _over_bound(shots),
+        "retries": int(np.maximum(0, shifts.column("attempts") - 1).sum()),
+        "blocked": int(shifts.column("blocked").sum()),
+        "thrown_back": int((shots.is_gap & (shifts.column("ratchets") > 0)).sum()),
+        "ratchets": int(shifts.column("ratchets").sum()),
+        "given_up": int((~shifts.engaged).sum()),
         "phase_error_mean_deg": finite(errors.mean()) if errors.size else None,
         "phase_error_sd_deg": finite(errors.std(ddof=1)) if errors.size > 1 else None,
-        "slip_rpm_mean": _mean(np.array([r.slip_rpm for r in records if r.slip_rpm is not None])),
-        "reference_known": _mean(np.array([r.reference_known for r in records])),
+        "slip_rpm_mean": _mean(shifts.known("slip_rpm")),
+        "reference_known": _mean(shifts.column("reference_known")),
         "reference_sources": {
-            source: _mean(np.array([r.reference_source == source for r in records]))
-            for source in SOURCES
+            source: _mean(shifts.is_("reference_source", source)) for source in SOURCES
         },
         "by_gear": _by_gear(shots),
     }
 
 
-def _over_bound(records: list[JudgedShift]) -> float | None:
+def _over_bound(shots: Shots) -> float | None:
     """Mean duration from the end of the torque ramp on over the mean bound, of the shifts that have
     a bound."""
-    bounded = [
-        (r.duration_ms - (r.ramp_ms or 0.0), r.bound_ms)
-        for r in records
-        if r.bound_ms is not None and r.duration_ms is not None
-    ]
-    spent, bound = (sum(part) for part in zip(*bounded, strict=True)) if bounded else (0.0, 0.0)
+    bound_ms, spent_ms = shots.shifts.column("bound_ms"), shots.after_ramp_ms()
+    has = ~np.isnan(bound_ms) & ~np.isnan(spent_ms)
+    if not has.any():
+        return None
+    # one after the other, as results have been summed that figures are compared with
+    spent, bound = (float(np.add.accumulate(part[has])[-1]) for part in (spent_ms, bound_ms))
     return finite(spent / bound) if bound else None
 
 
-def ratios(of: Shots, to: Shots, bootstrap: Bootstrap) -> dict[str, Any]:
-    """One strategy's figures over another's, on the same draws."""
+def ratios(names: tuple[str, str], shots: dict[str, Shots], resamples: Resamples) -> dict[str, Any]:
+    """The figures of the first strategy over the second's, on the same draws."""
+    of, to = (shots[name] for name in names)
+
+    def resampled(figure: str) -> Floats:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            return resamples.of(names[0], figure) / resamples.of(names[1], figure)
+
     found = {}
     for name, figure in FIGURES.items():
-        (a, a_runs), (b, b_runs) = figure(of), figure(to)
-        with np.errstate(invalid="ignore", divide="ignore"):
-            resampled = bootstrap.means(a, a_runs) / bootstrap.means(b, b_runs)
-        found[name] = _ratio(_mean(a), _mean(b), resampled)
+        found[name] = _ratio(_mean(figure(of)[0]), _mean(figure(to)[0]), resampled(name))
     if any(telling_runs(shots.is_gap, shots.cluster) < FEW_RUNS for shots in (of, to)):
         found["first_contact_gap_rate"]["ci95"] = rate_ratio_interval(of.gap_rate(), to.gap_rate())
-    (a, a_runs), (b, b_runs) = of.durations(), to.durations()
+    a, b = of.durations()[0], to.durations()[0]
     if a.size and b.size:
-        resampled = bootstrap.quantiles(a, a_runs, P99) / bootstrap.quantiles(b, b_runs, P99)
-        found["duration_ms_p99"] = _ratio(quantile(a, P99), quantile(b, P99), resampled)
+        found[DURATION_P99] = _ratio(quantile(a, P99), quantile(b, P99), resampled(DURATION_P99))
     return found
 
 
+DURATION_P99: Final = "duration_ms_p99"
 FIGURES: Final[dict[str, Figure]] = {
     "first_contact_gap_rate": Shots.gaps,
     "duration_ms_mean": Shots.durations,
@@ -162,34 +186,36 @@ FIGURES: Final[dict[str, Figure]] = {
 }
 
 
-def compare(shots: dict[str, Shots], bootstrap: Bootstrap) -> dict[str, Any]:
+def compare(shots: dict[str, Shots], resamples: Resamples) -> dict[str, Any]:
     """Every strategy over each one before it in the list, and over `true_state`."""
     names = list(shots)
     found: dict[str, Any] = {}
     for k, name in enumerate(names):
         others = names[:k] + ([TRUE_STATE] if TRUE_STATE in names else [])
         for other in others if name != TRUE_STATE else []:
-            found[f"{name}/{other}"] = ratios(shots[name], shots[other], bootstrap)
+            found[f"{name}/{other}"] = ratios((name, other), shots, resamples)
     return found
 
 
-def summarise(records: list[JudgedShift], names: tuple[str, ...]) -> dict[str, Any]:
-    """`strategies` and `ratios` for the records of one point of the sweep."""
-    shots = by_strategy(records, names)
-    bootstrap = Bootstrap(len({record.seed for record in records}))
+def summarise(shifts: Shifts, names: tuple[str, ...]) -> dict[str, Any]:
+    """`strategies` and `ratios` for the shifts of one point of the sweep."""
+    shots = by_strategy(shifts, names)
+    resamples = Resamples(shots, max(1, np.unique(shifts.column("seed")).size))
     return {
-        "strategies": {name: strategy_figures(shot, bootstrap) for name, shot in shots.items()},
-        "ratios": compare(shots, bootstrap),
+        "strategies": {
+            name: strategy_figures(name, shot, resamples) for name, shot in shots.items()
+        },
+        "ratios": compare(shots, resamples),
     }
 
 
-def curve_point(records: list[JudgedShift], names: tuple[str, ...]) -> dict[str, Any]:
+def curve_point(shifts: Shifts, names: tuple[str, ...]) -> dict[str, Any]:
     """What a curve needs at one point: rate with its interval, time and energy a strategy."""
     found = {}
-    for name, shots in by_strategy(records, names).items():
+    for name, shots in by_strategy(shifts, names).items():
         low, high = rate_interval(shots.is_gap, shots.cluster)
         found[name] = {
-            "shifts": len(shots.records),
+            "shifts": len(shots.shifts),
             "first_contact_gap": {
                 "rate": _mean(shots.is_gap),
                 "ci95": [finite(low), finite(high)],
@@ -202,12 +228,12 @@ def curve_point(records: list[JudgedShift], names: tuple[str, ...]) -> dict[str,
 
 def _by_gear(shots: Shots) -> dict[str, Any]:
     found = {}
-    for gear in sorted({r.main_gear for r in shots.records}):
-        chosen = np.array([r.main_gear == gear for r in shots.records])
+    for gear in sorted(map(str, shots.shifts.words_of("main_gear"))):
+        chosen = shots.shifts.is_("main_gear", gear)
         clusters = np.unique(shots.cluster[chosen], return_inverse=True)[1]
         low, high = rate_interval(shots.is_gap[chosen], clusters)
         found[gear] = {
-            "ratio": finite(next(r.ratio for r in shots.records if r.main_gear == gear)),
+            "ratio": finite(shots.shifts.column("ratio")[chosen][0]),
             "shifts": int(chosen.sum()),
             "first_contact_gap": {
                 "rate": _mean(shots.is_gap[chosen]),
@@ -220,12 +246,6 @@ def _by_gear(shots: Shots) -> dict[str, Any]:
 
 def _mean(values: np.ndarray[Any, Any]) -> float | None:
     return finite(values.mean()) if values.size else None
-
-
-def _quantile_interval(
-    bootstrap: Bootstrap, values: Floats, owners: Integers
-) -> list[float | None]:
-    return interval(bootstrap.quantiles(values, owners, P99)) if values.size else [None, None]
 
 
 def _ratio(a: float | None, b: float | None, resampled: Floats) -> dict[str, Any]:

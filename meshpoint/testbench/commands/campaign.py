@@ -21,7 +21,7 @@ from meshpoint.testbench.campaign.draw import upshifts
 from meshpoint.testbench.campaign.report import write_report
 from meshpoint.testbench.campaign.result import Collected, to_json
 from meshpoint.testbench.campaign.run import RunResult, run_one
-from meshpoint.testbench.campaign.runner import run_all, workplace
+from meshpoint.testbench.campaign.runner import WorkersLostError, run_all, workplace
 from meshpoint.testbench.campaign.sequential import FIGURES, GOAL_FORM, Goal, parse_goal
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 from meshpoint.testbench.campaign.stopping import Against, AllRuns, Stopping, Until
@@ -38,7 +38,7 @@ from meshpoint.testbench.campaign.verdict_words import (
 from meshpoint.testbench.commands import arguments, swarm
 from meshpoint.testbench.commands.campaign_before import baseline
 from meshpoint.testbench.commands.interrupt import interruptible
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import CommandError, RunError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.loop.compiling import prepare
 from meshpoint.testbench.loop.schedules import pairs
@@ -78,6 +78,12 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--judged", type=arguments.whole(1, 1000), default=2, metavar="K",
         help="shifts of each run and strategy that are judged (default: 2)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--judged-blind", type=arguments.whole(1, 1000), metavar="K",
+        help="of those, so many also by strategies that are blind to the phase, beside the "
+        "controller's own (default: all). --until integrates their gap rate, which is then the "
+        "same of one shift of a run as of all",
     )  # fmt: skip
     parser.add_argument(
         "--strategy", dest="strategies", type=_strategies, metavar="A,B,...",
@@ -218,6 +224,7 @@ def run(namespace: argparse.Namespace) -> int:
         pairs=namespace.pairs,
         learn=namespace.learn,
         judged=namespace.judged,
+        judged_blind=namespace.judged_blind,
         seed=namespace.seed,
         profile=built.profile,
         wire=_wire(namespace, settings),
@@ -265,14 +272,20 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
         stopping = _stopping(namespace, spec, stack)
         jobs = spec.jobs(namespace.runs)
         _compile(namespace)
-        collected = Collected(spec, jobs, [] if store is None else store.records)
-        finished = _make(namespace, spec, store, collected, stopping)
+        collected = Collected(spec, jobs, None if store is None else store.shifts)
+        lost: WorkersLostError | None = None
+        try:
+            finished = _make(namespace, spec, store, collected, stopping)
+        except WorkersLostError as error:
+            lost, finished = error, False
     values = to_json(spec, collected) | stopping.to_json()
     if not finished:
         values["interrupted"] = True
         if namespace.json is not None:
             write_json(namespace.json, values)
-        _say_interrupted(namespace, collected)
+        if lost is not None:
+            raise RunError(f"{lost}: {_kept(namespace, collected)}") from lost
+        print(f"interrupted: {_kept(namespace, collected)}", file=sys.stderr)
         return Exit.INTERRUPTED
     return _write(namespace, spec, collected, store, values, out)
 
@@ -294,7 +307,7 @@ def _write(
 ) -> int:
     """Everything that was asked for; the command's exit code."""
     if store is not None:
-        store.finish(collected.records)
+        store.finish(collected.shifts)
         out.print(f"table {store.table}", markup=False)
         write_report(store.report, spec, collected, values)
         out.print(f"report {store.report}", markup=False)
@@ -355,21 +368,21 @@ def _make(
                 made = spec.jobs(runs)
                 if not run_all(spec, collected.left(made), where, take):
                     return False
-                seeds = {job.seed for job in made}
-                if stopping.enough([r for r in collected.records if r.seed in seeds]):
+                if stopping.enough(collected.within(made)):
                     break
         collected.stop_at(made)
         return True
 
 
-def _say_interrupted(namespace: argparse.Namespace, collected: Collected) -> None:
+def _kept(namespace: argparse.Namespace, collected: Collected) -> str:
+    """What there is of a campaign that did not come to its end, and where."""
     kept = f"{len(collected.done)} of {len(collected.jobs)} runs done"
     more = "; kept is what --json or --out is given for"
     if namespace.out is not None:
         more = f" and kept in {namespace.out}; --resume goes on"
     elif namespace.json is not None:
         more = " and in the JSON"
-    print(f"interrupted: {kept}{more}", file=sys.stderr)
+    return f"{kept}{more}"
 
 
 def _strategy_files(names: tuple[str, ...]) -> dict[str, StrategyFile]:

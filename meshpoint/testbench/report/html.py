@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from importlib import resources
 from types import MappingProxyType
@@ -27,25 +27,36 @@ def document(
     style: str = "",
     parts: Mapping[str, Any] = MappingProxyType({}),
 ) -> str:
-    """The whole page: `data` is what the product's own scripts (names of files) draw, with Plotly
-    where they use it; each of `parts` stands in an element of its own, `data-NAME`, so that a page
-    of many figures reads one when it draws it."""
+    """The whole page as text (`pieces`)."""
+    return "".join(pieces(title, body, data, plotly_js, scripts, style, parts))
+
+
+def pieces(
+    title: str,
+    body: list[str],
+    data: dict[str, Any],
+    plotly_js: str,
+    scripts: Sequence[str],
+    style: str = "",
+    parts: Mapping[str, Any] = MappingProxyType({}),
+) -> Iterator[str]:
+    """The page piece by piece, for it is five megabytes: `data` is what the product's own scripts
+    (names of files) draw, with Plotly where they use it; each of `parts` stands in an element of
+    its own, `data-NAME`, so that a page of many figures reads one when it draws it."""
     css = own_text("report/report.css") + (own_text(style) if style else "")
-    return "".join(
-        (
-            "<!doctype html>\n<html lang='en'>\n<head>\n<meta charset='utf-8'>\n",
-            f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n',
-            "<meta name='viewport' content='width=device-width, initial-scale=1'>\n",
-            f"<title>{escape(title)}</title>\n<style>\n{css}</style>\n",
-            "</head>\n<body>\n",
-            "\n".join(body),
-            f"\n{_embedded('data', data)}",
-            *(_embedded(f"data-{name}", part) for name, part in parts.items()),
-            f"<script>{plotly_js}</script>\n",
-            *(f"<script>\n{own_text(script)}</script>\n" for script in scripts),
-            "</body>\n</html>\n",
-        )
-    )
+    yield "<!doctype html>\n<html lang='en'>\n<head>\n<meta charset='utf-8'>\n"
+    yield f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+    yield "<meta name='viewport' content='width=device-width, initial-scale=1'>\n"
+    yield f"<title>{escape(title)}</title>\n<style>\n{css}</style>\n"
+    yield "</head>\n<body>\n"
+    yield "\n".join(body)
+    yield f"\n{_embedded('data', data)}"
+    yield from (_embedded(f"data-{name}", part) for name, part in parts.items())
+    yield "<script>"
+    yield plotly_js
+    yield "</script>\n"
+    yield from (f"<script>\n{own_text(script)}</script>\n" for script in scripts)
+    yield "</body>\n</html>\n"
 
 
 def _embedded(name: str, values: Any) -> str:

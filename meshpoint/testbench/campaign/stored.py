@@ -1,0 +1,143 @@
+"""Tables of judged shifts as files: written by columns, words once, a sweep's points apart.
+
+Words are dictionary columns. A row group holds shifts of one point of the sweep alone, so a reader
+who filters by `sweep` and `sweep_value` reads that point and nothing else of the file.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from meshpoint.testbench.campaign.columns import FIELDS, Column, ShiftColumns, Shifts
+from meshpoint.testbench.errors import CommandError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+READ_AT_ONCE: Final = 4096
+"""Rows. More take memory and no less time."""
+KINDS: Final[dict[type, str]] = {int: "int64", float: "float64", bool: "bool", str: "string"}
+
+
+def schema() -> pa.Schema:
+    """Of every table of judged shifts."""
+    import pyarrow as pa
+
+    fields = []
+    for field in FIELDS.values():
+        kind = pa.type_for_alias(KINDS[field.kind])
+        if field.kind is str:
+            kind = pa.dictionary(pa.int32(), kind)
+        fields.append(pa.field(field.name, kind, nullable=field.is_optional))
+    return pa.schema(fields)
+
+
+def write_shifts(path: Path, shifts: Shifts) -> None:
+    """Written beside, then renamed: a file with this name is whole. CommandError where it cannot
+    be."""
+    import pyarrow.parquet as pq
+
+    columns = schema()
+    beside = path.with_suffix(".writing")
+    try:
+        with pq.ParquetWriter(beside, columns) as writer:
+            for points in by_point(shifts):
+                for part in points.parts():
+                    writer.write_table(part.to_arrow(columns))
+        beside.replace(path)
+    except OSError as error:
+        raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def by_point(shifts: Shifts) -> Iterator[Shifts]:
+    """Stretches of one point of the sweep each, in their order."""
+    if not len(shifts):
+        return
+    sweep, value = shifts.column("sweep"), shifts.column("sweep_value")
+    changes = np.flatnonzero((np.diff(sweep) != 0) | (np.diff(value) != 0)) + 1
+    ends = [0, *changes.tolist(), len(shifts)]
+    for start, end in itertools.pairwise(ends):
+        yield shifts.stretch(start, end)
+
+
+def read_shifts(path: Path, into: ShiftColumns) -> None:
+    """All shifts of a table, made by this version or by an older one that wrote words as text.
+    CommandError where it is none."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = schema()
+    text = [field.name for field in FIELDS.values() if field.kind is str]
+    try:
+        with pq.ParquetFile(path, read_dictionary=text, pre_buffer=False) as file:
+            lacks = [name for name in FIELDS if name not in file.schema_arrow.names]
+            if lacks:
+                raise CommandError(f"{path}: not a part of a campaign: no column {lacks[0]}")
+            for batch in file.iter_batches(READ_AT_ONCE, columns=list(FIELDS)):
+                table = pa.Table.from_batches([batch]).select(list(FIELDS)).cast(columns)
+                into.extend_by(*_columns_of(path, table))
+    except (OSError, pa.ArrowException, ValueError, LookupError) as error:
+        raise CommandError(f"{path}: not a part of a campaign: {error}") from error
+    pa.default_memory_pool().release_unused()  # it would keep what reading took for more of it
+
+
+def _columns_of(path: Path, table: pa.Table) -> tuple[dict[str, Any], dict[str, Any]]:
+    rows: dict[str, Any] = {}
+    text: dict[str, Any] = {}
+    for name, field in FIELDS.items():
+        values = table.column(name).combine_chunks()
+        words = values.dictionary.to_pylist() if field.kind is str else []
+        if not field.is_optional and None in words:
+            raise CommandError(f"{path}: not a part of a campaign: a shift without {name}")
+        if field.kind is str:
+            text[name] = [*words, None]
+            there, codes = _there(values.indices), _data(values.indices, np.dtype(np.int32))
+            rows[name] = np.where(there, codes, len(words))
+        elif field.kind is bool:
+            rows[name] = _bits(values, 1)
+        else:
+            data = _data(values, np.dtype(values.type.to_pandas_dtype()))
+            rows[name] = np.where(_there(values), data, np.nan) if field.is_optional else data
+    return rows, text
+
+
+def _data(array: pa.Array, kind: np.dtype[Any]) -> Column:
+    """The numbers of an array, whatever stands where there is none. Not by pyarrow's own way to
+    numpy, which loads pandas where that is installed, thirty megabytes of it."""
+    buffer = array.buffers()[1]
+    if buffer is None:
+        return np.zeros(len(array), kind)
+    return np.frombuffer(buffer, kind)[array.offset : array.offset + len(array)]
+
+
+def _there(array: pa.Array) -> NDArray[np.bool_]:
+    """Where an array has a value."""
+    return np.ones(len(array), bool) if array.null_count == 0 else _bits(array, 0)
+
+
+def _bits(array: pa.Array, number: int) -> NDArray[np.bool_]:
+    """A buffer of bits."""
+    buffer = array.buffers()[number]
+    if buffer is None:
+        return np.zeros(len(array), bool)
+    found = np.unpackbits(np.frombuffer(buffer, np.uint8), bitorder="little")
+    return found[array.offset : array.offset + len(array)].astype(bool)
+
+
+def read_columns(path: Path, names: tuple[str, ...]) -> list[list[Any]]:
+    """Some columns of a table of judged shifts, which may be of another version of the product.
+    CommandError where it lacks one."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path, columns=list(names))
+        return [table.column(name).to_pylist() for name in names]
+    except (OSError, KeyError, pa.ArrowException) as error:
+        raise CommandError(f"{path}: not a table of a campaign: {error}") from error
