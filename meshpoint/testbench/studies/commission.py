@@ -7,7 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from meshpoint.gearbox.tables import count, quantity
+from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.gearbox.tables import count, quantity, text
 from meshpoint.testbench.campaign.intervals import rate_interval
 from meshpoint.testbench.studies.commission_run import Box, CommissionRun
 from meshpoint.testbench.studies.record import (
@@ -28,6 +30,9 @@ COLUMNS: Final = ("seed", "wrong", "named", "found bad")
 class Settings:
     """How many gearboxes, and how far from the true sheet's the first contacts may be."""
 
+    gearbox: str = text("gearbox", *SHEET_NAMES)
+    """The data sheet that they are drawn around, whatever the other studies' is."""
+
     gearboxes: int = count("gearboxes", 1, 10_000)
     miswired: float = quantity("miswired_percent", 0.0, 100.0, 0.01)
     """Share of the gearboxes with one thing wrong."""
@@ -39,10 +44,10 @@ class Settings:
 
 
 def _jobs(given: Given[Settings]) -> tuple[CommissionRun, ...]:
-    own = given.own
+    own, sheet = given.own, load_sheet(given.own.gearbox)
     return tuple(
         CommissionRun(
-            given.sheet, given.common.seed + number, own.miswired, own.learning_shifts, own.shifts
+            sheet, given.common.seed + number, own.miswired, own.learning_shifts, own.shifts
         )
         for number in range(own.gearboxes)
     )
@@ -76,7 +81,7 @@ def _conclude(given: Given[Settings]) -> Finding:
             f"{with_own[0]:.3f} ({with_own[1]:.3f} to {with_own[2]:.3f}) and {with_true[0]:.3f} "
             f"({with_true[1]:.3f} to {with_true[2]:.3f}); difference {difference:+.3f} "
             f"({low:+.3f} to {high:+.3f}) in {len(judged)} gearboxes of {own.shifts} shifts",
-            _verdict(abs(difference) <= own.margin),
+            _verdict(bool(judged) and abs(difference) <= own.margin),
             "the same gearbox makes the same shifts with either; the interval is by gearbox",
         ),
     )
