@@ -39,13 +39,15 @@ async def run_controller(
     diagnosis: bool = False,
     record: Path | None = None,
     wire: WireProfile = WireProfile.FD,
+    address: int = OWN_ADDRESS,
 ) -> NodeStatistics:
     """Runs a controller until `stop` is set; its last frames switch all valves off.
 
     `keep` gets the calibration whenever more is known, and at the end. With `keys` commands are
     proven to be ours. With `diagnosis` it claims its address, tells its trouble codes and answers
     testers (docs/diagnosis.md). `record`: a folder, that of the run header, for what a replay needs
-    to know of link outages. `wire`: the frames on the bus."""
+    to know of link outages. `wire`: the frames on the bus. `address`: the controller's on this bus,
+    which `open_bus` has put in the DBC's place."""
     warm_up(baselines=header.settings.estimator is not Estimator.CROSSING)
     core = ControllerCore(header)
     kept: Core = core if keep is None else CalibrationKeeper(core, keep, _utc)
@@ -54,7 +56,7 @@ async def run_controller(
         kept = OutageRecord(kept, record, header.run_hash, lambda: statistics.frames_discarded)
     node: Core = kept if keys is None else ProvingCore(kept, keys)
     if diagnosis:
-        node = DiagnosedCore(node, header.version)
+        node = DiagnosedCore(node, header.version, told_as=address)
     if wire is WireProfile.CLASSIC:
         from meshpoint.bus.classic.cores import ClassicControllerCore
 

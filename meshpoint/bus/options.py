@@ -19,12 +19,14 @@ from meshpoint.bus.kernel_drops import count_lost_frames
 from meshpoint.bus.local.channel import ChannelError, TcpChannel, parse_channel
 from meshpoint.bus.local.register import register_interface
 from meshpoint.bus.profile import WireProfile
+from meshpoint.bus.source_address import source_address, use_address
+from meshpoint.dbc.j1939 import CONTROLLER
 
 DEFAULT_INTERFACE = "meshpoint"
 IN_PROCESS = frozenset({"virtual", "meshpoint_simulated"})
 """Interfaces whose buses end at the process."""
 BUS_TITLE = "which bus, as in python-can (`meshpoint help bus` explains)"
-BUS_HELP = "-i --interface -c --channel -b --bitrate --fd --data-bitrate --config ..."
+BUS_HELP = "-i --interface -c --channel -b --bitrate --fd --data-bitrate --config --address ..."
 """All that a command's help says of python-can's own arguments."""
 
 # Interfaces that take fd=True without any further parameter.
@@ -50,14 +52,22 @@ class BusOpenError(Exception):
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser, explained: bool = False) -> None:
-    """Adds python-can's arguments (-i -c -b --fd --data-bitrate --timing --bus-kwargs), and
-    `--config`.
+    """Adds python-can's arguments (-i -c -b --fd --data-bitrate --timing --bus-kwargs), `--config`
+    and `--address`.
 
     explained: help has a paragraph on each; else one line for all, which says where that is."""
     register_interface()
     own = len(parser._actions)
     can.cli.add_bus_arguments(parser)
     _add_config(parser)
+    parser.add_argument(
+        "--address",
+        type=source_address,
+        default=argparse.SUPPRESS,
+        metavar="N",
+        help="J1939 source address of the transmission controller on this bus; the same for all "
+        f"nodes and tools on it (default: {CONTROLLER}, as in the DBC)",
+    )
     if explained:
         _list_interfaces(parser)
         return
@@ -87,7 +97,7 @@ def _add_config(parser: argparse.ArgumentParser) -> None:
 def given_bus_arguments(namespace: argparse.Namespace) -> list[str]:
     """The bus arguments that were given, as words for another command's command line."""
     words = []
-    for name in ("interface", "channel", "bitrate", "data_bitrate", "config"):
+    for name in ("interface", "channel", "bitrate", "data_bitrate", "config", "address"):
         if name in namespace:
             words += [f"--{name.replace('_', '-')}", str(getattr(namespace, name))]
     if getattr(namespace, "fd", False):
@@ -121,7 +131,14 @@ def open_bus_from(namespace: argparse.Namespace) -> can.BusABC:
     if config["interface"] == "socketcan":
         with suppress(OSError):  # a system that cannot tell what it lost
             count_lost_frames(bus)
+    use_address(bus, controller_address(namespace))
     return bus
+
+
+def controller_address(namespace: argparse.Namespace) -> int:
+    """The controller's J1939 address on the bus that was asked for."""
+    address: int = getattr(namespace, "address", CONTROLLER)
+    return address
 
 
 def bus_config(namespace: argparse.Namespace) -> dict[str, Any]:

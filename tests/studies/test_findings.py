@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from meshpoint.controller.motion.linear import LayshaftState, predict_linear
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.studies import prediction
+from meshpoint.testbench.studies.commission_run import Box as Commissioned
 from meshpoint.testbench.studies.counterfactual_run import Compared as Landing
 from meshpoint.testbench.studies.excitation import BrakePoint, Figures, figures, matched
 from meshpoint.testbench.studies.hardware import Bought, certainty
@@ -188,3 +189,27 @@ def test_identified_figures_agree_where_nine_of_ten_intervals_hold_what_was_buil
     assert finding.figures["coverage"] == pytest.approx(1.0 - outside / 20)
     assert finding.figures["by_figure"]["drag"]["half interval"] == pytest.approx(1.0)
     assert finding.figures["edges_covered"] == {"main": pytest.approx(0.9)}
+
+
+@pytest.mark.parametrize(
+    ("gaps", "said", "agrees"),
+    [
+        ((True,) * 5, (), True),
+        ((True,) * 4 + (False,), (), False),
+        ((True,) * 5, ("main sensor turned: exchanged",), False),
+    ],
+)
+def test_commissioning_agrees_where_all_is_named_and_contacts_are_as_with_the_true_sheet(
+    gaps: tuple[bool, ...], said: tuple[str, ...], agrees: bool
+) -> None:
+    start = given("commission")
+    start = replace(start, own=replace(start.own, gearboxes=2))
+    sound, wrong = load("commission").jobs(start)
+    results = {
+        sound: Commissioned("as named", False, not said, said, 12, 0, (True,) * 5, gaps, 1.0),
+        wrong: Commissioned("not connected: brake", True, True, ("brake",), 0, 0, (), (), 1.0),
+    }
+    finding = load("commission").conclude(replace(start, results=results))
+    assert finding.verdict is (ThesisVerdict.AGREES if agrees else ThesisVerdict.DIFFERS)
+    assert finding.figures["named"] == finding.figures["miswired"] == 1
+    assert finding.figures["difference"][0] == pytest.approx(sum(gaps) / 5 - 1.0)

@@ -38,6 +38,7 @@ from meshpoint.testbench.commands import dbc as dbc_command
 from meshpoint.testbench.commands import gearbox as gearbox_command
 from meshpoint.testbench.commands import study as study_command
 from meshpoint.testbench.commands.check import findings_table
+from meshpoint.testbench.commands.commission import measured_table
 from meshpoint.testbench.commands.describe import faults_table, parameters_table
 from meshpoint.testbench.commands.identify import checks_table, figures_table
 from meshpoint.testbench.commands.sensor_replay import seen_table
@@ -168,6 +169,9 @@ TABLES: dict[str, Callable[[], Table]] = {
                 "shafts", "layshaft to propeller, main gear second", Verdict.UNKNOWN, "of " * 50
             )
         ]
+    ),
+    "commands.commission.measured_table": lambda: measured_table(
+        [{"key": "clutch.kiss_tolerance_percent", "measured": 3.25, "sheet": 5.0, "how": "of " * 9}]
     ),
     "commands.identify.figures_table": lambda: figures_table(
         [Figure("brake.valve_time_constant", "ms", 12.34, 11.98, 12.71, 12.5, 120)]

@@ -275,8 +275,12 @@ class ClassicListenerCore(_UnpackingCore):
     nothing."""
 
     def __init__(self, core: Core, sheet: GearboxSheet) -> None:
-        told = map(PartsIntake, _TOLD)
-        super().__init__(core, Unpacker(SensorIntake(sheet), OrderIntake(), *told))
+        super().__init__(core, listener_unpacker(sheet))
+
+
+def listener_unpacker(sheet: GearboxSheet) -> Unpacker:
+    """For whoever wants all of a classic bus: sensors, commands, states, outcomes and events."""
+    return Unpacker(SensorIntake(sheet), OrderIntake(), *map(PartsIntake, _TOLD))
 
 
 _TOLD: Final = ("ControllerStatus", "ShiftPrediction", "ShiftOutcome", "ReferenceEngagement")

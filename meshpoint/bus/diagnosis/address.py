@@ -1,6 +1,7 @@
 """J1939-81: the controller claims its address, and gives way to whom it belongs.
 
-The address is fixed (0x03, transmission 1, as the DBC has it), not negotiated. Of two nodes that
+The address is fixed (0x03, transmission 1, as the DBC has it, or what `--address` says on this
+bus: `meshpoint.bus.source_address`), not negotiated. Of two nodes that
 claim it, the one whose NAME is the smaller number keeps it; the other one says that it cannot
 claim an address and is silent from then on.
 """
@@ -56,7 +57,9 @@ class Name:
 class AddressClaim:
     """Claims, defends, gives way."""
 
-    def __init__(self, name: Name, address: int = CONTROLLER) -> None:
+    def __init__(self, name: Name, address: int = CONTROLLER, told_as: int | None = None) -> None:
+        """told_as: what the address is called in words, where the bus has another one."""
+        self._told_as = address if told_as is None else told_as
         self.name = name
         self.address = address
         self.is_held = True
@@ -77,12 +80,12 @@ class AddressClaim:
             return None  # our own, returned by the interface
         self._claims += 1
         if other > self.name.number:
-            return f"another node claims address {self.address}: ours is kept, its NAME is greater"
+            return f"another node claims address {self._told_as}: ours is kept, its NAME is greater"
         was_held, self.is_held = self.is_held, False
         if not was_held:
             return None
         return (
-            f"address {self.address} belongs to another node, whose NAME is smaller: this one is "
+            f"address {self._told_as} belongs to another node, whose NAME is smaller: this one is "
             "silent from now on"
         )
 

@@ -47,9 +47,12 @@ VERSION, RUN_HASH, GEAR, TARGET, STATE, FAULT, STEPS, BLOCKS, ERRORS = (
 class DiagnosedCore:
     """Of the call shape of the core inside it."""
 
-    def __init__(self, core: Core, version: str, name: Name | None = None) -> None:
+    def __init__(
+        self, core: Core, version: str, name: Name | None = None, told_as: int = CONTROLLER
+    ) -> None:
+        """told_as: the controller's address on the bus, for what is said of it."""
         self._core = core
-        self._claim = AddressClaim(name or Name())
+        self._claim = AddressClaim(name or Name(), told_as=told_as)
         self.memory = TroubleMemory()
         """Trouble codes."""
         self._messages = DiagnosticMessages(self.memory)

@@ -15,6 +15,7 @@ from typing import Any, Final
 
 from meshpoint.bus.core import Core
 from meshpoint.bus.profile import WireProfile
+from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import ControllerSettings
@@ -81,8 +82,10 @@ class ClosedLoop:
         drawn: Draw,
         log: list[tuple[int, Frame]] | None = None,
         wire: WireProfile = WireProfile.FD,
+        known: tuple[GearboxSheet, Calibration | None] | None = None,
     ) -> None:
-        """`log`: every frame of the bus with its time is put in here; a copy has its own."""
+        """`log`: every frame of the bus with its time is put in here; a copy has its own. `known`:
+        the data sheet and calibration that the controller has, where they are not the gearbox's."""
         self._sheet = sheet
         self.log = log
         first = drawn.plan[0]
@@ -100,7 +103,10 @@ class ClosedLoop:
         )
         self._settings = settings
         self._made = 0
-        self._controller = ControllerCore(new_header(product_version(), sheet, settings))
+        believed, calibration = known or (sheet, None)
+        self._controller = ControllerCore(
+            new_header(product_version(), believed, settings, calibration)
+        )
         self._bench = BenchCore(list(drawn.plan), pauses_of(sheet, drawn.profile))
         self._scorer = Scorer(sheet, settings.aim.target_rad(sheet.dog.backlash_rad))
         cores: list[Core] = [self._controller, self._rig, self._bench, self._scorer]

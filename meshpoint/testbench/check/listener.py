@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 import can
 
 from meshpoint.bus.frames import frame_of
+from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import GearboxSensors
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.testbench.check.expected import BusSpan, judge_messages
+from meshpoint.testbench.check.expected import (
+    CLASSIC_EXPECTED,
+    EXPECTED,
+    BusSpan,
+    judge_messages,
+)
 from meshpoint.testbench.check.finding import Finding, Verdict
 from meshpoint.testbench.check.sensors import judge_sensors
 from meshpoint.testbench.check.shafts import Shaft, ShaftCounts
@@ -20,11 +26,14 @@ from meshpoint.testbench.watch.heard import Heard
 class Listener:
     """Takes messages in the order of arrival. It never sends.
 
-    sheet: of the gearbox, for tooth counts, strokes and pressures.
+    sheet: of the gearbox, for tooth counts, strokes and pressures. unpack: of a bus of the classic
+    profile, makes frames of meshpoint.dbc of its own.
     """
 
-    def __init__(self, sheet: GearboxSheet) -> None:
-        self._sheet = sheet
+    def __init__(
+        self, sheet: GearboxSheet, unpack: Callable[[Frame], Iterable[Frame]] | None = None
+    ) -> None:
+        self._sheet, self._unpack = sheet, unpack
         self.heard = Heard()
         self.span = BusSpan(self.heard)
         self.shafts = ShaftCounts(sheet)
@@ -39,12 +48,17 @@ class Listener:
         if message.is_remote_frame:
             return
         self.stamps.frame(message.timestamp)
-        decoded = self.heard.receive(now_s, frame_of(message))
+        frame = frame_of(message)
+        for inner in (frame,) if self._unpack is None else self._unpack(frame):
+            self._hear(now_s, message.timestamp, inner)
+
+    def _hear(self, now_s: float, stamp_s: float, frame: Frame) -> None:
+        decoded = self.heard.receive(now_s, frame)
         self.span.begin()
         if decoded is None:
             return
         if isinstance(decoded, GearboxSensors):
-            self.stamps.sample(message.timestamp, decoded.sample_time_us)
+            self.stamps.sample(stamp_s, decoded.sample_time_us)
         self.shafts.take(decoded)
 
     def edges(self) -> dict[Shaft, int]:
@@ -58,7 +72,9 @@ class Listener:
                 "interface", "error frames", Verdict.BAD,
                 f"{self.error_frames} while listening: wiring, termination or bit rates",
             )  # fmt: skip
-        yield from judge_messages(self.heard, self.span.seconds)
+        is_classic = self._unpack is not None
+        expected = CLASSIC_EXPECTED if is_classic else EXPECTED
+        yield from judge_messages(self.heard, self.span.seconds, expected)
         yield from self.stamps.findings()
         yield from judge_sensors(self.heard, self._sheet)
-        yield from self.shafts.findings()
+        yield from self.shafts.findings(is_classic)

@@ -71,6 +71,10 @@ PAIRS: Final = (
 )
 
 
+CLASSIC_SHAFTS: Final = (Shaft.LAYSHAFT, Shaft.MAIN)
+"""Whose edges are on a bus of the classic profile."""
+
+
 class Coupled(NamedTuple):
     """Two shafts in mesh, driving and driven, by the step that couples them."""
 
@@ -176,12 +180,17 @@ class ShaftCounts:
         wheel = self.wheel(shaft)
         return wheel.teeth - len(wheel.missing)
 
-    def findings(self) -> Iterator[Finding]:
-        """Each sensor alone, then each pair of shafts."""
+    def findings(self, is_classic: bool = False) -> Iterator[Finding]:
+        """Each sensor alone, then each pair of shafts. is_classic: the bus has rising edges of
+        layshaft and main shaft alone."""
         for shaft, wheel in self.wheels.items():
-            yield _judge_wheel(shaft, wheel)
+            if not is_classic:
+                yield _judge_wheel(shaft, wheel)
+            elif shaft in CLASSIC_SHAFTS:
+                yield _judge_wheel(shaft, wheel, only_rising=True)
         for coupled, turned in sorted(self.together.items()):
-            yield self._judge_pair(coupled, turned)
+            if not is_classic or {coupled.driving, coupled.driven} == set(CLASSIC_SHAFTS):
+                yield self._judge_pair(coupled, turned)
 
     def _judge_pair(self, coupled: Coupled, turned: Counter[Shaft]) -> Finding:
         driving, driven = coupled.driving, coupled.driven
@@ -212,8 +221,9 @@ class ShaftCounts:
         return Finding(GROUP, subject, Verdict.BAD, f"{text}, or their sensors are miswired")
 
 
-def _judge_wheel(shaft: Shaft, wheel: WheelCount) -> Finding:
+def _judge_wheel(shaft: Shaft, wheel: WheelCount, only_rising: bool = False) -> Finding:
     rise, fall = wheel.edges
+    fall = rise if only_rising else fall
     subject = f"{shaft} sensor"
     if wheel.faults:
         return Finding(
@@ -237,7 +247,8 @@ def _judge_wheel(shaft: Shaft, wheel: WheelCount) -> Finding:
             GROUP, subject, Verdict.BAD,
             f"{rise} rising and {fall} falling edges: one polarity is miswired or not captured",
         )  # fmt: skip
-    return Finding(GROUP, subject, Verdict.GOOD, f"{rise} rising and {fall} falling edges")
+    counted = f"{rise} rising edges" if only_rising else f"{rise} rising and {fall} falling edges"
+    return Finding(GROUP, subject, Verdict.GOOD, counted)
 
 
 def judge_turned(asked: Shaft, turned: dict[Shaft, int]) -> Finding:

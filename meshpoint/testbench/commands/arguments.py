@@ -273,6 +273,17 @@ def unpack_of(namespace: argparse.Namespace) -> Callable[[Frame], Iterable[Frame
     return bench_unpacker().take
 
 
+def unpack_all_of(
+    namespace: argparse.Namespace, sheet: GearboxSheet
+) -> Callable[[Frame], Iterable[Frame]]:
+    """The same for everything that is on the bus; falling edges are put by the sheet's wheels."""
+    if wire_of(namespace) is WireProfile.FD:
+        return lambda frame: (frame,)
+    from meshpoint.bus.classic.cores import listener_unpacker
+
+    return listener_unpacker(sheet).take
+
+
 def check_fused(settings: ControllerSettings, wire: WireProfile) -> None:
     """CommandError for settings that want the edges of shafts whose speeds alone are there."""
     tuning = settings.crossing_filter

@@ -19,6 +19,7 @@ from meshpoint.bus.options import (
     bus_config,
     open_bus_from,
 )
+from meshpoint.bus.profile import WireProfile
 from meshpoint.testbench.check.finding import Finding, Verdict, answer
 from meshpoint.testbench.check.interface import (
     GROUP,
@@ -31,8 +32,9 @@ from meshpoint.testbench.check.interface import (
     without_link,
 )
 from meshpoint.testbench.check.listener import Listener
-from meshpoint.testbench.check.shafts import FEW_EDGES, Shaft, judge_turned
+from meshpoint.testbench.check.shafts import CLASSIC_SHAFTS, FEW_EDGES, Shaft, judge_turned
 from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import complain, console, write_json
 
@@ -79,6 +81,7 @@ def add_parser(commands: Any) -> None:
         help="how long to wait for each shaft to turn (default: 15)",
     )
     arguments.add_gearbox(parser)
+    arguments.add_wire(parser)
     arguments.add_json(parser)
     add_bus_arguments(parser)
     parser.set_defaults(run=run)
@@ -96,7 +99,12 @@ def run(namespace: argparse.Namespace) -> int:
         findings.append(Finding(GROUP, "open", Verdict.BAD, str(error)))
         findings += judge_link(link) if isinstance(link, LinkState) else []
         return _end(namespace, config, findings)
-    listener = Listener(sheet)
+    is_classic = arguments.wire_of(namespace) is WireProfile.CLASSIC
+    uncounted = set(namespace.turn or ()) - {str(shaft) for shaft in _counted(namespace)}
+    if uncounted:
+        names = " and ".join(sorted(uncounted))
+        raise CommandError(f"--turn {names}: --profile classic carries no edges of these shafts")
+    listener = Listener(sheet, arguments.unpack_all_of(namespace, sheet) if is_classic else None)
     with bus:
         socket_finding = judge_socket(bus)
         try:
@@ -174,7 +182,7 @@ def _ask_to_turn(
     if namespace.turn is None:
         return []
     found = []
-    for name in namespace.turn or tuple(Shaft):
+    for name in namespace.turn or _counted(namespace):
         asked, before = Shaft(name), listener.edges()
         complain(f"turn the {asked} shaft by hand, and no other ({namespace.turn_seconds:g} s)")
         end_s = time.monotonic() + namespace.turn_seconds
@@ -185,6 +193,12 @@ def _ask_to_turn(
         found.append(judge_turned(asked, turned))
         complain(f"  {found[-1].verdict}: {found[-1].text}")
     return found
+
+
+def _counted(namespace: argparse.Namespace) -> tuple[Shaft, ...]:
+    """The shafts whose edges are on the bus."""
+    is_classic = arguments.wire_of(namespace) is WireProfile.CLASSIC
+    return CLASSIC_SHAFTS if is_classic else tuple(Shaft)
 
 
 def findings_table(findings: list[Finding]) -> Table:

@@ -1,13 +1,16 @@
-"""`meshpoint commission`: which output moves what, one at a time, on a bus with a standing box."""
+"""`meshpoint commission`: what moves what, and what the gearbox is like, found out on its bus."""
 
 from __future__ import annotations
 
 import argparse
 import asyncio
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+
+from rich.table import Table
 
 from meshpoint.bus.clock import Clock
 from meshpoint.bus.core import AroundCore, Step
@@ -15,17 +18,22 @@ from meshpoint.bus.driver import run_node
 from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.options import add_bus_arguments, open_bus_from
 from meshpoint.bus.signals import stop_on_signals
+from meshpoint.controller.calibration.file import save
+from meshpoint.controller.identification.overlay import Entry
 from meshpoint.controller.node import ADDRESSES
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.keys import groups_of, to_toml
 from meshpoint.testbench.check.finding import Finding, answer
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.check import findings_table
-from meshpoint.testbench.commission.core import CommissionCore
-from meshpoint.testbench.commission.rehearsal import draw_miswiring, rehearse
-from meshpoint.testbench.commission.verdict import judge_outputs, measured_sheet
+from meshpoint.testbench.commission.drawn import draw_sheet
+from meshpoint.testbench.commission.measured import Commissioned, commissioned, value_of
+from meshpoint.testbench.commission.rehearsal import draw_miswiring, findings_of, rehearse_turned
+from meshpoint.testbench.commission.whole import WholeCommission
+from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import complain, console, write_json
+from meshpoint.testbench.version import product_version
 
 
 def add_parser(commands: Any) -> None:
@@ -34,10 +42,10 @@ def add_parser(commands: Any) -> None:
         "commission",
         description="On a box that stands, with air: drives each valve once for 0.3 s, after you "
         "have said yes to it, and says which sleeve moved which way, what is miswired, and how "
-        "long valves and sleeves take. Writes a data sheet with what was measured. All other "
-        "outputs are off in every frame; a pulse ends when a shaft turns, air fails or an input "
-        "is lost. Run `meshpoint check --turn` first: it names sensors that are exchanged. "
-        "docs/bench.md.",
+        "long valves and sleeves take. All other outputs are off in every frame; a pulse ends when "
+        "a shaft turns, air fails or an input is lost. With --turn the engine then turns each gear "
+        "and the layshaft: sensors on wrong shafts are named, and tooth counts, ratios, brake, "
+        "clutch and sleeves measured. Writes a data sheet and a calibration. docs/bench.md.",
     )
     parser.add_argument(
         "--yes",
@@ -45,17 +53,29 @@ def add_parser(commands: Any) -> None:
         help="drive every output without asking: nobody may be near the gearbox",
     )
     parser.add_argument(
+        "--turn",
+        action="store_true",
+        help="go on with turning shafts: the output must be free, wheels lifted or a stand "
+        "without load. Each gear and each split asks for a yes of its own",
+    )
+    parser.add_argument(
+        "--calibration",
+        type=Path,
+        metavar="FILE",
+        help="write teeth and sleeve delays here, for `controller --calibration`; needs --turn",
+    )
+    parser.add_argument(
         "--out",
         type=Path,
         metavar="FILE",
-        help="write the data sheet with the measured values here, TOML",
+        help="write the data sheet with the measured values here, TOML; not if anything is wrong",
     )
     parser.add_argument(
         "--drawn",
         type=arguments.whole(1, 10_000),
         metavar="N",
-        help="rehearse on so many drawn gearboxes in virtual time, a tenth of them miswired, and "
-        "count what was named; no bus is opened",
+        help="rehearse on so many drawn gearboxes in virtual time, their sheets withheld and a "
+        "tenth of them miswired, and count what was named; no bus is opened",
     )
     arguments.add_seed(parser)
     arguments.add_gearbox(parser)
@@ -69,28 +89,73 @@ def run(namespace: argparse.Namespace) -> int:
     sheet = arguments.sheet_of(namespace)
     if namespace.drawn is not None:
         return _rehearse(namespace, sheet)
-    core = CommissionCore(sheet, consents=namespace.yes)
+    if namespace.calibration is not None and not namespace.turn:
+        raise CommandError("--calibration needs --turn: teeth show when shafts turn")
+    core = WholeCommission(sheet, consents=namespace.yes, turns=namespace.turn)
     run_loop(_on_bus(namespace, _Guided(core, None if namespace.yes else _ask)))
-    findings = list(judge_outputs(core))
-    measured, changed = measured_sheet(sheet, core)
+    findings = list(findings_of(core))
     is_right, reason = answer(findings)
-    is_right = is_right and not core.stopped and core.done
-    out = console(namespace.json)
-    out.print(findings_table(findings))
-    out.print(f"measured: {', '.join(changed) or 'nothing'}", soft_wrap=True, markup=False)
-    out.print(f"{'yes' if is_right else 'no'}: {reason}", soft_wrap=True, markup=False)
-    if namespace.out is not None:
-        title = f"Data sheet {sheet.name}; measured: {', '.join(changed) or 'nothing'}."
-        namespace.out.write_text(to_toml(groups_of(GearboxSheet, measured), title), "utf-8")
+    is_right = is_right and not core.standing.stopped and core.done
+    written = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
+    found = commissioned(core, sheet, product_version(), written) if is_right else None
+    if found is not None:
+        findings += found.findings
+        is_right, reason = answer(findings)
+    _show(namespace, sheet, found, findings, f"{'yes' if is_right else 'no'}: {reason}")
+    if is_right and found is not None:
+        _write(namespace, found)
     if namespace.json is not None:
         values = {
             "ready": is_right,
-            "reason": core.stopped or reason,
-            "measured": changed,
+            "reason": core.standing.stopped or reason,
+            "measured": [_row(entry, sheet) for entry in found.entries] if found else [],
             "findings": [finding.to_json() for finding in findings],
         }
         write_json(namespace.json, values)
     return Exit.DONE if is_right else Exit.FAILED
+
+
+def _show(
+    namespace: argparse.Namespace,
+    sheet: GearboxSheet,
+    found: Commissioned | None,
+    findings: list[Finding],
+    last: str,
+) -> None:
+    out = console(namespace.json)
+    out.print(findings_table(findings))
+    if found is not None and found.entries:
+        out.print(measured_table([_row(entry, sheet) for entry in found.entries]))
+    out.print(last, soft_wrap=True, markup=False)
+
+
+def _row(entry: Entry, sheet: GearboxSheet) -> dict[str, Any]:
+    """A measured key beside what the data sheet has."""
+    value = float(f"{entry.value:.6g}")
+    of_sheet = value_of(sheet, entry.table, entry.key)
+    key = f"{entry.table}.{entry.key}"
+    return {"key": key, "measured": value, "sheet": of_sheet, "how": entry.why}
+
+
+def measured_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """What was measured, by key of the data sheet, beside what the sheet had."""
+    table = Table(title="measured", title_justify="left", box=None, pad_edge=False)
+    for column in ("key", "measured", "data sheet", "how"):
+        right = column in ("measured", "data sheet")
+        table.add_column(column, justify="right" if right else "left")
+    for row in rows:
+        table.add_row(row["key"], f"{row['measured']:g}", f"{row['sheet']:g}", row["how"])
+    return table
+
+
+def _write(namespace: argparse.Namespace, found: Commissioned) -> None:
+    """Data sheet and calibration, where they are asked for."""
+    if namespace.out is not None:
+        keys = ", ".join(f"{entry.table}.{entry.key}" for entry in found.entries)
+        title = f"Data sheet {found.sheet.name}; measured: {keys or 'nothing'}."
+        namespace.out.write_text(to_toml(groups_of(GearboxSheet, found.sheet), title), "utf-8")
+    if namespace.calibration is not None and found.calibration is not None:
+        save(namespace.calibration, found.calibration)
 
 
 async def _on_bus(namespace: argparse.Namespace, guided: _Guided) -> None:
@@ -114,10 +179,10 @@ async def _ask() -> bool:
     return line.strip().lower() in ("y", "yes")
 
 
-class _Guided(AroundCore[CommissionCore]):
+class _Guided(AroundCore[WholeCommission]):
     """The core, and a person who is asked; ends when all is done."""
 
-    def __init__(self, core: CommissionCore, ask: Callable[[], Any] | None) -> None:
+    def __init__(self, core: WholeCommission, ask: Callable[[], Any] | None) -> None:
         super().__init__(core)
         self._ask = ask
         self._asking: asyncio.Task[bool] | None = None
@@ -140,9 +205,9 @@ class _Guided(AroundCore[CommissionCore]):
 
 
 def _rehearse(namespace: argparse.Namespace, sheet: GearboxSheet) -> int:
-    """Drawn boxes: every miswiring named, and none where there is none."""
+    """Drawn boxes of withheld sheets: every miswiring named, and none where there is none."""
     seeds = range(namespace.seed, namespace.seed + namespace.drawn)
-    found = [rehearse(sheet, seed, draw_miswiring(seed)) for seed in seeds]
+    found = [rehearse_turned(draw_sheet(sheet, s), s, draw_miswiring(s)) for s in seeds]
     wrong = [one for one in found if one.wrong.is_any]
     missed = [one for one in found if not one.is_right]
     out = console(namespace.json)

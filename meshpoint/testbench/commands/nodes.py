@@ -18,6 +18,7 @@ from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.options import (
     add_bus_arguments,
     bus_config,
+    controller_address,
     listen_only_words,
     open_bus_from,
 )
@@ -157,6 +158,7 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     diagnosis=namespace.diagnosis,
                     record=namespace.header_dir,
                     wire=wire,
+                    address=controller_address(namespace),
                 )
 
     run_loop(run())

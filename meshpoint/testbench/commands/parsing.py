@@ -64,6 +64,7 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "commission": (
         "meshpoint commission -i socketcan -c can0 --out measured.toml",
+        "meshpoint commission --turn --out measured.toml --calibration box.toml",
         "meshpoint commission --drawn 20 --gearbox truck12",
     ),
     "play": ("meshpoint play", "meshpoint play --gearbox thesis --out slow.html"),

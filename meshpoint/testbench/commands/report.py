@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from meshpoint.bus.logs.files import log_files
+from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import load_settings
 from meshpoint.dbc.frame import Frame
@@ -18,6 +19,7 @@ from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.commands.log_progress import complain_of_interrupt, logged_frames
 from meshpoint.testbench.commands.replay_rows import ReplayRows
+from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.logged_frames import LoggedFrames
 from meshpoint.testbench.logs.open_loop import OpenLoop
@@ -60,6 +62,7 @@ def add_parser(commands: Any) -> None:
         help="data sheet, where no run header says it (default: thesis)",
     )
     parser.add_argument("--header-dir", type=Path, metavar="DIR", help="where the run headers are")
+    arguments.add_wire(parser)
     parser.add_argument("--bus", metavar="NAME", help="of a log of several buses: can0")
     arguments.add_json(parser)
     parser.set_defaults(run=run)
@@ -90,7 +93,8 @@ def _answer(namespace: argparse.Namespace, files: list[Path], log: LoggedFrames)
     chosen = Chosen(name, arguments.strategy_file(name), namespace.settings)
     open_loop = OpenLoop(lambda header: other_header(header, chosen), keeps_traces=False)
     rows = ReplayRows(False, open_loop, name)
-    sleeves = _Sleeves(load_sheet(namespace.gearbox))
+    sheet = load_sheet(namespace.gearbox)
+    sleeves, unpack = _Sleeves(sheet), arguments.unpack_all_of(namespace, sheet)
     refused: list[str] = []
 
     def change(header: RunHeader) -> RunHeader:
@@ -109,10 +113,13 @@ def _answer(namespace: argparse.Namespace, files: list[Path], log: LoggedFrames)
     def fed() -> Iterator[Frame]:
         for _, frame in log:
             rows.logged(frame)
-            sleeves.take(frame)
+            for inner in unpack(frame):
+                sleeves.take(inner)
             yield frame
 
     sessions = replay.run(fed())
+    if replay.is_classic and arguments.wire_of(namespace) is WireProfile.FD:
+        raise CommandError("the log is of the classic profile: --profile classic and --gearbox")
     if any(session.steps for session in sessions):
         return of_judged(rows.judged, sleeves.watch.shifts, name)
     why = refused[0] if refused else f"{NOT_OURS} ({sessions[0].reason})"

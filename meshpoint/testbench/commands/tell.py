@@ -54,6 +54,8 @@ def add_parser(commands: Any) -> None:
         metavar="WHO",
         help=f"only these: {', '.join(STYLES)} (default: all)",
     )
+    arguments.add_gearbox(parser)
+    arguments.add_wire(parser)
     parser.add_argument(
         "--json", action="store_true", help="one JSON object a line, on standard output"
     )
@@ -68,7 +70,7 @@ def run(namespace: argparse.Namespace) -> int:
     wanted = set(namespace.only or STYLES)
     told = 0
     try:
-        for line in _lines(namespace.log):
+        for line in _lines(namespace):
             if line.who not in wanted:
                 continue
             told += 1
@@ -88,10 +90,12 @@ def run(namespace: argparse.Namespace) -> int:
     return Exit.DONE
 
 
-def _lines(logs: list[Path]) -> Iterator[Line]:
+def _lines(namespace: argparse.Namespace) -> Iterator[Line]:
     story = Story()
-    for time_s, frame in read_logs(log_files(logs)):
-        yield from story.receive(time_s, frame)
+    unpack = arguments.unpack_all_of(namespace, arguments.sheet_of(namespace))
+    for time_s, frame in read_logs(log_files(namespace.log)):
+        for inner in unpack(frame):
+            yield from story.receive(time_s, inner)
 
 
 def _text(line: Line, width: int | None) -> Text:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,12 +16,15 @@ from rich.text import Text
 from meshpoint.bus.frames import frame_of
 from meshpoint.bus.logs.files import log_files, read_logs
 from meshpoint.bus.options import add_bus_arguments, bus_config, open_bus_from
+from meshpoint.dbc.frame import Frame
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.watch.panel import HEIGHT, Panel
 
 PICTURES_HZ: Final = 12.0
+Unpack = Callable[[Frame], Iterable[Frame]]
+"""Makes frames of meshpoint.dbc of those on the bus."""
 
 
 def add_parser(commands: Any) -> None:
@@ -56,6 +59,7 @@ def add_parser(commands: Any) -> None:
         help="end after so many wall seconds (default: Ctrl-C, or the log's end)",
     )
     arguments.add_gearbox(parser)
+    arguments.add_wire(parser)
     add_bus_arguments(parser)
     parser.set_defaults(run=run)
 
@@ -66,9 +70,12 @@ def run(namespace: argparse.Namespace) -> int:
         raise CommandError(f"--speed {namespace.speed:g}: allowed are 0 and more")
     out = Console(highlight=False)
     title = namespace.log[0].name if namespace.log else _bus_name(namespace)
-    panel = Panel(arguments.sheet_of(namespace), title)
+    sheet = arguments.sheet_of(namespace)
+    panel = Panel(sheet, title)
+    unpack = arguments.unpack_all_of(namespace, sheet)
     end_s = None if namespace.for_s is None else time.monotonic() + namespace.for_s
-    pictures = _of_log(panel, namespace) if namespace.log else _of_bus(panel, namespace)
+    source = _of_log if namespace.log else _of_bus
+    pictures = source(panel, namespace, unpack)
     try:
         if out.is_terminal:
             _play(panel, pictures, out, end_s)
@@ -101,27 +108,29 @@ def _last(pictures: Iterator[None], end_s: float | None) -> None:
             return
 
 
-def _of_bus(panel: Panel, namespace: argparse.Namespace) -> Iterator[None]:
+def _of_bus(panel: Panel, namespace: argparse.Namespace, unpack: Unpack) -> Iterator[None]:
     """Takes what comes; gives way whenever it is time for a picture."""
     with open_bus_from(namespace) as bus:
         while True:
             due_s = time.monotonic() + 1 / PICTURES_HZ
             heard = False
             while (left_s := due_s - time.monotonic()) > 0.0:
-                heard |= _take(panel, bus.recv(left_s))
+                heard |= _take(panel, bus.recv(left_s), unpack)
             if not heard:
                 panel.heard.idle(time.monotonic())
             yield
 
 
-def _take(panel: Panel, message: can.Message | None) -> bool:
+def _take(panel: Panel, message: can.Message | None, unpack: Unpack) -> bool:
     if message is None or message.is_error_frame or message.is_remote_frame:
         return False
-    panel.receive(time.monotonic(), frame_of(message))
+    now_s = time.monotonic()
+    for frame in unpack(frame_of(message)):
+        panel.receive(now_s, frame)
     return True
 
 
-def _of_log(panel: Panel, namespace: argparse.Namespace) -> Iterator[None]:
+def _of_log(panel: Panel, namespace: argparse.Namespace, unpack: Unpack) -> Iterator[None]:
     """The log's frames at their times; the time between pictures is wall time."""
     begin_s: float | None = None
     started_s = drawn_s = time.monotonic()
@@ -134,7 +143,8 @@ def _of_log(panel: Panel, namespace: argparse.Namespace) -> Iterator[None]:
                     drawn_s = now_s
                     yield
                 time.sleep(min(due_s - now_s, 1 / PICTURES_HZ))
-        panel.receive(time_s, frame)
+        for inner in unpack(frame):
+            panel.receive(time_s, inner)
         if time.monotonic() - drawn_s >= 1 / PICTURES_HZ:
             drawn_s = time.monotonic()
             yield

@@ -66,12 +66,18 @@ class Stage(Enum):
 class CommissionCore:
     """Drives each valve of a standing box. `question` is the output that waits for a consent."""
 
-    def __init__(self, sheet: GearboxSheet, *, consents: bool = False) -> None:
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        *,
+        consents: bool = False,
+        transmitter: Transmitter | None = None,
+    ) -> None:
         """consents: every output is consented to, without being asked about."""
         self._sheet = sheet
         self._consents = consents
         self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
-        self._transmitter = Transmitter(Node.TRANSMISSION_CONTROL)
+        self._transmitter = transmitter or Transmitter(Node.TRANSMISSION_CONTROL)
         self._inbox: list[Frame] = []
         self._wheels = {shaft: WheelCount() for shaft in Shaft}
         self._counts: deque[tuple[int, int]] = deque()
@@ -224,7 +230,12 @@ class CommissionCore:
         ]
         free = [valve for valve in open_ if self._is_free(valve)]
         if open_ and not free:
-            return self._way_to_neutral()
+            way = self._way_to_neutral()
+            # Where names are known to be wrong, they say nothing of which sleeve would move. The
+            # box stands: a second gear would lock it, and is taken out again.
+            if way is not None or not self._is_crossed():
+                return way
+            return min(open_, key=lambda valve: (self._tries[valve], valve))
         free.sort(key=lambda valve: (self._tries[valve], self._stands_there(valve), valve))
         return free[0] if free else None
 
@@ -236,6 +247,15 @@ class CommissionCore:
                 if away and trial.valve not in self.declined and self._tries[trial.valve] < RETURNS:
                     return trial.valve
         return None
+
+    def _is_crossed(self) -> bool:
+        """Whether an output has moved another sleeve than its own."""
+        return any(
+            sleeve is not EXPECTED[trial.valve][0]
+            for trial in self.trials
+            if trial.valve in EXPECTED
+            for sleeve, _ in trial.moved
+        )
 
     def _is_free(self, valve: ValveName) -> bool:
         """Whether no second main gear could get in: the other main sleeve is in neutral."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -15,27 +15,47 @@ from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.dbc.messages import (
     Message,
+    SleevesAux,
+    SleevesMain,
     ValveAction,
     ValveCommand,
     ValveStatus,
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.gears import Sleeve
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.testbench.check.finding import Finding, Verdict
 from meshpoint.testbench.check.shafts import EDGES, Shaft, ShaftCounts
 from meshpoint.testbench.commission.core import CommissionCore
+from meshpoint.testbench.commission.drawn import STAND, withheld
+from meshpoint.testbench.commission.roles import GROUP as TURNING
+from meshpoint.testbench.commission.roles import judge_turning
+from meshpoint.testbench.commission.trial import EXPECTED
 from meshpoint.testbench.commission.verdict import judge_outputs, judge_wheels
+from meshpoint.testbench.commission.whole import WholeCommission, wires_of
 from meshpoint.testbench.loop.virtual_time import VirtualTime
 
 MISWIRED_SHARE: Final = 0.1
 TURN_US: Final = 3_000_000
 LIMIT_US: Final = 120_000_000
+TURNED_LIMIT_US: Final = 400_000_000
 MAIN_RPM: Final = 600.0
 LEVEL: Final = {"vehicle.slope_percent": 0.0}
 """The rig has no parking brake: on a slope its truck would roll."""
 EDGES_OF: Final = {place: message for message, place in EDGES.items()}
+POSITION_PAIRS: Final = (
+    (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD),
+    (Sleeve.SPLITTER, Sleeve.RANGE),
+)
+POSITION_FIELDS: Final[dict[type[Message], dict[Sleeve, str]]] = {
+    SleevesMain: {
+        Sleeve.FIRST_SECOND: "sleeve_first_second_m",
+        Sleeve.CRAWL_THIRD: "sleeve_crawl_third_m",
+    },
+    SleevesAux: {Sleeve.SPLITTER: "sleeve_splitter_m", Sleeve.RANGE: "sleeve_range_m"},
+}
 VALVES: Final = CODECS[ValveCommand.__name__]
 
 
@@ -49,11 +69,16 @@ class Miswiring:
     """This output is not connected."""
     sensors: tuple[Shaft, Shaft] | None = None
     """These two wheels' sensors are exchanged."""
+    positions: tuple[Sleeve, Sleeve] | None = None
+    """These two sleeves' position sensors are exchanged: of both main sleeves, or of splitter and
+    range."""
+    mirrored: Sleeve | None = None
+    """This sleeve's position sensor is mounted the other way round."""
 
     @property
     def is_any(self) -> bool:
         """Whether anything is wrong."""
-        return (self.valves, self.dead, self.sensors) != (None, None, None)
+        return self != Miswiring()
 
     def is_named_by(self, findings: list[Finding]) -> bool:
         """Whether the findings name it: the outputs or wheels concerned, and no others."""
@@ -71,6 +96,34 @@ class Miswiring:
             return f"sensors of {a} and {b} are exchanged" in bad.get("explanation", "")
         return not bad
 
+    def is_told_by(self, findings: list[Finding]) -> bool:
+        """The same of a box that was turned, where it can be told apart from all else."""
+        turned = {f.subject: f.text for f in findings if f.group == TURNING and f.verdict == "bad"}
+        others = [f for f in findings if f.group != TURNING]
+        if self.sensors is not None:
+            a, b = self.sensors
+            text = "the sensors of {} and {} are exchanged"
+            told = {
+                f"{a} sensor turned": text.format(a, b),
+                f"{b} sensor turned": text.format(b, a),
+            }
+            return turned == told and Miswiring().is_named_by(others)
+        sleeves: dict[Sleeve, str] = {}
+        if self.mirrored is not None:
+            sleeves = {self.mirrored: "mounted the other way round"}
+        elif self.positions is not None:
+            one, other = self.positions
+            sleeves = {
+                one: f"exchanged with that of {other.name.lower()}",
+                other: f"exchanged with that of {one.name.lower()}",
+            }
+        elif self.valves is not None and ValveName.BRAKE not in self.valves:
+            sleeves = {EXPECTED[valve][0]: "its valves are exchanged" for valve in self.valves}
+        named = {f"{sleeve.name.lower()} sleeve turned": text for sleeve, text in sleeves.items()}
+        if set(named) != set(turned) or any(named[key] not in turned[key] for key in named):
+            return False
+        return bool(self.positions or self.mirrored is not None) or self.is_named_by(others)
+
     def __str__(self) -> str:
         if self.valves is not None:
             return "exchanged: " + " and ".join(v.name.lower() for v in self.valves)
@@ -78,6 +131,11 @@ class Miswiring:
             return f"not connected: {self.dead.name.lower()}"
         if self.sensors is not None:
             return "sensors exchanged: " + " and ".join(self.sensors)
+        if self.positions is not None:
+            names = " and ".join(sleeve.name.lower() for sleeve in self.positions)
+            return f"position sensors exchanged: {names}"
+        if self.mirrored is not None:
+            return f"position sensor the other way round: {self.mirrored.name.lower()}"
         return "as named"
 
 
@@ -86,12 +144,16 @@ def draw_miswiring(seed: int, share: float = MISWIRED_SHARE) -> Miswiring:
     rng = np.random.Generator(np.random.PCG64([seed, 0x3139]))
     if rng.random() >= share:
         return Miswiring()
-    kind = int(rng.integers(3))
+    kind = int(rng.integers(5))
     if kind == 0:
         a, b = sorted(rng.choice(len(ValveName), 2, replace=False))
         return Miswiring(valves=(ValveName(int(a)), ValveName(int(b))))
     if kind == 1:
         return Miswiring(dead=ValveName(int(rng.integers(len(ValveName)))))
+    if kind == 2:
+        return Miswiring(positions=POSITION_PAIRS[int(rng.integers(2))])
+    if kind == 3:
+        return Miswiring(mirrored=Sleeve(int(rng.integers(len(Sleeve)))))
     shafts = list(Shaft)
     a, b = sorted(rng.choice(len(shafts), 2, replace=False))
     return Miswiring(sensors=(shafts[int(a)], shafts[int(b)]))
@@ -147,8 +209,24 @@ class MiswiredRig(AroundCore[RigCore]):
         values: Any = message
         if isinstance(message, ValveStatus):
             return self._outer.encode(self._told(message))
+        if isinstance(message, (SleevesMain, SleevesAux)):
+            return self._outer.encode(self._placed(message))
         other = None if message is None else self._swap.get(type(message))
         return frame if other is None else self._outer.encode(other(*values))
+
+    def _placed(self, message: SleevesMain | SleevesAux) -> Message:
+        """Positions as the sensors tell them where they sit."""
+        names = POSITION_FIELDS[type(message)]
+        values: Any = message
+        samples = {sleeve: getattr(values, field) for sleeve, field in names.items()}
+        if self._wrong.mirrored in samples:
+            sleeve = self._wrong.mirrored
+            samples[sleeve] = tuple(-position for position in samples[sleeve])
+        if self._wrong.positions is not None and self._wrong.positions[0] in samples:
+            a, b = self._wrong.positions
+            samples[a], samples[b] = samples[b], samples[a]
+        changed: Message = values._replace(**{names[sleeve]: samples[sleeve] for sleeve in names})
+        return changed
 
     def _told(self, status: ValveStatus) -> ValveStatus:
         if self._wrong.valves is None:
@@ -197,6 +275,22 @@ class Rehearsed:
         return self.wrong.is_named_by(self.findings)
 
 
+@dataclass(frozen=True)
+class Turned:
+    """What came of one drawn box that was also turned."""
+
+    seed: int
+    wrong: Miswiring
+    findings: list[Finding]
+    core: WholeCommission
+    simulated_s: float
+
+    @property
+    def is_right(self) -> bool:
+        """Whether what is wrong, and nothing else, was told."""
+        return self.wrong.is_told_by(self.findings)
+
+
 def rehearse(
     sheet: GearboxSheet,
     seed: int,
@@ -216,6 +310,25 @@ def rehearse(
     time.run(lambda: core.done, LIMIT_US)
     findings = [*judge_wheels(counts), *judge_outputs(core)]
     return Rehearsed(seed, wrong, findings, core, time.now_us / 1e6)
+
+
+def rehearse_turned(sheet: GearboxSheet, seed: int, wrong: Miswiring) -> Turned:
+    """One box of this sheet, which commissioning does not know, on a stand: both parts."""
+    rig = RigCore(sheet, RigSettings(seed=seed, main_speed_rpm=0.0, as_built=STAND))
+    core = WholeCommission(withheld(sheet), consents=True, turns=True)
+    time = VirtualTime([core, MiswiredRig(rig, wrong)], [3_000, 1_000])
+    time.run(lambda: core.done, TURNED_LIMIT_US)
+    return Turned(seed, wrong, list(findings_of(core)), core, time.now_us / 1e6)
+
+
+def findings_of(core: WholeCommission) -> Iterator[Finding]:
+    """Of both parts."""
+    yield from judge_outputs(core.standing)
+    running, wires = core.running, wires_of(core.standing)
+    if running is not None and wires is not None:
+        yield from judge_turning(running.log, wires)
+        if running.stopped:
+            yield Finding(TURNING, "box turned", Verdict.BAD, f"given up: {running.stopped}")
 
 
 def _turn(

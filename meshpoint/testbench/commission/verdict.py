@@ -24,7 +24,7 @@ from meshpoint.testbench.check.shafts import (
 )
 from meshpoint.testbench.commission.core import CommissionCore
 from meshpoint.testbench.commission.trial import BEGUN_M, EXPECTED, Trial
-from meshpoint.units import MM, US
+from meshpoint.units import BAR, MM, MS, US
 
 GROUP: Final = "outputs"
 WIRED: Final = {moved: valve for valve, moved in EXPECTED.items()}
@@ -176,19 +176,24 @@ def measured_sheet(sheet: GearboxSheet, core: CommissionCore) -> tuple[GearboxSh
     if courses:
         valve_s, delay_s = (median(us) * US for us in zip(*courses, strict=True))
         if 0.0 <= valve_s <= 0.050 and valve_s + sleeve.delay_limit_s < delay_s <= 0.200:
-            sleeve = replace(sleeve, valve_delay_s=valve_s, delay_s=delay_s)
+            sleeve = replace(sleeve, valve_delay_s=_in(MS, valve_s), delay_s=_in(MS, delay_s))
             changed += ["sleeve.valve_delay_ms", "sleeve.delay_ms"]
     braked = [t for t in core.trials if t.valve is ValveName.BRAKE and t.has_braked]
     if braked:
         delay_s, lag_s = _brake_course(braked[0])
         if not math.isnan(lag_s):
-            brake = replace(brake, valve_delay_s=delay_s, time_constant_s=lag_s)
+            brake = replace(brake, valve_delay_s=_in(MS, delay_s), time_constant_s=_in(MS, lag_s))
             changed += ["brake.valve_delay_ms", "brake.time_constant_ms"]
     if core.supply_pa:
         gauge_pa = median(core.supply_pa) - air.atmosphere_pa
-        air = replace(air, supply_gauge_pa=gauge_pa)
+        air = replace(air, supply_gauge_pa=_in(BAR, gauge_pa))
         changed.append("air.supply_gauge_bar")
     return replace(sheet, sleeve=sleeve, brake=brake, air=air), changed
+
+
+def _in(unit: float, value: float) -> float:
+    """A measured value as a file's five digits give it back: a sheet holds what its file says."""
+    return float(f"{value / unit:.5g}") * unit
 
 
 def _courses_us(trials: list[Trial], to_contact_m: float) -> list[tuple[float, float]]:

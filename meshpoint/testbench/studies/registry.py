@@ -39,6 +39,7 @@ STUDY_NAMES: Final = (
     "fusion",
     "counterfactual",
     "identify",
+    "commission",
     "campaign_statistics",
 )
 """In the order of the thesis, then what goes beyond it."""

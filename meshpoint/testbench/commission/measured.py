@@ -1,0 +1,300 @@
+"""The data sheet and the calibration that a commissioned gearbox gets, from what was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from fractions import Fraction
+from statistics import median
+from typing import Any, Final
+
+import numpy as np
+
+from meshpoint.controller.calibration.learned import (
+    CALIBRATION_FORMAT,
+    Calibration,
+    End,
+    Provenance,
+    SleeveRecord,
+    SleeveRecords,
+    WheelRecord,
+    WheelRecords,
+)
+from meshpoint.controller.identification.identified import Identified
+from meshpoint.controller.identification.identify import identify
+from meshpoint.controller.identification.log_reader import LogContent, LogReader
+from meshpoint.controller.identification.overlay import Entry, entries
+from meshpoint.controller.identification.sleeve_fit import PRESSURE_EXPONENT, sleeve_fit
+from meshpoint.controller.identification.tooth_fit import ToothFit
+from meshpoint.dbc.frame import Frame
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.gears import MAIN_GEARS, Range, Split
+from meshpoint.gearbox.keys import groups_of, to_toml
+from meshpoint.gearbox.sheet import Mesh
+from meshpoint.gearbox.tables import merged_tables, parse_toml, read_group
+from meshpoint.testbench.check.finding import Finding, Verdict
+from meshpoint.testbench.check.shafts import Shaft
+from meshpoint.testbench.commission.edge_log import EdgeLog, State
+from meshpoint.testbench.commission.kiss import kiss_points
+from meshpoint.testbench.commission.roles import GROUP, RANGE_STATES, rate
+from meshpoint.testbench.commission.running import RunningCore
+from meshpoint.testbench.commission.verdict import measured_sheet
+from meshpoint.testbench.commission.wheels import (
+    GEAR_STATES,
+    SPLIT_STATES,
+    Measured,
+    ratio,
+    tooth_count,
+)
+from meshpoint.testbench.commission.whole import WholeCommission
+from meshpoint.units import MS
+
+START_US: Final = 10_000_000
+"""A log's time, which begins anywhere, is counted from here."""
+LEAST_WHEEL, MOST_WHEEL = 8, 200
+"""Teeth that a gear wheel of a sheet may have."""
+NEAR_COUNT: Final = 0.1
+"""The engine's speed gives the input wheel's teeth to within this many."""
+LEAST_TOUCHES: Final = 5
+LEAST_KISS: Final = 0.02
+"""A kiss point is known no better than so: it moves with wear and heat."""
+
+
+@dataclass
+class Commissioned:
+    """What was measured."""
+
+    sheet: GearboxSheet
+    entries: list[Entry] = field(default_factory=list)
+    """Keys of the sheet that were measured, in the units of the file."""
+    findings: list[Finding] = field(default_factory=list)
+    """What stays unknown, or contradicts itself."""
+    identified: Identified | None = None
+    calibration: Calibration | None = None
+
+    def add(self, table: str, key: str, value: float, why: str) -> None:
+        """A measured value."""
+        self.entries.append(Entry(table, key, value, why))
+
+    def unknown(self, subject: str, text: str) -> None:
+        """Something that was not measured."""
+        self.findings.append(Finding(GROUP, subject, Verdict.UNKNOWN, text))
+
+
+def commissioned(
+    core: WholeCommission, sheet: GearboxSheet, version: str, written: str
+) -> Commissioned:
+    """From a box on which nothing was found miswired. What was not measured stays the sheet's."""
+    standing, measured = measured_sheet(sheet, core.standing)
+    found = Commissioned(standing)
+    for name in measured:
+        table, key = name.split(".")
+        found.add(table, key, value_of(standing, table, key), "at standstill")
+    running = core.running
+    if running is None or not running.log.windows:
+        return found
+    _wheels(found, running.log)
+    _meshes(found, running.log)
+    for key, times in (("open_delay_ms", running.opening_s), ("close_delay_ms", running.closing_s)):
+        if times:
+            found.add("clutch", key, median(times) / MS, "by its position")
+    found.sheet = with_entries(standing, found.entries)
+    _kiss(found, running)
+    found.sheet = with_entries(standing, found.entries)
+    _identify(found, core.recorded)
+    _calibrate(found, core.recorded, version, written)
+    return found
+
+
+def _tables(sheet: GearboxSheet) -> dict[str, Any]:
+    return parse_toml(to_toml(groups_of(GearboxSheet, sheet), ""), sheet.name)
+
+
+def value_of(sheet: GearboxSheet, table: str, key: str) -> float:
+    """A sheet's value of a key, in the unit of its file."""
+    place = _tables(sheet)
+    for part in table.split("."):
+        place = place[part]
+    return float(place[key])
+
+
+def with_entries(sheet: GearboxSheet, told: list[Entry]) -> GearboxSheet:
+    """The sheet with measured keys in place of its own. TableError where they do not fit."""
+    above: dict[str, Any] = {}
+    for entry in told:
+        place = above
+        for part in entry.table.split("."):
+            place = place.setdefault(part, {})
+        place[entry.key] = entry.value
+    return read_group(GearboxSheet, merged_tables(_tables(sheet), above), sheet.name)
+
+
+def _wheels(found: Commissioned, log: EdgeLog) -> None:
+    """Teeth and duty of each sensor wheel."""
+    for shaft in Shaft:
+        subject = f"{shaft} wheel"
+        told = tooth_count(*(log.edges(shaft, window)[0] for window in log.windows))
+        if shaft is Shaft.INPUT:
+            told = _by_engine(found, log, told)
+        if told is None:
+            found.unknown(subject, "its teeth are too even to be told apart: count them")
+            continue
+        found.add(f"wheels.{shaft}", "teeth", told, "by their pattern")
+        duty = _duty(log, shaft)
+        if duty is not None:
+            found.add(f"wheels.{shaft}", "duty_percent", 100.0 * duty, "")
+
+
+def _by_engine(found: Commissioned, log: EdgeLog, by_pattern: int | None) -> int | None:
+    """The input wheel turns with the engine, whose speed is known."""
+    counted = median(rate(log, Shaft.INPUT, window) for window in log.windows)
+    teeth = round(counted)
+    if teeth < LEAST_WHEEL or abs(counted - teeth) > NEAR_COUNT:
+        return by_pattern
+    if by_pattern is not None and by_pattern != teeth:
+        text = f"{teeth} teeth by the engine's speed, {by_pattern} by their pattern"
+        found.findings.append(Finding(GROUP, "input wheel", Verdict.BAD, text))
+        return None
+    return teeth
+
+
+def _duty(log: EdgeLog, shaft: Shaft) -> float | None:
+    """The share of a pitch from rising to falling edge, on the average of all teeth."""
+    shares = []
+    for window in log.windows:
+        rise, _ = log.edges(shaft, window)
+        fall, _ = log.edges(shaft, window, falling=1)
+        fall = fall[(fall > rise[0]) & (fall < rise[-1])] if rise.size > 1 else fall[:0]
+        if fall.size:
+            at = np.interp(fall, rise, np.arange(rise.size))
+            turned = complex(np.exp(2j * np.pi * at).mean())
+            shares.append(float(np.angle(turned)) / (2.0 * np.pi) % 1.0)
+    return median(shares) if shares else None
+
+
+def _meshes(found: Commissioned, log: EdgeLog) -> None:
+    """Gear ratios, as teeth without a common factor."""
+    teeth = {
+        Shaft(entry.table.removeprefix("wheels.")): int(entry.value)
+        for entry in found.entries
+        if entry.key == "teeth" and entry.table.startswith("wheels.")
+    }
+    for table, pair, states, mesh in _steps(found.sheet):
+        told = [
+            one
+            for window in log.windows
+            if window.state in states and (one := ratio(log, pair, teeth, window)) is not None
+        ]
+        best = min(told, key=lambda one: one.tolerance, default=None)
+        if best is None or best.fraction is None:
+            found.unknown(table, "its ratio is not told well enough to know its teeth")
+            continue
+        driving, driven = _whole_teeth(best, mesh)
+        found.add(table, "teeth_driving", driving, "down to a common factor")
+        found.add(table, "teeth_driven", driven, "")
+
+
+def _steps(sheet: GearboxSheet) -> Iterator[tuple[str, tuple[Shaft, Shaft], tuple[Any, ...], Mesh]]:
+    for split in Split:
+        pair = (Shaft.INPUT, Shaft.LAYSHAFT)
+        states: tuple[State, ...] = (SPLIT_STATES[split],)
+        if split is Split.LOW:
+            states += tuple(GEAR_STATES.values())
+        yield f"splitter.{split.name.lower()}", pair, states, sheet.split_mesh(split)
+    for gear in MAIN_GEARS:
+        pair = (Shaft.LAYSHAFT, Shaft.MAIN)
+        yield f"main.{gear.name.lower()}", pair, (GEAR_STATES[gear],), sheet.main_mesh(gear)
+    for range_ in Range:
+        pair = (Shaft.MAIN, Shaft.PROPELLER)
+        states = (RANGE_STATES[range_],)
+        if range_ is Range.HIGH:
+            states += tuple(SPLIT_STATES.values())
+        yield f"range.{range_.name.lower()}", pair, states, sheet.range_mesh(range_)
+
+
+def _whole_teeth(measured: Measured, mesh: Mesh) -> tuple[int, int]:
+    """The sheet's own wheels where they have this ratio, else the fewest teeth that may be."""
+    told = measured.fraction or Fraction(1)
+    if mesh.exact == told:
+        return mesh.driving, mesh.driven
+    least = min(told.numerator, told.denominator)
+    factor = -(-LEAST_WHEEL // least)
+    return factor * told.numerator, factor * told.denominator
+
+
+def _kiss(found: Commissioned, running: RunningCore) -> None:
+    teeth = found.sheet.wheels.input_.teeth
+    edges_us = running.log.tracks[Shaft.INPUT, 0].times
+    shares = kiss_points(running.closings, edges_us, teeth)
+    if shares.size < LEAST_TOUCHES:
+        text = f"{shares.size} of {len(running.closings)} closings show it"
+        found.unknown("clutch kiss point", text)
+        return
+    half = max(LEAST_KISS, 2.0 * float(shares.std(ddof=1)))
+    found.add("clutch", "kiss_percent", 100.0 * float(np.median(shares)), "by the input shaft")
+    found.add("clutch", "kiss_tolerance_percent", 100.0 * half, "two standard deviations")
+
+
+def _content(sheet: GearboxSheet, recorded: list[tuple[int, Frame]]) -> LogContent:
+    reader = LogReader(sheet)
+    for time_us, frame in recorded:
+        reader.take(START_US + time_us, frame)
+    return reader.finish()
+
+
+def _identify(found: Commissioned, recorded: list[tuple[int, Frame]]) -> None:
+    """Brake, drag, inertias, sleeves and duty, by the log of the guided manoeuvres."""
+    content = _content(found.sheet, recorded)
+    found.identified = identify(content, found.sheet)
+    told = {(entry.table, entry.key): entry for entry in found.entries}
+    for entry in entries(found.identified, found.sheet):
+        if entry.table != "clutch":
+            told[entry.table, entry.key] = entry
+    found.entries = list(told.values())
+    for figure in found.identified.figures:
+        if figure.value is None and not figure.name.startswith("clutch"):
+            found.unknown(figure.name, figure.why)
+    found.sheet = with_entries(found.sheet, found.entries)
+
+
+def _calibrate(
+    found: Commissioned, recorded: list[tuple[int, Frame]], version: str, written: str
+) -> None:
+    """What a controller would have to learn in its first shifts: teeth, and each gear's sleeve."""
+    if found.identified is None:
+        return
+    sheet = found.sheet
+    fitted = {name: _wheel(fit) for name, fit in found.identified.teeth.items()}
+    found.calibration = Calibration(
+        format_=CALIBRATION_FORMAT,
+        provenance=Provenance(version, sheet.name, sheet.sha256, written, 0),
+        wheels=WheelRecords(**fitted),
+        sleeves=_sleeves(sheet, recorded),
+        end=End(complete=True),
+    )
+
+
+def _wheel(fit: ToothFit) -> WheelRecord:
+    errors = tuple(float(f"{error:.9g}") for error in fit.error_rad)
+    sd = max(2e-6, float(np.sqrt(np.mean(fit.sd_rad**2))))
+    return WheelRecord(fit.error_rad.size // 2, fit.spans * fit.error_rad.size, sd, errors)
+
+
+def _sleeves(sheet: GearboxSheet, recorded: list[tuple[int, Frame]]) -> SleeveRecords:
+    fitted = sleeve_fit(_content(sheet, recorded).strokes, sheet)
+    if fitted is None:
+        return SleeveRecords()
+    air, valve_s = sheet.air, sheet.sleeve.valve_delay_s
+    slower = ((fitted.supply_pa - air.atmosphere_pa) / air.supply_gauge_pa) ** PRESSURE_EXPONENT
+    scatter_s = max(fitted.spread_s, 1e-4) if fitted.freedom > 1 else sheet.sleeve.delay_sd_s
+    return SleeveRecords(
+        **{
+            gear.name.lower(): SleeveRecord(
+                delay_s=valve_s + (float(delays.mean()) - valve_s) * slower,
+                samples=float(delays.size),
+                scatter_s=scatter_s,
+                scatter_samples=max(1.0, fitted.effective_freedom / len(fitted.delays_s)),
+            )
+            for gear, delays in fitted.delays_s.items()
+        }
+    )

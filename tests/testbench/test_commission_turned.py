@@ -1,0 +1,317 @@
+"""Commissioning with turning shafts: teeth, ratios, kiss point and sensors without a data sheet."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from fractions import Fraction
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.dbc.link import Receiver
+from meshpoint.dbc.messages import (
+    TSC1,
+    ClutchAction,
+    ClutchCommand,
+    Message,
+    ValveAction,
+    ValveCommand,
+)
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.gears import MAIN_GEARS, MainGear, Range, Sleeve, SleeveSide, Split
+from meshpoint.gearbox.keys import groups_of, to_toml
+from meshpoint.gearbox.sheet import GearboxSheet
+from meshpoint.gearbox.tables import parse_toml, read_group
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.settings import RigSettings
+from meshpoint.testbench.check.finding import Verdict
+from meshpoint.testbench.check.shafts import Shaft
+from meshpoint.testbench.commission.core import CONSENT_US, CommissionCore
+from meshpoint.testbench.commission.drawn import STAND, draw_sheet, withheld
+from meshpoint.testbench.commission.edge_log import EdgeLog, State
+from meshpoint.testbench.commission.kiss import kiss_points
+from meshpoint.testbench.commission.measured import Commissioned, _meshes, _wheels, with_entries
+from meshpoint.testbench.commission.rehearsal import (
+    POSITION_PAIRS,
+    Hearing,
+    MiswiredRig,
+    Miswiring,
+    findings_of,
+)
+from meshpoint.testbench.commission.roles import Turning, judge_turning
+from meshpoint.testbench.commission.running import RunningCore
+from meshpoint.testbench.commission.trial import EXPECTED
+from meshpoint.testbench.commission.verdict import measured_sheet
+from meshpoint.testbench.commission.wheels import (
+    GEAR_STATES,
+    HIGH_STATE,
+    SPLIT_STATES,
+    fraction_of,
+    tooth_count,
+)
+from meshpoint.testbench.commission.whole import WholeCommission, wires_of
+from meshpoint.testbench.loop.virtual_time import VirtualTime
+
+TRUCK = load_sheet("truck12")
+WIRES = {SleeveSide(*moved): valve for valve, moved in EXPECTED.items()}
+SEED = 5
+
+
+@pytest.fixture(scope="module")
+def turned() -> tuple[GearboxSheet, WholeCommission, float]:
+    """A drawn box whose sheet is withheld, and its kiss point as built."""
+    sheet = draw_sheet(TRUCK, SEED)
+    rig = RigCore(sheet, RigSettings(seed=SEED, main_speed_rpm=0.0, as_built=STAND))
+    core = WholeCommission(withheld(TRUCK), consents=True, turns=True)
+    VirtualTime([core, rig], [3_000, 1_000]).run(lambda: core.done, 300_000_000)
+    assert rig.as_built is not None
+    return sheet, core, rig.as_built["clutch"]["kiss"]
+
+
+def test_every_tooth_count_and_every_ratio_is_found_without_a_sheet(turned) -> None:
+    sheet, core, _ = turned
+    assert not core.running.stopped
+    found = Commissioned(withheld(TRUCK))
+    _wheels(found, core.running.log)
+    _meshes(found, core.running.log)
+    measured = with_entries(found.sheet, found.entries)
+    assert not found.findings
+    for field in ("input_", "layshaft", "main", "propeller"):
+        assert getattr(measured.wheels, field).teeth == getattr(sheet.wheels, field).teeth
+    for gear in MAIN_GEARS:
+        assert measured.main_mesh(gear).exact == sheet.main_mesh(gear).exact
+    for split in Split:
+        assert measured.split_mesh(split).exact == sheet.split_mesh(split).exact
+    for range_ in Range:
+        assert measured.range_mesh(range_).exact == sheet.range_mesh(range_).exact
+
+
+def test_the_kiss_point_is_found_by_the_input_shaft(turned) -> None:
+    sheet, core, kiss = turned
+    edges_us = core.running.log.tracks[Shaft.INPUT, 0].times
+    shares = kiss_points(core.running.closings, edges_us, sheet.wheels.input_.teeth)
+    assert shares.size >= 10
+    assert float(np.median(shares)) == pytest.approx(kiss, abs=0.015)
+
+
+def test_a_sound_box_that_was_turned_is_called_sound(turned) -> None:
+    _, core, _ = turned
+    findings = list(findings_of(core))
+    assert all(finding.verdict is Verdict.GOOD for finding in findings), findings
+    assert {f.subject for f in findings} >= {f"{shaft} sensor turned" for shaft in Shaft}
+
+
+def test_a_measured_sheet_can_be_written_and_read_back(turned) -> None:
+    """Values as measured, of all their digits, are those of no file."""
+    _, core, _ = turned
+    measured, changed = measured_sheet(withheld(TRUCK), core.standing)
+    assert changed
+    text = to_toml(groups_of(GearboxSheet, measured), "measured")
+    assert read_group(GearboxSheet, parse_toml(text, "x"), "x") == measured
+
+
+def made_turning(places: dict[Shaft, Shaft] | None = None, **wrong: float) -> Turning:
+    """Rates of a box; places: the shaft on which each sensor sits. wrong: rates by gear."""
+    places = places or {shaft: shaft for shaft in Shaft}
+    gears = {"crawl": 0.3, "first": 0.43, "second": 0.68, "third": 1.06} | wrong
+    turning = Turning(EdgeLog())
+    for state in (*GEAR_STATES.values(), *SPLIT_STATES.values(), HIGH_STATE):
+        layshaft = 0.77 if state.split is Split.LOW else 0.95
+        main = 0.9  # coasts
+        if state.gear is not MainGear.NEUTRAL:
+            main = layshaft * gears[state.gear.name.lower()]
+        propeller = main * (0.27 if state.range_ is Range.LOW else 1.0)
+        true = dict(zip(Shaft, (40.0, 43 * layshaft, 45 * main, 42 * propeller), strict=True))
+        turning.rates[state] = {sensor: true[places[sensor]] for sensor in Shaft}
+    return turning
+
+
+def test_sensors_of_two_shafts_that_are_exchanged_are_named_whichever_two() -> None:
+    for a, b in combinations(Shaft, 2):
+        turning = made_turning({shaft: shaft for shaft in Shaft} | {a: b, b: a})
+        bad = {f.subject: f.text for f in turning.sensors() if f.verdict is Verdict.BAD}
+        assert bad == {
+            f"{a} sensor turned": f"the sensors of {a} and {b} are exchanged",
+            f"{b} sensor turned": f"the sensors of {b} and {a} are exchanged",
+        }
+
+
+def test_a_silent_sensor_is_named_and_no_other() -> None:
+    turning = made_turning()
+    for seen in turning.rates.values():
+        seen[Shaft.MAIN] = 0.0
+    bad = [f.subject for f in turning.sensors() if f.verdict is Verdict.BAD]
+    assert bad == ["main sensor turned"]
+
+
+def test_a_sleeve_whose_gears_ratios_are_the_other_way_round_is_not_believed() -> None:
+    assert all(is_true for _, is_true in made_turning().order())
+    told = dict(made_turning(first=0.68, second=0.43).order())
+    assert told == {
+        Sleeve.FIRST_SECOND: False,
+        Sleeve.CRAWL_THIRD: True,
+        Sleeve.SPLITTER: True,
+        Sleeve.RANGE: True,
+    }
+
+
+def test_what_was_not_turned_is_not_judged() -> None:
+    (finding,) = judge_turning(EdgeLog(), WIRES)
+    assert finding.verdict is Verdict.UNKNOWN
+
+
+def test_outputs_are_all_found_where_the_main_sleeves_position_sensors_are_exchanged() -> None:
+    """The gear that is in cannot be taken out by the output of its name."""
+    core = CommissionCore(TRUCK, consents=True)
+    settings_ = RigSettings(seed=4, main_speed_rpm=0.0, as_built=STAND)
+    rig = MiswiredRig(RigCore(TRUCK, settings_), Miswiring(positions=POSITION_PAIRS[0]))
+    VirtualTime([core, rig], [3_000, 1_000]).run(lambda: core.done, 60_000_000)
+    wires = wires_of(core)
+    assert wires is not None
+    assert wires[SleeveSide(Sleeve.CRAWL_THIRD, -1)] is ValveName.MAIN_FIRST
+    assert wires[SleeveSide(Sleeve.FIRST_SECOND, 1)] is ValveName.MAIN_THIRD
+
+
+@given(st.integers(17, 61), st.integers(17, 61), st.floats(-1.0, 1.0))
+def test_a_ratio_of_two_wheels_is_found_or_not_told_but_never_another(a, b, off) -> None:
+    tolerance = 3e-5
+    found = fraction_of(a / b * (1.0 + off * tolerance * 0.9), tolerance)
+    assert found in (None, Fraction(a, b))
+
+
+@given(st.integers(17, 45), st.integers(17, 45))
+def test_a_ratio_of_small_wheels_is_told(a, b) -> None:
+    assert fraction_of(a / b, 3e-5) == Fraction(a, b)
+
+
+@settings(max_examples=20)
+@given(st.integers(24, 80), st.integers(0, 1000))
+def test_a_wheels_teeth_are_counted_by_their_own_errors(teeth, seed) -> None:
+    rng = np.random.Generator(np.random.PCG64(seed))
+    errors = rng.uniform(-0.1, 0.1, teeth) * math.tau / 360.0
+    edges = np.arange(20 * teeth)
+    angles = edges * math.tau / teeth + np.tile(errors, 20)
+    # The wheel slows evenly while it turns.
+    times = 1e6 * angles / 100.0 * (1.0 + 1e-4 * angles) + rng.normal(0.0, 8.0, edges.size)
+    assert tooth_count(times) == teeth
+
+
+def test_a_wheel_made_well_is_counted_by_many_windows_together() -> None:
+    """One window alone does not tell it: its errors are little more than the stamps' jitter."""
+    rng = np.random.Generator(np.random.PCG64(3))
+    errors = rng.uniform(-0.04, 0.04, 38) * math.tau / 360.0
+    windows = []
+    for _ in range(7):
+        angles = np.arange(1500) * math.tau / 38 + np.tile(errors, 40)[:1500]
+        windows.append(1e6 * angles / 100.0 + rng.normal(0.0, 8.0, 1500))
+    assert tooth_count(*windows) == 38
+    assert [tooth_count(window) for window in windows].count(38) < 7
+
+
+def test_teeth_that_are_all_alike_are_not_counted() -> None:
+    rng = np.random.Generator(np.random.PCG64(1))
+    times = np.arange(900) * 1500.0 + rng.normal(0.0, 8.0, 900)
+    assert tooth_count(times) is None
+
+
+class Bus:
+    """A rig on a stand and the running node; every command on the bus."""
+
+    def __init__(self, core: RunningCore) -> None:
+        self.heard: list[Message] = []
+        self._receiver = Receiver(*Node)
+        rig = RigCore(TRUCK, RigSettings(seed=1, main_speed_rpm=0.0, as_built=STAND))
+        self.time = VirtualTime([core, rig, Hearing(self._take)], [3_000, 1_000, 1 << 62])
+
+    def _take(self, frame) -> None:
+        message = self._receiver.receive(frame).message
+        if isinstance(message, (ValveCommand, ClutchCommand, TSC1)):
+            self.heard.append(message)
+
+    def run(self, seconds: float) -> None:
+        self.heard.clear()
+        self.time.run(lambda: False, self.time.now_us + round(seconds * 1e6))
+
+    @property
+    def driven(self) -> set[str]:
+        return {
+            name
+            for message in self.heard
+            if isinstance(message, ValveCommand)
+            for name, action in message._asdict().items()
+            if name.endswith("_action") and action is not ValveAction.OFF_NOW
+        }
+
+    @property
+    def turned(self) -> bool:
+        closed = ClutchCommand(action=ClutchAction.CLOSE)
+        return any(
+            message.action is closed.action
+            for message in self.heard
+            if isinstance(message, ClutchCommand)
+        )
+
+
+def test_no_gear_is_pushed_in_and_nothing_is_turned_without_a_yes() -> None:
+    core = RunningCore(TRUCK, WIRES)
+    bus = Bus(core)
+    bus.time.run(lambda: core.is_asking, 10_000_000)
+    asked = core.question
+    assert asked is not None
+    assert "crawl" in asked
+    bus.run(1.0)
+    assert not bus.driven
+    assert not bus.turned
+    core.answer(True, bus.time.now_us - CONSENT_US - 20_000)
+    bus.run(0.5)
+    assert core.is_asking, "a yes that is too old is none"
+    core.answer(False, bus.time.now_us)
+    bus.time.run(lambda: core.is_asking and core.question != asked, bus.time.now_us + 9_000_000)
+    assert core.declined == {"crawl"}
+    assert not bus.turned
+    core.answer(True, bus.time.now_us)
+    bus.run(3.0)
+    assert bus.driven <= {"brake_action", "main_first_action", "main_second_action"}
+    assert "main_first_action" in bus.driven
+
+
+def test_a_shutdown_leaves_all_off_and_the_clutch_open() -> None:
+    core = RunningCore(TRUCK, WIRES, consents=True)
+    bus = Bus(core)
+    bus.time.run(lambda: bus.turned, 20_000_000)
+    assert bus.turned
+    receiver = Receiver(*Node)
+    last = [receiver.receive(frame).message for frame in core.shutdown(bus.time.now_us).frames]
+    assert last[0] == ValveCommand()
+    assert last[1] == ClutchCommand()
+    assert core.done
+
+
+def test_too_little_air_ends_it() -> None:
+    starved = replace(TRUCK, air=replace(TRUCK.air, supply_gauge_pa=16e5))
+    core = RunningCore(starved, WIRES)
+    bus = Bus(core)
+    bus.time.run(lambda: core.done, 5_000_000)
+    assert core.stopped == "too little air"
+    assert not bus.driven
+
+
+def test_drawn_sheets_differ_in_everything_that_is_withheld() -> None:
+    one, other, blank = draw_sheet(TRUCK, 1), draw_sheet(TRUCK, 2), withheld(TRUCK)
+    for sheet in (one, other):
+        assert all(
+            sheet.main_mesh(gear).exact != blank.main_mesh(gear).exact for gear in MAIN_GEARS
+        )
+        assert sheet.brake != blank.brake
+        assert sheet.sleeve != blank.sleeve
+        assert sheet.clutch != blank.clutch
+        assert sheet.air != blank.air
+        assert sheet.dog == blank.dog
+    assert one != other
+    assert State(Split.LOW, MainGear.THIRD, Range.HIGH) == HIGH_STATE
