@@ -19,8 +19,8 @@ FORGET: Final = 0.8
 """Weight of earlier windows against a new one."""
 BELIEVED: Final = 5.0
 """Backlash is believed where it is likelier by e to half of this;"""
-LEAST_WINDOWS: Final = 2
-"""not after the first window, in which the linear swing had nothing but its priors;"""
+LEAST_WINDOWS: Final = 3
+"""not after the first two windows, in which the linear swing has little but its priors;"""
 REJECTED: Final = -4.0
 """where it is this unlikely it is not even tried,"""
 RETRIED: Final = -1.0
