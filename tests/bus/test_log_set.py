@@ -210,6 +210,7 @@ def test_a_log_holds_all_but_its_last_second_at_any_time(
     log.close()
 
 
+@pytest.mark.long
 def test_killed_they_leave_parts_that_can_be_read_to_their_end(
     tmp_path: Path, start: Callable[..., subprocess.Popen[str]]
 ) -> None:

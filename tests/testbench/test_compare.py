@@ -117,6 +117,7 @@ def test_settings_are_compared_with_their_defaults(tmp_path: Path) -> None:
     assert compared(tmp_path, str(two), str(two))[0] == 0
 
 
+@pytest.mark.long
 def test_two_settings_part_in_the_shifts_of_a_log(runs: Runs, tmp_path: Path) -> None:
     """Against the recorded settings: both parted from the log at the step that `replay` names."""
     recorded, later = tmp_path / "recorded.toml", tmp_path / "later.toml"

@@ -39,7 +39,8 @@ def run(script: str, cache: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-@pytest.mark.parametrize("package", ["rig_sim", pytest.param("controller", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("package", ["rig_sim", "controller"])
 def test_a_damaged_cache_is_said_and_made_again(package: str, tmp_path: Path) -> None:
     first = run(KERNELS[package], tmp_path)
     assert first.returncode == 0, first.stderr

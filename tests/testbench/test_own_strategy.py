@@ -137,6 +137,7 @@ def campaign(tmp_path: Path, *arguments: object) -> tuple[int, dict[str, Any]]:
     return code, values
 
 
+@pytest.mark.long
 def test_a_campaign_compares_it_with_ours_in_other_processes(tmp_path: Path) -> None:
     name = f"{EXAMPLE}:{CLASS}"
     given = ("--strategy", f"speed_window,{name}", "--runs", "1")

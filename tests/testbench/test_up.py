@@ -128,6 +128,7 @@ def test_a_node_that_dies_ends_all(tmp_path: Path, bus: list[str], name: str) ->
     assert f"meshpoint up: {name} ended by itself with exit code -9" in command.said
 
 
+@pytest.mark.long
 def test_the_nodes_end_well_where_up_itself_is_killed(tmp_path: Path, bus: list[str]) -> None:
     with live(tmp_path, "up", *bus, "--preset", "thesis") as command:
         started = nodes(command)
