@@ -24,6 +24,7 @@ OUTCOME = f"{CODECS[ShiftOutcome.__name__].spec.can_id:08X}##"
 pytestmark = pytest.mark.timeout(900)
 
 
+@pytest.mark.long
 def test_simulate_keeps_the_finished_shifts(tmp_path: Path) -> None:
     log, out = tmp_path / "run.log", tmp_path / "run.json"
     simulate = ["simulate", "--preset", "thesis", "--shifts", "100000"]
