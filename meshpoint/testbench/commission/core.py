@@ -13,8 +13,7 @@ from typing import Any, Final
 
 from meshpoint.bus.core import Step
 from meshpoint.controller.shift.valve_board import ValveName
-from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.link import Receiver, Transmitter
+from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
     ClutchCommand,
     GearboxSensors,
@@ -25,10 +24,10 @@ from meshpoint.dbc.messages import (
     ValveCommand,
     ValveStatus,
 )
-from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.testbench.check.shafts import Shaft, WheelCount, count_edges
+from meshpoint.testbench.commission.hearing import HearingCore
 from meshpoint.testbench.commission.trial import EXPECTED, Trial
 from meshpoint.units import MM
 
@@ -46,7 +45,6 @@ RETURNS: Final = 8
 MOST_EDGES: Final = 4
 """Of a wheel within `STILL_US`: creeping is not turning."""
 NEUTRAL_M: Final = 1.5 * MM
-LEAST_SUPPLY: Final = 0.6
 NEEDED: Final = (GearboxSensors, SleevesMain, SleevesAux, ValveStatus)
 MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
 STATIONARY_US: Final = 30_000_000
@@ -63,7 +61,7 @@ class Stage(Enum):
     DONE = auto()
 
 
-class CommissionCore:
+class CommissionCore(HearingCore):
     """Drives each valve of a standing box. `question` is the output that waits for a consent."""
 
     def __init__(
@@ -74,19 +72,12 @@ class CommissionCore:
         transmitter: Transmitter | None = None,
     ) -> None:
         """consents: every output is consented to, without being asked about."""
-        self._sheet = sheet
-        self._consents = consents
-        self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
-        self._transmitter = transmitter or Transmitter(Node.TRANSMISSION_CONTROL)
-        self._inbox: list[Frame] = []
+        super().__init__(sheet, consents, transmitter)
         self._wheels = {shaft: WheelCount() for shaft in Shaft}
         self._counts: deque[tuple[int, int]] = deque()
-        self._positions_m: dict[Sleeve, float] = {}
-        self._sensors: GearboxSensors | None = None
         self._status: ValveStatus | None = None
         self._stage = Stage.RESTING
         self._since_us: int | None = None
-        self._due_us = 0
         self._trial: Trial | None = None
         self._consented_us: int | None = None
         self._tries = dict.fromkeys(ValveName, 0)
@@ -107,15 +98,6 @@ class CommissionCore:
         """Whether an output waits for a person's consent."""
         return self._stage is Stage.ASKING and not self._consents and self._consented_us is None
 
-    @property
-    def next_step_us(self) -> int:
-        """Every 10 ms."""
-        return self._due_us
-
-    def receive(self, frame: Frame) -> None:
-        """Keeps a frame for the next step."""
-        self._inbox.append(frame)
-
     def answer(self, is_yes: bool, now_us: int) -> None:
         """A person's answer to `question`."""
         if self.question is None:
@@ -129,12 +111,7 @@ class CommissionCore:
     def step(self, now_us: int) -> Step:
         """Takes in what was heard, goes on, commands all valves but one off."""
         self._since_us = now_us if self._since_us is None else self._since_us
-        self._receiver.tick(now_us)
-        inbox, self._inbox = self._inbox, []
-        for frame in inbox:
-            message = self._receiver.receive(frame).message
-            if message is not None:
-                self._hear(message)
+        self._take_in(now_us)
         self._counts.append((now_us, self._edges()))
         while self._counts and now_us - self._counts[0][0] > STILL_US:
             self._counts.popleft()
@@ -153,16 +130,9 @@ class CommissionCore:
         return sum(wheel.edges[0] for wheel in self._wheels.values())
 
     def _hear(self, message: Message) -> None:
+        super()._hear(message)
         count_edges(self._wheels, message)
-        if isinstance(message, SleevesMain):
-            self._positions_m[Sleeve.FIRST_SECOND] = message.sleeve_first_second_m[0]
-            self._positions_m[Sleeve.CRAWL_THIRD] = message.sleeve_crawl_third_m[0]
-        elif isinstance(message, SleevesAux):
-            self._positions_m[Sleeve.SPLITTER] = message.sleeve_splitter_m[0]
-            self._positions_m[Sleeve.RANGE] = message.sleeve_range_m[0]
-        elif isinstance(message, GearboxSensors):
-            self._sensors = message
-        elif isinstance(message, ValveStatus):
+        if isinstance(message, ValveStatus):
             self._status = message
         if self._trial is not None:
             self._trial.take(message)
@@ -173,8 +143,7 @@ class CommissionCore:
             return "inputs are missing"
         if not self._receiver.all_valid(NEEDED):
             return "an input is lost"
-        gauge_pa = self._sensors.supply_pressure_pa - self._sheet.air.atmosphere_pa
-        if gauge_pa < LEAST_SUPPLY * self._sheet.air.supply_gauge_pa:
+        if self._lacks_air(self._sensors):
             return "too little air"
         if self._counts[-1][1] - self._counts[0][1] > MOST_EDGES * len(Shaft):
             return "a shaft turns"

@@ -17,7 +17,7 @@ from meshpoint.bus.core import Step
 from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import checked_request
-from meshpoint.dbc.link import Receiver, Transmitter
+from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
     EEC1,
     TSC1,
@@ -31,7 +31,6 @@ from meshpoint.dbc.messages import (
     ValveAction,
     ValveCommand,
 )
-from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import (
     MAIN_GEARS,
@@ -45,12 +44,12 @@ from meshpoint.gearbox.gears import (
 from meshpoint.testbench.commission.core import (
     CONSENT_US,
     LEAD_US,
-    LEAST_SUPPLY,
     NEUTRAL_M,
     STATIONARY_US,
     TICK_US,
 )
 from meshpoint.testbench.commission.edge_log import EdgeLog, State
+from meshpoint.testbench.commission.hearing import HearingCore
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.units import MM, RPM, US
 
@@ -98,7 +97,7 @@ class GivenUpError(Exception):
     """Why the rest is not done."""
 
 
-class RunningCore:
+class RunningCore(HearingCore):
     """Turns the box. `question` is the manoeuvre that waits for a consent."""
 
     def __init__(
@@ -111,13 +110,8 @@ class RunningCore:
     ) -> None:
         """wires: which output moves which sleeve which way, as the standing part has seen.
         consents: every manoeuvre is consented to, without being asked about."""
-        self._sheet, self._wires, self._consents = sheet, dict(wires), consents
-        self._receiver = Receiver(Node.TRANSMISSION_CONTROL)
-        self._transmitter = transmitter or Transmitter(Node.TRANSMISSION_CONTROL)
-        self._inbox: list[Frame] = []
-        self._positions_m: dict[Sleeve, float] = {}
-        self._sensors: GearboxSensors | None = None
-        self._due_us, self._now_us = 0, 0
+        super().__init__(sheet, consents, transmitter)
+        self._wires, self._now_us = dict(wires), 0
         self._valve: tuple[ValveName, int] | None = None
         """The output that is driven, and since when."""
         self._off_us: int | None = None
@@ -152,15 +146,6 @@ class RunningCore:
         """Whether a manoeuvre waits for a person's consent."""
         return self.question is not None and not self._consents and self._answer is None
 
-    @property
-    def next_step_us(self) -> int:
-        """Every 10 ms."""
-        return self._due_us
-
-    def receive(self, frame: Frame) -> None:
-        """Keeps a frame for the next step."""
-        self._inbox.append(frame)
-
     def answer(self, is_yes: bool, now_us: int) -> None:
         """A person's answer to `question`."""
         if self.question is not None:
@@ -169,12 +154,7 @@ class RunningCore:
     def step(self, now_us: int) -> Step:
         """Takes in what was heard, goes on with the program, commands."""
         self._now_us, self._due_us = now_us, now_us + TICK_US
-        self._receiver.tick(now_us)
-        inbox, self._inbox = self._inbox, []
-        for frame in inbox:
-            message = self._receiver.receive(frame).message
-            if message is not None:
-                self._hear(message)
+        self._take_in(now_us)
         counted = sum(track.numbers[-1] for track in self.log.tracks.values() if track.numbers)
         if counted != self._edges:
             self._edges, self._edge_us = counted, now_us
@@ -202,15 +182,9 @@ class RunningCore:
             self._events.append(f"given up: {why}")
 
     def _hear(self, message: Message) -> None:
+        super()._hear(message)
         self.log.take(message)
-        if isinstance(message, SleevesMain):
-            self._positions_m[Sleeve.FIRST_SECOND] = message.sleeve_first_second_m[0]
-            self._positions_m[Sleeve.CRAWL_THIRD] = message.sleeve_crawl_third_m[0]
-        elif isinstance(message, SleevesAux):
-            self._positions_m[Sleeve.SPLITTER] = message.sleeve_splitter_m[0]
-            self._positions_m[Sleeve.RANGE] = message.sleeve_range_m[0]
-        elif isinstance(message, GearboxSensors):
-            self._sensors = message
+        if isinstance(message, GearboxSensors):
             at_us = self.log.now_us + span_us(message.sample_time_us, self.log.now_us & 0xFFFF_FFFF)
             self._time_clutch(at_us, message.clutch_position_fraction)
 
@@ -239,8 +213,7 @@ class RunningCore:
         sensors, engine = self._sensors, self.log.engine_rad_s
         if sensors is None or engine is None:
             return
-        gauge_pa = sensors.supply_pressure_pa - self._sheet.air.atmosphere_pa
-        if gauge_pa < LEAST_SUPPLY * self._sheet.air.supply_gauge_pa:
+        if self._lacks_air(sensors):
             raise GivenUpError("too little air")
         most = min(self._sheet.limits.input_max_rad_s, OVER_SHARE * max(DRIVEN_RPM) * RPM)
         if engine > most:
