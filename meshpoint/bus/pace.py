@@ -71,8 +71,14 @@ class PaceFile:
 
     @staticmethod
     def create(path: Path) -> PaceFile:
-        """A new file: time zero, no node there."""
-        path.write_bytes(struct.pack(_LAYOUT, 0, *[_ABSENT] * len(PACED_NODES), _MARK))
+        """A new file: time zero, no node there. It comes under its name when it is whole, so that
+        a node which waits for the file never opens half of one."""
+        started = path.with_name(f"{path.name}.{os.getpid()}")
+        try:
+            started.write_bytes(struct.pack(_LAYOUT, 0, *[_ABSENT] * len(PACED_NODES), _MARK))
+            os.replace(started, path)
+        finally:
+            started.unlink(missing_ok=True)
         return PaceFile(path)
 
     @property

@@ -5,6 +5,7 @@ import itertools
 import os
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -86,6 +87,35 @@ def test_a_file_that_is_no_pace_file_is_refused_by_name(tmp_path):
     (tmp_path / "other").write_bytes(b"not a pace file")
     with pytest.raises(ValueError, match=r"other: 15 bytes, a pace file has 40"):
         PaceFile(tmp_path / "other")
+
+
+def test_a_node_that_waits_for_the_pace_file_never_opens_half_of_one(tmp_path):
+    """It was there, of 0 bytes, before it was written: a node started beside `meshpoint pace`
+    ended with an error now and then."""
+    path = tmp_path / "pace"
+    faults, ending = [], threading.Event()
+
+    def waits() -> None:
+        while not ending.is_set():
+            try:
+                PaceFile(path)
+            except FileNotFoundError:
+                continue
+            except PaceError as error:
+                faults.append(str(error))
+                return
+
+    node = threading.Thread(target=waits)
+    node.start()
+    try:
+        for _ in range(500):
+            PaceFile.create(path)
+            path.unlink()
+    finally:
+        ending.set()
+        node.join()
+    assert faults == []
+    assert list(tmp_path.iterdir()) == []
 
 
 LOOKS = """
