@@ -47,8 +47,8 @@ class DrivelineLook:
         self.learned = self.known
         """The same after the ramp under way."""
         self.pressed_nm = 0.0
-        """About what the ramp under way leaves in the shafts, at the propeller shaft; above 0 at the
-        flank of drive, below at that of coast; 0 where their torque could not be told from none."""
+        """About what the ramp under way leaves in the shafts, at the propeller shaft: above 0 at
+        the flank of drive, below at that of coast; 0 where it could not be told from none."""
         self._gear: int | None = None
         self._torque_share: float | None = None
         self.torque_step = 0.01
