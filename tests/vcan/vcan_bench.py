@@ -95,6 +95,8 @@ class Contract:
     parts: Mapping[str, int] = field(default_factory=dict)
     options: tuple[str, ...] = ("--fd",)
     """Of the nodes that speak it."""
+    silent_channels: int = 0
+    """Bits of the status's InvalidChannels that stay set, as the profile has no such messages."""
 
     def frames(self, name: str) -> list[str]:
         """The names of a message's frames, in order."""
@@ -222,7 +224,7 @@ class Candump:
             lambda status: (
                 status["State"] == IN_GEAR
                 and status["CurrentGear"] == gear
-                and status["InvalidChannels"] == 0
+                and status["InvalidChannels"] == self._contract.silent_channels
             ),
             f"the controller in gear {gear}",
         )
