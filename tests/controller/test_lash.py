@@ -36,6 +36,7 @@ from meshpoint.controller.motion.lash_motion import (
     WHEELS,
     LashModel,
     move,
+    move_often,
 )
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
@@ -108,6 +109,18 @@ def test_flanks_push_and_never_pull() -> None:
         move(x, 1e-4, MODEL)
         assert x[SPEED, 0] - before[SPEED, 0] >= -1e-4 * x[DRAG, 0] * (1.0 + 1e-9)
         x = before
+
+
+def test_drivelines_that_move_at_once_move_as_each_by_itself() -> None:
+    """To the bit: of many, of some and of one, in one call and in several."""
+    crowd = np.concatenate([a_driveline(slip) for slip in np.linspace(-5.0, 5.0, 37)], axis=1)
+    alone, found = [crowd[:, k : k + 1].copy() for k in range(37)], np.empty((2, 5, 37))
+    move_often(crowd, 2.5e-3, MODEL, found)
+    for k, x in enumerate(alone):
+        for at in range(5):
+            assert found[:, at, k].tolist() == [x[ANGLE, 0], x[SPEED, 0]]
+            move(x, 2.5e-3, MODEL)
+        assert x[:, 0].tolist() == crowd[:, k].tolist()
 
 
 def test_the_spread_of_a_driveline_is_that_of_the_matrix_exponential() -> None:
