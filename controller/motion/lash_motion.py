@@ -56,28 +56,21 @@ def move_often(x: Vector, seconds: float, model: LashModel, found: Vector) -> No
     """The same m times over; angles and speeds before each time are noted in found (2, m, n)."""
     parts = max(1, math.ceil(seconds / LONGEST_S))
     follows = 1.0 / (1.0 + model.fading_per_s * model.tyre_per_s / x[TYRE_STIFF])
-    _move(x, seconds / parts, parts, *model, follows, found)
+    _move(x, seconds / parts, parts, model, follows, found)
 
 
 @bare
 def _move(
-    x: Vector,
-    dt: float,
-    parts: int,
-    share: float,
-    carcass: float,
-    fading: float,
-    follows: Vector,
-    found: Vector,
+    x: Vector, dt: float, parts: int, model: LashModel, follows: Vector, found: Vector
 ) -> None:
-    """`parts` steps after each note. share, carcass, fading: the model's; follows: how much of
-    the wheels' slip the tyre's carcass takes up."""
+    """`parts` steps after each note; follows: how much of the wheels' slip the tyre's carcass takes
+    up."""
     for k in range(found.shape[1]):
         for i in _each(x.shape[1]):
             found[0, k, i], found[1, k, i] = x[ANGLE, i], x[SPEED, i]
         for _ in range(parts):
             for i in _each(x.shape[1]):
-                _step(x, i, dt, share, carcass, fading, follows[i])
+                _step(x, i, dt, model, follows[i])
 
 
 def _at_once(_count: int) -> tuple[slice]:
@@ -89,10 +82,9 @@ _each: Any = _at_once if DISABLED else range
 
 
 @inlined
-def _step(
-    x: Vector, i: int, dt: float, share: float, carcass: float, fading: float, follows: float
-) -> None:
+def _step(x: Vector, i: int, dt: float, model: LashModel, follows: float) -> None:
     """One step of a driveline, in place."""
+    share, carcass, fading = model
     speed, drag, way, wheels = x[SPEED, i], x[DRAG, i], x[WAY, i], x[WHEELS, i]
     tyre, vehicle, hill, stiff = x[TYRE, i], x[VEHICLE, i], x[HILL, i], x[TYRE_STIFF, i]
     half = 0.5 * dt
