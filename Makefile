@@ -4,7 +4,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: long swarm faults planted mutants demo docs test installed acceptance vcan vcan-alone test-containers lint types reference contracts stubs bench clean
+.PHONY: long swarm faults planted mutants demo docs test installed acceptance vcan vcan-alone controllers test-containers lint types reference contracts stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -51,6 +51,13 @@ vcan: $(VENV)/test.stamp
 	{ tools/with-vcan --check && command -v candump; } || tools/with-vcan --install
 	NUMBA_DISABLE_JIT=1 tools/with-vcan --timeout 3600 $(CURDIR)/$(BIN)/python -u -m pytest \
 	    tests/vcan -v --durations=0
+
+# The nodes on emulated CAN controllers with their real drivers: a Kvaser PCI card and a CTU CAN FD card.
+controllers: $(VENV)/test.stamp
+	{ tools/with-vcan --controllers --check && command -v candump; } || \
+	    tools/with-vcan --controllers --install
+	NUMBA_DISABLE_JIT=1 tools/with-vcan --controllers --timeout 5400 \
+	    $(CURDIR)/$(BIN)/python -u -m pytest tests/controllers_emulated -v --durations=0
 
 # with-vcan as other projects have it, and python-can's own SocketCAN tests in it.
 vcan-alone: $(VENV)/test.stamp

@@ -30,6 +30,10 @@ _LAST_SEND_TIMEOUT_S = 0.2
 _REFUSALS = {errno.ENOBUFS, errno.EAGAIN, errno.EWOULDBLOCK, errno.EINVAL}
 # How python-can reports a full socketcan queue when it is not told to wait: without a code.
 _QUEUE_FULL_TEXT = "Transmit buffer full"
+# The kernel's error frames, alone of all interfaces': linux/can/error.h.
+_SOCKETCAN = "SocketcanBus"
+_BUS_OFF = 0x040
+_RESTARTED = 0x100
 # Buses that return own frames as if received, so that one's own address there means nothing.
 _ECHOING = {"UdpMulticastBus"}
 
@@ -107,7 +111,9 @@ class _Node:
         self._ending = asyncio.Event()
         self._failure: asyncio.Future[None] = self._loop.create_future()
         self._lost_at_s: float | None = None  # until the next bus has carried a frame
-        self._refused_reported_at_s = float("-inf")
+        self._refusal = ""  # the last one, in words
+        self._refusals_told = (float("-inf"), 0)  # when, and how many
+        self._bus_offs_told = (float("-inf"), 0)  # likewise
         self._lost_before = 0  # of this bus; counted
         self._loss_told = (float("-inf"), 0)  # when, and how many
 
@@ -147,6 +153,7 @@ class _Node:
                 self.statistics.lateness_us.add(round(late_s * 1e6))
             self._report(step.events)
             self._send(step.frames)
+            self._tell_refusals()
         self._set_timer(now_us)
         self._clock.here()
 
@@ -195,11 +202,7 @@ class _Node:
         if self._on_message is not None:
             self._on_message(message)
         if message.is_error_frame:
-            counts.error_frames += 1
-            if counts.error_frames == 1:
-                self._say(
-                    f"error frames on the bus, the first of class 0x{message.arbitration_id:X}"
-                )
+            self._accept_error(message.arbitration_id)
         elif message.is_remote_frame:
             counts.remote_frames += 1
             if counts.remote_frames == 1:
@@ -217,6 +220,31 @@ class _Node:
             counts.frames_received += 1
             self._clock.heard()
             self._core.receive(frame_of(message))
+
+    def _accept_error(self, error_class: int) -> None:
+        counts = self.statistics
+        counts.error_frames += 1
+        is_kernels = type(self._bus).__name__ == _SOCKETCAN
+        if is_kernels and error_class & _BUS_OFF:
+            counts.bus_offs += 1
+            self._tell_bus_off()
+        elif is_kernels and error_class & _RESTARTED:
+            self._say(f"CAN controller restarted after bus-off ({counts.bus_offs} so far)")
+        elif counts.error_frames == 1:
+            self._say(f"error frames on the bus, the first of class 0x{error_class:X}")
+
+    def _tell_bus_off(self) -> None:
+        """At once, then once a second: one that restarts may go bus-off ten times a second."""
+        now_s, bus_offs = self._loop.time(), self.statistics.bus_offs
+        if now_s - self._bus_offs_told[0] < _REPORT_EVERY_S:
+            return
+        self._bus_offs_told = (now_s, bus_offs)
+        self._say(
+            f"CAN controller is bus-off ({bus_offs} so far): after too many errors it has left the "
+            "bus, nothing is sent or heard until it restarts. With restart-ms 0 it never does by "
+            "itself: `ip -details link show` says so, `ip link set DEVICE type can restart` or "
+            "DEVICE down and up brings it back"
+        )
 
     def _is_own(self, message: can.Message) -> bool:
         """Under a source address of ours. Claims of the address are heard all the same: whose it
@@ -239,23 +267,26 @@ class _Node:
                     self._lose_bus(error)
                     continue
                 counts.frames_refused += 1
-                self._report_refusal(frame, error)
+                self._refuse(frame, error)
             else:
                 counts.frames_sent += 1
                 self._bus_works()
 
-    def _report_refusal(self, frame: Frame, error: Exception) -> None:
-        now_s = self._loop.time()
-        if now_s - self._refused_reported_at_s < _REPORT_EVERY_S:
-            return
-        self._refused_reported_at_s = now_s
+    def _refuse(self, frame: Frame, error: Exception) -> None:
         hint = ""
         if _error_number(error) == errno.EINVAL:
             hint = "; is this a classic CAN device, or CAN FD not switched on?"
-        self._say(
-            f"frame 0x{frame.can_id:X} not sent: {error} "
-            f"({self.statistics.frames_refused} refused so far){hint}"
-        )
+        self._refusal = f"frame 0x{frame.can_id:X} not sent: {error}{hint}"
+        self._tell_refusals()
+
+    def _tell_refusals(self, *, last: bool = False) -> None:
+        """At once, then once a second, and what is left at the end: none goes untold."""
+        now_s, refused = self._loop.time(), self.statistics.frames_refused
+        told_s, told = self._refusals_told
+        if refused == told or (now_s - told_s < _REPORT_EVERY_S and not last):
+            return
+        self._refusals_told = (now_s, refused)
+        self._say(f"{self._refusal} ({refused - told} frames refused, {refused} so far)")
 
     def _attach(self, bus: can.BusABC) -> None:
         self._reception = receive_from(bus, self._turn)
@@ -312,6 +343,7 @@ class _Node:
             step = self._core.shutdown(self._clock.now_us())
             self._report(step.events)
             self._send(step.frames, timeout_s=_LAST_SEND_TIMEOUT_S)
+            self._tell_refusals(last=True)
         finally:
             bus, reception = self._bus, self._reception
             self._bus = self._reception = None

@@ -45,6 +45,7 @@ class NodeStatistics:
     own_address_frames: int = 0  # received with a source address of ours, not handed on
     remote_frames: int = 0  # not handed on
     error_frames: int = 0  # not handed on
+    bus_offs: int = 0  # times that the CAN controller has left the bus; SocketCAN alone
     frames_lost: int = 0  # by the kernel, because the node did not read in time; SocketCAN alone
     outages: int = 0
     lateness_us: Histogram = field(default_factory=Histogram)  # wall us from due time to step

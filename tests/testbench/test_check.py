@@ -20,6 +20,7 @@ from patience import until
 
 import meshpoint.testbench.commands.check as command
 from meshpoint.bus.frames import message_of
+from meshpoint.bus.profile import WireProfile
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.dbc.messages import EdgesInputRise, EdgesLayshaftRise, EdgesMainRise, GearboxSensors
@@ -208,6 +209,17 @@ def test_each_fact_of_a_link_that_is_wrong_is_the_reason(change, subject, said) 
     wrong = [f for f in judge_link(link_of(device(**change))) if f.verdict is Verdict.BAD]
     assert [f.subject for f in wrong] == [subject]
     assert re.search(said, wrong[0].text)
+
+
+@pytest.mark.parametrize("fd", [False, True])
+def test_a_classic_profile_needs_neither_fd_nor_its_bit_rate(fd: bool) -> None:
+    told = device() if fd else device(mtu=16, ctrlmode=[], data_bittiming={})
+    findings = list(judge_link(link_of(told), profile=WireProfile.CLASSIC))
+    assert [f for f in findings if f.verdict is not Verdict.GOOD] == []
+    slow = device(bittiming={"bitrate": 250000, "sample_point": 0.875})
+    wrong = answer(list(judge_link(link_of(slow), profile=WireProfile.CLASSIC)))
+    assert not wrong[0]
+    assert wrong[1].endswith("the contract has 500 kbit/s")
 
 
 def test_error_counters_that_grow_while_listening_are_no() -> None:

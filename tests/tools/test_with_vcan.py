@@ -182,6 +182,59 @@ def test_the_time_limit_holds_directly(debian: Machine) -> None:
     assert debian.run("tools/with-vcan", "--timeout", "1", "sleep", "50").returncode == 124
 
 
+def test_the_driver_that_debian_lacks_is_compiled_once_and_installs_nothing_else(
+    debian: Machine,
+) -> None:
+    debian.fact("vcan")  # of no use here: it has no controllers
+    debian.program("cpio", 'cat >>"$FACTS/packed"; echo archive')
+    done = debian.run("tools/with-vcan", "--controllers", "--install", "--check")
+    assert done.returncode == 0, done.stderr
+    assert "only the emulated machine has the CAN controllers" in done.stdout
+    assert f"{DEBIAN}-controllers" in done.stdout
+    packages = f"linux-headers-{DEBIAN} linux-source-6.1 linux-headers-{DEBIAN}-common"
+    assert debian.called("apt-get -q download") == [
+        f"apt-get -q download linux-image-{DEBIAN}",
+        f"apt-get -q download {packages}",
+    ]
+    assert not any("linux-" in call for call in debian.called("apt-get install"))
+    packed = (debian.facts / "packed").read_text().split()
+    assert any(name.endswith("-ctucanfd_pci.ko") for name in packed)
+    forget_calls(debian)
+    assert debian.run("tools/with-vcan", "--controllers", "--install").returncode == 0
+    assert not debian.called("apt-get")
+    assert not debian.called("make")
+
+
+def test_a_kernel_that_has_the_driver_needs_no_source(debian: Machine) -> None:
+    debian.fact("card")
+    assert debian.run("tools/with-vcan", "--controllers", "--install").returncode == 0
+    assert not any("linux-source" in call for call in debian.calls)
+    assert not debian.called("make")
+
+
+def test_without_controllers_nobody_pays_for_the_driver(debian: Machine) -> None:
+    assert debian.run("tools/with-vcan", "--install").returncode == 0
+    assert not any("linux-headers" in call or "gcc" in call for call in debian.calls)
+    done = debian.run("tools/with-vcan", "--controllers", "--check")
+    assert done.returncode == 3, "the kernel of vcan alone will not do"
+    assert "missing: gcc (package gcc), make (package make)" in done.stdout
+    assert "with-vcan --controllers --install" in done.stdout
+
+
+def test_a_driver_that_cannot_be_compiled_is_said(debian: Machine) -> None:
+    debian.fact("no-space")
+    done = debian.run("tools/with-vcan", "--controllers", "--install")
+    assert done.returncode == 125
+    assert f"cannot prepare kernel {DEBIAN} with its CAN controllers" in done.stderr
+    assert "No space left on device" in done.stderr
+    (debian.facts / "apt" / "linux-source-6.1").unlink()
+    done = debian.run("tools/with-vcan", "--controllers", "--install")
+    assert done.returncode == 125
+    assert f"kernel {DEBIAN} has no driver for CTU CAN FD" in done.stderr
+    assert "linux-source-6.1: Debian has them" in done.stderr
+    assert "apt-get update" in done.stderr
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "said"),
     [

@@ -23,6 +23,9 @@ PROGRAMS = {
     "kmod": ("depmod",),
     "xz-utils": ("xz",),
     "zstd": ("zstd",),
+    "gcc": ("gcc",),
+    "make": ("make",),
+    "binutils": ("strip",),
 }
 """Which programs come with which package."""
 
@@ -120,6 +123,11 @@ def install(machine: Machine, *packages: str) -> None:
             shutil.copy2(machine.folder / "packed" / name, machine.bin / name)
 
 
+# Compiles the modules of one folder, with headers that are told where they are.
+MAKE = """[ -e "$FACTS/no-space" ] && { echo 'No space left on device' >&2; exit 2; }
+for word; do case $word in M=*) folder=${word#M=} ;; esac; done
+grep -q "^include $2-common/" "$2/Makefile" || { echo 'no headers' >&2; exit 2; }
+for name in ctucanfd ctucanfd_pci; do echo module >"$folder/$name.ko"; done"""
 BODIES = {
     # The kernel: makes an interface if it has the module, as the fact says.
     "ip": """[ "$2" = add ] || exit 0
@@ -127,6 +135,8 @@ BODIES = {
 echo 'Error: Unknown device type.' >&2
 exit 2""",
     "cpio": "cat >/dev/null; echo archive",
+    "make": MAKE,
     "zstd": 'for file in "$@"; do case $file in *.zst) mv "$file" "${file%.zst}" ;; esac; done',
-    "xz": 'for file in "$@"; do case $file in *.xz) mv "$file" "${file%.xz}" ;; esac; done',
+    "xz": """[ "$1" = -dc ] && exec cat
+for file in "$@"; do case $file in *.xz) mv "$file" "${file%.xz}" ;; esac; done""",
 }

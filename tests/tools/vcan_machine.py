@@ -30,28 +30,41 @@ depends) echo "$2"; echo "  Depends: $(cat "$FACTS/apt/$2")"; echo '  Depends: f
 esac"""
 # Unpacks what the packages of Debian and of Ubuntu have, as far as the script looks at it.
 DPKG = """package=$(cat "$2") tree=$3
+case $1 in --fsys-tarfile) echo archive; exit ;; esac
 mkdir -p "$tree/boot" "$tree/lib/modules"
 case $package in
+linux-headers-*-amd64)
+    headers=$tree/usr/src/$package
+    mkdir -p "$headers"
+    echo "include /usr/src/$package-common/Makefile" >"$headers/Makefile" ;;
 linux-image-*) head -c 2048 /dev/zero >"$tree/boot/vmlinuz-${package#linux-image-}" ;;
 linux-modules-extra-*) echo module >"$tree/lib/modules/vcan.ko.zst" ;;
 linux-modules-*) echo module >"$tree/lib/modules/overlay.ko.zst" ;;
 esac
 case $package in linux-image-*-amd64)
-    for name in vcan overlay; do echo module >"$tree/lib/modules/$name.ko"; done ;;
+    for name in vcan overlay; do echo module >"$tree/lib/modules/$name.ko"; done
+    [ ! -e "$FACTS/card" ] || echo module >"$tree/lib/modules/ctucanfd_pci.ko" ;;
 esac"""
 MODPROBE = """for name; do :; done
 case $* in
 *--show-depends*)
     tree=$2
-    for file in "$tree/lib/modules/$name".ko*; do
-        [ -e "$file" ] && { echo "insmod $file"; exit 0; }
+    for file in $(find "$tree/lib/modules" -name "$name.ko*"); do
+        echo "insmod $file"; exit 0
     done
-    case $name in vcan|overlay) echo "modprobe: module $name not found" >&2; exit 1 ;; esac
+    case $name in vcan|overlay|ctucanfd_pci)
+        echo "modprobe: module $name not found" >&2; exit 1 ;;
+    esac
     echo "builtin $name" ;;
 *-n*) [ -e "$FACTS/module" ] ;;
 *)
     [ -e "$FACTS/module" ] || exit 1
     [ "$(id -u)" = 0 ] && touch "$FACTS/vcan" ;;
+esac"""
+# Of the kernel's source, as much as is compiled.
+TAR = """case $1 in
+-xO) cat ;;
+-x) cat >/dev/null; mkdir -p drivers/net/can/ctucanfd ;;
 esac"""
 UNSHARE = """while :; do case $1 in
 --map-root-user) [ -e "$FACTS/no-user-namespaces" ] && {
@@ -78,6 +91,8 @@ def vcan_machine(folder: Path, *, user: str, system: str) -> Machine:
     machine.program("setpriv", SETPRIV)
     machine.program("mount", "exit 0")
     machine.program("ldd", "exit 1")
+    machine.program("ldconfig", "echo '  libelf.so.1 (libc6,x86-64) => /lib/libelf.so.1'")
+    machine.program("tar", TAR)
     machine.program("uname", f"case $1 in -m) echo x86_64 ;; *) echo {AZURE} ;; esac")
     number = "0" if user == "root" else "1001"
     machine.program("id", f'[ "$AS_ROOT" ] && echo 0 || echo {number}')
@@ -93,6 +108,8 @@ def vcan_machine(folder: Path, *, user: str, system: str) -> Machine:
     if system == "debian":
         machine.package("linux-image-amd64", f"linux-image-{DEBIAN}")
         machine.package(f"linux-image-{DEBIAN}")
+        machine.package(f"linux-headers-{DEBIAN}", f"linux-headers-{DEBIAN}-common")
+        machine.package("linux-source-6.1")
     else:
         machine.fact("no-user-namespaces")
         machine.package("linux-image-virtual", f"linux-image-{GENERIC}")

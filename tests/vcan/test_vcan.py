@@ -7,18 +7,21 @@ import subprocess
 from collections import Counter
 
 from vcan_bench import (
-    BUS,
     DBC,
+    FD,
     GAP_MS,
     PATIENCE_BUS_S,
-    STATUS,
     VALVES,
+    VCAN,
     Bench,
     Values,
     ip,
     meshpoint,
     parse,
 )
+
+VCAN_BUS = VCAN.options("vcan0")
+PATIENT = ["--timeout", str(PATIENCE_BUS_S)]
 
 
 def test_a_gear_asked_for_by_cansend_is_engaged_beside_other_traffic(bench: Bench) -> None:
@@ -40,7 +43,7 @@ def test_a_gear_asked_for_by_cansend_is_engaged_beside_other_traffic(bench: Benc
 
 
 def test_a_gear_asked_for_by_meshpoint_request_is_engaged(bench: Bench) -> None:
-    asked = meshpoint(bench.folder, "request", "2", *BUS, "--timeout", str(PATIENCE_BUS_S))
+    asked = meshpoint(bench.folder, "request", "2", *VCAN_BUS, *PATIENT)
     assert asked.returncode == 0, asked.said + bench.story()
     assert "-> 2: engaged" in asked.printed or "in gear 2" in asked.printed
     bench.dump.in_gear(2)
@@ -53,7 +56,8 @@ def test_sigterm_ends_both_nodes_well_and_the_candump_log_decodes_and_verifies(
     bench.shift(2)
     lines = bench.dump.lines()
     assert bench.stop() == [0, 0], bench.story()
-    last = max(number for number, line in enumerate(lines) if STATUS in line)
+    status = FD.tag("ControllerStatus")
+    last = max(number for number, line in enumerate(lines) if status in line)
     log = bench.folder / "shift.log"
     log.write_text("\n".join(lines[: last + 1]) + "\n")
     names: Counter[str] = Counter()

@@ -1,4 +1,7 @@
-"""Two nodes on vcan0, and candump beside them: seen by other people's tools alone."""
+"""Two nodes on one bus, and candump beside them: seen by other people's tools alone.
+
+The bus is vcan0; `tests/controllers_emulated` puts the nodes on the two ends of another one.
+"""
 
 from __future__ import annotations
 
@@ -10,8 +13,9 @@ import sys
 import time
 import traceback
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -42,7 +46,6 @@ GAP_MS = "500" if EMULATED else "20"
 has too many to read."""
 LOOK_S = 0.2 if EMULATED else POLL_S
 """Looking costs processor time, which the nodes want."""
-BUS = ["-i", "socketcan", "-c", "vcan0", "--fd"]
 VALVES = ("Brake", "SplitLow", "SplitHigh", "MainFirst", "MainSecond", "MainCrawl", "MainThird",
           "RangeLow", "RangeHigh")  # fmt: skip
 IN_GEAR = 1
@@ -59,46 +62,113 @@ class Seen(NamedTuple):
 
     can_id: int
     data: bytes
+    dbc: cantools.database.Database = DBC
 
     @property
     def name(self) -> str:
         """As the DBC calls it."""
-        return str(DBC.get_message_by_frame_id(self.can_id).name)
+        return str(self.dbc.get_message_by_frame_id(self.can_id).name)
 
     @property
     def values(self) -> Values:
         """Decoded by cantools, in the DBC's units."""
-        decoded: Values = DBC.get_message_by_frame_id(self.can_id).decode(
+        decoded: Values = self.dbc.get_message_by_frame_id(self.can_id).decode(
             self.data, decode_choices=False
         )
         return decoded
 
 
-def parse(line: str) -> Seen:
+def parse(line: str, dbc: cantools.database.Database = DBC) -> Seen:
     """A line of `candump -L`: (time) vcan0 ID#data, or ID##<flags>data for CAN FD."""
     frame = line.split()[2]
     can_id, _, rest = frame.partition("#")
     data = rest[2:] if rest.startswith("#") else rest
-    return Seen(int(can_id, 16), bytes.fromhex(data))
+    return Seen(int(can_id, 16), bytes.fromhex(data), dbc)
 
 
-def tag(name: str) -> str:
-    """What marks a message's line."""
-    return f" {DBC.get_message_by_name(name).frame_id:08X}#"
+@dataclass(frozen=True)
+class Contract:
+    """What the frames of a profile mean. parts: how many frames some messages come in; the
+    frames' names are the message's with 1, 2 and so on behind it."""
+
+    dbc: cantools.database.Database = DBC
+    parts: Mapping[str, int] = field(default_factory=dict)
+    options: tuple[str, ...] = ("--fd",)
+    """Of the nodes that speak it."""
+    silent_channels: int = 0
+    """Bits of the status's InvalidChannels that stay set, as the profile has no such messages."""
+
+    def frames(self, name: str) -> list[str]:
+        """The names of a message's frames, in order."""
+        count = self.parts.get(name)
+        return [name] if count is None else [f"{name}{part + 1}" for part in range(count)]
+
+    def tag(self, frame: str) -> str:
+        """What marks a frame's line."""
+        return f" {self.dbc.get_message_by_name(frame).frame_id:08X}#"
+
+    def parse(self, line: str) -> Seen:
+        """A line of `candump -L`."""
+        return parse(line, self.dbc)
+
+
+@dataclass(frozen=True)
+class Wire:
+    """The devices of the two nodes, which may be the same. candump, `cansend` and other traffic are
+    at the rig's end, so that what they see of the controller has been over the bus."""
+
+    controller: str
+    rig: str
+    contract: Contract
+    prepare: Callable[[], None]
+    """Makes the devices as they should be, whatever a test before this one did to them."""
+
+    def options(self, device: str) -> list[str]:
+        """Of a node on one of them."""
+        return ["-i", "socketcan", "-c", device, *self.contract.options]
+
+
+class Assembly:
+    """A message's frames until the last one has come: one that was missed makes it void."""
+
+    def __init__(self, contract: Contract, names: set[str]) -> None:
+        self._contract = contract
+        self._where = {
+            contract.tag(frame): (name, number, frame == contract.frames(name)[-1])
+            for name in names
+            for number, frame in enumerate(contract.frames(name))
+        }
+        self._so_far: dict[str, tuple[int, Values]] = {}
+
+    def take(self, line: str) -> tuple[str, Values] | None:
+        """The message that this line makes complete, if it does."""
+        where = next((where for tag, where in self._where.items() if tag in line), None)
+        if where is None:
+            return None
+        name, number, is_last = where
+        wanted, values = self._so_far.pop(name, (0, {}))
+        if number not in (0, wanted):
+            return None
+        values = (values if number else {}) | self._contract.parse(line).values
+        if is_last:
+            return name, values
+        self._so_far[name] = (number + 1, values)
+        return None
 
 
 class Candump:
-    """`candump -L vcan0` into a file, read while it grows."""
+    """`candump -L DEVICE` into a file, read while it grows."""
 
     def __init__(
-        self, path: Path, patience: Callable[[], Patience], say: Callable[[], str]
+        self, path: Path, wire: Wire, patience: Callable[[], Patience], say: Callable[[], str]
     ) -> None:
         self.path = path
+        self._contract = wire.contract
         self._patience, self._say = patience, say
         self._file = path.open("wb")
         # -D: a device that goes down and up again does not end it. Line by line, to be read live.
         self._process = subprocess.Popen(
-            ["stdbuf", "-oL", "candump", "-D", "-L", "vcan0"], stdout=self._file
+            ["stdbuf", "-oL", "candump", "-D", "-L", wire.rig], stdout=self._file
         )
         self._read = path.open()
         self._unread: deque[str] = deque()
@@ -122,14 +192,13 @@ class Candump:
     def messages(self, names: set[str], what: str) -> Iterator[tuple[str, Values]]:
         """Every message of these names from the mark on, which moves on; waits for the next for as
         long as a test has patience."""
-        patience, tags = self._patience(), {tag(name): name for name in names}
+        patience, assembly = self._patience(), Assembly(self._contract, names)
         while True:
             self._take()
             while self._unread:
-                line = self._unread.popleft()
-                name = next((name for tag, name in tags.items() if tag in line), None)
-                if name is not None:
-                    yield name, parse(line).values
+                message = assembly.take(self._unread.popleft())
+                if message is not None:
+                    yield message
             patience.check(what, self._say)
             time.sleep(LOOK_S)
 
@@ -140,6 +209,14 @@ class Candump:
                 return values
         raise AssertionError("there is no end of messages")
 
+    def last(self, name: str) -> Values | None:
+        """The newest message of this name so far."""
+        assembly, newest = Assembly(self._contract, {name}), None
+        for line in self.lines():
+            message = assembly.take(line)
+            newest = message[1] if message is not None else newest
+        return newest
+
     def in_gear(self, gear: int) -> Values:
         """Waits until the controller reports the gear with all its channels valid."""
         return self.wait(
@@ -147,7 +224,7 @@ class Candump:
             lambda status: (
                 status["State"] == IN_GEAR
                 and status["CurrentGear"] == gear
-                and status["InvalidChannels"] == 0
+                and status["InvalidChannels"] == self._contract.silent_channels
             ),
             f"the controller in gear {gear}",
         )
@@ -223,23 +300,25 @@ class Command:
 class Bench:
     """Rig in gear 14 and controller on bus time that waits for both, and candump."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, wire: Wire | None = None) -> None:
         self.folder = folder
-        fresh_vcan0()
+        self.wire = wire = VCAN if wire is None else wire
+        wire.prepare()
         pace = folder / "pace.time"
         self._pace = Command(folder, "pace", str(pace), "--speed", str(SPEED))
         until(lambda: self._pace.poll() is not None or pace.exists(), "a bus time")
         assert self._pace.poll() is None, self._pace.said
         self._time = PaceFile(pace)
-        self.dump = Candump(folder / "candump.log", self.patience, self.story)
-        common = ["--pace", str(pace), "--speed", str(SPEED), *BUS]
+        self.dump = Candump(folder / "candump.log", wire, self.patience, self.story)
+        common = ["--pace", str(pace), "--speed", str(SPEED)]
         # kernels are not compiled in the emulated machine: the truck's take it too long there
         gear = ["--preset", "thesis", "--gear", "14", "--main-speed", "300"]
-        self.rig = Command(folder, "rig", *gear, *common)
+        self.rig = Command(folder, "rig", *gear, *common, *wire.options(wire.rig))
         # nor are the controller's: there the bus is under test, with what is cheapest to compute
         cheap = ["--estimator", "thesis", "--strategy", "speed_window"] if EMULATED else []
         headers = ["--header-dir", str(folder)]
-        self.controller = Command(folder, "controller", "--arm", *headers, *cheap, *common)
+        arguments = [*headers, *cheap, *common, *wire.options(wire.controller)]
+        self.controller = Command(folder, "controller", "--arm", *arguments)
 
     def __enter__(self) -> Bench:
         return self
@@ -248,12 +327,12 @@ class Bench:
         self.stop()
         self.dump.stop()
         with suppress(subprocess.CalledProcessError):
-            fresh_vcan0()
+            self.wire.prepare()
 
     @contextmanager
     def another_candump(self) -> Iterator[Candump]:
         """For a device that was made anew: the first candump hears the old one."""
-        dump = Candump(self.folder / "again.log", self.patience, self.story)
+        dump = Candump(self.folder / "again.log", self.wire, self.patience, self.story)
         try:
             yield dump
         finally:
@@ -270,8 +349,7 @@ class Bench:
 
     def story(self) -> str:
         """What the nodes said and where the controller stood last."""
-        status = next((one for one in reversed(self.dump.lines()) if STATUS in one), None)
-        last = parse(status).values if status else "none"
+        last = self.dump.last("ControllerStatus") or "none"
         said = "\n".join(f"{n.name} said: {n.said}" for n in (self.rig, self.controller))
         return f"\n{said}\nthe last status: {last}"
 
@@ -290,9 +368,18 @@ class Bench:
             elif seen == "ControllerStatus":
                 acting = values["TargetGear"] == gear
             if not acting and self.bus_s() - asked_s >= AGAIN_BUS_S:
-                ask_by_cansend(gear)
+                self.ask_by_cansend(gear)
                 asked_s = self.bus_s()
         raise AssertionError("there is no end of messages")
+
+    def ask_by_cansend(self, gear: int) -> None:
+        """J1939 TC1 as any tool on the bus would send it."""
+        message = self.wire.contract.dbc.get_message_by_name("TC1")
+        most = {signal.name: signal.maximum for signal in message.signals}
+        values = message.decode(message.encode(most, strict=False), decode_choices=False)
+        data = message.encode(values | {"RequestedGear": gear}, strict=False)
+        frame = f"{message.frame_id:08X}#{data.hex()}"
+        subprocess.run(["cansend", self.wire.rig, frame], check=True)
 
     def wait_said(self, text: str) -> None:
         """Waits until both nodes have said something."""
@@ -315,21 +402,9 @@ class Bench:
         return codes
 
 
-STATUS = tag("ControllerStatus")
-
-
 def ended_well(outcome: Values) -> bool:
     """Whether a ShiftOutcome is one of a gear engaged."""
     return bool(outcome["Result"] == ENGAGED)
-
-
-def ask_by_cansend(gear: int) -> None:
-    """J1939 TC1 as any tool on the bus would send it."""
-    message = DBC.get_message_by_name("TC1")
-    data = message.encode({signal.name: signal.maximum for signal in message.signals}, strict=False)
-    values = message.decode(data, decode_choices=False) | {"RequestedGear": gear}
-    data = message.encode(values, strict=False)
-    subprocess.run(["cansend", "vcan0", f"{message.frame_id:08X}#{data.hex()}"], check=True)
 
 
 def meshpoint(folder: Path, *arguments: str) -> Command:
@@ -352,3 +427,7 @@ def fresh_vcan0() -> None:
         ip("set", "vcan0", "mtu", "72")
     if not int((net / "flags").read_text(), 16) & 1:
         ip("set", "vcan0", "up")
+
+
+FD = Contract()
+VCAN = Wire("vcan0", "vcan0", FD, fresh_vcan0)

@@ -18,6 +18,7 @@ from typing import Any, Final
 import can
 
 from meshpoint.bus.options import CANFD_MTU, classic_refusal
+from meshpoint.bus.profile import WireProfile
 from meshpoint.testbench.check.finding import Finding, Verdict
 
 GROUP: Final = "interface"
@@ -125,13 +126,20 @@ def _counts(device: dict[str, Any], info: dict[str, Any]) -> dict[str, int]:
     return counts
 
 
-def judge_link(link: LinkState, before: LinkState | None = None) -> Iterator[Finding]:
+def judge_link(
+    link: LinkState,
+    before: LinkState | None = None,
+    profile: WireProfile = WireProfile.FD,
+) -> Iterator[Finding]:
     """What the state of a link means. before: the same link some seconds earlier."""
+    is_classic = profile is WireProfile.CLASSIC
     if not link.is_up:
         yield _bad("link", f"{link.name} is down: `ip link set {link.name} up`")
     else:
         yield _good("link", f"{link.name} is up")
-    if link.mtu is not None and link.mtu < CANFD_MTU:
+    if is_classic:
+        yield _good("CAN FD", f"mtu {link.mtu}; --profile classic needs none")
+    elif link.mtu is not None and link.mtu < CANFD_MTU:
         yield _bad("CAN FD", classic_refusal(link.name))
     else:
         yield _good("CAN FD", f"mtu {link.mtu}")
@@ -141,23 +149,24 @@ def judge_link(link: LinkState, before: LinkState | None = None) -> Iterator[Fin
             f"{link.kind or 'this kind of device'} has no CAN controller: {NO_FACTS} mean nothing",
         )
         return
-    yield from _judge_timing(link)
+    yield from _judge_timing(link, is_classic)
     yield _judge_restart(link)
     yield from _judge_queue(link)
     yield from _judge_errors(link, before)
 
 
-def _judge_timing(link: LinkState) -> Iterator[Finding]:
+def _judge_timing(link: LinkState, is_classic: bool) -> Iterator[Finding]:
     if link.bit_s is None:
         yield _unknown("bit rate", "`ip` tells none")
         return
     rates = f"{link.bit_s / 1e3:g} kbit/s"
     rates += f", data {link.data_bit_s / 1e6:g} Mbit/s" if link.data_bit_s else ", no data bit rate"
-    right = (link.bit_s, link.data_bit_s) == (ARBITRATION_BIT_S, DATA_BIT_S)
+    right = link.bit_s == ARBITRATION_BIT_S and (is_classic or link.data_bit_s == DATA_BIT_S)
+    wanted = "500 kbit/s" if is_classic else "500 kbit/s and 2 Mbit/s"
     yield (
         _good("bit rate", rates)
         if right
-        else _bad("bit rate", f"{rates}; the contract has 500 kbit/s and 2 Mbit/s")
+        else _bad("bit rate", f"{rates}; the contract has {wanted}")
     )
     if link.sample_point is None:
         yield _unknown("sample point", "`ip` tells none")
@@ -177,7 +186,8 @@ def _judge_restart(link: LinkState) -> Finding:
         after = (
             f"restarts by itself after {link.restart_ms} ms"
             if link.restart_ms
-            else f"stays so, as restart-ms is 0: `ip link set {link.name} type can restart`"
+            else f"stays so, as restart-ms is 0: `ip link set {link.name} type can restart`, or "
+            f"{link.name} down and up where the driver cannot"
         )
         return _bad("controller state", f"BUS-OFF, the node is off the bus and {after}")
     if not link.restart_ms:

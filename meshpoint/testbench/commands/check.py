@@ -97,9 +97,11 @@ def run(namespace: argparse.Namespace) -> int:
         bus = open_bus_from(namespace)
     except BusOpenError as error:
         findings.append(Finding(GROUP, "open", Verdict.BAD, str(error)))
-        findings += judge_link(link) if isinstance(link, LinkState) else []
+        if isinstance(link, LinkState):
+            findings += judge_link(link, profile=arguments.wire_of(namespace))
         return _end(namespace, config, findings)
-    is_classic = arguments.wire_of(namespace) is WireProfile.CLASSIC
+    profile = arguments.wire_of(namespace)
+    is_classic = profile is WireProfile.CLASSIC
     uncounted = set(namespace.turn or ()) - {str(shaft) for shaft in _counted(namespace)}
     if uncounted:
         names = " and ".join(sorted(uncounted))
@@ -113,7 +115,7 @@ def run(namespace: argparse.Namespace) -> int:
         except (can.CanError, OSError) as error:
             findings.append(Finding(GROUP, "bus", Verdict.BAD, f"lost while listening: {error}"))
             turned = []
-    findings += _interface_findings(config, link)
+    findings += _interface_findings(config, link, profile)
     findings.append(socket_finding)
     has_controller = config["interface"] not in NO_CONTROLLER
     findings += [f if has_controller else _machine_alone(f) for f in listener.findings()]
@@ -142,13 +144,14 @@ def _link(config: dict[str, Any]) -> LinkState | LinkError | None:
 
 
 def _interface_findings(
-    config: dict[str, Any], before: LinkState | LinkError | None
+    config: dict[str, Any], before: LinkState | LinkError | None, profile: WireProfile
 ) -> list[Finding]:
     if before is None:
         return [without_link(config["interface"])]
     now = _link(config)
     if isinstance(now, LinkState):
-        return list(judge_link(now, before if isinstance(before, LinkState) else None))
+        earlier = before if isinstance(before, LinkState) else None
+        return list(judge_link(now, earlier, profile))
     return [Finding(GROUP, "link", Verdict.UNKNOWN, str(now))]
 
 
