@@ -15,6 +15,7 @@ from meshpoint.controller.estimation.lash_cloud import _drawn
 from meshpoint.controller.estimation.lash_start import StartWatch
 from meshpoint.controller.estimation.likelihood import Learned, _step
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
+from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning, CruiseFilterTuning
@@ -96,3 +97,15 @@ def test_a_geared_wheel_keeps_its_teeth_until_edges_are_lost() -> None:
     read(1_800_000)
     assert not geared.teeth.learned
     assert geared.teeth.memory is not None
+
+
+def test_a_swinging_shaft_s_speed_is_how_its_angle_goes() -> None:
+    """Ahead by any time; and its state there says the same."""
+    motion = SwingMotion(0.5, 20.0, [ModeRates(70.0, 3.0, 2.0), ModeRates(25.0, 1.0, 0.5)])
+    state = np.array([1.0, 63.0, 0.0, 0.01, 1.0, 0.02, -0.5])
+    swing = Swing(state, np.diag(np.linspace(0.1, 2.0, 7)), motion)
+    for wait_s in (0.005, 0.02, 0.05):
+        angle, speed = swing.ahead(wait_s)
+        before, after = swing.ahead(wait_s - 1e-5)[0], swing.ahead(wait_s + 1e-5)[0]
+        assert speed == pytest.approx((after - before) / 2e-5, abs=1e-3)
+        assert swing.spread_ahead(wait_s)[0][0] == pytest.approx(angle)
