@@ -46,21 +46,24 @@ async def run_controller(
     `keep` gets the calibration whenever more is known, and at the end. With `keys` commands are
     proven to be ours. With `diagnosis` it claims its address, tells its trouble codes and answers
     testers (docs/diagnosis.md). `record`: a folder, that of the run header, for what a replay needs
-    to know of link outages. `wire`: the frames on the bus. `address`: the controller's on this bus,
-    which `open_bus` has put in the DBC's place."""
+    to know of link outages, and of every step where `wire` is classic. `wire`: the frames on the
+    bus. `address`: the controller's on this bus, which `open_bus` has put in the DBC's place."""
     warm_up(baselines=header.settings.estimator is not Estimator.CROSSING)
     core = ControllerCore(header)
     kept: Core = core if keep is None else CalibrationKeeper(core, keep, _utc)
     statistics = NodeStatistics()
-    if record is not None:
+    if record is not None and wire is WireProfile.FD:
         kept = OutageRecord(kept, record, header.run_hash, lambda: statistics.frames_discarded)
     node: Core = kept if keys is None else ProvingCore(kept, keys)
     if diagnosis:
         node = DiagnosedCore(node, header.version, told_as=address)
     if wire is WireProfile.CLASSIC:
         from meshpoint.bus.classic.cores import ClassicControllerCore
+        from meshpoint.bus.classic.step_record import StepRecord
 
         node = ClassicControllerCore(node, header.sheet)
+        if record is not None:
+            node = StepRecord(node, record, header.run_hash, diagnosed=diagnosis)
     settle()
     return await run_node(
         node,

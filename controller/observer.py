@@ -85,8 +85,8 @@ class Observer:
         self._input_wheel: GearedWheel | None = None
         self._propeller_wheel: GearedWheel | None = None
         self.brake = BrakeModel(sheet, tuning.gain_sd, tuning.drag_sd_nm)
-        self.pressed = 0
-        """The flank that the shafts' torque held in gear (`DrivelineLook.pressed`)."""
+        self.pressed_nm = 0.0
+        """What is left in the shafts as a gear comes out (`DrivelineLook.pressed_nm`)."""
         self._learns = estimator is Estimator.CROSSING
         """The baselines know the data sheet and nothing more."""
         self.layshaft: LayshaftTracker
@@ -324,7 +324,7 @@ class Observer:
         was_free = self.layshaft.free
         self.layshaft.set_free(free, newest.time_us, events)
         if isinstance(self._main, MainTracker):
-            self._main.set_free(free, view.range_, events, view.oldest_us, self.pressed)
+            self._main.set_free(free, view.range_, events, view.oldest_us, self.pressed_nm)
         if was_free and not free:
             self._model_layshaft()
 

@@ -91,8 +91,9 @@ class LashStart(NamedTuple):
     hill_rad_s2: float = 0.0
     vehicle_root: Vector | None = None
     """with a root of their covariance, (2, 2); None: as the sheet says."""
-    pressed: int = 0
-    """The flank that the shafts' torque held before: of drive 1, of coast -1, 0 unknown."""
+    pressed_nm: float = 0.0
+    """About what was left in the shafts, at the propeller shaft: above 0 at the flank of drive,
+    below at that of coast, 0 unknown."""
 
 
 class LashFigures(NamedTuple):
@@ -170,15 +171,16 @@ class Lash:
         x[LOSS] = np.exp(known.loss_log + known.loss_sd * sure[7])
         x[DRAG] = np.maximum(np.exp(known.drag_log + known.drag_sd * sure[8]), LEAST_DRAG)
         x[TYRE_STIFF] = self._tyre_per_s2 * np.exp(axle.tyre_tolerance * sure[9])
-        self._press(x, start.pressed)
+        self._press(x, start.pressed_nm)
         return x
 
-    def _press(self, x: Vector, pressed: int) -> None:
+    def _press(self, x: Vector, pressed_nm: float) -> None:
         """Places the drivelines between their flanks, and at the one that was pressed on."""
-        axle, even, share = self.axle, _even()[1], PRESSED * abs(pressed)
+        pressed = float(np.sign(pressed_nm))
+        even, share = _even()[1], PRESSED * abs(pressed)
         on, rest = even < share, (even - share) / (1.0 - share)
         # The law of what a ramp leaves has a mean and is no less than none: exponential.
-        left_nm = -axle.left_nm * np.log1p(-np.where(on, even / PRESSED, 0.0))
+        left_nm = -abs(pressed_nm) * np.log1p(-np.where(on, even / PRESSED, 0.0))
         twist = left_nm * self.ratio / (self._turned_kgm2 * x[STIFF])
         flank = (1 + pressed) * x[HALF] + pressed * twist
         x[WAY] = np.where(on, flank, (1.0 - AROUND + 2.0 * AROUND * rest) * x[HALF])

@@ -40,7 +40,7 @@ class StartWatch:
         self._in_gear: deque[tuple[float, float]] = deque()
         """The newest edge of each batch: time (us) and angle (rad)."""
         self._since_us = 0.0
-        self._pressed = 0
+        self._pressed_nm = 0.0
         self._vehicle: tuple[float, float] | None = None
         self.waiting: Vector = np.empty((2, 0))
         """Edges since the gear came out, until they were enough."""
@@ -61,10 +61,9 @@ class StartWatch:
         """A window in neutral has told the vehicle's speed, at the main shaft."""
         self._vehicle = (time_us, speed_rad_s)
 
-    def released(self, since_us: float, pressed: int = 0) -> None:
-        """A gear came out no later than this; pressed: the flank that was held before, as in
-        `LashStart`."""
-        self._since_us, self._pressed = since_us, pressed
+    def released(self, since_us: float, pressed_nm: float = 0.0) -> None:
+        """A gear came out no later than this; pressed_nm: as in `LashStart`."""
+        self._since_us, self._pressed_nm = since_us, pressed_nm
         self.waiting = np.empty((2, 0))
 
     def take_out(self, edges: Vector, vehicle_sds: tuple[float, float]) -> LashStart | None:
@@ -80,7 +79,7 @@ class StartWatch:
         before = before[:, before[0] <= self._since_us]
         kept, self._vehicle = self._vehicle, None
         self._in_gear.clear()
-        start = LashStart(self._since_us, angle, speed, speed, pressed=self._pressed)
+        start = LashStart(self._since_us, angle, speed, speed, pressed_nm=self._pressed_nm)
         if kept is not None and self._since_us - kept[0] < KEPT_US:
             return start._replace(vehicle_rad_s=kept[1])
         if before.shape[1] < 2 or before[0, -1] - before[0, 0] < LEAST_FIT_US:

@@ -166,16 +166,16 @@ class MainTracker(WheelTracker):
         range_: Range | None,
         events: list[str],
         since_us: float = 0.0,
-        pressed: int = 0,
+        pressed_nm: float = 0.0,
     ) -> None:
         """Whether it turns with the vehicle alone, surely so since a time; its teeth and its swing
-        are learned then. pressed: the flank that the shafts' torque held before (`LashStart`)."""
+        are learned then. pressed_nm: what is left in the shafts (`LashStart`)."""
         if free and not self._free and self._running and range_ is not None:
-            self._begin_free(range_, since_us, pressed)
+            self._begin_free(range_, since_us, pressed_nm)
         elif not free and self._free:
             self._end_free(events)
 
-    def _begin_free(self, range_: Range, since_us: float, pressed: int) -> None:
+    def _begin_free(self, range_: Range, since_us: float, pressed_nm: float) -> None:
         state, swing = self._filter, self._swings[range_]
         state.forget_past()
         state.heed(0.0)
@@ -189,7 +189,7 @@ class MainTracker(WheelTracker):
         swing.start(x, p)
         time_us = state.time_us
         state.begin(time_us, x, p)
-        self._before.released(max(since_us, time_us), pressed)
+        self._before.released(max(since_us, time_us), pressed_nm)
         self._rivals[range_].begin()
         self._began = (time_us, x.copy(), p.copy())
         self._start_p = p

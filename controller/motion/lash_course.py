@@ -9,20 +9,14 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.motion.lash_motion import (
-    ANGLE,
-    HILL,
-    SPEED,
-    VEHICLE,
-    LashModel,
-    move,
-)
+from meshpoint.controller.motion.lash_motion import HILL, SPEED, VEHICLE, LashModel, move_often
 from meshpoint.controller.records import Integers, Vector
 
 STEP_S: Final = 2.5e-3
 STEPS: Final = 49
 """The course is worked out at so many steps of this. Beyond the last the speed is held."""
 TIMES: Final[Vector] = STEP_S * np.arange(float(STEPS))
+PLACES: Final = np.arange(STEPS)
 MOST_TICKS: Final = 8
 """What will be known is worked out for so many ticks,"""
 COMPARED: Final = 60
@@ -61,11 +55,9 @@ class LashCourse:
         own = float(self._p[1, 1])
         self.speed_sd_rad_s = math.sqrt(float(x[SPEED].var()) + own)
         """Standard deviation of the speed now."""
-        angle, speed = np.empty((STEPS, x.shape[1])), np.empty((STEPS, x.shape[1]))
-        for k in range(STEPS):
-            if k > 0:
-                move(x, STEP_S, model)
-            angle[k], speed[k] = x[ANGLE], x[SPEED]
+        found = np.empty((2, STEPS, x.shape[1]))
+        move_often(x, STEP_S, model, found)
+        angle, speed = found
         self._angle = angle
         self._merged = self._merge(angle, speed)
         self._merged[2] *= doubt
@@ -123,7 +115,7 @@ class LashCourse:
     def theta_sd_ahead(self, wait_s: float) -> float:
         """Standard deviation of the angle after a time."""
         at = min(max(self.since_s + wait_s, 0.0) / STEP_S, float(STEPS - 1))
-        return float(np.interp(at, np.arange(STEPS), self._merged[2]))
+        return float(np.interp(at, PLACES, self._merged[2]))
 
     def outlook(self, horizon_s: float, tick_s: float, count: int) -> Vector:
         """Variances (rad2) of the angle predicted `horizon_s` ahead: now, and after each further

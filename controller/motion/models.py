@@ -182,18 +182,21 @@ class Ticks(NamedTuple):
 def outlook(state: LayshaftState, ticks: Ticks, switches: Vector, model: MotionModel) -> Vector:
     """Variances (rad2) of the angle predicted a horizon ahead: now, and after each further tick of
     edges. The state must have a covariance."""
+    if state.covariance is None:
+        raise ValueError("the estimator of this state has no covariance")
     horizon_us, tick_us, looks = ticks
     found = np.empty(looks)
     heard = state.edge_rad2_s / (tick_us * US)
+    time_us, x, p = state.time_us, state.vector, state.covariance.copy()
     for k in range(looks):
-        then = predict_spread(state, state.time_us + horizon_us, switches, model)
-        found[k] = then.theta_sd_rad**2
-        after = predict_spread(state, state.time_us + tick_us, switches, model)
-        p = after.covariance
-        if p is None:  # pragma: no cover - predict_spread gives one
-            break
-        gain = p[:, THETA] / (p[THETA, THETA] + heard)
-        state = state_of(after.vector, p - np.outer(gain, p[THETA]), after.time_us)
+        then, spread = x.copy(), p.copy()
+        forecast(then, spread, float(time_us), float(time_us + horizon_us), switches, model.flat)
+        found[k] = math.sqrt(max(0.0, spread.item(THETA, THETA))) ** 2
+        if k + 1 == looks:
+            break  # nobody asks what comes after the last
+        forecast(x, p, float(time_us), float(time_us + tick_us), switches, model.flat)
+        p -= np.outer(p[:, THETA] / (p[THETA, THETA] + heard), p[THETA])
+        time_us += tick_us
     return found
 
 

@@ -14,7 +14,7 @@ and its noise of density N adds S - A S A' to its covariance, S = N / (4 d) diag
 that of a mode that has swung for ever.
 
 A step of any length is exact. A driveline that rattles in its backlash moves otherwise
-(`lash_kernels`). Compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
+(`lash_motion`). Compiled by numba; with NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
 State is updated in place.
 """
 

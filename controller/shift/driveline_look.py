@@ -46,9 +46,9 @@ class DrivelineLook:
         )
         self.learned = self.known
         """The same after the ramp under way."""
-        self.pressed = 0
-        """The flank that the shafts' torque held as the ramp under way began: of drive 1, of coast
-        -1; 0 where it could not be told from none."""
+        self.pressed_nm = 0.0
+        """About what the ramp under way leaves in the shafts, at the propeller shaft: above 0 at
+        the flank of drive, below at that of coast; 0 where it could not be told from none."""
         self._gear: int | None = None
         self._torque_share: float | None = None
         self.torque_step = 0.01
@@ -80,7 +80,7 @@ class DrivelineLook:
         gear, speed = snapshot.view.gear_number, snapshot.engine_rad_s
         opening = state is State.CLUTCH_OPENING
         if state is State.IN_GEAR:
-            self.pressed = 0
+            self.pressed_nm = 0.0
         if not opening:
             self._asked_share = None
         if (state is not State.IN_GEAR and not opening) or gear != self._gear:
@@ -116,10 +116,12 @@ class DrivelineLook:
         self.known = self.known._replace(vehicle_sd=sd, stiffness_sd=stiffness_sd)
         self.learned = self.known
 
-    def press(self, pulled_nm: float, doubt_nm: float) -> None:
-        """What the shafts carry as a ramp begins, and its error: it tells their flank."""
+    def press(self, pulled_nm: float, doubt_nm: float, harmless_nm: float) -> None:
+        """What the shafts carry as a ramp begins, and its error: it tells their flank. What the
+        ramp leaves there is what may be left, and what cannot be told."""
         told = abs(pulled_nm) > TOLD_SD * doubt_nm
-        self.pressed = int(math.copysign(1.0, pulled_nm)) if told else 0
+        left_nm = math.hypot(harmless_nm, doubt_nm) if told else 0.0
+        self.pressed_nm = math.copysign(left_nm, pulled_nm)
 
     def torque_sd_nm(self, engine_rad_s2: float) -> float:
         """Error of the torque by which the engine is told to load the shafts, at the crankshaft: of

@@ -85,7 +85,7 @@ def _begun(context: ShiftContext, snapshot: StepSnapshot) -> Unloading | None:
         bodies.coasting_rad_s2(torque_nm, found.acceleration_rad_s2),
         seen.torque_sd_nm(bodies.ratio * found.acceleration_rad_s2),
     )
-    seen.press(begun.pulled_nm, bodies.ratio * begun.doubt_nm)
+    seen.press(begun.pulled_nm, bodies.ratio * begun.doubt_nm, bodies.harmless_nm)
     ramps = unloading(context.sheet, bodies, begun, snapshot.now_us)
     short = [ramp for ramp in ramps if ramp.over_us - snapshot.now_us <= most_us]
     shift.unloading = (short or ramps[:1])[-1]

@@ -26,8 +26,9 @@ from meshpoint.units import SECOND_US
 
 SHAPES: Final = ((1.0,), (0.5, 0.5), (0.25, 0.5, 0.25))
 """Shares of the torque taken away at each half period, the shortest first."""
-SWING_SHARE: Final = 0.125
-"""What is left may swing the main shaft by this share of the dog teeth's backlash."""
+THROWN_SHARE: Final = 1.0 / 3.0
+"""What is left may throw the main shaft off its flank so fast that it turns by this share of the
+dog teeth's backlash while a sleeve is on its way."""
 TOLD_SD: Final = 2.0
 """A torque of the shafts is told from none where it is so many times as large as its error."""
 
@@ -85,9 +86,16 @@ def geared_bodies(
     layshaft = ratio * sheet.split_mesh(gear.split).ratio
     engine = (sheet.engine.inertia_kgm2 + shafts.input_inertia_kgm2) * ratio**2
     engine += shafts.layshaft_inertia_kgm2 * layshaft**2
-    main_rad = SWING_SHARE * sheet.dog.backlash_rad
-    harmless = sheet.driveline.stiffness_nm_rad * main_rad * sheet.range_mesh(gear.range_).ratio
-    return GearedBodies(ratio, engine, known, harmless, layshaft * drag_nm)
+    return GearedBodies(ratio, engine, known, _harmless_nm(sheet, gear), layshaft * drag_nm)
+
+
+def _harmless_nm(sheet: GearboxSheet, gear: DriveGear) -> float:
+    """The torque of the shafts that throws the main shaft off no faster than it may be: a mass
+    that a spring lets go leaves it with T / sqrt(k J)."""
+    axle, main = sheet.axle, sheet.range_mesh(gear.range_).ratio
+    thrown_rad_s = main * THROWN_SHARE * sheet.dog.backlash_rad / sheet.sleeve.delay_s
+    turned_kgm2 = axle.propeller_kgm2 + axle.main_kgm2 / main**2
+    return thrown_rad_s * math.sqrt(sheet.driveline.stiffness_nm_rad * turned_kgm2)
 
 
 class Loaded(NamedTuple):

@@ -46,8 +46,8 @@ STATUS_SIGNALS: Final = (
     "ReferenceKnown", "ActiveFault", "ColdStart", "E2eErrors", "FormatErrors", "ForeignFrames",
     "GuardBlocks", "InvalidChannels", "StepLateness", "RunHashLow", "RunHashHigh",
 )  # fmt: skip
-"""What the controller's status says here. The checksums of what each step consumed have no room, so
-a log of this profile cannot be replayed byte for byte."""
+"""What the controller's status says here. The checksums of what each step consumed have no room:
+for a replay the controller keeps them beside its run header."""
 STATUS_CYCLE_MS: Final = 200
 COMMAND_CYCLE_MS: Final = 100
 ENGINE_CYCLE_MS: Final = 20

@@ -76,7 +76,7 @@ class PaceFile:
         started = path.with_name(f"{path.name}.{os.getpid()}")
         try:
             started.write_bytes(struct.pack(_LAYOUT, 0, *[_ABSENT] * len(PACED_NODES), _MARK))
-            os.replace(started, path)
+            started.replace(path)
         finally:
             started.unlink(missing_ok=True)
         return PaceFile(path)

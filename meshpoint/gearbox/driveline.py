@@ -83,8 +83,6 @@ class Axle:
     """By how much the pinion's drag may differ."""
     loose_nm: float = quantity("loose_nm", 0.0, 50.0, default=2.0)
     """Drag of the loose gears' bearings on the main shaft, at the main shaft."""
-    left_nm: float = quantity("left_nm", 0.0, 1e4, default=250.0)
-    """Torque that the ramp of the engine leaves in the shafts when a gear comes out, on average."""
     vehicle_start_rad_s: float = quantity("vehicle_start_rad_s", 0.01, 10.0, default=0.3)
     """Standard deviation of the vehicle's speed at the main shaft as told by the shafts in gear,
     beside what their swing hides."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from pathlib import Path
 
 import cantools
@@ -13,20 +14,21 @@ from meshpoint.bus.core import Step
 from meshpoint.bus.logs.limits import read_log
 from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.classic.codecs import CLASSIC_CODECS, ClassicSender
 from meshpoint.dbc.classic.source import CLASSIC_DBC
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import FrameVerdict, Receiver
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.logs.replay import CLASSIC_LOG, LogReplay
+from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.loop.simulate import Result, Setup, simulate
 
-Run = tuple[Result, list[tuple[int, Frame]]]
+Run = tuple[Result, list[tuple[int, Frame]], Path]
 
 
 @pytest.fixture(scope="module")
-def run() -> Run:
+def run(tmp_path_factory: pytest.TempPathFactory) -> Run:
     """Two shifts of the truck's box, the second one aimed; and every frame of the bus."""
     frames: list[tuple[int, Frame]] = []
     setup = Setup(
@@ -37,11 +39,14 @@ def run() -> Run:
         pairs=((8, 10),),
         wire=WireProfile.CLASSIC,
     )
-    return simulate(setup, lambda time_us, frame: frames.append((time_us, frame))), frames
+    folder = tmp_path_factory.mktemp("classic")
+    setup.header.save(folder)
+    result = simulate(setup, lambda time_us, frame: frames.append((time_us, frame)), record=folder)
+    return result, frames, folder
 
 
 def test_the_same_core_shifts_over_eight_byte_frames(run: Run) -> None:
-    result, _ = run
+    result, _, _ = run
     assert [(row.from_, row.to, row.result) for row in result.rows] == [(8, 10, "engaged")] * 2
     assert result.rows[1].reference == "known"
     assert not result.stuck
@@ -50,7 +55,7 @@ def test_the_same_core_shifts_over_eight_byte_frames(run: Run) -> None:
 def test_the_log_decodes_by_the_profiles_dbc_alone(run: Run) -> None:
     """Every frame has 8 bytes and an identifier of it; edges are those of the two shafts, and the
     bus is taken for less than the bound."""
-    result, frames = run
+    result, frames, _ = run
     database = cantools.database.load_file(CLASSIC_DBC)
     names = set()
     for _, frame in frames:
@@ -100,10 +105,84 @@ def test_a_listener_hears_sensors_commands_and_outcomes(run: Run) -> None:
     assert min(kinds["ValveCommand"], kinds["EdgesLayshaftRise"], kinds["GearboxSensors"]) > 200
 
 
-def test_a_replay_says_that_it_cannot_repeat_the_profile(run: Run, tmp_path: Path) -> None:
-    _, frames = run
-    (session,) = LogReplay(tmp_path, verify=True).run(frame for _, frame in frames[:2_000])
-    assert (session.verdict.value, session.reason) == ("not verifiable", CLASSIC_LOG)
+def verified(folder: Path, frames: Iterable[Frame]) -> str:
+    """What a replay says of these frames, header and steps beside them."""
+    return " | ".join(map(str, LogReplay(folder, verify=True).run(frames)))
+
+
+def test_its_log_is_repeated_to_the_byte(run: Run) -> None:
+    """By the record of its steps; every frame that the controller has sent is compared."""
+    _, frames, folder = run
+    own = sum(frame.can_id & 0xFF == 0x03 for _, frame in frames)
+    text = verified(folder, (frame for _, frame in frames))
+    assert text.startswith("identical: ")
+    assert text.endswith(f" steps, {own} frames")
+
+
+def test_a_part_of_the_log_is_verified_as_far_as_it_goes(run: Run) -> None:
+    _, frames, folder = run
+    some = [frame for _, frame in frames[:3_000]]
+    text = verified(folder, some)
+    assert text.startswith("identical: ")
+    assert "the controller made " in text
+    assert "mid-run" in verified(folder, some[1_500:])
+
+
+def test_a_bit_that_the_controller_did_not_send_is_found(run: Run) -> None:
+    """In valve orders and in a request to the engine, which has no protection; a frame more under
+    the controller's address is named, not taken for its own."""
+    _, frames, folder = run
+    some = [frame for _, frame in frames[:3_000]]
+    orders, engine = (
+        next(n for n, f in enumerate(some) if f.can_id == can_id and n > 2_000)
+        for can_id in (0x0CFF9103, 0x0C000003)
+    )
+    sender = ClassicSender("ValveOrders")
+    sender.counter = (some[orders].data[1] - 1) % 15
+    other = CLASSIC_CODECS["ValveOrders"].decode(some[orders].data)._replace(clutch=1)
+    changed = some.copy()
+    changed[orders] = sender.frame(other)
+    assert "differs at step " in verified(folder, changed)
+    request = some[engine]
+    wrong = request._replace(data=request.data[:-1] + bytes([request.data[-1] ^ 0x10]))
+    changed = some.copy()
+    changed[engine] = wrong
+    assert "frame 0C000003 byte 7" in verified(folder, changed)
+    text = verified(folder, [*some[:engine], wrong, *some[engine:]])
+    assert text.startswith("identical")
+    assert "not its own: 0C000003 (1)" in text
+
+
+def test_a_sensor_frame_that_was_lost_or_changed_is_not_passed_over(run: Run) -> None:
+    _, frames, folder = run
+    some = [frame for _, frame in frames[:3_000]]
+    read = next(n for n, f in enumerate(some) if f.can_id == 0x18FF8080 and n > 2_000)
+    why = "not in the log as it received them"
+    assert why in verified(folder, some[:read] + some[read + 1 :])
+
+
+def test_two_runs_in_a_log_and_one_that_was_killed(run: Run) -> None:
+    """Each has its record. Of the first, some of the last frames are not in the log."""
+    _, frames, folder = run
+    all_ = [frame for _, frame in frames]
+    last = max(n for n, frame in enumerate(all_[:3_000]) if frame.can_id == 0x0CFF9103)
+    (path,) = folder.glob("steps-*.jsonl")
+    lines = path.read_text().splitlines(keepends=True)
+    steps = sum(frame.can_id == 0x0CFF9103 for frame in all_[: last + 1])
+    cut = folder / "killed"
+    cut.mkdir()
+    for header in folder.glob("header-*.json"):
+        (cut / header.name).write_bytes(header.read_bytes())
+    (cut / path.name).write_text("".join(lines[: 1 + steps]))
+    first, second = verified(cut, [*all_[: last + 1], *all_[:3_300]]).split(" | ")
+    assert first.startswith("identical: ")
+    assert "the record of its steps ends here" in second
+
+
+def test_without_its_record_a_log_is_refused_with_the_way(run: Run, tmp_path: Path) -> None:
+    text = verified(tmp_path, (frame for _, frame in run[1][:2_000]))
+    assert text.startswith("not verifiable")
+    assert "--header-dir" in text
 
 
 def test_the_command_line_has_the_profile(

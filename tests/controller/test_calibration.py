@@ -173,6 +173,13 @@ BAD: dict[str, tuple[Callable[[str], str], tuple[str, ...]]] = {
     "absurd delay": (changed("delay_ms = 45.0", "delay_ms = 3.0"), ("second", "delay_ms", "12")),
     "a huge whole number": (changed("gain = 0.96", "gain = " + "9" * 400), ("brake", "gain")),
     "a number too long": (changed("gain = 0.96", "gain = " + "9" * 5000), ("torn",)),
+    "doubt beyond the gain": (
+        changed("gain_sd = 0.01", "gain_sd = 1.1"), ("gain_sd", "1.1", "0 to 1")
+    ),
+    "more than damped": (
+        changed("damping = [\n    0.05, ", "damping = [\n    1.1, "),
+        ("damping", "1.1", "0.0001 to 1"),
+    ),
     "a text": (changed("gain = 0.96", 'gain = "much"'), ("brake", "gain", "much")),
     "unknown key": (changed("gain = 0.96", "gian = 0.96"), ("brake", "gian", "gain")),
     "missing key": (changed("gain = 0.96\n", ""), ("brake", "gain", "missing")),

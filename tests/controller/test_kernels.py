@@ -290,6 +290,9 @@ RUN = """
 from meshpoint.bus.light_can import load_can
 load_can()
 import json, numpy as np
+from meshpoint.controller.motion.lash_motion import (
+    ROWS, SPEED, STIFF, TYRE_STIFF, LashModel, move,
+)
 from meshpoint.controller.motion.linear_kernels import CRUISE_FILTER, THESIS_FILTER
 from meshpoint.controller.motion.linear_kernels import cruise_filter, propagate, thesis_filter
 from meshpoint.controller.records import RecordMemory
@@ -309,7 +312,11 @@ cruise = RecordMemory(CRUISE_FILTER)
 cruise.part("x")[:], cruise.part("p")[:] = [0.0, 120.0], np.eye(2)
 cruise.part("acceleration_rad_s2")[0], cruise.part("edge_time_s")[0] = 30.0, 1e-6
 cruise_filter(cruise.flat, times, angles)
-print(json.dumps([*x, *thesis.flat, *cruise.flat]))
+crowd = np.linspace(0.01, 0.2, 3 * ROWS).reshape(ROWS, 3)
+crowd[STIFF], crowd[TYRE_STIFF] = 4800.0, 5500.0
+crowd[SPEED] = [2.0, -2.0, 0.5]
+move(crowd, 30e-3, LashModel(0.25, 4.0, 17.0))
+print(json.dumps([*x, *thesis.flat, *cruise.flat, *crowd.flat]))
 """
 
 

@@ -36,6 +36,7 @@ from meshpoint.controller.motion.lash_motion import (
     WHEELS,
     LashModel,
     move,
+    move_often,
 )
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
@@ -108,6 +109,18 @@ def test_flanks_push_and_never_pull() -> None:
         move(x, 1e-4, MODEL)
         assert x[SPEED, 0] - before[SPEED, 0] >= -1e-4 * x[DRAG, 0] * (1.0 + 1e-9)
         x = before
+
+
+def test_drivelines_that_move_at_once_move_as_each_by_itself() -> None:
+    """To the bit: of many, of some and of one, in one call and in several."""
+    crowd = np.concatenate([a_driveline(slip) for slip in np.linspace(-5.0, 5.0, 37)], axis=1)
+    alone, found = [crowd[:, k : k + 1].copy() for k in range(37)], np.empty((2, 5, 37))
+    move_often(crowd, 2.5e-3, MODEL, found)
+    for k, x in enumerate(alone):
+        for at in range(5):
+            assert found[:, at, k].tolist() == [x[ANGLE, 0], x[SPEED, 0]]
+            move(x, 2.5e-3, MODEL)
+        assert x[:, 0].tolist() == crowd[:, k].tolist()
 
 
 def test_the_spread_of_a_driveline_is_that_of_the_matrix_exponential() -> None:
@@ -242,14 +255,14 @@ def test_the_vehicle_s_course_is_what_the_shaft_swings_about_in_gear() -> None:
     angle = 24.0 + 60.0 * seconds - 2.5 * seconds**2 + swing
     for first in range(0, 400, 10):
         watch.take_in_gear(np.array((times, angle))[:, first : first + 10])
-    watch.released(400e3, -1)
+    watch.released(400e3, -80.0)
     later = 400e3 + 1e3 * np.arange(1, 20)
     out = np.array((later, 24.0 + 61e-6 * (later - 400e3)))
     start = watch.take_out(out, VEHICLE_SDS)
     assert start is not None
     assert start.vehicle_rad_s == pytest.approx(60.0, abs=0.3)
     assert start.hill_rad_s2 == pytest.approx(-5.0, abs=2.0)
-    assert start.pressed == -1
+    assert start.pressed_nm == -80.0
     assert (start.angle_rad, start.speed_rad_s) == pytest.approx((24.0, 61.0))
     watch.take_vehicle(500e3, 59.0)
     watch.released(600e3)
@@ -275,13 +288,14 @@ def test_the_vehicle_s_course_is_as_sure_as_it_says() -> None:
     assert ((np.abs(off) < 2.0).mean(axis=0) > 0.85).all()
 
 
-@pytest.mark.parametrize(("pressed", "place"), [(1, 2.0), (-1, 0.0)])
+@pytest.mark.parametrize(("pressed_nm", "place"), [(250.0, 2.0), (-250.0, 0.0)])
 def test_most_of_a_first_cloud_is_at_the_flank_that_was_pressed_on(
-    pressed: int, place: float
+    pressed_nm: float, place: float
 ) -> None:
     """With the tyres wound up as the shafts are, so that nothing moves yet."""
+    pressed = math.copysign(1.0, pressed_nm)
     lash = Lash(AXLE, BACKLASH.backlash_rad, BACKLASH.backlash_factor, RATIO)
-    x = lash.cloud(LashStart(0.0, 0.0, 60.0, 60.0, pressed=pressed))
+    x = lash.cloud(LashStart(0.0, 0.0, 60.0, 60.0, pressed_nm=pressed_nm))
     beyond = pressed * (x[WAY] - place * x[HALF])
     at_flank = (beyond >= 0.0) & (x[TYRE] * pressed > -0.02)
     assert 0.6 < at_flank.mean() < 0.8

@@ -116,6 +116,21 @@ def test_what_cannot_be_told_from_none_is_left() -> None:
     assert (ramp.torque_nm, ramp.over_us) == (4.0, 0)
 
 
+@pytest.mark.parametrize("gear", [13, 4, 8, 12])
+def test_what_is_left_throws_the_main_shaft_off_slowly(gear: int) -> None:
+    """As a spring of the shafts' stiffness throws main and propeller shaft: they turn by a
+    third of the gap's width while a sleeve is on its way."""
+    main, axle = SHEET.range_mesh(DRIVE_GEARS[gear].range_).ratio, SHEET.axle
+    turned_kgm2 = axle.propeller_kgm2 + axle.main_kgm2 / main**2
+    stiffness = SHEET.driveline.stiffness_nm_rad
+    twist_rad, speed_rad_s, step_s = bodies_of(gear).harmless_nm / stiffness, 0.0, 1e-6
+    while twist_rad > 0.0:
+        speed_rad_s += stiffness * twist_rad / turned_kgm2 * step_s
+        twist_rad -= speed_rad_s * step_s
+    turns_rad = speed_rad_s / main * SHEET.sleeve.delay_s
+    assert turns_rad == pytest.approx(SHEET.dog.backlash_rad / 3.0, rel=1e-3)
+
+
 def test_a_gear_that_swings_fast_is_left_sooner() -> None:
     slow, fast = ramps(13)[-1], ramps(12)[-1]
     assert slow.over_us > 900_000

@@ -28,6 +28,7 @@ from typing import Any, Final
 
 import pytest
 from hashes import Hashes
+from importers import importers_of
 from mutator import Mutant, Mutants, Where
 from targets import NOT_IMPORTED, ROOT, TARGETS, caught_by, files_of
 
@@ -40,6 +41,8 @@ WALL_TIMES: Final = 20.0
 FORGET: Final = 0.9
 MORE_BYTES: Final = 3 << 30
 FAILED: Final = 1
+KERNELS: Final = frozenset({"compiled", "bare", "inlined"})
+"""The decorators of `controller/jit.py`."""
 START_S: Final = 30.0
 """What a process of its own takes to load, at most, on a busy machine (processor time)."""
 
@@ -138,12 +141,16 @@ class Coverage:
         values = json.loads(task.map_path.read_text(encoding="utf-8"))
         return cls(values["lines"], values["seconds"])
 
-    def tests_for(self, path: str, lines: range, budget_s: float) -> list[str]:
+    def tests_for(self, path: str, lines: range, budget_s: float, compiled: bool) -> list[str]:
         """Those that run any of these lines, or all if it is none, the shortest first, as many as
-        fit the budget. What belongs to no function is used wherever it is imported."""
+        fit the budget. What belongs to no function is used wherever it is imported. A compiled
+        line is never seen to run: then those that run anything which imports its file."""
         if lines:
             by_test = self.lines.get(path, {})
             found = [test for test, there in by_test.items() if not there.isdisjoint(lines)]
+            if compiled and not found:
+                users = importers_of(path, self.lines)
+                found = list({test for user in users for test in self.lines[user]})
         else:
             found = list(self.seconds)
         found.sort(key=lambda test: self.seconds[test])
@@ -238,7 +245,8 @@ class _Runner:
         """One mutant; what came of it is told."""
         where = mutant.where
         lines = where.lines if where.qualname else range(0)
-        tests = self._covered.tests_for(str(path), lines, self._task.budget_s)
+        compiled = is_compiled(path.read_text(encoding="utf-8"), where)
+        tests = self._covered.tests_for(str(path), lines, self._task.budget_s, compiled)
         begun_s = _used_s()
         if not tests:
             self._task.tell(mutant=mutant.name, outcome=UNCOVERED, by="", cpu_s=0.0)
@@ -312,6 +320,14 @@ class _Runner:
         if done.returncode == FAILED and caught_by(source).exists():
             return caught_by(source).read_text(encoding="utf-8")
         return "" if done.returncode == 0 else f"a process of its own, exit code {done.returncode}"
+
+
+def is_compiled(source: str, where: Where) -> bool:
+    """Whether the mutant is in a kernel, whose lines no tracer sees."""
+    if not where.qualname:
+        return False
+    decorator = source.splitlines()[where.first_line - 1].strip()
+    return decorator.startswith("@") and decorator[1:].partition("(")[0] in KERNELS
 
 
 def _used_s() -> float:

@@ -6,9 +6,12 @@ Whether the tests catch them takes a run of its own: `make mutants`.
 from __future__ import annotations
 
 import ast
+from pathlib import Path
 
 import pytest
+from forked_runs import Coverage, is_compiled
 from hashes import Hashes
+from importers import importers_of
 from mutator import Mutants
 from run_mutants import BEGIN, HUNK, ROOT, equivalents, main, mutants_of, stale, table
 from targets import TARGETS
@@ -88,6 +91,24 @@ def test_every_listed_mutant_exists_and_has_a_reason() -> None:
     listed = equivalents()
     assert stale(listed) == []
     assert all(len(reason) > 20 for reason in listed.values())
+
+
+def test_a_kernel_is_tried_by_the_tests_of_what_is_made_of_it() -> None:
+    """Its lines are compiled, and no tracer sees them: tests are found by imports."""
+    name = "controller/motion/kernels.py"
+    source = (ROOT / name).read_text(encoding="utf-8")
+    mutants = Mutants(name, source).all
+    inside = next(m.where for m in mutants if m.where.qualname == "transition")
+    assert is_compiled(source, inside)
+    assert not any(is_compiled(SOURCE, m.where) for m in Mutants("f.py", SOURCE).all)
+    files = [str(path) for path in ROOT.glob("controller/**/*.py")]
+    users = {Path(each).stem for each in importers_of(str(ROOT / name), files)}
+    assert {"models", "crossing_kernels", "crossing_filter", "core"} <= users
+    assert not {"kernels", "settings", "edge_gate"} & users
+    seen = {str(ROOT / "controller/motion/models.py"): {"a": [1], "b": [9]}, str(ROOT / name): {}}
+    covered = Coverage(seen, {"a": 2.0, "b": 1.0, "c": 0.1})
+    assert covered.tests_for(str(ROOT / name), inside.lines, 15.0, True) == ["b", "a"]
+    assert covered.tests_for(str(ROOT / name), inside.lines, 15.0, False) == []
 
 
 def test_lines_of_a_change_are_read_from_its_hunks() -> None:

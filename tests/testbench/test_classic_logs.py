@@ -117,3 +117,12 @@ def test_a_shaft_without_edges_on_the_bus_cannot_be_asked_for(
     words = ["check", "--profile", "classic", "--turn", "input", "-i", "virtual", "-c", "x"]
     assert main([*words, "--gearbox", "truck12"]) != 0
     assert "no edges" in " ".join(capsys.readouterr().err.split())
+
+
+def test_a_commissioning_over_it_is_refused_with_the_way(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert main(["commission", "--profile", "classic", "--drawn", "1"]) != 0
+    told = " ".join(capsys.readouterr().err.split())
+    assert "two shafts alone" in told
+    assert "over CAN FD" in told

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,14 +12,20 @@ import can
 import pytest
 
 from meshpoint.bus.local.register import register_interface
+from meshpoint.bus.logs.limits import read_log
+from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.settings import RigSettings
+from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.errors import RunError
+from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.loop import live
+from meshpoint.testbench.loop.bench import plan_shifts
 from meshpoint.testbench.loop.live import LiveRun, run_live
+from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S
+from meshpoint.testbench.version import product_version
 
 SHEET = load_sheet("truck12")
 
@@ -63,3 +70,33 @@ def test_a_run_that_failed_ends_with_1(
     monkeypatch.setattr(live, "_spawn", nodes_that("raise SystemExit(7)"))
     assert main(["demo", "--shifts", "1", "--out", str(tmp_path / "out")]) == 1
     assert "ended by itself" in capsys.readouterr().err
+
+
+def test_a_live_run_on_a_classic_bus_is_shown_and_verified(tmp_path: Path) -> None:
+    """One shift, all nodes in this process: the bench hears its outcome, the log holds frames of
+    8 bytes alone, and is repeated to the byte."""
+    header = new_header(product_version(), SHEET, ControllerSettings(), armed=True)
+    header.save(tmp_path)
+    (shift,) = plan_shifts(SHEET, [(8, 10)], 1, LAYSHAFT_RAD_S)
+    run = LiveRun(
+        header=header,
+        rig=RigSettings(
+            preset=Preset.THESIS,
+            seed=1,
+            start_gear=8,
+            main_speed_rpm=shift.main_rad_s * 30 / math.pi,
+        ),
+        plan=[shift],
+        log=tmp_path / "run.log",
+        open_bus=lambda: can.Bus(interface="virtual", channel=str(tmp_path)),
+        speed=1.0,
+        in_process=True,
+        wire=WireProfile.CLASSIC,
+    )
+    result = asyncio.run(run_live(run))
+    assert [row.result for row in result.monitor.rows.rows] == ["engaged"]
+    logged = [frame for _, frame in read_log(run.log)]
+    assert not any(frame.is_fd or len(frame.data) > 8 for frame in logged)
+    (session,) = LogReplay(tmp_path, verify=True).run(logged)
+    assert str(session).startswith("identical: ")
+    assert session.steps > 50

@@ -17,6 +17,7 @@ from meshpoint.bus.core import AroundCore, Step
 from meshpoint.bus.driver import run_node
 from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.options import add_bus_arguments, open_bus_from
+from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.signals import stop_on_signals
 from meshpoint.controller.calibration.file import save
 from meshpoint.controller.identification.overlay import Entry
@@ -79,6 +80,7 @@ def add_parser(commands: Any) -> None:
     )
     arguments.add_seed(parser)
     arguments.add_gearbox(parser)
+    arguments.add_wire(parser)
     arguments.add_json(parser)
     add_bus_arguments(parser)
     parser.set_defaults(run=run)
@@ -87,6 +89,12 @@ def add_parser(commands: Any) -> None:
 def run(namespace: argparse.Namespace) -> int:
     """On a bus, or on drawn boxes."""
     sheet = arguments.sheet_of(namespace)
+    if arguments.wire_of(namespace) is WireProfile.CLASSIC:
+        raise CommandError(
+            "commission tells wheels and shafts apart by their edges: --profile classic carries "
+            "those of two shafts alone. Commission the box over CAN FD: the data sheet that it "
+            "writes serves a controller with --profile classic as well"
+        )
     if namespace.drawn is not None:
         return _rehearse(namespace, sheet)
     if namespace.calibration is not None and not namespace.turn:

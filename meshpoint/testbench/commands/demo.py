@@ -20,6 +20,7 @@ from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.local.register import register_interface
 from meshpoint.bus.logs.limits import LogError, read_log
 from meshpoint.bus.options import add_bus_arguments, open_bus_from
+from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.header import new_header
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset, RigSettings
@@ -70,6 +71,7 @@ def add_parser(commands: Any) -> None:
     arguments.add_gearbox(parser)
     arguments.add_controller(parser, strategy=False)
     arguments.add_keys(parser)
+    arguments.add_wire(parser)
     arguments.add_speed(parser)
     parser.add_argument(
         "--wall-clock",
@@ -87,6 +89,10 @@ def run(namespace: argparse.Namespace) -> int:
     out = console(namespace.json)
     sheet = arguments.sheet_of(namespace)
     rig = _rig(namespace, sheet)
+    if arguments.wire_of(namespace) is WireProfile.CLASSIC:
+        from meshpoint.bus.classic.traffic import load_words
+
+        out.print(load_words(sheet), markup=False)
     folder_for(namespace.out)
     begun_s = float(os.environ.get(SINCE, time.time()))
     prepare(thesis=rig.preset is Preset.THESIS)
@@ -171,7 +177,9 @@ def _live_run(
     namespace: argparse.Namespace, rig: RigSettings, strategy: str, private: Path
 ) -> LiveRun:
     sheet = arguments.sheet_of(namespace)
-    header = new_header(product_version(), sheet, arguments.settings_of(namespace, strategy))
+    wire, settings = arguments.wire_of(namespace), arguments.settings_of(namespace, strategy)
+    arguments.check_fused(settings, wire)
+    header = new_header(product_version(), sheet, settings)
     header.save(namespace.out)
     in_process = uses_virtual(namespace)
     bus = _bus_arguments(namespace, strategy, private)
@@ -188,6 +196,7 @@ def _live_run(
         paced=not namespace.wall_clock,
         node_arguments=[*bus, "--gearbox", namespace.gearbox, *_given(namespace, "keys")],
         keys=arguments.keys_of(namespace),
+        wire=wire,
         controller_arguments=controller,
         rig_arguments=_given(namespace, "as_built", "faults"),
     )

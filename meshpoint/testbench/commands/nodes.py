@@ -32,7 +32,7 @@ from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.logs.recording import recording, start_log
+from meshpoint.testbench.logs.recording import log_folder, recording, start_log
 from meshpoint.testbench.results.output import complain, folder_for
 from meshpoint.testbench.version import product_version
 
@@ -87,8 +87,8 @@ def add_header_dir(parser: arguments.Arguments) -> None:
         "--header-dir",
         type=Path,
         metavar="DIR",
-        help="save the run header here, and what a link outage keeps from the log; replay wants "
-        "both beside the log",
+        help="save the run header here, and what the log cannot hold (the steps of a link outage; "
+        "with --profile classic all steps); replay wants both beside the log",
     )
 
 
@@ -156,7 +156,7 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     keep=writer,
                     keys=keys,
                     diagnosis=namespace.diagnosis,
-                    record=namespace.header_dir,
+                    record=_record_folder(namespace, wire),
                     wire=wire,
                     address=controller_address(namespace),
                 )
@@ -166,6 +166,14 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
     if unwritten is not None:
         complain(unwritten)
     return Exit.DONE
+
+
+def _record_folder(namespace: argparse.Namespace, wire: WireProfile) -> Path | None:
+    """Where a replay will look for what the log cannot hold."""
+    folder: Path | None = namespace.header_dir
+    if folder is None and wire is WireProfile.CLASSIC and namespace.log is not None:
+        folder = log_folder(namespace.log)
+    return folder
 
 
 def run_shadow(namespace: argparse.Namespace) -> int:

@@ -21,9 +21,10 @@ from meshpoint.testbench.commands.log_progress import complain_of_interrupt, log
 from meshpoint.testbench.commands.replay_rows import ReplayRows
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.logs.consumed import NotVerifiableError
 from meshpoint.testbench.logs.logged_frames import LoggedFrames
 from meshpoint.testbench.logs.open_loop import OpenLoop
-from meshpoint.testbench.logs.replay import LogReplay, NotVerifiableError
+from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.logs.replay_strategy import Chosen, other_header, recorded_header
 from meshpoint.testbench.logs.sleeve_contacts import ShiftWatch
 from meshpoint.testbench.results.output import console, write_json

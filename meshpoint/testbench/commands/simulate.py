@@ -192,7 +192,14 @@ def run(namespace: argparse.Namespace) -> int:
             progress.advance(task)
 
         stop = stack.enter_context(interruptible())
-        result = simulate(setup, on_frame, on_row, keep=_keep(writer, unwritten), stop=stop)
+        result = simulate(
+            setup,
+            on_frame,
+            on_row,
+            keep=_keep(writer, unwritten),
+            stop=stop,
+            record=None if log is None else log.path.parent,
+        )
     if collector is not None:
         write_report(namespace.report, _report(setup, result, collector))
     judged = judge(

@@ -35,14 +35,19 @@ def start_log(
         if namespace.log_size is not None:
             raise CommandError("--log-size without --log: there is no log to divide")
         return None
-    path = Path(target)
-    folder_for(path if target.endswith(("/", "\\")) or path.is_dir() else path.parent)
+    folder_for(log_folder(target))
     log = open_log(
         target, channel=channel, max_bytes=namespace.log_size, by_frame_time=by_frame_time
     )
     if header is not None:
         header.save(log.path.parent)
     return log
+
+
+def log_folder(target: str) -> Path:
+    """Where a log of this --log is, and its run header."""
+    path = Path(target)
+    return path if target.endswith(("/", "\\")) or path.is_dir() else path.parent
 
 
 def written(log: LogWriter | RotatingLog) -> str:

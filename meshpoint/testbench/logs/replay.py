@@ -10,12 +10,11 @@ they are repeated from that, and what follows is verified again: identical in pa
 from __future__ import annotations
 
 import itertools
-import zlib
-from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from meshpoint.bus.authentication.frames import PROOF
 from meshpoint.bus.diagnosis.core import SENT_GROUPS
@@ -36,10 +35,19 @@ from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone
 from meshpoint.dbc.messages import ControllerStatus
 from meshpoint.dbc.node import Node
+from meshpoint.testbench.logs.consumed import (
+    UNKNOWN_FRAME,
+    DiffersError,
+    NotVerifiableError,
+    WaitingFrames,
+    compare,
+)
 from meshpoint.testbench.logs.session import Hole, Session, Verification
 from meshpoint.testbench.version import product_version
 
-RIG_ADDRESSES: Final = frozenset({0x80, 0x81, 0x00})
+if TYPE_CHECKING:
+    from meshpoint.testbench.logs.classic_replay import ClassicReplay
+
 KNOWN_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
 STATUS: Final = CODECS[ControllerStatus.__name__]
 OWN: Final = {
@@ -48,28 +56,13 @@ OWN: Final = {
     if codec.spec.sender is Node.TRANSMISSION_CONTROL
 }
 """What the controller sends."""
-LATE_FRAMES: Final = 12
-"""How many frames around the end of a step may reach the logger in another order than the node."""
-MOST_WAITING: Final = 65_536
-"""Frames kept for a step to come: more than a controller takes in one. It bounds the memory where
-no controller is on the bus."""
 OF_CLASSIC: Final = frozenset({0x0CFF9103, 0x18FF8080})
 """ValveOrders and SensorRead, which a bus of the classic profile has all the time."""
 CLASSIC_LOG: Final = (
-    "the log is of --profile classic, whose frames have no room for what each step consumed: its "
-    "runs cannot be repeated"
+    "the log is of --profile classic, whose runs are repeated as they were alone: without another "
+    "strategy or settings; report tells its contacts"
 )
 NO_STATUS: Final = "the log holds no controller status frame"
-UNKNOWN_FRAME: Final = Frame(0x1FFF_FFFF, b"", is_fd=False)
-"""Stands for a frame foreign to the DBC: only its number matters."""
-
-
-class NotVerifiableError(Exception):
-    """Why a session cannot be repeated from here on."""
-
-
-class DiffersError(Exception):
-    """The repeated step sent something else than the log holds."""
 
 
 @dataclass
@@ -127,18 +120,17 @@ class LogReplay:
         self._change = change
         self._on_output = on_output
         self._on_event = on_event
-        self._waiting: deque[Frame] = deque(maxlen=MOST_WAITING)
+        self._waiting = WaitingFrames(exact=verify)
         self._sent: list[Frame] = []
         self._core: ControllerCore | None = None
         self._kept: dict[int, StepInput] | None = None
         """What this session's records of outages hold, read at the first hole."""
         self._foreign = 0
-        self._aligned = False
         self._intruders: Counter[int] = Counter()
-        self._passed: list[Frame] = []
         self.sessions: list[Session] = []
         self.is_classic = False
         """Whether there are frames of the classic profile in the log."""
+        self._classic: ClassicReplay | None = None
 
     def run(self, frames: Iterable[Frame]) -> list[Session]:
         """Takes the whole log. A session that cannot go on is skipped to the next one."""
@@ -147,6 +139,8 @@ class LogReplay:
         self._tell_intruders()
         if self._onlooker is not None:
             self._onlooker.end()
+        if self._classic is not None:
+            self.sessions += self._classic.finish()
         if not self.sessions:
             session = Session(verdict=Verification.NOT_VERIFIABLE)
             session.reason = CLASSIC_LOG if self.is_classic else NO_STATUS
@@ -156,12 +150,15 @@ class LogReplay:
     def take(self, frame: Frame) -> None:
         """One frame of the log, in order."""
         frame = canonical(frame)
-        if frame.can_id in OF_CLASSIC and frame.is_extended:
-            self.is_classic = True
+        if frame.can_id in OF_CLASSIC and frame.is_extended and not self.is_classic:
+            self._begin_classic()
+        if self._classic is not None:
+            self._classic.take(frame)
+        if self.is_classic and not self.sessions:
             return
         if not (frame.is_extended and frame.can_id & 0xFF == OWN_ADDRESS):
             if frame.is_extended and frame.can_id in KNOWN_IDS:
-                self._waiting.append(frame)
+                self._waiting.add(frame)
             return
         if frame.can_id == PROOF.can_id or group_of(frame.can_id) in SENT_GROUPS:
             return  # of the wrappers around the core: says nothing of a decision
@@ -175,6 +172,25 @@ class LogReplay:
             step = _Recorded(status, sent)
             self._sent = []
             self._close_step(step)
+
+    def _begin_classic(self) -> None:
+        """The log is of the classic profile, at least from here on."""
+        self.is_classic = True
+        if self._onlooker is not None:
+            return
+        from meshpoint.testbench.logs.classic_replay import ClassicReplay
+
+        self._classic = ClassicReplay(
+            self._folder, self._waiting, self._header, self._on_output, self._on_event
+        )
+
+    def _header(self, run_hash: int) -> tuple[RunHeader, RunHeader]:
+        """The header of a run, and the one to repeat it from. HeaderError; NotVerifiableError for
+        one of another version."""
+        header = load_header(self._folder, run_hash)
+        if self._verify:
+            _check_same_product(header)
+        return header, self._change(header) if self._change else header
 
     def _close_step(self, step: _Recorded) -> None:
         number = step.status.step_number
@@ -207,20 +223,17 @@ class LogReplay:
         run_hash = run_hash_of(status)
         session = Session(run_hash=run_hash)
         self.sessions.append(session)
-        self._core, self._foreign, self._aligned, self._passed = None, 0, False, []
-        self._kept = None
+        self._core, self._foreign, self._kept = None, 0, None
+        self._waiting.lose_place()
         if status.step_number != 0:
             raise NotVerifiableError(
                 "the log starts in mid-run; what the steps before it saw is unknown"
             )
-        header = load_header(self._folder, run_hash)
-        session.header = header
-        if self._verify:
-            _check_same_product(header)
-        self._core = ControllerCore(self._change(header) if self._change else header)
+        session.header, changed = self._header(run_hash)
+        self._core = ControllerCore(changed)
         session.strategy_errors = self._core.strategy_errors
         if self._onlooker is not None:
-            self._onlooker.start(header, session.strategy_errors)
+            self._onlooker.start(session.header, session.strategy_errors)
 
     def _repeat(self, session: Session, step: _Recorded) -> None:
         core, status = self._core, step.status
@@ -279,65 +292,14 @@ class LogReplay:
         session.holes.append(hole)
         session.steps, session.verdict = number, Verification.IN_PARTS
         # What it has heard meanwhile stands in the record: the log goes on at some later frame.
-        self._aligned, self._passed = False, []
+        self._waiting.lose_place()
 
     def _consumed(self, status: ControllerStatus) -> list[Frame]:
         """The frames this step consumed, by its count and CRC; foreign ones by its counter."""
         unknown = (status.foreign_frames - self._foreign) & 0xFFFF
         self._foreign = status.foreign_frames
-        known = self._match(status.consumed_count, status.consumed_crc)
+        known = self._waiting.take(status.consumed_count, status.consumed_crc)
         return known + [UNKNOWN_FRAME] * unknown
-
-    def _match(self, count: int, crc: int) -> list[Frame]:
-        if count == 0:
-            return []
-        waiting = list(self._waiting)
-        for fewer in range(len(self._passed) + 1):
-            kept = len(self._passed) - fewer
-            longer = self._passed[kept:] + waiting
-            for skipped, chosen in self._candidates(longer, count):
-                if _crc(chosen) == crc:
-                    self._passed = (
-                        self._passed[:kept] if self._aligned else longer[:skipped][-LATE_FRAMES:]
-                    )
-                    self._aligned = True
-                    self._take_away(longer, skipped, chosen)
-                    return chosen
-        if not self._verify and len(waiting) >= count:
-            # What it commands is asked, not whether the log is whole.
-            self._take_away(waiting, 0, waiting[:count])
-            return waiting[:count]
-        raise NotVerifiableError(
-            f"the {count} frames it consumed are not in the log as it received them: frames were "
-            "changed, or lost between bus and log"
-        )
-
-    def _candidates(self, waiting: list[Frame], count: int) -> Iterator[tuple[int, list[Frame]]]:
-        """Ways in which the log may hold the frames of a step: (skipped before, frames).
-
-        The first step that consumed anything may follow frames sent before the controller was on
-        the bus: the latest place that fits is taken. Where the frames before it are equal (a
-        request sent again and again) it may have been an earlier one, which shows when a step
-        consumed more than is left; `_match` then takes some of them back.
-
-        Later, only senders on different processors may have overtaken each other."""
-        if not self._aligned:
-            for start in range(len(waiting) - count, -1, -1):
-                yield start, waiting[start : start + count]
-            return
-        if len(waiting) >= count:
-            yield 0, waiting[:count]
-        near = waiting[: count + LATE_FRAMES]
-        rig = [frame for frame in near if frame.can_id & 0xFF in RIG_ADDRESSES]
-        others = [frame for frame in near if frame.can_id & 0xFF not in RIG_ADDRESSES]
-        for from_others in range(min(count, len(others)) + 1):
-            if count - from_others <= len(rig):
-                yield 0, rig[: count - from_others] + others[:from_others]
-
-    def _take_away(self, waiting: list[Frame], skipped: int, chosen: list[Frame]) -> None:
-        taken = {id(frame) for frame in chosen}
-        kept = (f for f in waiting[skipped:] if id(f) not in taken)
-        self._waiting = deque(kept, maxlen=MOST_WAITING)
 
 
 def _last_step(frames: list[Frame]) -> list[Frame]:
@@ -388,14 +350,6 @@ def _without_unprotected_intruders(
     return own, others
 
 
-def _crc(frames: list[Frame]) -> int:
-    """The status frame's CRC: over identifier and payload, in order of identifier."""
-    crc = 0
-    for frame in sorted(frames, key=lambda frame: frame.can_id):
-        crc = zlib.crc32(frame.data, zlib.crc32(frame.can_id.to_bytes(4, "little"), crc))
-    return crc
-
-
 def _check_same_product(header: RunHeader) -> None:
     here = (product_version(), architecture(), DBC_SHA256)
     there = (header.version, header.architecture, header.dbc_sha256)
@@ -406,16 +360,4 @@ def _check_same_product(header: RunHeader) -> None:
 
 def _compare(made: list[Frame], logged: list[Frame]) -> None:
     for mine, theirs in itertools.zip_longest(made, logged):
-        if mine is None:
-            raise DiffersError(f"the log holds a frame {theirs.can_id:08X} that it did not send")
-        if theirs is None:
-            raise DiffersError(f"it sent a frame {mine.can_id:08X} that the log does not hold")
-        if mine.can_id != theirs.can_id:
-            raise DiffersError(f"it sent {mine.can_id:08X} where the log holds {theirs.can_id:08X}")
-        if mine.data != theirs.data:
-            at = next(
-                i for i, (a, b) in enumerate(zip(mine.data, theirs.data, strict=False)) if a != b
-            )
-            raise DiffersError(
-                f"frame {mine.can_id:08X} byte {at}: {mine.data[at]:02X}, log {theirs.data[at]:02X}"
-            )
+        compare(mine, theirs)

@@ -16,7 +16,7 @@ from meshpoint.controller.settings import ControllerSettings, load_settings
 from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import key_of, load_toml
-from meshpoint.testbench.logs.replay import NotVerifiableError
+from meshpoint.testbench.logs.consumed import NotVerifiableError
 
 
 class Chosen(NamedTuple):

@@ -52,6 +52,9 @@ class Session:
     """Frames under the controller's address that are damaged or not its own, by identifier."""
     holes: list[Hole] = field(default_factory=list)
 
+    unlogged: int = 0
+    """Steps that the controller has made after the log's end, where a record of them tells."""
+
     @property
     def goes_on(self) -> bool:
         """Whether all that was compared so far is identical."""
@@ -67,7 +70,8 @@ class Session:
 
     def _verdict_text(self) -> str:
         if self.verdict is Verification.IDENTICAL:
-            return f"identical: {self.steps} steps, {self.frames} frames"
+            more = f"; the controller made {self.unlogged} more after it" if self.unlogged else ""
+            return f"identical: {self.steps} steps, {self.frames} frames{more}"
         holes = ", ".join(map(str, self.holes))
         if self.verdict is Verification.IN_PARTS:
             return (

@@ -11,7 +11,7 @@ import asyncio
 import subprocess
 import sys
 import tempfile
-from collections.abc import AsyncIterator, Callable, Iterator, Sequence
+from collections.abc import AsyncIterator, Callable, Iterable, Iterator, Sequence
 from contextlib import asynccontextmanager, contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,11 +21,12 @@ import can
 
 from meshpoint.bus.authentication.keys import CommandKeys
 from meshpoint.bus.clock import Clock, NodeClock
-from meshpoint.bus.core import Step
+from meshpoint.bus.core import Core, Step
 from meshpoint.bus.driver import run_node
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.bus.options import IN_PROCESS
 from meshpoint.bus.pace import PacedClock, PaceFile
+from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.slowness import times_slower
 from meshpoint.controller import node as controller_node
 from meshpoint.controller.header import RunHeader
@@ -85,6 +86,8 @@ class LiveRun:
     """Files the rig's process reads; what they say is in `rig` as well."""
     keys: CommandKeys | None = None
     """By which commands are proven to be the controller's; those of `node_arguments`."""
+    wire: WireProfile = WireProfile.FD
+    """The frames on the bus."""
     on_row: Callable[[], None] = lambda: None
     on_event: Callable[[str], None] = lambda _line: None
     on_frame: Callable[[Frame], None] = lambda _frame: None
@@ -109,6 +112,7 @@ class _Recorder:
     def __init__(self, result: LiveResult, log: LogWriter, run: LiveRun) -> None:
         self._result = result
         self._log = log
+        self._unpack = unpacker(run)
         self._on_row, self._on_frame = run.on_row, run.on_frame
         self._rows = 0
         self.next_step_us = 0
@@ -119,7 +123,8 @@ class _Recorder:
         sender = OF_ADDRESS.get(frame.can_id & 0xFF)
         if sender is not None:
             self._result.heard.frames[sender] += 1
-        self._result.monitor.take(frame)
+        for heard in self._unpack(frame):
+            self._result.monitor.take(heard)
         self._on_frame(frame)
 
     def step(self, now_us: int) -> Step:
@@ -135,6 +140,24 @@ class _Recorder:
     def shutdown(self, now_us: int) -> Step:
         """The last look."""
         return self.step(now_us)
+
+
+def unpacker(run: LiveRun) -> Callable[[Frame], Iterable[Frame]]:
+    """What makes frames of meshpoint.dbc of those on the bus, sensors and commands among them."""
+    if run.wire is WireProfile.FD:
+        return lambda frame: (frame,)
+    from meshpoint.bus.classic.cores import listener_unpacker
+
+    return listener_unpacker(run.header.sheet).take
+
+
+def _on_wire(run: LiveRun, bench: Core) -> Core:
+    """The bench as it is on this bus."""
+    if run.wire is WireProfile.FD:
+        return bench
+    from meshpoint.bus.classic.cores import ClassicBenchCore
+
+    return ClassicBenchCore(bench)
 
 
 @dataclass
@@ -205,8 +228,8 @@ async def live_session(
         begun_us, begun_s = clocks.bench.now_us(), perf_counter()
         task = asyncio.create_task(
             run_node(
-                bench, run.open_bus, clocks.bench, on_event=report, stop=stop_bench,
-                name="bench", own_addresses=frozenset({BENCH_ADDRESS}),
+                _on_wire(run, bench), run.open_bus, clocks.bench, on_event=report,
+                stop=stop_bench, name="bench", own_addresses=frozenset({BENCH_ADDRESS}),
             )
         )  # fmt: skip
         try:
@@ -268,25 +291,29 @@ async def _start_nodes(run: LiveRun, clocks: _Clocks, stop: asyncio.Event) -> No
         tasks = {
             "rig": lambda: run_rig(
                 run.header.sheet, run.rig, run.open_bus, clocks.of("rig"),
-                on_event=run.on_event, stop=stop, keys=run.keys,
+                on_event=run.on_event, stop=stop, keys=run.keys, wire=run.wire,
             ),
             "controller": lambda: run_controller(
                 run.header, run.open_bus, clocks.of("controller"),
-                on_event=run.on_event, stop=stop, keys=run.keys,
+                on_event=run.on_event, stop=stop, keys=run.keys, wire=run.wire,
+                record=run.log.parent if run.wire is WireProfile.CLASSIC else None,
             ),
         }  # fmt: skip
         return {
             name: asyncio.create_task(tasks[name]()) for name in NODE_NAMES if name in run.start
         }
     pace = [] if clocks.pace_path is None else ["--pace", str(clocks.pace_path)]
-    common = [*run.node_arguments, "--speed", str(run.speed), *pace, "--quiet"]
+    wire = ["--profile", run.wire.value]
+    is_classic = run.wire is WireProfile.CLASSIC
+    record = ["--header-dir", str(run.log.parent)] if is_classic else []
+    common = [*run.node_arguments, *wire, "--speed", str(run.speed), *pace, "--quiet"]
     commands = {
         "rig": [
             "rig", "--seed", str(run.rig.seed), "--gear", str(run.rig.start_gear),
             "--main-speed", str(run.rig.main_speed_rpm), "--preset", run.rig.preset.value,
             *run.rig_arguments, *common,
         ],
-        "controller": ["controller", *run.controller_arguments, *common],
+        "controller": ["controller", *run.controller_arguments, *record, *common],
     }  # fmt: skip
     return {name: await _spawn(commands[name]) for name in NODE_NAMES if name in run.start}
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -172,11 +173,14 @@ def simulate(
     monitor: Monitor | None = None,
     keep: Keep | None = None,
     stop: Callable[[], bool] = lambda: False,
+    record: Path | None = None,
 ) -> Result:
     """Runs all shifts. A function of `setup`: same setup, same frames, same rows.
 
     `monitor` is one of the caller's making that hears more; `keep` gets the calibration whenever
-    the controller knows more, and at the end; `stop`, looked at after every step, ends it early."""
+    the controller knows more, and at the end; `stop`, looked at after every step, ends it early.
+    `record`: the folder of the run header, where a classic run's steps are written to be verified
+    by."""
     monitor = monitor or Monitor(setup.sheet, setup.settings)
     plan = plan_shifts(setup.sheet, list(setup.pairs), setup.shifts, LAYSHAFT_RAD_S)
     bench = BenchCore(plan)
@@ -216,6 +220,11 @@ def simulate(
 
         controller, gearbox, operator = on_classic_bus(setup.sheet, controller, gearbox, bench)
         unpack = bench_unpacker().take
+        if record is not None:
+            from meshpoint.bus.classic.step_record import StepRecord
+
+            run_hash = setup.header.run_hash
+            controller = StepRecord(controller, record, run_hash, diagnosed=False)
     if setup.adapter is not None:
         controller = adapter = AdapterCore(controller, setup.adapter, setup.seed)
     cores: list[Core] = [controller, gearbox, operator]

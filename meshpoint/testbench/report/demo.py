@@ -10,7 +10,7 @@ from meshpoint.bus.logs.limits import LogError, read_log
 from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.testbench.logs.session import Session
-from meshpoint.testbench.loop.live import LiveResult, LiveRun
+from meshpoint.testbench.loop.live import LiveResult, LiveRun, unpacker
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import (
     estimator_notes,
@@ -49,10 +49,12 @@ def write_demo_report(
 
 def demo_run(live: LiveRun, name: str = "", notes: list[str] | None = None) -> ReportRun:
     """The shifts of a finished run, read back from its log."""
-    return gather(name, _frames(live.log), live.header, notes or [])
+    return gather(name, _frames(live), live.header, notes or [])
 
 
-def _frames(log: Path) -> Iterator[Frame]:
+def _frames(live: LiveRun) -> Iterator[Frame]:
     """Our own log as far as it can be read; its verification tells of a defect."""
+    unpack = unpacker(live)
     with suppress(LogError):
-        yield from (frame for _, frame in read_log(log))
+        for _, frame in read_log(live.log):
+            yield from unpack(frame)

@@ -58,7 +58,8 @@ def _speeds(axis: Any, shift: ReportShift, ratio: float) -> None:
     )  # fmt: skip
     _line(axis, shift.points("main_rpm"), label="sleeve on the main shaft", color="tab:green")
     axis.set_ylabel("rpm")
-    axis.legend(loc="upper right", fontsize="small")
+    if axis.get_legend_handles_labels()[0]:  # none of them is on a classic bus
+        axis.legend(loc="upper right", fontsize="small")
 
 
 def _pressure(axis: Any, shift: ReportShift, gear: str) -> None:

@@ -1,0 +1,111 @@
+"""Small statements about the estimators that no longer run would make by accident."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from wheel import Wheel
+
+from meshpoint.controller.estimation.cruise import CruiseTracker
+from meshpoint.controller.estimation.geared_wheel import GearedWheel
+from meshpoint.controller.estimation.lash_cloud import _drawn
+from meshpoint.controller.estimation.lash_start import StartWatch
+from meshpoint.controller.estimation.likelihood import Learned, _step
+from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
+from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
+from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
+from meshpoint.controller.sensing.wheel_edges import EdgeBatch
+from meshpoint.controller.settings import CrossingFilterTuning, CruiseFilterTuning
+from meshpoint.gearbox.sheet import Wheel as SheetWheel
+from meshpoint.units import US
+
+
+def test_an_acceleration_that_is_not_known_moves_an_angle_by_half_its_square_of_time() -> None:
+    """Ahead and back by the same time, what is not known of the speed at the newest edge cancels
+    with how it goes with the angle."""
+    most_rad_s2, pitch = 40.0, 2.0 * math.pi / 45
+    tracker = CruiseTracker(CruiseFilterTuning(acceleration_rad_s2=most_rad_s2), pitch)
+    number = np.arange(60)
+    times = number * pitch / 60.0 / US
+    for k in range(0, 60, 6):
+        part = slice(k, k + 6)
+        tracker.edges(EdgeBatch(times[part], pitch * number[part], number[part], 0 * number[part]))
+    seconds = 0.05
+    now, ahead, back = (tracker.at(times[-1] + t / US) for t in (0.0, seconds, -seconds))
+    assert now and ahead and back
+    both = ahead.theta_sd_rad**2 + back.theta_sd_rad**2 - 2.0 * now.theta_sd_rad**2
+    of_speed = 2.0 * seconds**2 * now.omega_sd_rad_s**2
+    moved_rad = most_rad_s2 * seconds**2 / 2.0
+    assert both - of_speed == pytest.approx(2.0 * moved_rad**2)
+    assert ahead.omega_sd_rad_s**2 - now.omega_sd_rad_s**2 == pytest.approx(
+        (most_rad_s2 * seconds) ** 2
+    )
+
+
+@pytest.mark.parametrize(("weight", "times"), [(0.24, 2), (0.26, 3), (0.34, 3), (0.36, 4)])
+def test_a_point_is_drawn_as_often_as_its_weight_rounded(weight: float, times: int) -> None:
+    drawn = _drawn(np.array([weight, 1.0 - weight]), 10)
+    assert np.count_nonzero(drawn == 0) == times
+
+
+def test_a_misfit_that_is_a_parabola_is_at_its_minimum_after_a_step() -> None:
+    one = Learned(0.0, 0.5, -5.0, 5.0, 0.5, 0.01)
+
+    def misfit(figures: Sequence[float]) -> float:
+        return 1.0 + 9.0 * (figures[0] - 0.4) ** 2
+
+    at, found, sd = _step([0.0], misfit([0.0]), 0, one, misfit)
+    assert at == pytest.approx([0.4])
+    assert found == pytest.approx(1.0)
+    assert sd == pytest.approx(1.0 / 3.0), "the square root of 2 over the curvature, which is 18"
+
+
+def test_two_edges_in_gear_are_enough_for_the_vehicle_s_speed() -> None:
+    """Where they are far enough apart; of one alone the shaft's own speed is taken."""
+    for waits_us, is_told in (((0.0, 200e3), True), ((0.0, 100e3), False), ((200e3,), False)):
+        watch = StartWatch()
+        for time_us in waits_us:
+            watch.take_in_gear(np.array([[time_us], [60.0 * time_us * US]]))
+        watch.released(200e3)
+        later = 200e3 + 1e3 * np.arange(1, 20)
+        start = watch.take_out(np.array((later, 61.0 * later * US)), (0.5, 3.0))
+        assert start is not None
+        assert (start.vehicle_rad_s == pytest.approx(60.0, abs=0.5)) is is_told
+
+
+def test_a_geared_wheel_keeps_its_teeth_until_edges_are_lost() -> None:
+    """Half a second without a read is more than an array holds: then the numbers are lost, and what
+    was learned becomes the memory that they may be found by."""
+    half_pitch, omega = math.pi / 45, 100.0
+    times_us = 1_000_000 + np.round(np.arange(1, 3000) * half_pitch / omega / US).astype(int)
+    wheel = Wheel(1, times_us[0::2].tolist(), times_us[1::2].tolist())
+    tuning, clock = CrossingFilterTuning(), SensorClockEstimate()
+    geared = GearedWheel("propeller shaft", SheetWheel(45, 0.5), tuning, kind=MAIN_FILTER)
+
+    def read(now_us: int) -> None:
+        geared.read([wheel.rise(now_us)], [wheel.fall(now_us)], clock, now_us)
+
+    for now_us in range(1_010_000, 1_200_000, 10_000):
+        read(now_us)
+    geared.teeth.learned = True
+    for now_us in range(1_200_000, 1_300_000, 10_000):
+        read(now_us)
+        assert geared.teeth.learned
+    read(1_800_000)
+    assert not geared.teeth.learned
+    assert geared.teeth.memory is not None
+
+
+def test_a_swinging_shaft_s_speed_is_how_its_angle_goes() -> None:
+    """Ahead by any time; and its state there says the same."""
+    motion = SwingMotion(0.5, 20.0, [ModeRates(70.0, 3.0, 2.0), ModeRates(25.0, 1.0, 0.5)])
+    state = np.array([1.0, 63.0, 0.0, 0.01, 1.0, 0.02, -0.5])
+    swing = Swing(state, np.diag(np.linspace(0.1, 2.0, 7)), motion)
+    for wait_s in (0.005, 0.02, 0.05):
+        angle, speed = swing.ahead(wait_s)
+        before, after = swing.ahead(wait_s - 1e-5)[0], swing.ahead(wait_s + 1e-5)[0]
+        assert speed == pytest.approx((after - before) / 2e-5, abs=1e-3)
+        assert swing.spread_ahead(wait_s)[0][0] == pytest.approx(angle)
