@@ -146,6 +146,30 @@ def advance(rigs: Sequence[Rig], t_us: float, until_us: float, stop_us: float) -
         is_first = False
 
 
+@inlined
+def _ignore(event: int, rig: Rig) -> None:
+    """Where nobody acts on an event it would happen again at once: what rubs rubs no more, and a
+    phase that has left its span is not watched."""
+    if event >= at.NO_SLIP and event < at.NO_SLIP + at.CONTACTS:
+        rig.contacts[event - at.NO_SLIP].sign = 0.0
+    elif event >= at.LEFT_BOTTOM and event < at.LEFT_BOTTOM + at.WATCHES:
+        rig.watches[event - at.LEFT_BOTTOM].gear = -1
+    elif event >= at.LEFT_TOP and event < at.LEFT_TOP + at.WATCHES:
+        rig.watches[event - at.LEFT_TOP].gear = -1
+
+
+@entry
+def advance_alone(rigs: Sequence[Rig], t_us: float, stop_us: float) -> tuple[float, bool]:
+    """Goes on to `stop_us` with no action at events. The time reached (us): earlier where the
+    layshaft has come to rest, and whether it has."""
+    while t_us < stop_us:
+        t_us, event = advance(rigs, t_us, math.inf, stop_us)
+        if event == at.STOPPED:
+            return t_us, True
+        _ignore(event, rigs[0])
+    return t_us, False
+
+
 @entry
 def sample(
     rigs: Sequence[Rig], t_us: float, gear: int, stops_us: Floats, found: Floats
@@ -153,15 +177,14 @@ def sample(
     """Goes on alone through these instants. `found` (n, 3) gets layshaft speed, main shaft
     speed, and phase of the gear of this index, within half a pitch.
 
-    Like repeated calls of `advance`, with no action at events. Returns the time reached (us) and
+    Like repeated calls of `advance_alone`. Returns the time reached (us) and
     whether the layshaft has come to rest; the rows from there on are not written."""
     rig = rigs[0]
     y = rig.y
     for row in range(stops_us.shape[0]):
-        while t_us < stops_us[row]:
-            t_us, event = advance(rigs, t_us, math.inf, stops_us[row])
-            if event == at.STOPPED:
-                return t_us, True
+        t_us, rests = advance_alone(rigs, t_us, stops_us[row])
+        if rests:
+            return t_us, True
         found[row, 0], found[row, 1] = y.speed_rad_s[at.LAYSHAFT], y.speed_rad_s[at.MAIN]
         phase = y.phase_rad[gear] + y.lash_rad[gear]
         found[row, 2] = wrapped(phase, rig.p.pitch_rad)

@@ -27,7 +27,7 @@ from meshpoint.rig_sim.truck.constants import SHAKEN, load_parameters
 from meshpoint.rig_sim.truck.edges import TruckEdges
 from meshpoint.rig_sim.truck.energy import Energy
 from meshpoint.rig_sim.truck.gear_train import INDEX, InMesh, TruckShafts
-from meshpoint.rig_sim.truck.kernels import advance, sample
+from meshpoint.rig_sim.truck.kernels import advance, advance_alone, sample
 from meshpoint.rig_sim.truck.layout import Contact, Rig
 
 CHANCE_STREAM: Final = 0xC4A
@@ -163,6 +163,12 @@ class TruckPlant:
             self._memory.array, self.time_us, float(until_us), float(stop_us)
         )
         return event
+
+    def advance_alone(self, stop_us: float) -> bool:
+        """Go on to `stop_us`, nothing being done at events; whether the layshaft has come to rest
+        before."""
+        self.time_us, rests = advance_alone(self._memory.array, self.time_us, float(stop_us))
+        return rests
 
     def sample(
         self, gear: MainGear, every_us: float, start_us: float, numbers: range

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from meshpoint.gearbox import MainGear, load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
+from meshpoint.rig_sim.truck import layout as at
 from meshpoint.testbench.campaign.forecast import BRANCH_SAMPLES, SOON_SAMPLES, Forecast, Path
 
 CLOCK_START_US = 1_234
@@ -70,3 +71,23 @@ def test_a_branch_in_one_go_is_the_plant_stepped_from_sample_to_sample(on_ms: fl
     at_once.extend(BRANCH_SAMPLES)
     assert at_once.phase == stepped.phase
     assert at_once.slip == stepped.slip
+
+
+@pytest.mark.parametrize("keeps", [True, False])
+def test_a_forecast_goes_on_past_teeth_that_rub_or_leave_their_span(keeps: bool) -> None:
+    """A sleeve stood tooth on tooth as the forecast began: nobody acts on what happens in it, so
+    the teeth had the same speed for ever, and it never ended."""
+    sheet = load_sheet("truck12")
+    plant = RigCore(
+        sheet, RigSettings(preset=Preset.TRUCK, profile=Profile.CLEAN, seed=6)
+    ).truth.plant
+    assert plant is not None
+    plant.coast()
+    gear = MainGear.SECOND
+    plant.y.speed_rad_s[at.LAYSHAFT] = plant.main_rad_s / plant.ratio(gear) + 0.5
+    plant.rub(at.FACE_FIRST_SECOND, at.MAIN_BOX, plant.ratio(gear), 500.0)
+    span = (plant.y.phase_rad[1] - 1e-3, plant.y.phase_rad[1] + 1e-3)
+    plant.watch(0, gear, span, with_lash=False)
+    path = Path(plant, plant.snapshot(), gear, (), sheet.dog.pitch_rad, keeps=keeps)
+    path.extend(25)
+    assert path.slip[0] > 0.3 > 0.01 > min(path.slip)

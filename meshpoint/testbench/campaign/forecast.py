@@ -127,8 +127,7 @@ class Path:
             if due_us <= plant.time_us:
                 plant.set_brake(self._switches.pop(0)[1])
                 continue
-            event = plant.advance(math.inf, min(time_us, due_us))
-            self._is_at_rest = event == at.STOPPED
+            self._is_at_rest = plant.advance_alone(min(time_us, due_us))
 
 
 def _between(
