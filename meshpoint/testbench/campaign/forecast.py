@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshpoint.gearbox import MainGear
-from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.plant import Snapshot, TruckPlant
 
 Floats = NDArray[np.float64]
