@@ -11,6 +11,7 @@ from meshpoint.gearbox import MainGear, load_sheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.rig_sim.truck import layout as at
+from meshpoint.rig_sim.truck.plant import TruckPlant
 from meshpoint.testbench.campaign.forecast import BRANCH_SAMPLES, SOON_SAMPLES, Forecast, Path
 
 CLOCK_START_US = 1_234
@@ -52,15 +53,19 @@ def test_one_time_alone_is_forecast_as_among_many(
     assert ahead.after_release(brake, at_us) == (many[0][0], many[1][0])
 
 
-@pytest.mark.parametrize("on_ms", [0.0, 120.0, 600.0])
-def test_a_branch_in_one_go_is_the_plant_stepped_from_sample_to_sample(on_ms: float) -> None:
+def coasting() -> tuple[TruckPlant, float]:
+    """A truck in no gear, and its pitch."""
     sheet = load_sheet("truck12")
-    plant = RigCore(
-        sheet, RigSettings(preset=Preset.TRUCK, profile=Profile.CLEAN, seed=6)
-    ).truth.plant
+    settings = RigSettings(preset=Preset.TRUCK, profile=Profile.CLEAN, seed=6)
+    plant = RigCore(sheet, settings).truth.plant
     assert plant is not None
     plant.coast()
-    pitch = sheet.dog.pitch_rad
+    return plant, sheet.dog.pitch_rad
+
+
+@pytest.mark.parametrize("on_ms", [0.0, 120.0, 600.0])
+def test_a_branch_in_one_go_is_the_plant_stepped_from_sample_to_sample(on_ms: float) -> None:
+    plant, pitch = coasting()
     trunk = Path(plant, plant.snapshot(), MainGear.SECOND, ((0.0, 1.0),), pitch)
     start = trunk.snapshot(round(on_ms / 4.0))
     let_go = ((start.time_us, 0.0),)
@@ -77,17 +82,12 @@ def test_a_branch_in_one_go_is_the_plant_stepped_from_sample_to_sample(on_ms: fl
 def test_a_forecast_goes_on_past_teeth_that_rub_or_leave_their_span(keeps: bool) -> None:
     """A sleeve stood tooth on tooth as the forecast began: nobody acts on what happens in it, so
     the teeth had the same speed for ever, and it never ended."""
-    sheet = load_sheet("truck12")
-    plant = RigCore(
-        sheet, RigSettings(preset=Preset.TRUCK, profile=Profile.CLEAN, seed=6)
-    ).truth.plant
-    assert plant is not None
-    plant.coast()
+    plant, pitch = coasting()
     gear = MainGear.SECOND
     plant.y.speed_rad_s[at.LAYSHAFT] = plant.main_rad_s / plant.ratio(gear) + 0.5
     plant.rub(at.FACE_FIRST_SECOND, at.MAIN_BOX, plant.ratio(gear), 500.0)
     span = (plant.y.phase_rad[1] - 1e-3, plant.y.phase_rad[1] + 1e-3)
     plant.watch(0, gear, span, with_lash=False)
-    path = Path(plant, plant.snapshot(), gear, (), sheet.dog.pitch_rad, keeps=keeps)
+    path = Path(plant, plant.snapshot(), gear, (), pitch, keeps=keeps)
     path.extend(25)
     assert path.slip[0] > 0.3 > 0.01 > min(path.slip)

@@ -57,16 +57,22 @@ def no_errors(wire: Wire) -> None:
             assert told["stats64"][way]["errors"] == told["stats64"][way]["dropped"] == 0, told
 
 
-@over("bench", [CTU], indirect=True)
-def test_over_can_fd_a_gear_is_engaged_and_the_candump_log_verifies(bench: Bench) -> None:
-    """The log is cut in mid-run, after a whole step; candump listened at the rig's end."""
+def lines_of_a_shift(bench: Bench) -> list[str]:
+    """candump's lines of a shift into gear 2, in which nothing was wrong on either side."""
     outcome = bench.shift(2)
     assert outcome["ToGear"] == 2
     status = bench.dump.in_gear(2)
     assert status["E2eErrors"] == status["FormatErrors"] == 0
-    lines = bench.dump.lines()
+    lines: list[str] = bench.dump.lines()
     assert bench.stop() == [0, 0], bench.story()
     no_errors(bench.wire)
+    return lines
+
+
+@over("bench", [CTU], indirect=True)
+def test_over_can_fd_a_gear_is_engaged_and_the_candump_log_verifies(bench: Bench) -> None:
+    """The log is cut in mid-run, after a whole step; candump listened at the rig's end."""
+    lines = lines_of_a_shift(bench)
     tag = bench.wire.contract.tag("ControllerStatus")
     last = max(number for number, line in enumerate(lines) if tag in line)
     log = bench.folder / "shift.log"
@@ -79,13 +85,7 @@ def test_over_can_fd_a_gear_is_engaged_and_the_candump_log_verifies(bench: Bench
 @over("bench", [KVASER], indirect=True)
 def test_over_classic_can_a_gear_is_engaged_and_the_log_decodes_and_verifies(bench: Bench) -> None:
     """Its status has no room for step checksums: the controller's record of steps has them."""
-    outcome = bench.shift(2)
-    assert outcome["ToGear"] == 2
-    status = bench.dump.in_gear(2)
-    assert status["E2eErrors"] == status["FormatErrors"] == 0
-    lines = bench.dump.lines()
-    assert bench.stop() == [0, 0], bench.story()
-    no_errors(bench.wire)
+    lines = lines_of_a_shift(bench)
     names: Counter[str] = Counter()
     for line in lines:
         seen = bench.wire.contract.parse(line)
