@@ -74,8 +74,11 @@ class PaceFile:
         """A new file: time zero, no node there. It comes under its name when it is whole, so that
         a node which waits for the file never opens half of one."""
         started = path.with_name(f"{path.name}.{os.getpid()}")
+        # What is there is left over, or a link put there so that we write to where it points.
+        started.unlink(missing_ok=True)
         try:
-            started.write_bytes(struct.pack(_LAYOUT, 0, *[_ABSENT] * len(PACED_NODES), _MARK))
+            with started.open("xb") as file:
+                file.write(struct.pack(_LAYOUT, 0, *[_ABSENT] * len(PACED_NODES), _MARK))
             started.replace(path)
         finally:
             started.unlink(missing_ok=True)

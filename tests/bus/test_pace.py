@@ -118,6 +118,17 @@ def test_a_node_that_waits_for_the_pace_file_never_opens_half_of_one(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_pace_file_is_never_written_through_a_planted_link(tmp_path):
+    """Its folder may be anybody's: what a link beside it points to stays as it is."""
+    target, path = tmp_path / "precious", tmp_path / "pace"
+    target.write_text("as it was")
+    (tmp_path / f"pace.{os.getpid()}").symlink_to(target)
+    path.symlink_to(target)
+    assert PaceFile.create(path).now_us == 0
+    assert target.read_text() == "as it was"
+    assert not path.is_symlink()
+
+
 LOOKS = """
 import sys, time
 from pathlib import Path
