@@ -113,7 +113,7 @@ class _Node:
         self._lost_at_s: float | None = None  # until the next bus has carried a frame
         self._refusal = ""  # the last one, in words
         self._refusals_told = (float("-inf"), 0)  # when, and how many
-        self._bus_offs_told = (float("-inf"), 0)  # likewise
+        self._bus_off_told_at_s = float("-inf")
         self._lost_before = 0  # of this bus; counted
         self._loss_told = (float("-inf"), 0)  # when, and how many
 
@@ -235,15 +235,15 @@ class _Node:
 
     def _tell_bus_off(self) -> None:
         """At once, then once a second: one that restarts may go bus-off ten times a second."""
-        now_s, bus_offs = self._loop.time(), self.statistics.bus_offs
-        if now_s - self._bus_offs_told[0] < _REPORT_EVERY_S:
+        now_s = self._loop.time()
+        if now_s - self._bus_off_told_at_s < _REPORT_EVERY_S:
             return
-        self._bus_offs_told = (now_s, bus_offs)
+        self._bus_off_told_at_s = now_s
         self._say(
-            f"CAN controller is bus-off ({bus_offs} so far): after too many errors it has left the "
-            "bus, nothing is sent or heard until it restarts. With restart-ms 0 it never does by "
-            "itself: `ip -details link show` says so, `ip link set DEVICE type can restart` or "
-            "DEVICE down and up brings it back"
+            f"CAN controller is bus-off ({self.statistics.bus_offs} so far): after "
+            "too many errors it has left the bus, nothing is sent or heard until it restarts. "
+            "With restart-ms 0 it never does by itself: `ip -details link show` says so, "
+            "`ip link set DEVICE type can restart` or DEVICE down and up brings it back"
         )
 
     def _is_own(self, message: can.Message) -> bool:

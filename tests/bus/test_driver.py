@@ -3,148 +3,22 @@
 import asyncio
 import errno
 import itertools
-import re
 import subprocess
 import threading
 import time
-from collections.abc import Callable
-from typing import Any
 
 import can
 import pytest
+from driver_parts import LAST, PERIOD_US, Counting, Metronome, Responder, Run, ScriptedBus, virtual
 from fake_time import FakeTimeLoop, QuietBus, run_in_fake_time
-from patience import HANG_S, until_async
+from patience import HANG_S
 
 from meshpoint.bus.clock import Clock
 from meshpoint.bus.core import Step
-from meshpoint.bus.driver import run_node
 from meshpoint.bus.local.plugin import MeshpointBus
-from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.dbc.frame import Frame
 
-PERIOD_US = 10_000
-LAST = Frame(0x18FF0001, b"off")
-
 channels = (f"driver-test-{number}" for number in itertools.count())
-
-
-class Metronome:
-    """A core that sends the number of its step every 10 ms, and keeps what it is told."""
-
-    def __init__(self, address: int = 1) -> None:
-        self.address = address
-        self.next_step_us = 0
-        self.times_us: list[int] = []
-        self.received: list[Frame] = []
-        self.shut_down = 0
-
-    def receive(self, frame: Frame) -> None:
-        self.received.append(frame)
-
-    def step(self, now_us: int) -> Step:
-        assert not self.shut_down, "stepped after its end"
-        self.times_us.append(now_us)
-        self.next_step_us += PERIOD_US
-        data = len(self.times_us).to_bytes(8, "big")
-        return Step([Frame(0x18FF0000 | self.address, data)], [])
-
-    def shutdown(self, now_us: int) -> Step:
-        self.shut_down += 1
-        return Step([LAST], ["valves off"])
-
-
-class Counting(Metronome):
-    """Tells when it has made so many steps."""
-
-    def __init__(self, steps: int) -> None:
-        super().__init__()
-        self.steps = steps
-        self.made = asyncio.Event()
-
-    def step(self, now_us: int) -> Step:
-        step = super().step(now_us)
-        if len(self.times_us) == self.steps:
-            self.made.set()
-        return step
-
-
-class Responder(Metronome):
-    """Wants to be stepped at once when a frame comes, and answers it then; else sleeps."""
-
-    def step(self, now_us: int) -> Step:
-        self.times_us.append(now_us)
-        self.next_step_us = now_us + 60_000_000
-        answers = [Frame(0x18FF0002, frame.data) for frame in self.received]
-        self.received.clear()
-        return Step(answers, [])
-
-    def receive(self, frame: Frame) -> None:
-        self.received.append(frame)
-        self.next_step_us = 0
-
-
-class ScriptedBus(can.BusABC):
-    """A bus without file descriptor, whose messages and errors a test decides."""
-
-    def __init__(
-        self, messages: tuple[can.Message, ...] = (), send_error: Exception | None = None
-    ) -> None:
-        self.messages = list(messages)
-        self.send_error = send_error
-        self.sent: list[can.Message] = []
-        super().__init__(channel="scripted")
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        if self.messages:
-            return self.messages.pop(0), True
-        time.sleep(min(timeout or 0.0, 0.01))
-        return None, True
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        if self.send_error is not None:
-            raise self.send_error
-        self.sent.append(msg)
-
-
-class Run:
-    """A node running in the background of a test."""
-
-    def __init__(self, core: Any, open_bus: Callable[[], can.BusABC], **options: Any) -> None:
-        self.core = core
-        self.events: list[str] = []
-        self.stop = asyncio.Event()
-        self.statistics = NodeStatistics()
-        self.task = asyncio.ensure_future(
-            run_node(
-                core,
-                open_bus,
-                options.pop("clock", None) or Clock(),
-                on_event=self.events.append,
-                stop=self.stop,
-                name="node",
-                statistics=self.statistics,
-                **options,
-            )
-        )
-
-    async def until(self, condition: Callable[[], object]) -> None:
-        def holds() -> object:
-            assert not self.task.done(), self.task
-            return condition()
-
-        await until_async(holds, "what the node should come to", say=lambda: self.events)
-
-    async def end(self, limit_s: float | None = HANG_S) -> NodeStatistics:
-        self.stop.set()
-        return await asyncio.wait_for(self.task, limit_s)
-
-    async def end_in_fake_time(self) -> NodeStatistics:
-        """Without a limit: it would come at once while a thread closes the bus."""
-        return await self.end(None)
-
-
-def virtual(channel: str) -> can.BusABC:
-    return can.Bus(channel=channel, interface="virtual", ignore_config=True)
 
 
 @pytest.mark.asyncio
@@ -274,90 +148,6 @@ async def test_a_reopened_bus_that_carries_nothing_is_not_called_back(
     buses[2].send_error = None
     await node.until(lambda: any("bus is back" in event for event in node.events))
     await node.end()
-
-
-@pytest.mark.parametrize(
-    "error",
-    [
-        can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS),
-        can.CanOperationError("Transmit buffer full"),
-        can.CanTimeoutError("the hub takes no frames"),
-        can.CanOperationError("Failed to transmit: Invalid argument", errno.EINVAL),
-    ],
-)
-def test_a_frame_that_the_bus_refuses_is_dropped_and_the_node_goes_on(error: Exception) -> None:
-    """Said once a second: 250 refusals in 2.5 s, by a time in which steps are never late."""
-
-    async def two_and_a_half_seconds(loop: FakeTimeLoop) -> tuple[Run, list[str]]:
-        bus = QuietBus(send_error=error)
-        node = Run(Counting(250), lambda: bus, clock=Clock(source_ns=loop.time_ns))
-        await node.core.made.wait()
-        refusals = [event for event in node.events if "not sent" in event]
-        assert node.statistics.frames_refused == 250
-        bus.send_error = None
-        await asyncio.sleep(0.015)
-        assert bus.sent
-        await node.end_in_fake_time()
-        return node, refusals
-
-    node, refusals = run_in_fake_time(two_and_a_half_seconds)
-    assert node.statistics.outages == 0
-    assert len(refusals) == 3
-    assert all(str(error) in refusal for refusal in refusals)
-
-
-def test_every_refused_frame_is_told_of_soon_or_at_the_end() -> None:
-    """Forty in the first 0.4 s, of which the first is told at once; the others within a second,
-    though no further one is refused. And what is refused last, before the node ends."""
-    full = can.CanOperationError("Failed to transmit: No buffer space available", errno.ENOBUFS)
-
-    async def bursts(loop: FakeTimeLoop) -> tuple[Run, int]:
-        bus = QuietBus(send_error=full)
-        node = Run(Metronome(), lambda: bus, clock=Clock(source_ns=loop.time_ns))
-        while node.statistics.frames_refused < 40:
-            await asyncio.sleep(0.005)
-        bus.send_error = None
-        await asyncio.sleep(1.5)
-        told = len(counts_told(node))
-        bus.send_error = full
-        await node.end_in_fake_time()
-        return node, told
-
-    def counts_told(node: Run) -> list[list[str]]:
-        refusals = [event for event in node.events if "not sent" in event]
-        return [re.findall(r"\d+", refusal)[-2:] for refusal in refusals]
-
-    node, told = run_in_fake_time(bursts)
-    assert counts_told(node) == [["1", "1"], ["39", "40"], ["1", "41"]]
-    assert told == 2
-
-
-class SocketcanBus(ScriptedBus):
-    """Under the name of python-can's: its error frames are the kernel's."""
-
-
-@pytest.mark.asyncio
-@pytest.mark.parametrize("kind", [SocketcanBus, ScriptedBus])
-async def test_a_bus_off_is_told_with_the_way_back_where_the_kernel_tells_it(
-    kind: type[ScriptedBus],
-) -> None:
-    """Classes 0x040 and 0x100 of linux/can/error.h; other interfaces mean other things by them."""
-    frames = [
-        can.Message(arbitration_id=error_class, is_error_frame=True, is_extended_id=False)
-        for error_class in (0x044, 0x040, 0x100)
-    ]
-    seen: list[can.Message] = []
-    node = Run(Metronome(), lambda: kind(messages=tuple(frames)), on_message=seen.append)
-    await node.until(lambda: len(seen) == 3)
-    counted = await node.end()
-    told = [event for event in node.events if "bus-off" in event]
-    if kind is ScriptedBus:
-        assert (counted.bus_offs, told) == (0, [])
-        return
-    assert counted.bus_offs == 2
-    assert len(told) == 2, "two within a second are told once"
-    assert "With restart-ms 0 it never does by itself" in told[0]
-    assert "restarted after bus-off (2 so far)" in told[1]
 
 
 @pytest.mark.asyncio

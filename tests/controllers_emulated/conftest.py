@@ -7,7 +7,6 @@ They take links down, set them up otherwise and fill queues, so they run in the 
 from __future__ import annotations
 
 import os
-import shutil
 import sys
 from pathlib import Path
 
@@ -15,6 +14,8 @@ import pytest
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent / "vcan"), str(HERE.parent), str(HERE.parents[1])]
+
+from skipping import skip_below, tools_missing  # noqa: E402 (found by the path above)
 
 DRIVERS = {
     "can0": "kvaser_pci",
@@ -35,15 +36,9 @@ def why_not() -> str | None:
             return f"no {name} here; tools/with-vcan has it with --controllers"
         if link.resolve().name != driver:
             return f"{name} is driven by {link.resolve().name}, not by {driver}"
-    missing = [tool for tool in TOOLS if shutil.which(tool) is None]
-    return f"not installed: {', '.join(missing)} (can-utils, iproute2)" if missing else None
+    return tools_missing(TOOLS)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Skips with the reason where there are no such controllers."""
-    reason = why_not()
-    if reason is None:
-        return
-    for item in items:
-        if HERE in item.path.parents:
-            item.add_marker(pytest.mark.skip(reason=reason))
+    skip_below(HERE, items, why_not())

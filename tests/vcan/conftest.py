@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +10,8 @@ import pytest
 
 HERE = Path(__file__).resolve().parent
 sys.path[:0] = [str(HERE), str(HERE.parent), str(HERE.parents[1])]
+
+from skipping import skip_below, tools_missing  # noqa: E402 (found by the path above)
 
 TOOLS = ("candump", "cansend", "cangen", "ip")
 
@@ -23,18 +24,12 @@ def why_not() -> str | None:
         return "no vcan0 here; `make vcan` runs these tests, in an emulated machine if need be"
     if mtu != 72:
         return f"vcan0 has mtu {mtu}, CAN FD needs 72"
-    missing = [tool for tool in TOOLS if shutil.which(tool) is None]
-    return f"not installed: {', '.join(missing)} (can-utils, iproute2)" if missing else None
+    return tools_missing(TOOLS)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Skips with the reason where there is no such bus."""
-    reason = why_not()
-    if reason is None:
-        return
-    for item in items:
-        if HERE in item.path.parents:
-            item.add_marker(pytest.mark.skip(reason=reason))
+    skip_below(HERE, items, why_not())
 
 
 @pytest.fixture
