@@ -191,6 +191,7 @@ def outlook(state: LayshaftState, ticks: Ticks, switches: Vector, model: MotionM
     for k in range(looks):
         then, spread = x.copy(), p.copy()
         forecast(then, spread, float(time_us), float(time_us + horizon_us), switches, model.flat)
+        # By way of the deviation, as `predict_spread` says it: the same to the last bit.
         found[k] = math.sqrt(max(0.0, spread.item(THETA, THETA))) ** 2
         if k + 1 == looks:
             break  # nobody asks what comes after the last
