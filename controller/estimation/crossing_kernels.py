@@ -262,10 +262,10 @@ def carry(teeth: Vector, step: MotionStep) -> None:
 
 
 @compiled
-def inverse_of_positive(matrix: Vector) -> Vector:
-    """The inverse of a symmetric positive definite matrix (n, n) by Cholesky's factors; NaN where
-    it is not one. A wheel's equations are small: threads of a linear algebra library would cost
-    more than the sum, and need not add up in the same order twice."""
+def cholesky(matrix: Vector) -> Vector:
+    """The lower factor of a symmetric positive definite matrix (n, n); NaN where it is not one. A
+    wheel's equations are small: threads of a linear algebra library would cost more than the sum,
+    and need not add up in the same order twice."""
     n = matrix.shape[0]
     lower = np.zeros((n, n))
     for j in range(n):
@@ -280,6 +280,15 @@ def inverse_of_positive(matrix: Vector) -> Vector:
             for k in range(j):
                 s -= lower[i, k] * lower[j, k]
             lower[i, j] = s / lower[j, j]
+    return lower
+
+
+@compiled
+def inverse_by_root(lower: Vector) -> Vector:
+    """The inverse of a matrix (n, n) by its lower factor; NaN where it has none."""
+    n = lower.shape[0]
+    if not lower[0, 0] > 0.0:
+        return lower
     half = np.zeros((n, n))
     for c in range(n):
         half[c, c] = 1.0 / lower[c, c]
@@ -296,3 +305,9 @@ def inverse_of_positive(matrix: Vector) -> Vector:
                 s += half[i, k] * half[j, k]
             inverse[i, j] = inverse[j, i] = s
     return inverse
+
+
+@compiled
+def inverse_of_positive(matrix: Vector) -> Vector:
+    """The inverse of a symmetric positive definite matrix (n, n); NaN where it is not one."""
+    return inverse_by_root(cholesky(matrix))

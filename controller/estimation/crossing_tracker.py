@@ -29,11 +29,13 @@ from meshpoint.controller.motion.kernels import (
     THETA,
 )
 from meshpoint.controller.motion.models import (
+    WALK_RAD_S2,
     Disturbance,
     LayshaftState,
     MotionModel,
     diagonal,
     following_motion,
+    following_start,
 )
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
@@ -58,7 +60,7 @@ class CrossingTracker(WheelTracker):
         super().__init__(tuning, teeth, missing, geared)
         self._brake = brake
         self._known = known
-        self._following = following_motion(tuning.follow_rad_s2, tuning.follow_s, 50.0)
+        self._following = following_motion(tuning.follow_rad_s2, tuning.follow_s, WALK_RAD_S2)
         self._model: MotionModel | None = None
         self._inertia_kgm2 = 1.0
         self._free = False
@@ -76,10 +78,8 @@ class CrossingTracker(WheelTracker):
         """Whether the tooth errors in use have stayed the same since the layshaft became free."""
 
     def _first_state(self, omega_sd_rad_s: float) -> tuple[Vector, Vector]:
-        follow = self._tuning.follow_rad_s2
         theta_sd = 2.0 * self._tuning.tooth_error_rad
-        p = diagonal(theta_sd, omega_sd_rad_s, 1.0, follow, 1e-9, follow)
-        return np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0]), p
+        return following_start(theta_sd, omega_sd_rad_s, self._tuning.follow_rad_s2)
 
     @property
     def free(self) -> bool:
@@ -133,6 +133,7 @@ class CrossingTracker(WheelTracker):
         switches = self._brake.arrays()
         if not self._free:
             self._take(batch, NO_PRESSURES, switches, self._following)
+            self._in_gear.edges(batch)
             return
         self._run.add(self.teeth.edges(batch, self.teeth.place(batch)), pressures)
         touch_pa = self._known.touch_pa.value
@@ -158,6 +159,7 @@ class CrossingTracker(WheelTracker):
         self._one_pattern = False
 
     def _begin_free(self) -> None:
+        self._in_gear.pause()
         tuning, known, state = self._tuning, self._known, self._filter
         state.forget_past()
         state.heed(0.0)
@@ -185,11 +187,7 @@ class CrossingTracker(WheelTracker):
         self._free = False
         state, known, inertia = self._filter, self._known, self._inertia_kgm2
         state.forget_past()
-        line = self.teeth.end_window()
-        if line is not None:
-            events.append(f"layshaft {line}")
-        if self._geared is not None:
-            self._geared.end_window(events)
+        self._learn_teeth("layshaft", events)
         self._fuse(False)
         x, sd = state.x, np.sqrt(np.maximum(np.diag(state.p), 0.0))
         if self._free_edges >= LEAST_FREE_EDGES and np.isfinite(x).all():

@@ -16,6 +16,7 @@ is added to a cloud drawn anew are its numbers in another order.
 from __future__ import annotations
 
 import math
+from collections import deque
 from functools import cache
 from statistics import NormalDist
 from typing import Final, NamedTuple
@@ -57,10 +58,14 @@ MOST_OFF: Final = 4.0
 """An angle that is further off, in standard deviations, counts as so far off."""
 PRESSED: Final = 0.6
 """Share of the first cloud that is still pressed to the flank that the shafts' torque held;"""
-DOUBT_KEPT: Final = 0.9
-"""Weight of what was doubted before against a new look."""
 AROUND: Final = 1.15
 """the rest lies within the backlash and this much of its half beyond: flanks give way."""
+DOUBT_KEPT: Final = 0.9
+"""Weight of what was doubted before against a new look."""
+LOST: Final = 9.0
+"""A cloud that is so much doubted has lost the driveline: it begins anew"""
+RECENT: Final = 4
+"""from a line through so many looks."""
 FIRST_OMEGA: Final = 2.0
 """Standard deviation (rad/s) of the speed when a gear comes out;"""
 FIRST_DRAG: Final = 0.5
@@ -241,23 +246,51 @@ class LashCloud:
     """The drivelines of one interval in neutral."""
 
     def __init__(self, lash: Lash, start: LashStart, edge_time_s: float) -> None:
-        self._x = lash.cloud(start)
-        self._logs = np.zeros(DRIVELINES)
-        self._p = np.diag((0.05**2, FIRST_OMEGA**2, FIRST_DRAG**2))
-        """Covariance of angle, speed and drag in each driveline."""
+        self._lash, self._start = lash, start
+        self._begin(start)
+        self._recent: deque[tuple[float, float]] = deque(maxlen=RECENT)
+        """Times (us) and angles of the newest looks."""
         self._model = lash.model(start.speed_rad_s)
         self._chance_rad2_s3 = lash.chance_rad2_s3
         self._edge_time_s = edge_time_s
         self._drawn = 0
-        self._doubt = 1.0
-        """Mean square of how far off the angles were, over how far the cloud let expect."""
         self.time_us = start.time_us
         """Up to here edges have been taken."""
+
+    def _begin(self, start: LashStart) -> None:
+        self._x = self._lash.cloud(start)
+        self._logs = np.zeros(DRIVELINES)
+        self._p = np.diag((0.05**2, FIRST_OMEGA**2, FIRST_DRAG**2))
+        """Covariance of angle, speed and drag in each driveline."""
+        self._doubt = 1.0
+        """Mean square of how far off the angles were, over how far the cloud let expect."""
+
+    def _begin_anew(self) -> None:
+        """From the newest looks, wherever in the backlash: what was known of it has proved wrong
+        (sensor resetting, Lenser and Veloso 2000)."""
+        looks, start = np.array(self._recent), self._start
+        waits_s = (looks[:, 0] - self.time_us) * US
+        speed, angle = np.polyfit(waits_s, looks[:, 1], 1).tolist()
+        since_s = (self.time_us - start.time_us) * US
+        self._begin(
+            start._replace(
+                time_us=self.time_us,
+                angle_rad=angle,
+                speed_rad_s=speed,
+                vehicle_rad_s=start.vehicle_rad_s + start.hill_rad_s2 * since_s,
+                pressed_nm=0.0,
+            )
+        )
 
     @property
     def is_alive(self) -> bool:
         """Whether all of it are numbers."""
         return bool(np.isfinite(self._x).all() and np.isfinite(self._logs).all())
+
+    @property
+    def doubt(self) -> float:
+        """Mean square of how far off the angles were lately, over how far the cloud let expect."""
+        return self._doubt
 
     @property
     def weights(self) -> Vector:
@@ -292,6 +325,9 @@ class LashCloud:
         for time_us, angle_rad, variance in zip(times, angles, variances, strict=True):
             self._look((float(time_us) - self.time_us) * US, float(angle_rad), float(variance))
             self.time_us = float(time_us)
+            self._recent.append((self.time_us, float(angle_rad)))
+            if self._doubt > LOST and len(self._recent) == RECENT:
+                self._begin_anew()
 
     def _look(self, seconds: float, angle_rad: float, variance: float) -> None:
         x = self._x

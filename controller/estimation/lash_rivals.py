@@ -21,6 +21,8 @@ BELIEVED: Final = 5.0
 """Backlash is believed where it is likelier by e to half of this;"""
 LEAST_WINDOWS: Final = 3
 """not after the first two windows, in which the linear swing has little but its priors;"""
+MOST_A_WINDOW: Final = 8.0
+"""One window, in which a model lost the driveline, tells no more than this."""
 REJECTED: Final = -4.0
 """where it is this unlikely it is not even tried,"""
 RETRIED: Final = -1.0
@@ -90,7 +92,8 @@ class LashRivals:
     def end(self) -> None:
         """The window is over. Predictions overlap: those of one horizon count as one."""
         self._windows += 1
-        self._for_lash = FORGET * self._for_lash + self._window * STEP_SHARE
+        told = min(max(self._window * STEP_SHARE, -MOST_A_WINDOW), MOST_A_WINDOW)
+        self._for_lash = FORGET * self._for_lash + told
         self._tried = self._for_lash > (REJECTED if self._tried else RETRIED)
 
 

@@ -91,6 +91,8 @@ class MainTracker(WheelTracker):
         if self.teeth.learner.running and batch.time_us.size:
             self._run.add(batch.time_us, batch.theta_rad, self.teeth.place(batch))
         self._take(batch, NO_PRESSURES, NO_SWITCHES, self._motion)
+        if not self._free:
+            self._in_gear.edges(batch)
         if batch.time_us.size and self._running:
             self._follow_lash(self.teeth.edges(batch, self.teeth.place(batch)))
 
@@ -177,6 +179,7 @@ class MainTracker(WheelTracker):
 
     def _begin_free(self, range_: Range, since_us: float, pressed_nm: float) -> None:
         state, swing = self._filter, self._swings[range_]
+        self._in_gear.pause()
         state.forget_past()
         state.heed(0.0)
         self._range, self._free = range_, True
@@ -201,11 +204,7 @@ class MainTracker(WheelTracker):
         self._free = False
         self._end_lash()
         self._learn_swing()
-        line = self.teeth.end_window()
-        if line is not None:
-            events.append(f"main shaft {line}")
-        if self._geared is not None:
-            self._geared.end_window(events)
+        self._learn_teeth("main shaft", events)
         self._fuse(False)
         state = self._filter
         state.forget_past()

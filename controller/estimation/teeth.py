@@ -67,6 +67,7 @@ class TeethLearner:
         memory = self._memory
         memory.time_us[0] = time_us
         memory.x[:], memory.p[:], memory.nis[:] = x, p, 0.0
+        memory.log_variance[0] = 0.0
         self._teeth.flat[:] = 0.0
         self.running = True
 
@@ -115,6 +116,11 @@ class TeethLearner:
         window = self.so_far() if self.running else None
         self.running = False
         return window if window is not None and window.edges >= LEAST_EDGES else None
+
+    @property
+    def log_variance(self) -> float:
+        """Sum of the logarithms of the innovations' variances."""
+        return float(self._memory.log_variance[0])
 
     def so_far(self) -> PatternEquations:
         """The window's equations up to now."""
@@ -192,7 +198,11 @@ class WheelTeeth:
     def end_window(self) -> str | None:
         """A window has ended: learns from it, or forgets. Returns a line for the log."""
         window = self.learner.end()
-        if window is None or self._best_misfit(window) > UNLIKE_MODEL:
+        return None if window is None else self.take(window)
+
+    def take(self, window: PatternEquations) -> str | None:
+        """Learns from a window, or forgets. Returns a line for the log."""
+        if self._best_misfit(window) > UNLIKE_MODEL:
             return None
         if self.learned and self._is_a_stranger_s(window):
             self._strangers += 1

@@ -13,6 +13,7 @@ from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US, WindowSpee
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.swing_filter import LAYSHAFT_FILTER, FilterKind
 from meshpoint.controller.estimation.teeth import WheelTeeth
+from meshpoint.controller.estimation.teeth_in_gear import TeethInGear
 from meshpoint.controller.motion.kernels import OMEGA, THETA
 from meshpoint.controller.records import RecordMemory, Vector
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
@@ -42,6 +43,7 @@ class WheelTracker(ABC):
         self._tuning = tuning
         self._filter = CrossingFilter(tuning, kind)
         self.teeth = WheelTeeth(teeth, tuning, missing, kind)
+        self._in_gear = TeethInGear(self.teeth, tuning)
         self._half_pitch_rad = math.pi / teeth
         self._seed = WindowSpeed()
         self._running = False
@@ -67,6 +69,7 @@ class WheelTracker(ABC):
         self._running = self._fuses = False
         self._seed.restart()
         self.teeth.learner.running = False
+        self._in_gear.lose()
         if self._geared is not None:
             self._geared.teeth.learner.running = False
 
@@ -114,6 +117,13 @@ class WheelTracker(ABC):
     def _teeth_motion(self, model: RecordMemory) -> RecordMemory:
         """The model by which teeth are learned, where `model` is the filter's."""
         return model
+
+    def _learn_teeth(self, name: str, events: list[str]) -> None:
+        """The shaft is no longer free: what was seen in gear before, and since, is learned."""
+        said = [*self._in_gear.end(), self.teeth.end_window()]
+        events += [f"{name} {line}" for line in said if line is not None]
+        if self._geared is not None:
+            self._geared.end_window(events)
 
     def _teeth_found(self) -> None:
         """The tooth errors have just become known, so the angles of edges change by up to the error

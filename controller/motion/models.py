@@ -139,6 +139,19 @@ def free_motion(
     return MotionModel(rates, law, noise)
 
 
+WALK_RAD_S2 = 50.0
+"""By how much the steady acceleration of a layshaft that something drives wanders in a second."""
+
+
+def following_start(
+    theta_sd: float, omega_sd: float, acceleration_rad_s2: float
+) -> tuple[Vector, Vector]:
+    """State, all none, and covariance of such a shaft of which only angle and speed are known."""
+    follow = acceleration_rad_s2
+    p = diagonal(theta_sd, omega_sd, 1.0, follow, 1e-9, follow)
+    return np.array([0.0, 0.0, 0.0, 0.0, 1.0, 0.0]), p
+
+
 def following_motion(
     acceleration_rad_s2: float, memory_s: float, walk_rad_s2: float
 ) -> MotionModel:

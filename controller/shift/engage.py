@@ -4,21 +4,31 @@ from __future__ import annotations
 
 from typing import Final
 
+from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.sensing.gearbox_view import ENTERED_M
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import FALL_US, OPPOSITE, SLEEVE_VALVE, ShiftContext
 from meshpoint.controller.shift.disengage import pull_out
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
+from meshpoint.controller.shift.synchronise import now_misses
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision, ShiftResult
 from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN
+from meshpoint.units import SECOND_US
 
 LET_GO_US: Final = 120 * MS_IN_US
 """If the sleeve is not back in neutral this long after its valve went off, it is pulled back."""
 
 STRAIGHT_US: Final = 32 * MS_IN_US
 """A sleeve that enters a gap at first contact is measured in mesh within this time."""
+
+BUS_US: Final = 2 * MS_IN_US
+"""A command that switches off arrives within this: the bus, and the node's own lateness."""
+CALLS: Final = 3
+"""So often a sleeve may be called back in one shift: each costs a gap's time."""
+AGAIN_US: Final = 120 * MS_IN_US
+"""A sleeve that is called back meets its gear this much later: the next gap, and a step."""
 
 SEEN_US: Final = 28 * MS_IN_US
 """Longest delay from a gear being in mesh to the measured position showing it."""
@@ -31,6 +41,11 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     predictor = context.predictor(gear, snapshot)
     if predictor is not None:
         context.free_predictor, context.free_us = predictor, snapshot.now_us
+        if _is_to_go_back(context, predictor, snapshot):
+            shift.attempts -= 1
+            shift.calls += 1
+            context.board.off(SLEEVE_VALVE[gear])
+            return Trigger.BLOCKED
     if shift.measured_contact_us is None:
         _look_for_contact(context, snapshot)
     if snapshot.view.main_gear is gear:
@@ -53,6 +68,22 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
         context.board.off(SLEEVE_VALVE[gear])
         return Trigger.BLOCKED
     return None
+
+
+def _is_to_go_back(context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot) -> bool:
+    """Whether a sleeve that is not on its way yet would now be likelier to meet a tooth than the
+    gap it was fired for, and another gap comes before the gear is too slow. A valve that is off
+    again before its delay is over has moved nothing."""
+    shift, plan = context.running, context.running.plan
+    if plan is None or shift.calls >= CALLS:
+        return False
+    moves_us = plan.fire_us + context.sheet.sleeve.valve_delay_s * SECOND_US
+    if snapshot.now_us + BUS_US > moves_us:
+        return False
+    again = predictor.steady_slip_rad_s(plan.contact_us + AGAIN_US)
+    if again < 0.0:
+        return False
+    return now_misses(context, predictor, plan)
 
 
 def _look_for_contact(context: ShiftContext, snapshot: StepSnapshot) -> None:

@@ -19,9 +19,10 @@ from meshpoint.gearbox import MainGear
 DRIVEN_LATE_US: Final = 40 * MS_IN_US
 """A brake valve not reported driven this long after its activation time has been refused by the
 valve side: the activation is sent again."""
-KEEP_US: Final = 3 * MS_IN_US
+KEEP_US: Final = 6 * MS_IN_US
 """A firing this close to the earliest possible activation is not planned again: the new time could
-come out slightly too early to be sent, and the sleeve would have to wait for the next gap."""
+come out slightly too early to be sent, and the sleeve would have to wait for the next gap. And the
+next step comes soon enough after it to call the sleeve back (`engage`)."""
 WITHDRAW_US: Final = 4 * MS_IN_US
 """A firing nearer than this is not taken back: its valve could have opened before."""
 RELEASE_HORIZON_US: Final = 90 * MS_IN_US
@@ -107,12 +108,16 @@ def _better_withdrawn(
 ) -> bool:
     """Whether a firing that was planned for the gap is now predicted to meet a tooth, and there is
     still time to take it back: a command that switches off needs no lead but the bus's."""
-    if not shift_aims(context) or plan.misses:
-        return False
     if plan.fire_us < snapshot.now_us + WITHDRAW_US:
         return False
-    now = context.strategist.plan_at(predictor, plan.contact_us, plan.decision)
-    return abs(now.phase_rad) > context.sheet.dog.backlash_rad / 2.0 + now.phase_sd_rad
+    return now_misses(context, predictor, plan)
+
+
+def now_misses(context: ShiftContext, predictor: GearPredictor, plan: Plan) -> bool:
+    """Whether a contact that was planned for the gap would meet a tooth by what is known now."""
+    if not shift_aims(context) or plan.misses:
+        return False
+    return context.strategist.plan_at(predictor, plan.contact_us, plan.decision).misses
 
 
 def shift_aims(context: ShiftContext) -> bool:

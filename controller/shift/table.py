@@ -34,6 +34,7 @@ class Trigger(IntEnum):
     FIRED = auto()
     ENGAGED = auto()
     BLOCKED = auto()
+    """The sleeve has to go back: it rests on a tooth, or would meet one."""
     RETRACTED = auto()
     GAVE_UP = auto()
     GEAR_UNKNOWN = auto()
@@ -107,6 +108,8 @@ class ShiftRecord:
     reference_known: bool = False
     reference_source: ReferenceSource = ReferenceSource.NONE
     attempts: int = 0
+    calls: int = 0
+    """How often a sleeve was called back before it had moved."""
     raises: int = 0
     """How often the engine was asked to bring the layshaft up."""
     pulses: int = 0

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from meshpoint.controller.calibration.learned import SwingRecord
 from meshpoint.controller.estimation.lash_cloud import (
+    LOST,
     SEEN_SDS,
     Lash,
     LashCloud,
@@ -177,6 +178,22 @@ def test_a_promised_probability_is_kept() -> None:
     assert np.mean(kept) > 0.55
     assert sure.size > 8
     assert sure.mean() > 0.85
+
+
+def test_a_cloud_that_has_lost_the_driveline_finds_it_again() -> None:
+    """It begins with a vehicle that is far faster than what the sheet leaves open."""
+    tooth_rad, off, lost = 5e-4, [], []
+    for seed in range(8):
+        lash = a_lash()
+        truth = Truth(lash, seed, tooth_rad)
+        sure = np.diag((0.05, 0.01))
+        start = LashStart(0.0, 0.0, 60.0, 66.0, vehicle_root=sure)
+        cloud = LashCloud(lash, start, 1e-6)
+        cloud.take(truth.edges[:, truth.edges[0] <= 300e3], tooth_rad)
+        off.append(abs(cloud.mean(ANGLE) - truth.angle_at(cloud.time_us)))
+        lost.append(cloud.doubt)
+    assert np.median(off) < HALF_GAP_RAD
+    assert max(lost) <= LOST
 
 
 def test_what_a_window_tells_of_the_backlash_is_taken_over_in_part() -> None:
