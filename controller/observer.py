@@ -10,7 +10,7 @@ import numpy as np
 from meshpoint.controller.calibration.learned import BrakeRecord, NoiseRecord, SwingRecords
 from meshpoint.controller.estimation.baseline_tracker import BaselineTracker
 from meshpoint.controller.estimation.brake_model import BrakeModel
-from meshpoint.controller.estimation.crossing_filter import Pressures
+from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES, Pressures
 from meshpoint.controller.estimation.crossing_tracker import CrossingTracker
 from meshpoint.controller.estimation.cruise import CruiseTracker
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
@@ -28,7 +28,13 @@ from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.pressure_zero import PressureZero
 from meshpoint.controller.sensing.sensor_clock import JUMP_US, SensorClockEstimate, unwrap
 from meshpoint.controller.sensing.step_inputs import StepInputs
-from meshpoint.controller.sensing.wheel_edges import BRAKED_RAD_S2, EdgeBatch, EdgeFrame, WheelEdges
+from meshpoint.controller.sensing.wheel_edges import (
+    BRAKED_RAD_S2,
+    NO_EDGES,
+    EdgeBatch,
+    EdgeFrame,
+    WheelEdges,
+)
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import (
     EdgesInputFall,
@@ -201,9 +207,12 @@ class Observer:
         self.view.work_out()
         pressures = self._sensors(inputs.sensors, now_us)
         self.valves = inputs.valve_status or self.valves
-        self._lose_what_broke(events)
+        jumped = self._lose_what_broke(events)
         self._see_whether_free(events)
-        self._read_geared(inputs, now_us)
+        if jumped:
+            layshaft, main, pressures = NO_EDGES, NO_EDGES, NO_PRESSURES
+        else:
+            self._read_geared(inputs, now_us)
         self._main.edges(main)
         if self._main_dragged:
             # The filter cannot follow a synchroniser, which changes the speed by 400 rpm in 20 ms.
@@ -276,7 +285,8 @@ class Observer:
         risen: list[EdgeFrame] = inputs.edges[rise]
         return wheel.read(risen, inputs.edges[fall], self.clock, now_us)
 
-    def _lose_what_broke(self, events: list[str]) -> None:
+    def _lose_what_broke(self, events: list[str]) -> bool:
+        """Whether the sensor clock has jumped: what came in this step is of two clocks then."""
         if self.clock.late != self._told_late:
             self._told_late = self.clock.late
             events.append(
@@ -288,8 +298,9 @@ class Observer:
             self._main_wheel.broken,
         )
         if (jumps, layshaft, main) == self._lost:
-            return
-        if jumps != self._lost[0]:
+            return False
+        jumped = jumps != self._lost[0]
+        if jumped:
             self._layshaft_wheel.restart()
             self._main_wheel.restart()
             for geared in (self._input_wheel, self._propeller_wheel):
@@ -308,6 +319,7 @@ class Observer:
             else:
                 tracker.lose_speed()
         events.append("tooth numbers lost: phase references unknown again")
+        return jumped
 
     def _see_whether_free(self, events: list[str]) -> None:
         view = self.view

@@ -115,7 +115,7 @@ class BaselineTracker:
         """The state at a time; None without a speed, or without an edge for 60 ms."""
         if not self._free:
             return self._cruising(time_us)
-        if time_us - self._filter.time_us.item() > ESTIMATE_STALE_US:
+        if abs(time_us - self._filter.time_us.item()) > ESTIMATE_STALE_US:
             return None
         state = self.latest()
         if self._estimator is Estimator.WINDOW and time_us > state.time_us:

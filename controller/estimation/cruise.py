@@ -107,7 +107,7 @@ class CruiseTracker:
         """The state at a time, speed held; None before enough edges, or without any for 60 ms."""
         memory = self._filter
         newest_us = memory.time_us.item()
-        if not self._running or time_us - newest_us > ESTIMATE_STALE_US:
+        if not self._running or abs(time_us - newest_us) > ESTIMATE_STALE_US:
             return None
         dt = (time_us - newest_us) * US
         theta, omega = memory.x.tolist()

@@ -148,5 +148,8 @@ class WheelTracker(ABC):
 
     def _fresh(self, time_us: float) -> bool:
         # Edges of a geared wheel must not hide that the shaft's own sensor has failed.
-        newest_us = self._filter.time_us if self._geared is None else self._own_us
-        return self._running and time_us - newest_us <= ESTIMATE_STALE_US
+        newest_us = self._filter.time_us
+        own_us = newest_us if self._geared is None else self._own_us
+        oldest_us = time_us - ESTIMATE_STALE_US
+        # Nor may any be of a clock that has jumped and come back.
+        return self._running and own_us >= oldest_us and newest_us <= time_us + ESTIMATE_STALE_US

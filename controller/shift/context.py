@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from typing import Final
 
+from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.gear_predictor import GearPredictor
@@ -210,7 +211,8 @@ class ShiftContext:
         if math.isfinite(snapshot.supply_pa):
             self.delays.supply_pa = snapshot.supply_pa - self.sheet.air.atmosphere_pa
         layshaft = snapshot.layshaft.latest()
-        if not layshaft.is_finite:
+        ahead_us = layshaft.time_us - snapshot.now_us
+        if not layshaft.is_finite or ahead_us > ESTIMATE_STALE_US:
             return None
         predictor = GearPredictor(
             gear,

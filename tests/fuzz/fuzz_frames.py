@@ -1,4 +1,6 @@
-"""Hostile frames against controller and rig in virtual time: `fuzz_frames.py COUNT [SEED]`.
+"""Hostile frames against controller and rig in virtual time.
+
+`fuzz_frames.py COUNT [SEED [EACH [EVERY]]]`: EACH of them with every EVERY-th frame of the bus.
 
 Blocks of half a second with them and a second without. In the first an accident's frames go to a
 loop as it is, in the second an attacker's to one whose commands are proven. Held in every block: no
@@ -14,6 +16,7 @@ import sys
 import time
 from collections import Counter
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from forged_commands import KEYS
 from hostile import ACCIDENTS, ATTACKS, BENCH, COMMANDS, Hostile
@@ -52,17 +55,26 @@ BACK_LIMIT_MS = 100.0
 GEARS = (10, 8)
 
 
+class Flood(NamedTuple):
+    """So many hostile frames with every so-many-th frame of the bus."""
+
+    each: int = 64
+    every: int = 16
+
+
+SPARSE = Flood(1, 100)
+"""One now and then, between which a shift goes on."""
+
+
 class Flooded:
-    """A node that hears hostile frames besides: `each` of them with every `EVERY`-th frame."""
+    """A node that hears hostile frames besides."""
 
-    EVERY = 16
-
-    def __init__(self, core: Core, hostile: Hostile, each: int) -> None:
+    def __init__(self, core: Core, hostile: Hostile, flood: Flood) -> None:
         self.core = core
         self.is_flooded = False
         self.count = 0
         self._hostile = hostile
-        self._each = each
+        self._flood = flood
         self._heard = 0
 
     @property
@@ -73,8 +85,8 @@ class Flooded:
         self._hostile.hear(frame)
         self.core.receive(frame)
         self._heard += 1
-        if self.is_flooded and self._heard % self.EVERY == 0:
-            made = self._hostile.frames(self._each)
+        if self.is_flooded and self._heard % self._flood.every == 0:
+            made = self._hostile.frames(self._flood.each)
             self.count += len(made)
             for other in made:
                 self.core.receive(other)
@@ -109,7 +121,7 @@ class Found:
 class Fuzz:
     """One loop with its flood."""
 
-    def __init__(self, seed: int, proven: bool, each: int) -> None:
+    def __init__(self, seed: int, proven: bool, flood: Flood) -> None:
         sheet = load_sheet("thesis")
         header = new_header(product_version(), sheet, ControllerSettings())
         main_rpm = plan_shifts(sheet, [(8, 10)], 1, LAYSHAFT_RAD_S)[0].main_rad_s * 30.0 / math.pi
@@ -129,7 +141,7 @@ class Fuzz:
         spared = BENCH if proven else BENCH | COMMANDS
         hostile = [Hostile(seed + k, kinds, spared) for k in range(2)]
         self.nodes = [
-            Flooded(core, h, each) for core, h in zip((controller, rig), hostile, strict=True)
+            Flooded(core, h, flood) for core, h in zip((controller, rig), hostile, strict=True)
         ]
         self.hostile = hostile
         self.operator = Operator([])
@@ -181,13 +193,7 @@ class Fuzz:
         if self._draw.random() < 0.5:
             self._ask(gear)
             self._run(self._draw.randrange(SHIFT_US))
-        for node in self.nodes:
-            node.is_flooded = True
-        self._run(HOSTILE_US)
-        for node in self.nodes:
-            node.is_flooded = False
-            self.found.frames += node.count
-            node.count = 0
+        self._flood(HOSTILE_US)
         ended_us = self.time.now_us
         self.time.run(self._is_back, ended_us + QUIET_US)
         self.found.back_ms.append((self.time.now_us - ended_us) / 1e3)
@@ -203,6 +209,26 @@ class Fuzz:
         result = "none" if self._outcome is None else self._outcome.result.name.lower()
         self.found.results[result] += 1
 
+    def shift_among(self, shifts: int) -> Found:
+        """Shifts, one after the other, that hostile frames come into."""
+        self._run(SETTLE_US)
+        for k in range(shifts):
+            self._ask(GEARS[k % 2])
+            self._run(self._draw.randrange(SHIFT_US))
+            self._flood(2 * SHIFT_US)
+            self._run(REST_US)
+        self.found.violations = sum(self.rig.truth.violations.values())
+        return self.found
+
+    def _flood(self, for_us: int) -> None:
+        for node in self.nodes:
+            node.is_flooded = True
+        self._run(for_us)
+        for node in self.nodes:
+            node.is_flooded = False
+            self.found.frames += node.count
+            node.count = 0
+
     def _ask(self, gear: int) -> None:
         self.operator._requests.append((self.time.now_us, gear))
 
@@ -211,9 +237,9 @@ def main(argv: list[str]) -> int:
     """Half of the frames without proof, half with it, by turns; 1 where something is not as it must
     be. Interrupted, it says how far it came, and ends with 130."""
     count, seed = int(argv[0]), int(argv[1]) if len(argv) > 1 else 1
-    each = int(argv[2]) if len(argv) > 2 else 64
+    flood = Flood(*map(int, argv[2:4]))
     began_s, ended = time.monotonic(), 0
-    both = {proven: Fuzz(seed, proven, each) for proven in (False, True)}
+    both = {proven: Fuzz(seed, proven, flood) for proven in (False, True)}
     try:
         while any(fuzz.found.frames < count // 2 for fuzz in both.values()):
             for fuzz in both.values():

@@ -169,6 +169,7 @@ def run(count: int, seed: int) -> tuple[bool, str]:
             began_s = time.monotonic()
             for _ in range(ROUNDS):
                 live.flood(count // ROUNDS)
+                live.status = None
                 back_s.append(live.until(live.is_back, BACK_S))
                 live.until(live.is_at_rest, SHIFT_S)
                 status = live.status

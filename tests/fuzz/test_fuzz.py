@@ -6,7 +6,7 @@ from pathlib import Path
 
 import fuzz_files
 import pytest
-from fuzz_frames import BACK_LIMIT_MS, Fuzz
+from fuzz_frames import BACK_LIMIT_MS, SPARSE, Flood, Fuzz
 from fuzz_live import run as run_live
 from hostile import ACCIDENTS, ATTACKS, COMMANDS, SPECS, Hostile
 
@@ -17,7 +17,7 @@ from meshpoint.dbc.node import Node
 
 @pytest.mark.parametrize("proven", [False, True])
 def test_hostile_frames_harm_nothing_and_what_they_deny_is_back_at_once(proven: bool) -> None:
-    fuzz = Fuzz(seed=11, proven=proven, each=64)
+    fuzz = Fuzz(seed=11, proven=proven, flood=Flood())
     found = fuzz.blocks(frames=6_000)
     assert found.frames >= 6_000
     assert set(found.kinds) == set(ATTACKS if proven else ACCIDENTS)
@@ -26,9 +26,18 @@ def test_hostile_frames_harm_nothing_and_what_they_deny_is_back_at_once(proven: 
     assert set(found.results) == {"engaged"}
 
 
+@pytest.mark.parametrize("seed", [100, 101])
+def test_a_hostile_frame_now_and_then_in_a_shift_harms_nothing(seed: int) -> None:
+    """Under a flood nothing is shifted; between frames that come one by one the shift goes on, on
+    what they have told."""
+    found = Fuzz(seed, proven=True, flood=SPARSE).shift_among(12)
+    assert found.frames > 200
+    assert found.violations == 0
+
+
 def test_a_flood_is_noticed_while_it_lasts() -> None:
     """So that the test above cannot pass because nothing arrives."""
-    fuzz = Fuzz(seed=12, proven=False, each=64)
+    fuzz = Fuzz(seed=12, proven=False, flood=Flood())
     fuzz._run(600_000)
     for node in fuzz.nodes:
         node.is_flooded = True
