@@ -10,7 +10,7 @@ from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import FALL_US, OPPOSITE, SLEEVE_VALVE, ShiftContext
 from meshpoint.controller.shift.disengage import pull_out
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
-from meshpoint.controller.shift.synchronise import now_misses
+from meshpoint.controller.shift.synchronise import shift_aims
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision, ShiftResult
 from meshpoint.gearbox import MainGear
@@ -25,10 +25,11 @@ STRAIGHT_US: Final = 32 * MS_IN_US
 
 BUS_US: Final = 2 * MS_IN_US
 """A command that switches off arrives within this: the bus, and the node's own lateness."""
-CALLS: Final = 3
+CALLS: Final = 6
 """So often a sleeve may be called back in one shift: each costs a gap's time."""
-AGAIN_US: Final = 120 * MS_IN_US
-"""A sleeve that is called back meets its gear this much later: the next gap, and a step."""
+AGAIN_US: Final = 20 * MS_IN_US
+"""A sleeve that is called back can be fired anew so much later: the step in which it is seen to
+have stayed, and the next."""
 
 SEEN_US: Final = 28 * MS_IN_US
 """Longest delay from a gear being in mesh to the measured position showing it."""
@@ -71,19 +72,17 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
 
 
 def _is_to_go_back(context: ShiftContext, predictor: GearPredictor, snapshot: StepSnapshot) -> bool:
-    """Whether a sleeve that is not on its way yet would now be likelier to meet a tooth than the
-    gap it was fired for, and another gap comes before the gear is too slow. A valve that is off
-    again before its delay is over has moved nothing."""
+    """Whether a sleeve that is not on its way yet is better fired anew. A valve that is off again
+    before its delay is over has moved nothing."""
     shift, plan = context.running, context.running.plan
-    if plan is None or shift.calls >= CALLS:
+    if plan is None or shift.calls >= CALLS or not shift_aims(context):
         return False
     moves_us = plan.fire_us + context.sheet.sleeve.valve_delay_s * SECOND_US
     if snapshot.now_us + BUS_US > moves_us:
         return False
-    again = predictor.steady_slip_rad_s(plan.contact_us + AGAIN_US)
-    if again < 0.0:
-        return False
-    return now_misses(context, predictor, plan)
+    acting = context.strategist.acting(reference_known=True)
+    earliest_us = snapshot.earliest_us + AGAIN_US
+    return acting.is_to_go_back(predictor, snapshot.now_us, plan.contact_us, earliest_us)
 
 
 def _look_for_contact(context: ShiftContext, snapshot: StepSnapshot) -> None:

@@ -7,10 +7,9 @@ from typing import Any
 
 import pytest
 
-from meshpoint.controller.planning.strategist import Plan, Strategist
+from meshpoint.controller.planning.strategies.target_phase import TargetPhase
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.shift.engage import CALLS
-from meshpoint.dbc.messages import ControllerState, ShiftDecision
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw, upshifts
@@ -34,19 +33,18 @@ def aimed_shift(monkeypatch: pytest.MonkeyPatch, doubted: int) -> tuple[ShiftRow
         loop.shift()
     said: list[int] = []
     core: Any = loop._controller
-    plain = Strategist.plan_at
+    plain = TargetPhase.is_to_go_back
 
-    def doubting(self: Strategist, predictor: Any, contact_us: int, decision: Any) -> Plan:
-        plan = plain(self, predictor, contact_us, decision)
-        late_us = core.snapshot.now_us - plan.fire_us
-        engaging = core._sequence.state is ControllerState.ENGAGING
-        asked = decision is not ShiftDecision.NONE
-        if engaging and asked and late_us >= 0 and len(said) < doubted:
+    def doubting(
+        self: TargetPhase, predictor: Any, now_us: int, contact_us: int, earliest_us: int
+    ) -> bool:
+        late_us = now_us - core._sequence.running.plan.fire_us
+        if late_us >= 0 and len(said) < doubted:
             said.append(late_us)
-            return plan._replace(misses=True)
-        return plan
+            return True
+        return plain(self, predictor, now_us, contact_us, earliest_us)
 
-    monkeypatch.setattr(Strategist, "plan_at", doubting)
+    monkeypatch.setattr(TargetPhase, "is_to_go_back", doubting)
     row = loop.shift()
     assert row is not None
     return row, said

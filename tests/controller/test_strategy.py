@@ -250,3 +250,43 @@ def test_anticipating_meets_the_gear_at_the_slip_asked_for(
         assert plan.contact_us == last_us or at_contact == pytest.approx(
             contact_rpm * RPM, abs=2e-3
         )
+
+
+def sleeve_on_its_way(phase_deg: float, slip_rpm: float) -> tuple[GearPredictor, int]:
+    """A sleeve that meets its gear in 40 ms at this phase, and the time of that contact."""
+    contact_us = NOW_US + 40_000
+    at_zero, _ = predictor_at(slip_rpm, references=learned(0.0)).phase_and_slip(contact_us)
+    return predictor_at(slip_rpm, references=learned(math.radians(phase_deg) - at_zero)), contact_us
+
+
+@pytest.mark.parametrize("phase_deg", [-0.2, 0.0, 0.2])
+def test_a_sleeve_that_will_meet_the_gap_is_not_called_back(phase_deg: float) -> None:
+    predictor, contact_us = sleeve_on_its_way(phase_deg, 20.0)
+    phase, _ = predictor.phase_and_slip(contact_us)
+    assert math.degrees(phase) == pytest.approx(phase_deg, abs=1e-9)
+    strategy = make_strategy(SHEET, ControllerSettings().with_strategy("target_phase"))
+    assert not strategy.is_to_go_back(predictor, NOW_US, contact_us, EARLIEST_US + 20_000)
+
+
+@pytest.mark.parametrize("phase_deg", [-2.0, 1.5, 3.5])
+def test_a_sleeve_that_will_meet_a_tooth_is_called_back_for_a_gap_within_reach(
+    phase_deg: float,
+) -> None:
+    predictor, contact_us = sleeve_on_its_way(phase_deg, 20.0)
+    strategy = make_strategy(SHEET, ControllerSettings().with_strategy("target_phase"))
+    assert strategy.is_to_go_back(predictor, NOW_US, contact_us, EARLIEST_US + 20_000)
+
+
+def test_a_sleeve_that_will_meet_a_tooth_goes_on_where_every_later_contact_is_worse() -> None:
+    """The gear is 190 rpm too slow already and gets slower: no later contact is at a better
+    slip."""
+    predictor, contact_us = sleeve_on_its_way(1.5, -190.0)
+    strategy = make_strategy(SHEET, ControllerSettings().with_strategy("target_phase"))
+    assert not strategy.is_to_go_back(predictor, NOW_US, contact_us, EARLIEST_US + 20_000)
+
+
+def test_a_strategy_that_does_not_aim_calls_no_sleeve_back() -> None:
+    predictor, contact_us = sleeve_on_its_way(3.0, 20.0)
+    for name in ("speed_window", "speed_window_anticipating"):
+        strategy = make_strategy(SHEET, ControllerSettings().with_strategy(name))
+        assert not strategy.is_to_go_back(predictor, NOW_US, contact_us, EARLIEST_US)

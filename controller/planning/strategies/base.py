@@ -47,6 +47,22 @@ class EngagementStrategy(Protocol):
         Not before `earliest_us + predictor.delay_us`, the time that the sleeve needs. Only a
         strategy that aims may use the predictor's phase (else KeyError)."""
 
+    def is_to_go_back(
+        self, predictor: GearPredictor, now_us: int, contact_us: int, earliest_us: int
+    ) -> bool:
+        """Whether a sleeve that was fired to meet its gear at `contact_us`, and has not moved yet,
+        should be called back, to be fired anew at `earliest_us` or later.
+
+        Asked only of a strategy that aims, and while the phase is known."""
+
+
+class Unaimed:
+    """What strategies have in common for which one contact is as good as another."""
+
+    def is_to_go_back(self, *_asked: object) -> bool:
+        """Never."""
+        return False
+
 
 def release_for_slip(
     predictor: GearPredictor, earliest_us: int, slip_left_rad_s: float, settle_us: float

@@ -15,6 +15,7 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, Final
 
+from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import LATEST_RELEASE_US, ReleasePlan
 from meshpoint.controller.settings import ControllerSettings
@@ -43,7 +44,7 @@ class OwnStrategy:
     ) -> None:
         if file.source is None:
             raise StrategyError(f"{file.name}: its file has not been read")
-        self._file = file
+        self._file, self._dog = file, sheet.dog
         made = _load(file.name, file.source)
         self._strategy: Any = _guarded(file.path, made, made, sheet, settings)
         self.aims = file.aims
@@ -77,6 +78,21 @@ class OwnStrategy:
         first_us = earliest_us + predictor.delay_us
         where, last_us = _place_of(self._file.path, method), first_us + LATEST_CONTACT_US
         return round(_number(where, "contact()", found, first_us, last_us))
+
+    def is_to_go_back(
+        self, predictor: GearPredictor, now_us: int, contact_us: int, earliest_us: int
+    ) -> bool:
+        """Where the gap that was aimed at is missed by what is known now, and the user's next
+        contact meets one."""
+        if self._meets(predictor, contact_us):
+            return False
+        again_us = self.contact(predictor, now_us, earliest_us)
+        return again_us is not None and self._meets(predictor, again_us)
+
+    def _meets(self, predictor: GearPredictor, contact_us: int) -> bool:
+        """Whether a contact is predicted to meet a gap."""
+        phase, _ = predictor.phase_and_slip(contact_us)
+        return abs(wrap_to_pitch(phase, self._dog.pitch_rad)) <= 0.5 * self._dog.backlash_rad
 
     def _asked(
         self, name: str, predictor: GearPredictor, now_us: int, earliest_us: int

@@ -7,6 +7,7 @@ from typing import Final
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import (
     ReleasePlan,
+    Unaimed,
     release_for_slip,
     settle_time_us,
 )
@@ -14,7 +15,7 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 
 
-class SpeedWindow:
+class SpeedWindow(Unaimed):
     """`window.release_slip_rpm` is left by the brake; fired below `window.fire_slip_rpm`."""
 
     aims: Final = False

@@ -10,6 +10,7 @@ from typing import Final
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import (
     ReleasePlan,
+    Unaimed,
     release_for_slip,
     settle_time_us,
 )
@@ -20,7 +21,7 @@ SLIP_SEARCH_US: Final = 300_000
 """The slip is searched for up to this far ahead."""
 
 
-class SpeedWindowAnticipating:
+class SpeedWindowAnticipating(Unaimed):
     """Contact at `window.anticipate_slip_rpm`; the brake leaves `window.anticipate_release_rpm`."""
 
     aims: Final = False

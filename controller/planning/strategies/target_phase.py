@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import numpy as np
+
 from meshpoint.controller.planning.gear_predictor import GearPredictor, Trajectory
 from meshpoint.controller.planning.plan_kernels import (
     CONTACT_SERIES,
@@ -62,6 +64,8 @@ PROBE_US: Final = 500
 CLEAR_US: Final = 10_000
 """The earliest firing is so much less before the release than the sleeve takes to its gear: it
 meets the gear when the brake has been let go."""
+CALL_S: Final = 0.02
+"""Price of calling a sleeve back: the contact after it may have to be given up as well."""
 REFERENCE_SD_RAD: Final = math.radians(0.1)
 """Standard deviation of a learned phase reference."""
 
@@ -90,6 +94,20 @@ class TargetPhase:
         around_us = max(first_us, self._cheapest(predictor, now_us, coarse) - step_us)
         fine = predictor.trajectory(around_us, step_us / FINE_SHARE, 2 * FINE_SHARE + 1)
         return round(self._cheapest(predictor, now_us, fine))
+
+    def is_to_go_back(
+        self, predictor: GearPredictor, now_us: int, contact_us: int, earliest_us: int
+    ) -> bool:
+        """Whether a sleeve that is fired anew, at `earliest_us` or later, is expected to cost less
+        than one that is on its way to its contact."""
+        on_way = predictor.trajectory(float(contact_us), 1.0, 1)
+        variances = self._variances(predictor, on_way)
+        stays = self._least(predictor, now_us, on_way, variances)[1]
+        step_us, count = self._steps(predictor, earliest_us)
+        later = predictor.trajectory(float(earliest_us + predictor.delay_us), step_us, count)
+        # By then as much will be known of a later contact as now of this one.
+        anew = self._least(predictor, now_us, later, np.full(count, variances[0]))[1]
+        return anew + CALL_S < stays
 
     def _steps(self, predictor: GearPredictor, release_us: int) -> tuple[float, int]:
         """Length and number of the coarse steps of contacts: small where teeth are small, or where
@@ -170,10 +188,16 @@ class TargetPhase:
     def _cheapest(self, predictor: GearPredictor, now_us: int, trajectory: Trajectory) -> float:
         """Time of a trajectory's cheapest contact."""
         variances = self._variances(predictor, trajectory)
+        best, _ = self._least(predictor, now_us, trajectory, variances)
+        return trajectory.first_us + best * trajectory.step_us
+
+    def _least(
+        self, predictor: GearPredictor, now_us: int, trajectory: Trajectory, variances: Vector
+    ) -> tuple[int, float]:
+        """A trajectory's cheapest contact, and its cost (s)."""
         phase, slip = trajectory.phase_rad, trajectory.slip_rad_s
         contacts, terms = _contacts(trajectory, now_us), self._terms(predictor)
-        best, _ = cheapest(phase, slip, variances, contacts, terms, 0.0)
-        return trajectory.first_us + best * trajectory.step_us
+        return cheapest(phase, slip, variances, contacts, terms, 0.0)
 
     def _variances(self, predictor: GearPredictor, trajectory: Trajectory) -> Vector:
         """Variance of the phase at each contact when its firing has to be decided."""
