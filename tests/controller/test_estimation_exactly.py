@@ -10,10 +10,11 @@ import pytest
 from wheel import Wheel
 
 from meshpoint.controller.estimation.cruise import CruiseTracker
+from meshpoint.controller.estimation.free_run import CAUTION, _least
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.lash_cloud import _drawn
 from meshpoint.controller.estimation.lash_start import StartWatch
-from meshpoint.controller.estimation.likelihood import Learned, _step
+from meshpoint.controller.estimation.likelihood import Learned, _step, learn
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
@@ -109,3 +110,28 @@ def test_a_swinging_shaft_s_speed_is_how_its_angle_goes() -> None:
         before, after = swing.ahead(wait_s - 1e-5)[0], swing.ahead(wait_s + 1e-5)[0]
         assert speed == pytest.approx((after - before) / 2e-5, abs=1e-3)
         assert swing.spread_ahead(wait_s)[0][0] == pytest.approx(angle)
+
+
+def test_misfits_of_three_probes_on_a_parabola_have_its_minimum() -> None:
+    """2 + 9 (x - 0.04)^2 by probes 0.1 apart: its variance is 2 over the curvature of 18, and is
+    taken for larger by caution."""
+    probe = 0.1
+    misfits = [2.0 + 9.0 * (x - 0.04) ** 2 for x in (-probe, 0.0, probe)]
+    found = _least(*misfits, probe)
+    assert found is not None
+    assert found.offset == pytest.approx(0.04)
+    assert found.variance == pytest.approx(CAUTION**2 * 2.0 / 18.0)
+    assert _least(1.0, 2.0, 1.0, probe) is None, "it is a maximum"
+    assert _least(1.0, 2.0, 3.0, probe) is None, "it is a line"
+    assert _least(math.inf, 2.0, 3.0, probe) is None
+
+
+def test_a_figure_of_which_a_shift_tells_nothing_is_known_less_well_behind_it() -> None:
+    """Its variance grows by a tenth, up to what was known before anything was learned."""
+    one = Learned(0.3, 0.1, -5.0, 5.0, 0.5, 0.01)
+    (found,) = learn([one], lambda _: 0.0).figures
+    assert found.log == pytest.approx(0.3)
+    assert found.sd**2 == pytest.approx(1.1 * 0.1**2)
+    for _ in range(60):
+        (found,) = learn([found], lambda _: 0.0).figures
+    assert found.sd == pytest.approx(0.5)
