@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -9,7 +11,7 @@ from typing import Any
 import pytest
 
 from meshpoint.bus.core import Step
-from meshpoint.controller import outage_record
+from meshpoint.controller import node, outage_record
 from meshpoint.controller.core import FRESH_US, ControllerCore
 from meshpoint.controller.header import new_header
 from meshpoint.controller.outage_record import OutageRecord, load_outages
@@ -91,3 +93,24 @@ def test_an_outage_longer_than_what_is_kept_of_it_leaves_one_record_of_so_many_s
     assert len(list(tmp_path.iterdir())) == 1
     assert [line.split(":")[0] for line in said] == ["outage"]
     assert list(load_outages(tmp_path, 1)) == list(range(12))
+
+
+@pytest.mark.parametrize(
+    ("estimator", "baselines"), [("crossing", False), ("window", True), ("thesis", True)]
+)
+def test_a_node_loads_the_kernels_that_its_estimator_needs_before_it_begins(
+    estimator: str, baselines: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What is not loaded before would be in the first shift, for seconds."""
+    loaded: list[bool] = []
+    monkeypatch.setattr(node, "warm_up", lambda baselines: loaded.append(baselines))
+
+    async def nothing(*_: object, **__: object) -> None:
+        pass
+
+    monkeypatch.setattr(node, "run_node", nothing)
+    settings = replace(ControllerSettings(), estimator_name=estimator)
+    header = new_header("1.2.3", load_sheet("truck12"), settings)
+    unused: Any = None
+    asyncio.run(node.run_controller(header, unused, unused, on_event=print, stop=unused))
+    assert loaded == [baselines]

@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 from test_identification import SHEET, TEETH, braked
 
-from meshpoint.controller.identification.brake_course import Course, make_course
+from meshpoint.controller.identification.brake_course import (
+    Course,
+    P,
+    make_course,
+    time_constant_s,
+)
+from meshpoint.controller.identification.brake_figures import _drag
 from meshpoint.controller.identification.brake_fit import CHANCE_RAD2_S3, fit, whitening
 from meshpoint.controller.identification.clutch_fit import (
     AFTER_S,
@@ -18,7 +24,8 @@ from meshpoint.controller.identification.clutch_fit import (
     touch_of,
     touches,
 )
-from meshpoint.controller.identification.log_reader import Closing, Stroke
+from meshpoint.controller.identification.identify import identify
+from meshpoint.controller.identification.log_reader import Closing, LogContent, Stroke
 from meshpoint.controller.identification.sleeve_fit import (
     LEAST_CORRELATION,
     MOST_CORRELATION,
@@ -207,3 +214,43 @@ def test_what_is_found_without_a_run_is_what_the_others_alone_tell(courses: list
         others = fit([*courses[:k], *courses[k + 1 :]], SHEET, False, 900.0 * RPM)
         off = np.abs(whole.without[k] - others.parameters) / whole.prior.sd
         assert off.max() < 0.1
+
+
+def test_air_that_flows_choked_all_the_way_takes_as_long_as_at_its_first_rate() -> None:
+    """The brake fills at the rate times the supply's absolute pressure, up to 63.2 % of the gauge
+    pressure: that share of it, over the rate."""
+    gauge_pa, atmosphere_pa = 8e5, 1e5
+    (filling_s,) = time_constant_s(np.array([20.0]), gauge_pa, atmosphere_pa, np.array([0.8]), True)
+    gone_pa = (1.0 - math.exp(-1.0)) * gauge_pa
+    assert filling_s == pytest.approx(gone_pa / (gauge_pa + atmosphere_pa) / 20.0, rel=1e-6)
+
+
+def test_air_that_leaves_choked_falls_exponentially_from_its_absolute_pressure() -> None:
+    gauge_pa, atmosphere_pa = 8e5, 1e5
+    (emptying_s,) = time_constant_s(
+        np.array([20.0]), gauge_pa, atmosphere_pa, np.array([0.8]), False
+    )
+    left_pa = math.exp(-1.0) * gauge_pa + atmosphere_pa
+    assert emptying_s == pytest.approx(math.log((gauge_pa + atmosphere_pa) / left_pa) / 20.0, 1e-4)
+
+
+def test_drag_is_told_at_the_layshaft_with_the_input_shaft_s_over_the_ratio_s_square() -> None:
+    """The input shaft turns 1 / i as fast, and its torque is seen as 1 / i as large."""
+    parameters = np.zeros((2, len(P)))
+    parameters[:, P.DRAG], parameters[:, P.VISCOUS] = 5.0, 0.03
+    parameters[1, P.INPUT_VISCOUS] = 0.02
+    i = SHEET.split_mesh(Split.HIGH).ratio
+    assert _drag(parameters, SHEET, 100.0) == pytest.approx([8.0, 8.0 + 0.02 * 100.0 / i / i])
+
+
+def test_why_no_sleeve_s_delay_is_told() -> None:
+    """Without commands none can be; with some there was no stroke; or nobody knows when."""
+    content = LogContent()
+    content.messages["ValveCommand"] = 5
+    assert identify(content, SHEET).figure("sleeve delay spread").why == (
+        "no stroke of a main sleeve in the log"
+    )
+    content.inexact = 1
+    assert "at once" in identify(content, SHEET).figure("sleeve delay spread").why
+    empty = identify(LogContent(), SHEET)
+    assert empty.figure("sleeve delay second").why == "no valve commands in the log"

@@ -1,0 +1,146 @@
+"""Small statements about a shift's parts that no longer run would make by accident: where sleeve,
+clutch and torque are by the laws that they go by."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from meshpoint.controller.sensing.clutch_track import ClutchTrack
+from meshpoint.controller.sensing.gearbox_view import SleeveTrack
+from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
+from meshpoint.controller.shift.brake_ahead import CLEAR_M, MAIN_SLEEVES, _teeth_out_us
+from meshpoint.controller.shift.kiss_point import MOST_SEEN, SEEN_SD, KissPoint
+from meshpoint.controller.shift.swing_fit import Known
+from meshpoint.controller.shift.torque_ramp import ramp_down
+from meshpoint.controller.shift.unloading import SHAPES, Unloading, geared_bodies
+from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.gears import DRIVE_GEARS
+
+SHEET = load_sheet("truck12")
+MS_US = 1_000
+
+
+def test_stamps_that_come_late_in_a_row_are_one_delay() -> None:
+    """As often as frames begin to wait, not as often as they come late."""
+    clock = SensorClockEstimate()
+    clock.stamp(1_000_000, 1_000_500)
+    for number in range(1, 4):
+        clock.stamp(1_000_000 + 10_000 * number, 2_000_000 + 10_000 * number)
+    assert (clock.late, clock.jumps) == (1, 0)
+    clock.stamp(2_100_000, 2_100_500)
+    clock.stamp(2_110_000, 3_000_000)
+    assert (clock.late, clock.jumps) == (2, 0), "one that was on time, then one a second late"
+
+
+def test_a_clock_that_was_set_back_has_jumped_once() -> None:
+    clock = SensorClockEstimate()
+    clock.stamp(1_000_000, 5_000_000)
+    assert clock.set_back(999_000, 5_010_000) == 999_000
+    assert clock.jumps == 1
+    assert clock.now_us(5_010_000) == 999_000
+
+
+@pytest.mark.parametrize(("ahead_ms", "is_told"), [(50, True), (99, True), (101, False)])
+def test_where_the_clutch_will_be_is_told_for_a_tenth_of_a_second(
+    ahead_ms: int, is_told: bool
+) -> None:
+    """It opens by 0.02 in 10 ms, and passes a level that it reaches in so long."""
+    track = ClutchTrack()
+    track.take(1_000_000, 0.92)
+    track.take(1_010_000, 0.90)
+    found = track.falls_to_us(0.90 - 0.002 * ahead_ms)
+    assert (found is not None) is is_told
+    if found is not None:
+        assert found == pytest.approx(1_010_000 + ahead_ms * MS_US)
+
+
+def touch(kiss: KissPoint, at_us: int, share: float) -> None:
+    """A clutch closes by 0.05 in 10 ms; its plates touch at `share`, and from then on the engine's
+    acceleration grows by 1,000 rad/s2 in a second of its travel."""
+    track, first = ClutchTrack(), share - 0.075
+    for k in range(-1, 6):
+        time_us, closed = at_us + 10 * MS_US * k, first + 0.05 * k
+        since_s = max(0.0, (closed - share) / 5.0)
+        track.take(time_us, closed)
+        kiss.look(track, 100.0 + 4_000.0 * since_s**2 / 2.0)
+    kiss.look(track, None)
+
+
+def test_the_touch_is_learned_as_independent_observations_of_20_thousandths_are() -> None:
+    """The mean of what was known before and all observations, by their variances, until those of
+    before weigh as ten."""
+    kiss = KissPoint(SHEET)
+    known, sd = kiss.share, kiss.sd
+    for count in range(1, 4):
+        touch(kiss, 1_000_000 * count, known + 0.02)
+        weight = count * SEEN_SD**-2
+        expected = (known * sd**-2 + (known + 0.02) * weight) / (sd**-2 + weight)
+        assert kiss.share == pytest.approx(expected, abs=6e-3)
+        assert kiss.sd == pytest.approx(max((sd**-2 + weight) ** -0.5, SEEN_SD / MOST_SEEN**0.5))
+    assert SEEN_SD == 4.0 / 200.0, "4 ms of a clutch that closes in 200 ms"
+    for count in range(4, 30):
+        touch(kiss, 1_000_000 * count, known + 0.02)
+    assert kiss.sd == pytest.approx(SEEN_SD / math.sqrt(MOST_SEEN))
+
+
+@pytest.mark.parametrize("side", [-1, 1])
+@pytest.mark.parametrize("since_ms", [8, 11, 14])
+def test_teeth_are_out_when_a_sleeve_under_a_constant_force_has_come_so_far(
+    side: int, since_ms: int
+) -> None:
+    sleeve, out_ms = SHEET.sleeve, 20.0
+    way_m = sleeve.stroke_m - sleeve.to_contact_m + CLEAR_M
+
+    def position_m(at_ms: float) -> float:
+        return side * (sleeve.stroke_m - way_m * (max(at_ms, 0.0) / out_ms) ** 2)
+
+    samples = tuple(position_m(since_ms - back) for back in range(10))
+    still = SleeveTrack(5_000_000, (0.0,) * 10)
+    track = SleeveTrack(1_000_000 + since_ms * MS_US, samples)
+    snapshot: Any = SimpleNamespace(
+        view=SimpleNamespace(tracks={MAIN_SLEEVES[0]: still, MAIN_SLEEVES[1]: track})
+    )
+    context: Any = SimpleNamespace(sheet=SHEET)
+    assert _teeth_out_us(context, snapshot) == pytest.approx(1_000_000 + out_ms * MS_US, abs=250)
+
+
+@pytest.mark.parametrize(("left", "may"), [(0.05, True), (-0.05, True), (0.0501, False)])
+def test_the_clutch_may_set_off_with_as_much_torque_left_as_is_allowed(
+    left: float, may: bool
+) -> None:
+    engine = SimpleNamespace(ramp_ms=300, torque_left_share=0.05)
+    context: Any = SimpleNamespace(
+        settings=SimpleNamespace(engine=engine),
+        engine_carries=lambda _: True,
+        sheet=SHEET,
+        kiss=SimpleNamespace(share=0.35),
+        torque=SimpleNamespace(left_in=lambda _: left),
+        running=SimpleNamespace(unloading=None),
+        driveline=None,
+        clutch_opens=True,
+        since_us=1_000_000,
+        engine_share=None,
+    )
+    for now_us, expected in ((1_000_000, may), (1_299_999, may), (1_300_000, True)):
+        assert ramp_down(context, SimpleNamespace(now_us=now_us)) is expected  # type: ignore[arg-type]
+    assert context.engine_share == 0.0
+
+
+def test_a_ramp_is_over_half_a_period_a_step_later_and_when_the_engine_has_followed() -> None:
+    known = Known(60_000.0, 0.1, 1.0 / 400.0, 1e-4)
+    bodies = geared_bodies(SHEET, DRIVE_GEARS[8], known)
+    for shares in SHAPES:
+        for taken in range(1, len(shares) + 1):
+            ramp = Unloading(bodies, 900.0, 20.0, shares, 70_000.0, taken, 0, 400_000.0)
+            waits = (len(shares) - taken) * bodies.half_period_us
+            assert ramp.over_us == pytest.approx(400_000.0 + waits + 70_000.0)
+            last = taken == len(shares)
+            due = math.inf if last else 400_000.0 + bodies.half_period_us
+            assert ramp.next_us == due
+            assert ramp.torque_nm == pytest.approx(
+                20.0 + (900.0 - 20.0) * (1.0 - sum(shares[:taken]))
+            )
