@@ -4,23 +4,30 @@ clutch and torque are by the laws that they go by."""
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from test_reference import TEETH, Gearbox
+from test_strategy import predictor_at
 
+from meshpoint.controller.phase.reference import PhaseReferences
+from meshpoint.controller.planning.phase_drift import PhaseDrifts
+from meshpoint.controller.report.messages import clip
 from meshpoint.controller.sensing.clutch_track import ClutchTrack
 from meshpoint.controller.sensing.gearbox_view import SleeveTrack
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.shift.brake_ahead import CLEAR_M, MAIN_SLEEVES, _teeth_out_us
+from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.kiss_point import MOST_SEEN, SEEN_SD, KissPoint
 from meshpoint.controller.shift.swing_fit import Known
 from meshpoint.controller.shift.torque_ramp import ramp_down
 from meshpoint.controller.shift.unloading import SHAPES, Unloading, geared_bodies
-from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox import MainGear, load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 
-SHEET = load_sheet("truck12")
+SHEET, THESIS = load_sheet("truck12"), load_sheet("thesis")
 MS_US = 1_000
 
 
@@ -144,3 +151,77 @@ def test_a_ramp_is_over_half_a_period_a_step_later_and_when_the_engine_has_follo
             assert ramp.torque_nm == pytest.approx(
                 20.0 + (900.0 - 20.0) * (1.0 - sum(shares[:taken]))
             )
+
+
+@pytest.mark.parametrize("amid_looks", [2, 5])
+def test_a_tooth_that_came_from_amid_its_gap_lies_at_the_flank_after_160_ms(
+    amid_looks: int,
+) -> None:
+    """Sooner it may have come to rest between the flanks, to turn round."""
+    box, references = Gearbox(*TEETH[MainGear.SECOND], 0.1, 0.2, 0.3), PhaseReferences(THESIS)
+    references.locked(MainGear.SECOND, 0.5)
+    half_gap = THESIS.dog.backlash_rad / 2.0
+    learned = []
+    for share in [0.2] * amid_looks + [-1.0] * 20:
+        at = box.layshaft_at_phase(share * half_gap, 5.0, 3)
+        learned.append(references.watch(MainGear.SECOND, at, 5.0))
+    assert learned.index(True) == amid_looks + 16 - 1
+    error = references.phase_rad(MainGear.SECOND, 1.0, 2.0) - box.phase(1.0, 2.0)
+    assert abs(math.remainder(error, THESIS.dog.pitch_rad)) < 1e-9
+
+
+@pytest.mark.parametrize(("passed_us", "teaches"), [(20_000.0, True), (19_999.0, False)])
+def test_a_contact_20_ms_after_its_firing_tells_of_a_drift(passed_us: float, teaches: bool) -> None:
+    fired, drifts = predictor_at(18.0), PhaseDrifts(THESIS, 0.5)
+    contact_us = fired.main.time_us + passed_us
+    state = fired.layshaft_at(contact_us, None)
+    moved = state._replace(theta_rad=state.theta_rad + 0.001 / fired.i_gear)
+    drifts.learn(fired, replace(fired, layshaft=moved), contact_us)
+    assert (drifts.rad_s(fired.gear) > 0.0) is teaches
+
+
+@pytest.mark.parametrize("gear", list(MainGear))
+@pytest.mark.parametrize("closed", [None, 0.0, 0.34, 0.35, 0.36, 1.0])
+def test_the_engine_s_torque_reaches_a_gear_through_plates_that_touch(
+    gear: MainGear, closed: float | None
+) -> None:
+    context: Any = SimpleNamespace(kiss=SimpleNamespace(share=0.35))
+    snapshot: Any = SimpleNamespace(view=SimpleNamespace(main_gear=gear, clutch_closed=closed))
+    expected = closed in (0.36, 1.0) and gear is not MainGear.NEUTRAL
+    assert ShiftContext.engine_carries(context, snapshot) is expected
+
+
+@pytest.mark.parametrize(
+    ("value", "sent"),
+    [(-3.0, -2.0), (-2.0, -2.0), (0.5, 0.5), (4.0, 4.0), (4.1, 4.0), (math.inf, 4.0),
+     (-math.inf, -2.0), (math.nan, 4.0)],
+)  # fmt: skip
+def test_what_a_signal_cannot_say_is_said_by_the_end_of_its_range(
+    value: float, sent: float
+) -> None:
+    assert clip(value, 4.0, -2.0) == sent
+
+
+def test_nothing_is_pulled_out_before_both_plates_and_teeth_are_known_to_part() -> None:
+    """The later of: the sleeve moves as the plates part; its teeth are out once they surely
+    have."""
+    falls = {"parted": 1_050_000.0, "surely": 1_080_000.0}
+    clutch = SimpleNamespace(falls_to_us=lambda _: falls["parted"])
+    sleeve = SHEET.sleeve
+    context: Any = SimpleNamespace(
+        sheet=SHEET,
+        kiss=SimpleNamespace(parted_share=0.3),
+        _surely_parted_us=lambda _: falls["surely"],
+    )
+    snapshot: Any = SimpleNamespace(view=SimpleNamespace(clutch=clutch), earliest_us=0)
+    found = ShiftContext.unloaded_us(context, snapshot)
+    assert found == max(
+        round(1_050_000.0 - 1e6 * sleeve.valve_delay_s),
+        round(1_080_000.0 - 1e6 * sleeve.least_pull_s),
+    )
+    snapshot.earliest_us = 2_000_000
+    assert ShiftContext.unloaded_us(context, snapshot) == 2_000_000
+    for unknown in falls:
+        kept, falls[unknown] = falls[unknown], None  # type: ignore[assignment]
+        assert ShiftContext.unloaded_us(context, snapshot) is None
+        falls[unknown] = kept
