@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 from wheel import Wheel
 
+from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
+from meshpoint.controller.estimation.crossing_tracker import STRUCK_RAD_S, CrossingTracker
 from meshpoint.controller.estimation.cruise import CruiseTracker
 from meshpoint.controller.estimation.free_run import CAUTION, _least
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
@@ -16,10 +18,18 @@ from meshpoint.controller.estimation.lash_cloud import _drawn
 from meshpoint.controller.estimation.lash_start import StartWatch
 from meshpoint.controller.estimation.likelihood import Learned, _step, learn
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
+from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
+from meshpoint.controller.observer import Observer
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
-from meshpoint.controller.settings import CrossingFilterTuning, CruiseFilterTuning
+from meshpoint.controller.settings import (
+    ControllerSettings,
+    CrossingFilterTuning,
+    CruiseFilterTuning,
+    Estimator,
+)
+from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.sheet import Wheel as SheetWheel
 from meshpoint.units import US
 
@@ -135,3 +145,34 @@ def test_a_figure_of_which_a_shift_tells_nothing_is_known_less_well_behind_it() 
     for _ in range(60):
         (found,) = learn([found], lambda _: 0.0).figures
     assert found.sd == pytest.approx(0.5)
+
+
+def test_a_gear_that_strikes_moves_the_layshaft_by_half_a_pitch_and_its_speed_at_once() -> None:
+    """What is not known of them grows by that, apart from how the two go together; and before a
+    gear has come out nothing is left in the shafts."""
+    truck12 = load_sheet("truck12")
+    settings = ControllerSettings()
+    delay_us = round(truck12.brake.valve_delay_s / US)
+    observer = Observer(truck12, settings, BrakeInput(delay_us), Estimator.CROSSING)
+    assert observer.pressed_nm == 0.0
+    tracker, teeth = observer.layshaft, truck12.wheels.layshaft.teeth
+    assert isinstance(tracker, CrossingTracker)
+    half_pitch = math.pi / teeth
+
+    def turn(first: int, last: int) -> None:
+        for number in range(first, last, 6):
+            edges = np.arange(number, number + 6)
+            angle = half_pitch * edges
+            batch = EdgeBatch(angle / 100.0 / US, angle, edges // 2 % teeth, edges % 2)
+            tracker.edges(batch, NO_PRESSURES)
+
+    turn(0, 60)
+    now_us = tracker._filter.time_us
+    tracker.set_free(True, now_us, [])
+    turn(60, 72)
+    before = tracker._filter.p.copy()
+    tracker.set_free(False, tracker._filter.time_us, [])
+    after = tracker._filter.p
+    assert after[0, 0] - before[0, 0] == pytest.approx(half_pitch**2)
+    assert after[1, 1] - before[1, 1] == pytest.approx(STRUCK_RAD_S**2)
+    assert after[0, 1] == before[0, 1]

@@ -25,7 +25,12 @@ from meshpoint.controller.identification.clutch_fit import (
     touches,
 )
 from meshpoint.controller.identification.identify import identify
-from meshpoint.controller.identification.log_reader import Closing, LogContent, Stroke
+from meshpoint.controller.identification.log_reader import (
+    Closing,
+    LogContent,
+    Stroke,
+    _ClosingTrack,
+)
 from meshpoint.controller.identification.sleeve_fit import (
     LEAST_CORRELATION,
     MOST_CORRELATION,
@@ -254,3 +259,28 @@ def test_why_no_sleeve_s_delay_is_told() -> None:
     assert "at once" in identify(content, SHEET).figure("sleeve delay spread").why
     empty = identify(LogContent(), SHEET)
     assert empty.figure("sleeve delay second").why == "no valve commands in the log"
+
+
+def test_a_closing_goes_with_the_engine_s_speeds_since_a_tenth_of_a_second_before_it() -> None:
+    content = LogContent()
+    track = _ClosingTrack(content)
+    begin_us = 2_000_000
+    spoken = [begin_us - 100_001, begin_us - 100_000, *range(begin_us, begin_us + 200_000, 10_000)]
+    for time_us in spoken:
+        track.engine(time_us, 100.0)
+    for step in range(21):
+        track.clutch(begin_us + 10_000 * step, 0.05 * step)
+    (closing,) = content.closings
+    assert closing.time_us[0] == begin_us
+    assert closing.closed[:3] == pytest.approx([0.0, 0.05, 0.1])
+    assert closing.engine_us.tolist() == spoken[1:]
+
+
+def test_a_clutch_that_turns_back_or_was_seen_too_late_has_not_closed() -> None:
+    for shares in ([0.0, 0.2, 0.4, 0.6, 0.5, 0.8, 1.0], [0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0]):
+        content = LogContent()
+        track = _ClosingTrack(content)
+        for step, share in enumerate(shares):
+            track.engine(10_000 * step, 100.0)
+            track.clutch(10_000 * step, share)
+        assert not list(content.closings)

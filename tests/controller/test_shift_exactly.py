@@ -225,3 +225,16 @@ def test_nothing_is_pulled_out_before_both_plates_and_teeth_are_known_to_part() 
         kept, falls[unknown] = falls[unknown], None  # type: ignore[assignment]
         assert ShiftContext.unloaded_us(context, snapshot) is None
         falls[unknown] = kept
+
+
+@pytest.mark.parametrize(("ramp_ms", "carries"), [(0, True), (0, False), (300, False)])
+def test_without_a_ramp_or_without_torque_in_the_clutch_it_may_set_off_at_once(
+    ramp_ms: int, carries: bool
+) -> None:
+    """And the engine is asked for nothing."""
+    context: Any = SimpleNamespace(
+        settings=SimpleNamespace(engine=SimpleNamespace(ramp_ms=ramp_ms)),
+        engine_carries=lambda _: carries,
+    )
+    assert ramp_down(context, SimpleNamespace(now_us=0)) is True  # type: ignore[arg-type]
+    assert not hasattr(context, "engine_share")
