@@ -14,16 +14,24 @@ from test_strategy import predictor_at
 
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.phase_drift import PhaseDrifts
+from meshpoint.controller.planning.strategies.base import ReleasePlan
+from meshpoint.controller.planning.strategies.own import OwnStrategy
 from meshpoint.controller.report.messages import clip
 from meshpoint.controller.sensing.clutch_track import ClutchTrack
 from meshpoint.controller.sensing.gearbox_view import SleeveTrack
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.shift import engage, speed_up
 from meshpoint.controller.shift.brake_ahead import CLEAR_M, MAIN_SLEEVES, _teeth_out_us
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.kiss_point import MOST_SEEN, SEEN_SD, KissPoint
 from meshpoint.controller.shift.swing_fit import Known
+from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.shift.torque_ramp import ramp_down
 from meshpoint.controller.shift.unloading import SHAPES, Unloading, geared_bodies
+from meshpoint.controller.shift.valve_board import ValveName, energised
+from meshpoint.controller.strategy_file import StrategyFile
+from meshpoint.dbc.messages import ClutchAction, ValveStatus
 from meshpoint.gearbox import MainGear, load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 
@@ -238,3 +246,74 @@ def test_without_a_ramp_or_without_torque_in_the_clutch_it_may_set_off_at_once(
     )
     assert ramp_down(context, SimpleNamespace(now_us=0)) is True  # type: ignore[arg-type]
     assert not hasattr(context, "engine_share")
+
+
+def test_the_valves_whose_coils_are_driven_are_named() -> None:
+    names = [name for name in ValveStatus._fields if name.endswith("_energised")]
+    assert len(names) == len(ValveName)
+    for name, valve in zip(names, ValveName, strict=True):
+        assert energised(ValveStatus()._replace(**{name: True})) == [valve]
+    assert energised(ValveStatus()) == []
+
+
+@pytest.mark.parametrize("parted", [True, False])
+def test_the_engine_holds_its_speed_until_the_plates_are_apart(
+    parted: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(speed_up, "_raised_slip", lambda *_: 0.0)
+    off: list[ValveName] = []
+    context: Any = SimpleNamespace(
+        running=SimpleNamespace(target=None),
+        settings=ControllerSettings(),
+        board=SimpleNamespace(off=off.append),
+        engine_rad_s=None,
+        late=lambda *_: False,
+    )
+    context.ask_engine = lambda *_: setattr(context, "engine_rad_s", 150.0)
+    snapshot: Any = SimpleNamespace(view=SimpleNamespace(clutch_parted=parted))
+    trigger = speed_up.part_clutch(context, snapshot)
+    assert trigger is (Trigger.CLUTCH_OPEN if parted else None)
+    assert context.engine_rad_s == (None if parted else 150.0)
+    assert off == ([ValveName.BRAKE] if parted else [])
+
+
+@pytest.mark.parametrize(
+    ("gear", "since_us", "trigger"),
+    [(MainGear.SECOND, 10_000, None), (MainGear.NEUTRAL, 0, None),
+     (MainGear.NEUTRAL, 10_000, Trigger.RETRACTED)],
+)  # fmt: skip
+def test_a_sleeve_is_back_in_a_later_step_than_the_one_that_took_its_valve_off(
+    gear: MainGear, since_us: int, trigger: Trigger | None
+) -> None:
+    context: Any = SimpleNamespace(
+        running=SimpleNamespace(target=SimpleNamespace(main=MainGear.SECOND), plan=1, attempts=1),
+        settings=ControllerSettings(),
+        board=SimpleNamespace(off=lambda _: None),
+        since_us=1_000_000,
+        late=lambda *_: False,
+    )
+    snapshot: Any = SimpleNamespace(
+        now_us=1_000_000 + since_us, view=SimpleNamespace(main_gear=gear)
+    )
+    assert engage.retract(context, snapshot) is trigger
+    assert context.running.plan is None
+    assert context.clutch is ClutchAction.OPEN
+
+
+OWN = b"""
+class Late:
+    aims, fire_slip_rad_s = True, 0.0
+    def __init__(self, sheet, settings): pass
+    def release(self, predictor, now_us, earliest_us):
+        return earliest_us + 5_000, earliest_us + 9_000
+    def contact(self, predictor, now_us, earliest_us): return None
+"""
+
+
+def test_a_strategy_s_own_release_and_contact_are_what_it_said() -> None:
+    file = StrategyFile("C:/box/own.py:Late", "", True, OWN)
+    assert (file.path, file.class_name) == ("C:/box/own.py", "Late")
+    own = OwnStrategy(file, THESIS, ControllerSettings())
+    predictor = predictor_at(18.0)
+    assert own.release(predictor, 0, 1_000) == ReleasePlan(6_000, 10_000)
+    assert own.contact(predictor, 0, 1_000) is None
