@@ -28,6 +28,7 @@ from meshpoint.controller.identification.identify import identify
 from meshpoint.controller.identification.log_reader import (
     Closing,
     LogContent,
+    LogReader,
     Stroke,
     _ClosingTrack,
 )
@@ -39,6 +40,7 @@ from meshpoint.controller.identification.sleeve_fit import (
     sleeve_fit,
 )
 from meshpoint.controller.records import Vector
+from meshpoint.dbc.messages import GearboxSensors, ValveAction, ValveCommand
 from meshpoint.gearbox import MainGear, Split
 from meshpoint.units import RPM
 
@@ -284,3 +286,20 @@ def test_a_clutch_that_turns_back_or_was_seen_too_late_has_not_closed() -> None:
             track.engine(10_000 * step, 100.0)
             track.clutch(10_000 * step, share)
         assert not list(content.closings)
+
+
+def test_a_brake_is_empty_ten_time_constants_after_its_valve_went_off() -> None:
+    """Then its sensor shows its own zero, and not before; nor while the valve is on."""
+    brake = replace(SHEET.brake, time_constant_s=1.0 / 16.0)
+    reader, off_us, rest_us = LogReader(replace(SHEET, brake=brake)), 2_000_000, 625_000
+    reader._valves.take(
+        ValveCommand(brake_action=ValveAction.ON_AT, brake_time_us=1_000_000), 900_000
+    )
+    reader._take_sensors(GearboxSensors(brake_pressure_pa=9e5), off_us - 1)
+    reader._valves.take(
+        ValveCommand(brake_action=ValveAction.OFF_AT, brake_time_us=off_us), off_us - 1
+    )
+    for since_us in (0, rest_us - 1, rest_us, rest_us + 1):
+        sensors = GearboxSensors(brake_pressure_pa=1e5 + since_us)
+        reader._take_sensors(sensors, off_us + since_us)
+    assert list(reader.content.empty_pa) == [1e5 + rest_us + 1]
