@@ -157,3 +157,22 @@ def test_noise_grows_the_covariance_as_van_loans_integral_does(
     assert np.allclose(ours_sd, sd, rtol=0.02)
     ours, theirs = grown[np.ix_(moved, moved)], exact[np.ix_(moved, moved)]
     assert np.allclose(ours / np.outer(sd, sd), theirs / np.outer(sd, sd), atol=0.04)
+
+
+@settings(deadline=None, max_examples=30, derandomize=True)
+@given(rates=RATES, start=STATE, moment_us=st.floats(10.0, 5_000.0), at_us=st.floats(0.0, 1e7))
+def test_a_moment_back_undoes_a_moment_ahead(
+    rates: tuple[float, float, float],
+    start: tuple[float, ...],
+    moment_us: float,
+    at_us: float,
+) -> None:
+    """With an empty brake, whose valve is off: nothing but the shaft's own motion is undone."""
+    x = np.array((*start[:2], 0.0, *start[3:]))
+    model, none = MotionModel(np.array(rates), law_array(), QUIET), np.empty((2, 0))
+    state = state_of(x, np.eye(6), at_us)
+    ahead = predict(state, at_us + moment_us, none, model)
+    back = predict(ahead, at_us, none, model)
+    assert ahead.theta_rad > state.theta_rad
+    off = np.abs(back.vector - state.vector) / scale(rates[1], moment_us * US)
+    assert off.max() < 1e-6
