@@ -20,7 +20,7 @@ class Hashes:
         paths = files_under([each for each in target.tests if (ROOT / each).exists()])
         shared = [path for path in paths if not path.name.startswith("test_")]
         self.tests = {
-            path.relative_to(ROOT).as_posix(): hash_of([path, *shared])
+            path.relative_to(ROOT).as_posix(): hash_of([path, *_shared_by(path, shared)])
             for path in paths if path not in shared
         }  # fmt: skip
         self.all_tests = hash_of(paths)
@@ -34,6 +34,12 @@ class Hashes:
         """Whether a result is of this code and of these tests."""
         now = self.of(values["mutant"], values["by"])
         return all(values.get(key) == value for key, value in now.items())
+
+
+def _shared_by(test: Path, shared: list[Path]) -> list[Path]:
+    """What is in the folder of a test, and every conftest.py: the other folders are none of its
+    business, or a run of some tests would know nothing of a run of others."""
+    return [path for path in shared if path.name == "conftest.py" or path.parent == test.parent]
 
 
 def hash_of(paths: Iterable[Path]) -> str:

@@ -11,6 +11,9 @@
 What a run has found holds while the mutated file and the test that caught the mutant are the same;
 where none caught it, while all tests are. `--resume` goes on with a run that was ended.
 
+Of a target with `near` tests, these are tried first, kernels in plain Python; the other tests try
+what they let through.
+
 A mutant that no test can catch, because it behaves as the product does, is listed in
 equivalent.toml with its reason. Ends with 1 where a mutant of a target that must be whole survives
 without being listed, where a listed one is caught after all, and where an entry names no mutant.
@@ -35,6 +38,7 @@ HERE: Final = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
 from hashes import Hashes  # noqa: E402
+from kernels import COMPILED, PLAIN_PYTHON, as_they_run  # noqa: E402
 from mutator import Mutant, Mutants  # noqa: E402
 from targets import ROOT, TARGETS, Target, files_of  # noqa: E402
 
@@ -124,26 +128,61 @@ def run_target(
 ) -> None:
     """Runs them in `jobs` processes, until `until_s` (time.time()); each leaves a file of
     results."""
+    if not target.near:
+        parts = {COMPILED: names} if target.must else as_they_run(names)
+        for how, part in parts.items():
+            if part:
+                _run_tests(target, target.tests, part, how, budget_s, jobs, until_s)
+        return
+    for how, part in as_they_run(names).items():
+        near = target._replace(tests=target.kernels if how == PLAIN_PYTHON else target.near)
+        tried = _passed_on(near)
+        new = {name: [each for each in all_ if each not in tried] for name, all_ in part.items()}
+        if any(new.values()):
+            _run_tests(near, (), new, how, budget_s, jobs, until_s)
+    done = {each["mutant"] for each in results_of(target) if each["outcome"] == "killed"}
+    left = {name: [each for each in all_ if each not in done] for name, all_ in names.items()}
+    if any(left.values()):
+        rest = tuple(each for each in target.tests if each not in target.near)
+        far = target._replace(tests=rest)
+        _run_tests(far, target.tests, left, COMPILED, budget_s, jobs, until_s)
+
+
+def _passed_on(near: Target) -> set[str]:
+    """Mutants of which it is known already that these tests let them through."""
+    return {each["mutant"] for each in results_of(near) if each["outcome"] == "passed on"}
+
+
+def _run_tests(
+    target: Target, held_by: tuple[str, ...], names: dict[str, list[str]], how: str,
+    budget_s: float, jobs: int, until_s: float | None,
+) -> None:  # fmt: skip
+    """The target's tests alone. What they let through survives all of `held_by`; where that is
+    nothing, others are to try it."""
     tests = [each for each in target.tests if (ROOT / each).exists()]
     hashes = Hashes(target)
-    map_path = OUT / f"{target.name}-{hashes.all_code}-{hashes.all_tests}.map.json"
+    map_path = OUT / f"{target.name}-{how}-{hashes.all_code}-{hashes.all_tests}.map.json"
     parts = [{name: all_[k::jobs] for name, all_ in names.items()} for k in range(jobs)]
     running = []
     for k, part in enumerate(parts):
         if k and not map_path.exists():
             _wait_for(map_path, running[0])
-        task = OUT / f"{target.name}-{os.getpid()}-{k}.task.json"
+        stem = f"{target.name}-{time.strftime('%H%M%S')}-{os.getpid()}-{how}-{k}"
+        task = OUT / f"{stem}.task.json"
         values = {
             "root": str(ROOT), "mutants": part, "budget_s": budget_s, "map": str(map_path),
-            "results": str(OUT / f"{target.name}-{os.getpid()}-{k}.jsonl"), "until_s": until_s,
-            "target": target.name, "tests": target.tests,
+            "results": str(OUT / f"{stem}.jsonl"), "until_s": until_s, "how": how,
+            "target": target.name, "tests": target.tests, "is_last": bool(held_by),
+            "held_by": held_by or target.tests,
         }  # fmt: skip
         task.write_text(json.dumps(values), encoding="utf-8")
         path = os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])
         # Nobody reads what a failing test says of itself, and to say it takes longer than to fail.
-        command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-p", "no:cacheprovider",
-                   "--assert=plain", "--tb=native", "-p", "forked_runs", *tests]  # fmt: skip
+        command = [sys.executable, "-m", "pytest", "-q", "-n", "0", "-m", "not long",
+                   "-p", "no:cacheprovider", "--assert=plain", "--tb=native",
+                   "-p", "forked_runs", *tests]  # fmt: skip
         environment = os.environ | {"MUTATION_TASK": str(task), "PYTHONPATH": path}
+        environment |= {"NUMBA_DISABLE_JIT": "1"} if how == PLAIN_PYTHON else {}
         with task.with_suffix(".log").open("w", encoding="utf-8") as log:
             running.append(
                 subprocess.Popen(command, cwd=ROOT, env=environment, stdout=log, stderr=log)
@@ -256,7 +295,7 @@ def main(arguments: list[str]) -> int:
     for target in TARGETS:
         if target.name in options.targets or (not options.targets and target.must):
             if options.tests:
-                target = target._replace(tests=tuple(options.tests))
+                target = target._replace(tests=tuple(options.tests), near=())
             names = chosen(target, options)
             if names:
                 anything = True

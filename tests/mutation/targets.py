@@ -19,6 +19,11 @@ class Target(NamedTuple):
     tests: tuple[str, ...]
     must: bool
     """Whether every mutant has to be caught or listed as equivalent."""
+    near: tuple[str, ...] = ()
+    """Those of the tests that are tried first; the others try what these let through."""
+    kernels: tuple[str, ...] = ()
+    """Those that are tried first where a kernel, or a constant of one, is mutated: without the
+    compiler, so the short ones."""
 
     def paths(self) -> list[Path]:
         """The files, sorted."""
@@ -45,6 +50,14 @@ _GUARD_TESTS: Final = (
     "tests/gearbox/test_sheet.py",
 )
 """The quick ones alone: what they let through shall not wait for a closed loop to find it."""
+_KERNEL_TESTS: Final = tuple(
+    f"tests/controller/test_{name}.py"
+    for name in (
+        "kernels", "motion", "crossing", "swing", "lash", "lash_course", "edges", "edge_gate",
+        "edge_gate_foreign", "edge_speed", "sensor_count", "fused_wheels", "predictor", "strategy",
+        "estimation_exactly",
+    )
+)  # fmt: skip
 TARGETS: Final = (
     Target("guard", ("controller/guard/*.py",), _GUARD_TESTS, must=True),
     Target(
@@ -65,8 +78,9 @@ TARGETS: Final = (
     ),
     Target(
         "controller", ("controller/**/*.py",),
-        ("tests/controller", "tests/closed_loop", "tests/campaign/test_open_loop.py"),
-        must=False,
+        ("tests/controller", "tests/closed_loop", "tests/campaign/test_open_loop.py",
+         "tests/testbench/test_own_strategy.py"),
+        must=False, near=("tests/controller",), kernels=_KERNEL_TESTS,
     ),
 )  # fmt: skip
 """The last one is looked at by samples: `--sample`; what belongs to an earlier one is left out."""

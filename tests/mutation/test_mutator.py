@@ -6,12 +6,14 @@ Whether the tests catch them takes a run of its own: `make mutants`.
 from __future__ import annotations
 
 import ast
+import sys
 from pathlib import Path
 
 import pytest
-from forked_runs import Coverage, is_compiled
+from forked_runs import Coverage, _ended_after, _Tracer
 from hashes import Hashes
 from importers import importers_of
+from kernels import COMPILED, PLAIN_PYTHON, as_they_run, is_compiled
 from mutator import Mutants
 from run_mutants import BEGIN, HUNK, ROOT, equivalents, main, mutants_of, stale, table
 from targets import TARGETS
@@ -152,3 +154,96 @@ def test_a_run_without_a_branch_to_compare_with_says_so(capsys: pytest.CaptureFi
 def test_a_run_of_nothing_says_so(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--only", "no mutant is called so", "valves"]) == 0
     assert "no mutants to run\n" in capsys.readouterr().out
+
+
+def test_a_kernel_and_a_constant_that_it_uses_are_tried_without_the_compiler() -> None:
+    """Compiled they would show no lines, and go on with the constants they were compiled with."""
+    wanted = {
+        "controller/motion/kernels.py::transition": PLAIN_PYTHON,
+        "controller/motion/lash_motion.py::-: LONGEST_S": PLAIN_PYTHON,
+        "controller/motion/swing.py::ticks_over": COMPILED,
+        "controller/shift/kiss_point.py::-: SEEN_SD": COMPILED,
+    }
+    found = mutants_of(next(target for target in TARGETS if target.name == "controller"))
+    names = {
+        file: [m.name for m in all_ if any(m.name.startswith(start) for start in wanted)]
+        for file, all_ in found.items()
+    }
+    parts = as_they_run(names)
+    for start, how in wanted.items():
+        ran = {how for how, by_file in parts.items() for all_ in by_file.values()
+               if any(name.startswith(start) for name in all_)}  # fmt: skip
+        assert ran == {how}, start
+    assert sorted(name for part in parts.values() for all_ in part.values() for name in all_) == (
+        sorted(name for all_ in names.values() for name in all_)
+    )
+
+
+def test_a_constant_is_tried_by_what_runs_a_function_that_names_it() -> None:
+    file = "controller/shift/kiss_point.py"
+    lines = {str(path): dict[str, list[int]]() for path in ROOT.glob("controller/**/*.py")}
+    used = [number for number, line in enumerate((ROOT / file).read_text().splitlines(), 1)
+            if "SEEN_SD" in line and not line.startswith("SEEN_SD")]  # fmt: skip
+    lines[str(ROOT / file)] = {"uses it": [used[0]], "runs another line": [1]}
+    lines[str(ROOT / "controller/core.py")] = {"elsewhere": [300]}
+    covered = Coverage(lines, {"uses it": 1.0, "runs another line": 0.1, "elsewhere": 0.1})
+    assert covered.tests_of_constants(str(ROOT / file), ["SEEN_SD"], 15.0) == ["uses it"]
+
+
+def test_a_test_is_expected_to_make_what_its_file_s_tests_share() -> None:
+    seconds = {"a.py::first": 4.0, "a.py::second": 0.5, "b.py::alone": 1.0}
+    covered = Coverage({}, seconds)
+    assert covered.expected_s(["a.py::second"]) == 4.5
+    assert covered.expected_s(["a.py::first", "b.py::alone"]) == 5.0 + 5.0
+
+
+def runs_often(count: int) -> int:
+    """Looked at below: its last line but one is run at the end alone."""
+    total = 0
+    for k in range(count):
+        total += k
+    if total > 40:
+        total = -total
+    return total
+
+
+def test_a_line_that_runs_once_in_a_thousand_calls_is_seen() -> None:
+    """And a function all of whose lines were seen is looked at no more."""
+    tracer, seen = _Tracer([__file__]), {__file__: set[int]()}
+    tracer.begin(seen)
+    sys.settrace(tracer.on_call)
+    try:
+        for count in [3] * 999 + [10]:
+            runs_often(count)
+    finally:
+        sys.settrace(None)
+    code = runs_often.__code__
+    lines = {line for _, _, line in code.co_lines() if line is not None} - {code.co_firstlineno}
+    assert lines <= seen[__file__]
+
+    class Frame:
+        f_code = code
+
+    assert tracer.on_call(Frame, "call", None) is None  # type: ignore[arg-type]
+
+
+def test_a_test_that_takes_too_long_is_ended() -> None:
+    late: list[int] = []
+    with pytest.raises(pytest.skip.Exception), _ended_after(0.05, late):
+        while True:
+            pass
+    assert late
+    with _ended_after(30.0, late):
+        pass
+    assert len(late) == 1
+
+
+def test_what_a_run_of_some_tests_has_found_serves_a_run_of_all() -> None:
+    """A mutant that was caught near is caught; one that was not is still to be tried by the
+    others."""
+    target = next(target for target in TARGETS if target.name == "controller")
+    near, whole = Hashes(target._replace(tests=target.near)), Hashes(target)
+    mutant = "controller/core.py::f: 1 => 2"
+    by = "tests/controller/test_core_exactly.py::test_it"
+    assert near.of(mutant, by) == whole.of(mutant, by)
+    assert near.of(mutant, "") != whole.of(mutant, "")
