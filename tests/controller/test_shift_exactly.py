@@ -25,6 +25,7 @@ from meshpoint.controller.shift import engage, speed_up
 from meshpoint.controller.shift.brake_ahead import CLEAR_M, MAIN_SLEEVES, _teeth_out_us
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.kiss_point import MOST_SEEN, SEEN_SD, KissPoint
+from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.swing_fit import Known
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.controller.shift.torque_ramp import ramp_down
@@ -317,3 +318,37 @@ def test_a_strategy_s_own_release_and_contact_are_what_it_said() -> None:
     predictor = predictor_at(18.0)
     assert own.release(predictor, 0, 1_000) == ReleasePlan(6_000, 10_000)
     assert own.contact(predictor, 0, 1_000) is None
+
+
+@pytest.mark.parametrize("number", [3, 8])
+def test_a_gear_is_raised_by_what_drag_takes_until_its_plates_are_seen_apart(number: int) -> None:
+    """J w' = -c w at the layshaft, from the plates' parting on until the clutch is surely open, and
+    until that is seen."""
+    gear, clutch, omega = DRIVE_GEARS[number], SHEET.clutch, 150.0
+    context: Any = SimpleNamespace(
+        sheet=SHEET,
+        running=SimpleNamespace(target=gear),
+        kiss=SimpleNamespace(share=0.4),
+        settings=ControllerSettings(),
+    )
+    snapshot: Any = SimpleNamespace(speeds=SimpleNamespace(layshaft=omega))
+    opens_s = (0.4 - clutch.surely_open_share) * clutch.open_delay_s
+    fall_s = opens_s + speed_up.SEEN_LATE_US * 1e-6
+    left = omega * math.exp(-SHEET.shafts.friction_nms / SHEET.inertia_kgm2(gear.split) * fall_s)
+    lost = SHEET.main_mesh(gear.main).ratio * (omega - left)
+    raised = speed_up._raised_slip(context, snapshot)
+    assert raised - context.settings.window.raised_rad_s == pytest.approx(lost, rel=0.02)
+    assert lost > 0.05
+
+
+def test_after_a_shift_requests_rest_until_the_clutch_could_have_opened_and_closed_again() -> None:
+    """Not where a restarted sensor clock lies behind the shift's end: nobody knows how long ago it
+    was; nor before any shift."""
+    clutch = SHEET.clutch
+    rest_us = round((clutch.open_delay_s + clutch.close_delay_s) * 1e6)
+    for since_us, rests in ((-1, False), (0, True), (rest_us - 1, True), (rest_us + 1, False)):
+        context: Any = SimpleNamespace(ended_us=5_000_000, sheet=SHEET)
+        snapshot: Any = SimpleNamespace(now_us=5_000_000 + since_us)
+        assert ShiftSequence._rests(context, snapshot) is rests
+        context.ended_us = None
+        assert ShiftSequence._rests(context, snapshot) is False
