@@ -76,7 +76,7 @@ class Window:
     """`speed_window` fires when the slip has fallen to this."""
     contact_high_rad_s: float = quantity("contact_high_rpm", 1.0, 200.0, RPM, default=25.0 * RPM)
     """`target_phase` plans no contact above this slip."""
-    contact_low_rad_s: float = quantity("contact_low_rpm", -50.0, 100.0, RPM, default=-35.0 * RPM)
+    contact_low_rad_s: float = quantity("contact_low_rpm", -50.0, 100.0, RPM, default=-40.0 * RPM)
     """`target_phase` plans no contact below this slip: there the gear is slower than the
     sleeve, and gets slower yet."""
     release_slip_rad_s: float = quantity("release_slip_rpm", 1.0, 200.0, RPM, default=25.0 * RPM)
@@ -98,7 +98,7 @@ class Window:
     aim_time_constants: float = quantity("aim_time_constants", 0.0, 10.0, default=0.9)
     """Time from the brake's release to about where the slip is `aim_slip_rpm`, in time constants of
     the brake's pressure."""
-    least_rad_s: float = quantity("least_rpm", -200.0, 50.0, RPM, default=-45.0 * RPM)
+    least_rad_s: float = quantity("least_rpm", -200.0, 50.0, RPM, default=-50.0 * RPM)
     """Below this slip the engine has to help: waiting is no use, the layshaft only gets slower."""
     raised_rad_s: float = quantity("raised_rpm", 5.0, 150.0, RPM, default=45.0 * RPM)
     """The slip the engine leaves when the clutch has opened again: from there the gear falls."""

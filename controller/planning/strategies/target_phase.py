@@ -64,8 +64,6 @@ PROBE_US: Final = 500
 CLEAR_US: Final = 10_000
 """The earliest firing is so much less before the release than the sleeve takes to its gear: it
 meets the gear when the brake has been let go."""
-CALL_S: Final = 0.02
-"""Price of calling a sleeve back: the contact after it may have to be given up as well."""
 REFERENCE_SD_RAD: Final = math.radians(0.1)
 """Standard deviation of a learned phase reference."""
 
@@ -106,8 +104,7 @@ class TargetPhase:
         step_us, count = self._steps(predictor, earliest_us)
         later = predictor.trajectory(float(earliest_us + predictor.delay_us), step_us, count)
         # By then as much will be known of a later contact as now of this one.
-        anew = self._least(predictor, now_us, later, np.full(count, variances[0]))[1]
-        return anew + CALL_S < stays
+        return self._least(predictor, now_us, later, np.full(count, variances[0]))[1] < stays
 
     def _steps(self, predictor: GearPredictor, release_us: int) -> tuple[float, int]:
         """Length and number of the coarse steps of contacts: small where teeth are small, or where
