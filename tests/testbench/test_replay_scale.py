@@ -18,6 +18,7 @@ from meshpoint.testbench.commands import log_progress
 from meshpoint.testbench.commands.replay_rows import ReplayRows
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.logged_frames import expected_frames
+from meshpoint.testbench.results.output import write_json
 
 SHORT, LONG = 1, 2
 SHIFTS_OF_A_DAY = 24 * 120
@@ -56,6 +57,20 @@ def test_memory_grows_with_the_shifts_alone(logs: Logs, more: tuple[str, ...]) -
     a_shift = (large - small) / (LONG - SHORT)
     assert a_shift * SHIFTS_OF_A_DAY < LEFT_BYTES
     assert large - small < 0.2 * logs[LONG].stat().st_size
+
+
+def test_a_day_s_record_is_written_without_its_whole_text_in_memory(tmp_path: Path) -> None:
+    shift = {f"figure_{k}": k / 7 for k in range(20)}
+    values, out = {"shifts": [shift] * SHIFTS_OF_A_DAY}, tmp_path / "day.json"
+    gc.collect()
+    tracemalloc.start()
+    try:
+        write_json(str(out), values)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert json.loads(out.read_text()) == values
+    assert peak < 0.2 * out.stat().st_size
 
 
 @pytest.mark.long

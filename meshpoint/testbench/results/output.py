@@ -25,14 +25,18 @@ SHIFT_COLUMNS = (
 
 
 def write_json(target: str, values: dict[str, Any]) -> None:
-    """Writes sorted JSON to a file, or to standard output for `-`."""
-    text = json.dumps(values, indent=1, sort_keys=True, allow_nan=False) + "\n"
+    """Writes sorted JSON to a file, or to standard output for `-`; piece by piece, since a day's
+    text is larger than what it is made of."""
+    pieces = json.JSONEncoder(indent=1, sort_keys=True, allow_nan=False).iterencode(values)
     if target == "-":
-        sys.stdout.write(text)
+        sys.stdout.writelines(pieces)
+        sys.stdout.write("\n")
         return
     path = Path(target)
     try:
-        path.write_text(text, encoding="utf-8")
+        with path.open("w", encoding="utf-8") as file:
+            file.writelines(pieces)
+            file.write("\n")
     except OSError as error:
         raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
 
