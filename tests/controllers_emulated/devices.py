@@ -15,18 +15,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import cantools.database
-from vcan_bench import FD, ROOT, Contract, Wire, ip
+from vcan_bench import CLASSIC, FD, Wire, ip
 
-FALLING_EDGES = 0b1_0101_0100
-"""Among the received messages in order of identifier: EEC1, then rising and falling edges of the
-four shafts. The classic profile carries no falling ones."""
-CLASSIC = Contract(
-    cantools.database.load_file(ROOT / "dbc" / "classic" / "meshpoint_classic.dbc"),
-    {"ControllerStatus": 7, "ShiftOutcome": 9},
-    ("--profile", "classic"),
-    FALLING_EDGES,
-)
 KVASER_BITS = ("bitrate", "500000", "sample-point", "0.875", "restart-ms", "100")
 CTU_BITS = ("bitrate", "500000", "sample-point", "0.8", "dbitrate", "2000000",
             "dsample-point", "0.75", "fd", "on", "restart-ms", "100")  # fmt: skip

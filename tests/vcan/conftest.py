@@ -33,10 +33,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[object]:
-    """Rig and controller of this test alone, in gear 14, and candump beside them."""
+def bench(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[object]:
+    """Rig and controller of this test alone, in gear 14, and candump beside them; a test may name
+    another wire than that of CAN FD."""
     from vcan_bench import Bench
 
-    with Bench(tmp_path) as bench:
+    with Bench(tmp_path, getattr(request, "param", None)) as bench:
         bench.dump.in_gear(14)
         yield bench

@@ -6,7 +6,10 @@ import signal
 import subprocess
 from collections import Counter
 
+import pytest
 from vcan_bench import (
+    CLASSIC,
+    CLASSIC_VCAN,
     DBC,
     FD,
     GAP_MS,
@@ -68,6 +71,23 @@ def test_sigterm_ends_both_nodes_well_and_the_candump_log_decodes_and_verifies(
             assert seen.values
     assert {"EdgesLayshaftRise", "ValveCommand", "ControllerStatus", "TC1"} <= set(names)
     verified = meshpoint(bench.folder, "replay", str(log), "--verify")
+    assert verified.returncode == 0, verified.printed + verified.said
+    assert "identical" in verified.printed
+
+
+@pytest.mark.parametrize("bench", [CLASSIC_VCAN], indirect=True)
+def test_over_the_classic_profile_a_gear_is_engaged_and_the_candump_log_verifies(
+    bench: Bench,
+) -> None:
+    """In frames of 8 bytes, which name no steps: the controller's record beside the log does."""
+    assert bench.shift(2)["ToGear"] == 2
+    status = bench.dump.in_gear(2)
+    assert status["E2eErrors"] == status["FormatErrors"] == 0
+    assert bench.stop() == [0, 0], bench.story()
+    lines = bench.dump.lines()
+    assert lines
+    assert all("##" not in line and len(CLASSIC.parse(line).data) <= 8 for line in lines)
+    verified = meshpoint(bench.folder, "replay", str(bench.dump.path), "--verify")
     assert verified.returncode == 0, verified.printed + verified.said
     assert "identical" in verified.printed
 

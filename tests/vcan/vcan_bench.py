@@ -430,4 +430,14 @@ def fresh_vcan0() -> None:
 
 
 FD = Contract()
+FALLING_EDGES = 0b1_0101_0100
+"""Among the received messages in order of identifier: EEC1, then rising and falling edges of the
+four shafts. The classic profile carries no falling ones."""
+CLASSIC = Contract(
+    cantools.database.load_file(ROOT / "dbc" / "classic" / "meshpoint_classic.dbc"),
+    {"ControllerStatus": 7, "ShiftOutcome": 9},
+    ("--profile", "classic"),
+    FALLING_EDGES,
+)
 VCAN = Wire("vcan0", "vcan0", FD, fresh_vcan0)
+CLASSIC_VCAN = Wire("vcan0", "vcan0", CLASSIC, fresh_vcan0)
