@@ -191,6 +191,14 @@ def test_identified_figures_agree_where_nine_of_ten_intervals_hold_what_was_buil
     assert finding.figures["edges_covered"] == {"main": pytest.approx(0.9)}
 
 
+@pytest.mark.parametrize("name", ["identify", "commission"])
+def test_gearboxes_of_the_truck_are_drawn_around_a_truck_s_sheet(name: str) -> None:
+    """By the thesis's the plates touch at 10 % of the clutch's travel, in the truck at 35 %."""
+    assert SHEET.clutch.kiss_share < 0.3
+    for job in load(name).jobs(given(name)):
+        assert job.sheet.clutch.kiss_share == pytest.approx(0.35)
+
+
 @pytest.mark.parametrize(
     ("gaps", "said", "agrees"),
     [

@@ -8,6 +8,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.gearbox.tables import count, quantity, text
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.campaign.intervals import rate_interval
@@ -33,6 +35,8 @@ CHECKS: Final = ("kept out", "unit", "identified", "data sheet")
 class Settings:
     """How many gearboxes, and the share that shall lie in the intervals."""
 
+    gearbox: str = text("gearbox", *SHEET_NAMES)
+    """The data sheet that they are drawn around, whatever the other studies' is."""
     gearboxes: int = count("gearboxes", 1, 10_000)
     shifts: int = count("shifts", 6, 1000)
     """In the log of each."""
@@ -42,9 +46,9 @@ class Settings:
 
 
 def _jobs(given: Given[Settings]) -> tuple[IdentifyRun, ...]:
-    own = given.own
+    own, sheet = given.own, load_sheet(given.own.gearbox)
     return tuple(
-        IdentifyRun(given.sheet, given.common.seed + number, own.shifts, Profile(own.profile))
+        IdentifyRun(sheet, given.common.seed + number, own.shifts, Profile(own.profile))
         for number in range(own.gearboxes)
     )
 
