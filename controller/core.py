@@ -354,7 +354,7 @@ class ControllerCore:
         if not guard.passes(frame.data, seen):
             events.append(f"guard blocked a valve command: row {guard.blocked_row}")
             sequence.blocked(guard.blocked_row or 0, snapshot)
-            frame = self._transmitter.encode(ValveCommand())
+            frame = self._transmitter.instead(ValveCommand())
         if not guard.is_armed:
             return [frame]
         return [frame, self._clutch_command(seen, events), *self._engine_request(seen, events)]
@@ -366,7 +366,7 @@ class ControllerCore:
         if driveline.passes_clutch(frame.data, seen):
             return frame
         events.append(f"guard blocked a clutch command: row {driveline.blocked_row}")
-        return self._transmitter.encode(ClutchCommand())
+        return self._transmitter.instead(ClutchCommand())
 
     def _engine_request(self, seen: GuardInputs, events: list[str]) -> list[Frame]:
         """TSC1 while the engine is asked for a speed or a torque, and once more to end it; its end

@@ -134,6 +134,13 @@ class Transmitter:
             sender.counter = buffer[2]
         return _new(Frame, (sender.can_id, bytes(buffer), sender.is_fd, True))
 
+    def instead(self, message: Message) -> Frame:
+        """The frame of a message in place of the last one of its type, which is not sent: a counter
+        that skipped it would tell of a lost frame."""
+        sender = self._senders[type(message)]
+        sender.counter = (sender.counter - 1) % COUNTER_MODULUS
+        return self.encode(message)
+
 
 class _Channel:
     """One message this node receives, with what is remembered of its frames."""
