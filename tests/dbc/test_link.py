@@ -424,3 +424,16 @@ def test_a_frame_without_protection_is_read_by_itself_too() -> None:
     found = read_alone(CODECS["EEC1"], sent)
     assert found.engine_speed_rad_s == pytest.approx(100.0, abs=0.02)
     assert read_alone(CODECS["EEC1"], sent._replace(data=sent.data + b"\0")) is None
+
+
+def test_a_frame_instead_of_one_that_is_not_sent_has_its_counter() -> None:
+    """All around the counter: what the receiver gets counts on by one."""
+    sender, receiver = Transmitter(Node.TRANSMISSION_CONTROL), Receiver(Node.GEARBOX_IO)
+    counters = []
+    for _ in range(300):
+        sender.encode(ValveCommand())
+        frame = sender.instead(ValveCommand())
+        counters.append(frame.data[2])
+        assert receiver.receive(frame).verdict is FrameVerdict.OK
+    assert counters == [(counters[0] + k) % 256 for k in range(300)]
+    assert receiver.receive(sender.encode(ValveCommand())).verdict is FrameVerdict.OK

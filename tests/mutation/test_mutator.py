@@ -10,10 +10,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from forked_runs import Coverage, _ended_after, _Tracer
 from hashes import Hashes
 from importers import importers_of
 from kernels import COMPILED, PLAIN_PYTHON, as_they_run, is_compiled
+from line_map import Coverage, Tracer, ended_after
 from mutator import Mutants
 from run_mutants import BEGIN, HUNK, ROOT, equivalents, main, mutants_of, stale, table
 from targets import TARGETS
@@ -209,7 +209,7 @@ def runs_often(count: int) -> int:
 
 def test_a_line_that_runs_once_in_a_thousand_calls_is_seen() -> None:
     """And a function all of whose lines were seen is looked at no more."""
-    tracer, seen = _Tracer([__file__]), {__file__: set[int]()}
+    tracer, seen = Tracer([__file__]), {__file__: set[int]()}
     tracer.begin(seen)
     sys.settrace(tracer.on_call)
     try:
@@ -229,11 +229,11 @@ def test_a_line_that_runs_once_in_a_thousand_calls_is_seen() -> None:
 
 def test_a_test_that_takes_too_long_is_ended() -> None:
     late: list[int] = []
-    with pytest.raises(pytest.skip.Exception), _ended_after(0.05, late):
+    with pytest.raises(pytest.skip.Exception), ended_after(0.05, late):
         while True:
             pass
     assert late
-    with _ended_after(30.0, late):
+    with ended_after(30.0, late):
         pass
     assert len(late) == 1
 
