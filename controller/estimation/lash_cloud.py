@@ -288,11 +288,6 @@ class LashCloud:
         return bool(np.isfinite(self._x).all() and np.isfinite(self._logs).all())
 
     @property
-    def doubt(self) -> float:
-        """Mean square of how far off the angles were lately, over how far the cloud let expect."""
-        return self._doubt
-
-    @property
     def weights(self) -> Vector:
         """Probabilities of the drivelines."""
         found = np.exp(self._logs - self._logs.max())

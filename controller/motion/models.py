@@ -139,7 +139,7 @@ def free_motion(
     return MotionModel(rates, law, noise)
 
 
-WALK_RAD_S2 = 50.0
+WALK_RAD_S2: Final = 50.0
 """By how much the steady acceleration of a layshaft that something drives wanders in a second."""
 
 

@@ -108,14 +108,9 @@ def _better_withdrawn(
 ) -> bool:
     """Whether a firing that was planned for the gap is now predicted to meet a tooth, and there is
     still time to take it back: a command that switches off needs no lead but the bus's."""
-    if plan.fire_us < snapshot.now_us + WITHDRAW_US:
-        return False
-    return now_misses(context, predictor, plan)
-
-
-def now_misses(context: ShiftContext, predictor: GearPredictor, plan: Plan) -> bool:
-    """Whether a contact that was planned for the gap would meet a tooth by what is known now."""
     if not shift_aims(context) or plan.misses:
+        return False
+    if plan.fire_us < snapshot.now_us + WITHDRAW_US:
         return False
     return context.strategist.plan_at(predictor, plan.contact_us, plan.decision).misses
 

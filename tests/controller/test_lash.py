@@ -191,7 +191,7 @@ def test_a_cloud_that_has_lost_the_driveline_finds_it_again() -> None:
         cloud = LashCloud(lash, start, 1e-6)
         cloud.take(truth.edges[:, truth.edges[0] <= 300e3], tooth_rad)
         off.append(abs(cloud.mean(ANGLE) - truth.angle_at(cloud.time_us)))
-        lost.append(cloud.doubt)
+        lost.append(cloud._doubt)
     assert np.median(off) < HALF_GAP_RAD
     assert max(lost) <= LOST
 
