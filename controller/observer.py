@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 from collections import deque
 
-import numpy as np
-
 from meshpoint.controller.calibration.learned import BrakeRecord, NoiseRecord, SwingRecords
 from meshpoint.controller.estimation.baseline_tracker import BaselineTracker
 from meshpoint.controller.estimation.brake_model import BrakeModel
-from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES, Pressures
 from meshpoint.controller.estimation.crossing_tracker import CrossingTracker
 from meshpoint.controller.estimation.cruise import CruiseTracker
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
@@ -25,6 +22,11 @@ from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.phase.reference_recovery import ReferenceRecovery
 from meshpoint.controller.sensing.gearbox_view import GearboxView
+from meshpoint.controller.sensing.pressure_samples import (
+    NO_SAMPLES,
+    PressureSampler,
+    PressureSamples,
+)
 from meshpoint.controller.sensing.pressure_zero import PressureZero
 from meshpoint.controller.sensing.sensor_clock import JUMP_US, SensorClockEstimate, unwrap
 from meshpoint.controller.sensing.step_inputs import StepInputs
@@ -50,7 +52,7 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
-from meshpoint.units import SECOND_US, US
+from meshpoint.units import US
 
 DRAGGED_US = 30_000
 """For this long after a change of splitter or range, edges from during the change still arrive."""
@@ -84,6 +86,7 @@ class Observer:
         self._sensors_stamp: int | None = None
         self.view = GearboxView(sheet)
         self.references = PhaseReferences(sheet)
+        self._sampler = PressureSampler()
         self._zero = PressureZero(sheet.brake.time_constant_s, tuning.pressure_sd_pa)
         self._split = Split.HIGH
         self._layshaft_wheel = WheelEdges.of(wheels.layshaft)
@@ -210,7 +213,7 @@ class Observer:
         jumped = self._lose_what_broke(events)
         self._see_whether_free(events)
         if jumped:
-            layshaft, main, pressures = NO_EDGES, NO_EDGES, NO_PRESSURES
+            layshaft, main, pressures = NO_EDGES, NO_EDGES, NO_SAMPLES
         else:
             self._read_geared(inputs, now_us)
         self._main.edges(main)
@@ -250,21 +253,19 @@ class Observer:
         self._main_wheel.set_dragged(main)
         self._main_dragged, self._dragged = main, layshaft or main
 
-    def _sensors(self, sensors: list[GearboxSensors], now_us: int) -> Pressures:
-        """Clutch, air supply, and the brake's pressure, gauge, at the times that it was so."""
+    def _sensors(self, sensors: list[GearboxSensors], now_us: int) -> PressureSamples:
+        """Clutch, air supply, and the brake's pressure as measured, gauge."""
         atmosphere_pa = self._sheet.air.atmosphere_pa
-        lag_us = self.brake.sensor_lag_s.value * SECOND_US
-        time_us = np.empty(len(sensors))
-        pressure_pa = np.empty(len(sensors))
-        for k, sample in enumerate(sensors):
+        pressures: list[tuple[int, float]] = []
+        for sample in sensors:
             sampled_us = self._sampled_us(sample.sample_time_us, now_us)
-            time_us[k] = sampled_us - lag_us
             self.view.clutch.take(sampled_us, sample.clutch_position_fraction)
             gauge_pa = sample.brake_pressure_pa - atmosphere_pa
-            pressure_pa[k] = self._zero.take(sampled_us, gauge_pa, self._brake_driven)
+            gauge_pa = self._zero.take(sampled_us, gauge_pa, self._brake_driven)
+            pressures.append((sampled_us, gauge_pa))
             self.view.supply_pa = sample.supply_pressure_pa
             self.brake.supply_pa = sample.supply_pressure_pa - atmosphere_pa
-        return Pressures(time_us, pressure_pa)
+        return self._sampler.take(pressures)
 
     def _sampled_us(self, stamp: int, now_us: int) -> int:
         """When pressures and clutch were sampled: by them a clock that was set back is found."""

@@ -12,13 +12,13 @@ import math
 
 import numpy as np
 
-from meshpoint.controller.estimation.crossing_filter import Pressures
 from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US, CruiseTracker, WindowSpeed
 from meshpoint.controller.estimation.layshaft import LayshaftModels
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.linear_kernels import THESIS_FILTER, propagate, thesis_filter
 from meshpoint.controller.motion.models import LayshaftState, MotionModel, predict
 from meshpoint.controller.records import RecordMemory
+from meshpoint.controller.sensing.pressure_samples import PressureSamples
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
@@ -99,7 +99,7 @@ class BaselineTracker:
         """Edges are missing: a baseline then starts again."""
         self.restart()
 
-    def edges(self, batch: EdgeBatch, pressures: Pressures) -> None:  # noqa: ARG002
+    def edges(self, batch: EdgeBatch, pressures: PressureSamples) -> None:  # noqa: ARG002
         """Takes new edges in order of time; the baselines know no measured pressure."""
         if self._estimator is Estimator.WINDOW:
             self._window.edges(batch)

@@ -21,9 +21,12 @@ import numpy as np
 
 from meshpoint.controller.calibration.learned import BrakeRecord
 from meshpoint.controller.estimation.brake_kernels import pressure_course
+from meshpoint.controller.estimation.crossing_filter import Pressures
+from meshpoint.controller.estimation.touch_and_lag import TouchAndLag, uncorrelated
 from meshpoint.controller.motion.kernels import PRESSURE, SEGMENTS, STATES
 from meshpoint.controller.motion.models import MotionModel
 from meshpoint.controller.records import Vector
+from meshpoint.controller.sensing.pressure_samples import PressureSamples
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import US
 
@@ -57,7 +60,6 @@ LAG_TOLERANCE: Final = 1.5
 """Standard deviation of a sensor's lag as a share of the sheet's: what else filters it is seldom
 told."""
 TOUCH_SD_PA: Final = 0.15e5
-MOST_TOUCH_PA: Final = 1.0e5
 
 
 @dataclass
@@ -68,6 +70,12 @@ class Carried:
     sd: float
 
 
+def above_touch(samples: PressureSamples, touch_pa: float, lag_s: float) -> Pressures:
+    """The pressure above that at which the pads touch, in front of the sensor's lag."""
+    time_us, pressure_pa = samples.before_the_lag(lag_s)
+    return Pressures(time_us, np.maximum(pressure_pa - touch_pa, 0.0))
+
+
 class BrakeModel:
     """What is learned of the path from a brake command to the layshaft's deceleration."""
 
@@ -76,12 +84,8 @@ class BrakeModel:
         self.supply_pa = sheet.air.supply_gauge_pa
         self.gain = Carried(1.0, gain_sd)
         self.drag_nm = Carried(0.0, drag_sd_nm)
-        self.touch_pa = Carried(0.0, TOUCH_SD_PA)
-        """Gauge pressure at which the pads touch."""
         lag_s = sheet.air.sensor_lag_s
-        self.sensor_lag_s = Carried(lag_s, LAG_TOLERANCE * lag_s)
-        """By how much the measured pressure comes late; a sheet without a lag leaves none to be
-        learned."""
+        self.touch_and_lag = uncorrelated((0.0, TOUCH_SD_PA), (lag_s, LAG_TOLERANCE * lag_s))
         delay = sheet.brake.valve_delay_s
         delay_sd_s = max(sheet.brake.valve_delay_tolerance * delay, LEAST_DELAY_SD_S)
         self._mean: Vector = np.zeros(PARAMETERS)
@@ -91,6 +95,37 @@ class BrakeModel:
             self._covariance[half, half] += sheet.brake.time_constant_tolerance**2
         self.shifts = 0
         """From how many shifts the law was learned."""
+
+    @property
+    def touch_pa(self) -> Carried:
+        """Gauge pressure at which the pads touch."""
+        known = self.touch_and_lag
+        return Carried(float(known.mean[0]), float(known.sd[0]))
+
+    @touch_pa.setter
+    def touch_pa(self, touch: Carried) -> None:
+        lag = self.sensor_lag_s
+        self.touch_and_lag = uncorrelated((touch.value, touch.sd), (lag.value, lag.sd))
+
+    @property
+    def sensor_lag_s(self) -> Carried:
+        """By how much the measured pressure comes late; a sheet without a lag leaves none to be
+        learned."""
+        known = self.touch_and_lag
+        return Carried(float(known.mean[1]), float(known.sd[1]))
+
+    def take_touch_and_lag(self, found: TouchAndLag) -> None:
+        """What is known of both from now on. The valve's delays were found from pressures that came
+        as late as was believed until now."""
+        sooner_s = found.mean[1] - self.touch_and_lag.mean[1]
+        self.touch_and_lag = found
+        by = np.zeros(PARAMETERS)
+        by[[OFF_DELAY, ON_DELAY]] = -sooner_s
+        self.move_law(by)
+
+    def above_touch(self, samples: PressureSamples) -> Pressures:
+        """The pressure that brakes, by measured ones."""
+        return above_touch(samples, self.touch_pa.value, self.sensor_lag_s.value)
 
     def record(self) -> BrakeRecord | None:
         """What a calibration file keeps; None before the first shift it was learned from."""
@@ -123,8 +158,9 @@ class BrakeModel:
         self.shifts = record.shifts
         self.gain = Carried(record.gain, record.gain_sd)
         self.drag_nm = Carried(record.drag_nm, record.drag_sd_nm)
-        self.touch_pa = Carried(record.touch_pa, record.touch_sd_pa)
-        self.sensor_lag_s = Carried(record.sensor_lag_s, record.sensor_lag_sd_s)
+        self.touch_and_lag = uncorrelated(
+            (record.touch_pa, record.touch_sd_pa), (record.sensor_lag_s, record.sensor_lag_sd_s)
+        )
         rates = np.log([*record.emptying, *record.filling])
         self._mean = np.array([*rates, record.off_delay_s, record.on_delay_s])
         sd = [*record.emptying_sd, *record.filling_sd]
@@ -189,12 +225,11 @@ class BrakeModel:
             law[u, 0, 0] = -np.inf
         return law
 
-    def learn(
-        self, sample_us: Vector, pressure_pa: Vector, command_us: Vector, command_u: Vector
-    ) -> bool:
-        """Fits law and delays to a shift's pressure samples (Pa, gauge) and the brake's commands.
+    def learn(self, samples: PressureSamples, command_us: Vector, command_u: Vector) -> bool:
+        """Fits law and delays to a shift's pressure samples and the brake's commands.
 
         Returns False, and learns nothing, with too few samples or if the fit fails."""
+        sample_us, pressure_pa = samples.before_the_lag(self.sensor_lag_s.value)
         if sample_us.size < LEAST_SAMPLES or command_u.size == 0 or command_u.max() < 1.0:
             return False
         prior_mean, prior = self._mean, self._covariance * VARIANCE_GROWTH

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.estimation.brake_model import BrakeModel, Carried
-from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES, Pressures
-from meshpoint.controller.estimation.free_run import EDGE_TIME, MEMORY, TORQUE, FreeRun
+from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
+from meshpoint.controller.estimation.free_run import EDGE_TIME, MEMORY, TORQUE, FreeMotion, FreeRun
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels
 from meshpoint.controller.estimation.likelihood import prior, restored
@@ -38,6 +38,7 @@ from meshpoint.controller.motion.models import (
     following_start,
 )
 from meshpoint.controller.records import Vector
+from meshpoint.controller.sensing.pressure_samples import PressureSamples
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 
@@ -74,8 +75,6 @@ class CrossingTracker(WheelTracker):
         """What is known of an edge's time (s), the disturbance's torque (Nm) and memory (s)."""
         self.noise_shifts = 0
         """From how many shifts that was learned."""
-        self._one_pattern = True
-        """Whether the tooth errors in use have stayed the same since the layshaft became free."""
 
     def _first_state(self, omega_sd_rad_s: float) -> tuple[Vector, Vector]:
         theta_sd = 2.0 * self._tuning.tooth_error_rad
@@ -128,17 +127,15 @@ class CrossingTracker(WheelTracker):
         super().lose_speed()
         self._free = False
 
-    def edges(self, batch: EdgeBatch, pressures: Pressures) -> None:
+    def edges(self, batch: EdgeBatch, pressures: PressureSamples) -> None:
         """Takes new edges and pressures."""
         switches = self._brake.arrays()
         if not self._free:
             self._take(batch, NO_PRESSURES, switches, self._following)
             self._in_gear.edges(batch)
             return
-        self._run.add(self.teeth.edges(batch, self.teeth.place(batch)), pressures)
-        touch_pa = self._known.touch_pa.value
-        above = Pressures(pressures.time_us, np.maximum(pressures.pressure_pa - touch_pa, 0.0))
-        self._take(batch, above, switches, self.model)
+        self._run.add(batch, self.teeth.place(batch), pressures)
+        self._take(batch, self._known.above_touch(pressures), switches, self.model)
         self._free_edges += batch.time_us.size
 
     def at(self, time_us: float) -> LayshaftState | None:
@@ -153,10 +150,6 @@ class CrossingTracker(WheelTracker):
         state = self._filter.latest()
         edge_time_s = self.noise[EDGE_TIME].value
         return state._replace(edge_rad2_s=self._edge_rad2_s(state.omega_rad_s, edge_time_s))
-
-    def _teeth_found(self) -> None:
-        super()._teeth_found()
-        self._one_pattern = False
 
     def _begin_free(self) -> None:
         self._in_gear.pause()
@@ -181,7 +174,7 @@ class CrossingTracker(WheelTracker):
         self._start_p = p
         self._fuse(True)
         self._run.begin(state.time_us, state.x, state.p)
-        self._free, self._free_edges, self._one_pattern = True, 0, True
+        self._free, self._free_edges = True, 0
 
     def _end_free(self, events: list[str]) -> None:
         self._free = False
@@ -193,15 +186,10 @@ class CrossingTracker(WheelTracker):
         if self._free_edges >= LEAST_FREE_EDGES and np.isfinite(x).all():
             known.gain = Carried(float(x[GAIN]), float(sd[GAIN]))
             known.drag_nm = Carried(float(x[DRAG]) * inertia, float(sd[DRAG]) * inertia)
-            learned = known.learn(*self._run.pressures, *self._brake.commands)
-            if learned and self.teeth.learned and self._one_pattern:
-                sd_rad = self.teeth.sd_rad
-                self._run.learn_touch(known, sd_rad, self._brake.arrays(), self.model)
-            if self._one_pattern:
-                if learned:
-                    switches = self._brake.arrays()
-                    self._run.learn_lag(known, self.teeth.sd_rad, switches, self.model)
-                self._learn_noise()
+            learned = known.learn(self._run.samples, *self._brake.commands)
+            if learned and self.teeth.learned:
+                self._run.learn_touch_and_lag(known, self._free_motion())
+            self._learn_noise()
         # From here on the torque on the layshaft is unknown.
         state.heed(HEED)
         follow = self._tuning.follow_rad_s2
@@ -213,13 +201,16 @@ class CrossingTracker(WheelTracker):
         state.p[THETA, THETA] += self._half_pitch_rad**2
         state.p[OMEGA, OMEGA] += STRUCK_RAD_S**2
 
+    def _free_motion(self) -> FreeMotion:
+        """By what has just been learned of the brake's delays and of the teeth."""
+        known = self._known
+        self._brake.set_delays(known.off_delay_us, known.on_delay_us)
+        edge_time_s, switches = self.noise[EDGE_TIME].value, self._brake.arrays()
+        return FreeMotion(self.teeth, edge_time_s, switches, self.model, self._inertia_kgm2)
+
     def _learn_noise(self) -> None:
         """From the free motion that has just ended: how much of what was not expected is the edges'
         own, and how much is torque."""
-        teeth, switches = self.teeth, self._brake.arrays()
-        self.noise = self._run.learn_noise(
-            self.noise, self._known, teeth.sd_rad, switches, self.model, self._inertia_kgm2,
-            teeth.learned,
-        )  # fmt: skip
+        self.noise = self._run.learn_noise(self.noise, self._known, self._free_motion())
         self.noise_shifts += 1
         self._filter.set_edge_time(self.noise[EDGE_TIME].value)

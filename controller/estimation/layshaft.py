@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-from meshpoint.controller.estimation.crossing_filter import Pressures
 from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import LayshaftState, MotionModel
+from meshpoint.controller.sensing.pressure_samples import PressureSamples
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 
 
@@ -43,7 +43,7 @@ class LayshaftTracker(Protocol):
     def lose_speed(self) -> None:
         """The speed is lost, by missing edges or by a synchroniser; teeth keep their numbers."""
 
-    def edges(self, batch: EdgeBatch, pressures: Pressures) -> None:
+    def edges(self, batch: EdgeBatch, pressures: PressureSamples) -> None:
         """Takes new edges and measured pressures."""
 
     def at(self, time_us: float) -> LayshaftState | None:

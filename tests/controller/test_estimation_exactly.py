@@ -9,10 +9,8 @@ import numpy as np
 import pytest
 from wheel import Wheel
 
-from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
 from meshpoint.controller.estimation.crossing_tracker import STRUCK_RAD_S, CrossingTracker
 from meshpoint.controller.estimation.cruise import CruiseTracker
-from meshpoint.controller.estimation.free_run import CAUTION, _least
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.lash_cloud import _drawn
 from meshpoint.controller.estimation.lash_start import StartWatch
@@ -21,6 +19,7 @@ from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
 from meshpoint.controller.observer import Observer
+from meshpoint.controller.sensing.pressure_samples import NO_SAMPLES
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import (
@@ -122,20 +121,6 @@ def test_a_swinging_shaft_s_speed_is_how_its_angle_goes() -> None:
         assert swing.spread_ahead(wait_s)[0][0] == pytest.approx(angle)
 
 
-def test_misfits_of_three_probes_on_a_parabola_have_its_minimum() -> None:
-    """2 + 9 (x - 0.04)^2 by probes 0.1 apart: its variance is 2 over the curvature of 18, and is
-    taken for larger by caution."""
-    probe = 0.1
-    misfits = [2.0 + 9.0 * (x - 0.04) ** 2 for x in (-probe, 0.0, probe)]
-    found = _least(*misfits, probe)
-    assert found is not None
-    assert found.offset == pytest.approx(0.04)
-    assert found.variance == pytest.approx(CAUTION**2 * 2.0 / 18.0)
-    assert _least(1.0, 2.0, 1.0, probe) is None, "it is a maximum"
-    assert _least(1.0, 2.0, 3.0, probe) is None, "it is a line"
-    assert _least(math.inf, 2.0, 3.0, probe) is None
-
-
 def test_a_figure_of_which_a_shift_tells_nothing_is_known_less_well_behind_it() -> None:
     """Its variance grows by a tenth, up to what was known before anything was learned."""
     one = Learned(0.3, 0.1, -5.0, 5.0, 0.5, 0.01)
@@ -164,7 +149,7 @@ def test_a_gear_that_strikes_moves_the_layshaft_by_half_a_pitch_and_its_speed_at
             edges = np.arange(number, number + 6)
             angle = half_pitch * edges
             batch = EdgeBatch(angle / 100.0 / US, angle, edges // 2 % teeth, edges % 2)
-            tracker.edges(batch, NO_PRESSURES)
+            tracker.edges(batch, NO_SAMPLES)
 
     turn(0, 60)
     now_us = tracker._filter.time_us

@@ -17,10 +17,11 @@ from numpy.random import PCG64, Generator
 
 from meshpoint.controller.estimation.baseline_tracker import BaselineTracker
 from meshpoint.controller.estimation.brake_model import BrakeModel, Carried
-from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES, Pressures
+from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
 from meshpoint.controller.estimation.crossing_tracker import CrossingTracker
 from meshpoint.controller.estimation.layshaft import LayshaftModels, LayshaftTracker
 from meshpoint.controller.estimation.teeth import WheelTeeth
+from meshpoint.controller.estimation.touch_and_lag import uncorrelated
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.linear import layshaft_model, predict_linear
 from meshpoint.controller.motion.linear_kernels import Vector
@@ -31,6 +32,7 @@ from meshpoint.controller.motion.models import (
     free_motion,
     predict,
 )
+from meshpoint.controller.sensing.pressure_samples import PressureSamples
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import Estimator
@@ -55,6 +57,8 @@ AHEAD_US: Final = 45_000.0
 COMPARED_NAMES: Final = ("window", "thesis", "crossing", "crossing_learned", "bound")
 BETWEEN_SHIFTS_US: Final = 60_000_000
 """Between two shifts of one bench, by its clock."""
+NO_LAG: Final = (0.0, 0.0)
+"""Of a pressure sensor, and its standard deviation (s)."""
 START_SD: Final = (0.1, 10.0, 0.2e5)
 """What is known of angle (rad), speed (rad/s) and pressure (Pa) when a shift begins."""
 
@@ -179,10 +183,12 @@ class _Bench:
             self._tuning = replace(self._tuning, **KNOWN)
         self.offset_us = 0.0
         known = BrakeModel(sheet, self._tuning.gain_sd, self._tuning.drag_sd_nm)
+        # The scene's sensor has no lag, whatever the sheet's may have.
+        known.touch_and_lag = uncorrelated((known.touch_pa.value, known.touch_pa.sd), NO_LAG)
         self._known = known
         if parameters_known:
             known.gain, known.drag_nm = Carried(1.0, 0.0), Carried(0.0, 0.0)
-            known.touch_pa = Carried(0.0, 1.0)
+            known.touch_and_lag = uncorrelated((0.0, 1.0), NO_LAG)
         self._learns = not parameters_known
         self.tracker: LayshaftTracker
         if estimator is Estimator.CROSSING:
@@ -275,9 +281,11 @@ def batch_of(
     return EdgeBatch(run.edge_us[inside] + offset_us, theta, number // 2, number % 2)
 
 
-def _pressures(run: SceneRun, from_us: float, to_us: float, offset_us: float) -> Pressures:
+def _pressures(run: SceneRun, from_us: float, to_us: float, offset_us: float) -> PressureSamples:
+    """By a sensor without a lag."""
     inside = (run.pressure_us > from_us) & (run.pressure_us <= to_us)
-    return Pressures(run.pressure_us[inside] + offset_us, run.pressure_pa[inside])
+    time_us, pressure_pa = run.pressure_us[inside] + offset_us, run.pressure_pa[inside]
+    return PressureSamples(time_us, pressure_pa, np.zeros(time_us.size))
 
 
 def _score(bench: _Bench, run: SceneRun) -> ErrorSums:
