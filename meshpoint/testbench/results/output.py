@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TextIO
 
 from rich.console import Console
 from rich.table import Table
@@ -34,11 +35,32 @@ def write_json(target: str, values: dict[str, Any]) -> None:
         return
     path = Path(target)
     try:
-        with path.open("w", encoding="utf-8") as file:
-            file.writelines(pieces)
-            file.write("\n")
+        if path.exists() and not (path.is_file() and os.access(path.resolve().parent, os.W_OK)):
+            # A pipe or a device, or a file in a folder that takes no other.
+            with path.open("w", encoding="utf-8") as file:
+                _write(file, pieces)
+        else:
+            _replace(path.resolve(), pieces)
     except OSError as error:
         raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
+
+
+def _replace(path: Path, pieces: Iterable[str]) -> None:
+    """Beside it first: who reads it, or an error amid the text, leaves the old file or the new."""
+    beside = path.with_name(f".{path.name}.new")
+    beside.unlink(missing_ok=True)
+    try:
+        with beside.open("x", encoding="utf-8") as file:
+            _write(file, pieces)
+        beside.replace(path)
+    except BaseException:
+        beside.unlink(missing_ok=True)
+        raise
+
+
+def _write(file: TextIO, pieces: Iterable[str]) -> None:
+    file.writelines(pieces)
+    file.write("\n")
 
 
 def complain(line: str) -> None:
