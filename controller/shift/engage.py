@@ -7,6 +7,7 @@ from typing import Final
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.sensing.gearbox_view import ENTERED_M
 from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.shift.brake_look import brake_holds
 from meshpoint.controller.shift.context import FALL_US, OPPOSITE, SLEEVE_VALVE, ShiftContext
 from meshpoint.controller.shift.disengage import pull_out
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
@@ -80,6 +81,8 @@ def _is_to_go_back(context: ShiftContext, predictor: GearPredictor, snapshot: St
     moves_us = plan.fire_us + context.sheet.sleeve.valve_delay_s * SECOND_US
     if snapshot.now_us + BUS_US > moves_us:
         return False
+    if brake_holds(context.sheet, predictor):
+        return True
     acting = context.strategist.acting(reference_known=True)
     earliest_us = snapshot.earliest_us + AGAIN_US
     return acting.is_to_go_back(predictor, snapshot.now_us, plan.contact_us, earliest_us)

@@ -8,6 +8,7 @@ from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import EngagementStrategy
 from meshpoint.controller.planning.strategist import Plan
 from meshpoint.controller.settings import MS_IN_US
+from meshpoint.controller.shift.brake_look import brake_holds
 from meshpoint.controller.shift.context import FALL_US, SLEEVE_VALVE, ShiftContext
 from meshpoint.controller.shift.speed_up import too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
@@ -189,6 +190,8 @@ def _plan_firing(context: ShiftContext, predictor: GearPredictor, snapshot: Step
         plan = None  # the gear would be too slow by then: it is, or will be, the engine's turn
     if plan is not None and plan.fire_us > snapshot.now_us + RELEASE_HORIZON_US:
         plan = None  # too far ahead: the valve side would refuse it
+    if brake_holds(context.sheet, predictor):
+        plan = None
     if plan is None:
         context.board.off(valve)
         waiting = ShiftDecision.WAIT_FOR_GAP if acting.aims else ShiftDecision.WAIT_FOR_SLIP

@@ -117,7 +117,8 @@ def test_a_torn_log_gives_all_before_the_tear_with_its_report(
         for time_us, frame in one_shift.frames:
             log.write(time_us / 1e6, frame)
     content = path.read_bytes()
-    path.write_bytes(content[: int(share * len(content)) - 5])
+    line = content.index(b"\n", int(share * len(content))) + 1
+    path.write_bytes(content[: line + 20])  # within a line
     page = tmp_path / "page.html"
     assert main(["replay", str(path), "--report", str(page), "--json", "-"]) == 2
     found = json.loads(capsys.readouterr().out)
