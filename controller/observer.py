@@ -87,7 +87,7 @@ class Observer:
         self.view = GearboxView(sheet)
         self.references = PhaseReferences(sheet)
         self._sampler = PressureSampler()
-        self._zero = PressureZero(sheet.brake.time_constant_s, tuning.pressure_sd_pa)
+        self._zero = PressureZero(sheet.brake.time_constant_s)
         self._split = Split.HIGH
         self._layshaft_wheel = WheelEdges.of(wheels.layshaft)
         self._main_wheel = WheelEdges.of(wheels.main, BRAKED_RAD_S2)

@@ -1,4 +1,4 @@
-"""The brake pressure sensor's offset and noise, learned while the brake's chamber is empty.
+"""The brake pressure sensor's offset, learned while the brake's chamber is empty.
 
 With the valve off for long enough the chamber is at the pressure of the air around, so whatever the
 sensor shows above that is its offset. Every shift ends with seconds of it.
@@ -15,19 +15,15 @@ pressure."""
 FORGET: Final = 0.998
 """Weight of the past with each new sample: 5 s at 10 ms, in which an offset changes little."""
 LEAST_SAMPLES: Final = 10.0
-SD_SAMPLES: Final = 20.0
-"""Weight of what the noise was taken to be, in samples."""
 
 
 class PressureZero:
     """What the sensor shows of an empty chamber."""
 
-    def __init__(self, time_constant_s: float, sd_pa: float) -> None:
+    def __init__(self, time_constant_s: float) -> None:
         self._wait_us = 1e6 * REST_TIME_CONSTANTS * time_constant_s
-        self._first_sd_pa = sd_pa
         self._driven_us = -math.inf
         self._weight = self._mean_pa = 0.0
-        self._squares, self._square_weight = SD_SAMPLES * sd_pa * sd_pa, SD_SAMPLES
 
     def take(self, time_us: float, gauge_pa: float, driven: bool) -> float:
         """One sample, gauge; driven: the valve is on, or will be. Returns the pressure with the
@@ -36,19 +32,10 @@ class PressureZero:
             self._driven_us = time_us
         elif time_us - self._driven_us > self._wait_us:
             self._weight = FORGET * self._weight + 1.0
-            off_pa = gauge_pa - self._mean_pa
-            self._mean_pa += off_pa / self._weight
-            if self._weight > LEAST_SAMPLES:
-                self._squares = FORGET * self._squares + off_pa * off_pa
-                self._square_weight = FORGET * self._square_weight + 1.0
+            self._mean_pa += (gauge_pa - self._mean_pa) / self._weight
         return gauge_pa - self.offset_pa
 
     @property
     def offset_pa(self) -> float:
         """The sensor's offset; 0 before some samples have shown it."""
         return self._mean_pa if self._weight >= LEAST_SAMPLES else 0.0
-
-    @property
-    def sd_pa(self) -> float:
-        """Standard deviation of a sample."""
-        return max(math.sqrt(self._squares / self._square_weight), 0.1 * self._first_sd_pa)
