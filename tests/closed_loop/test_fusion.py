@@ -29,20 +29,25 @@ def spread_rad(squares: ShiftErrors) -> float:
 
 @pytest.mark.long
 def test_both_shafts_are_better_known_with_a_further_sensor() -> None:
-    """Backlash and tooth errors as built; 0.85 of the angle's error over eight such gearboxes."""
-    run = FusionRun(
-        load_sheet("thesis"),
-        seed=105,
-        learning_shifts=3,
-        shifts=3,
-        as_built=(),
-        profile=Profile.CLEAN,
-    )
-    found = run.run()
-    for alone, fused in ((LAYSHAFT, WITH_INPUT), (MAIN, WITH_PROPELLER)):
-        assert found[alone].samples > 60
-        assert abs(found[fused].samples - found[alone].samples) < 10
-        assert spread_rad(found[fused]) < 0.95 * spread_rad(found[alone])
+    """Backlash and tooth errors as built: 0.90 and 0.81 of the angle's error in the mean of four
+    such gearboxes, 0.70 to 0.95 in one (of eight, one is worse with the input shaft: 1.4)."""
+    logs: dict[tuple[str, str], list[float]] = {}
+    for seed in range(101, 105):
+        found = FusionRun(
+            load_sheet("thesis"),
+            seed=seed,
+            learning_shifts=3,
+            shifts=3,
+            as_built=(),
+            profile=Profile.CLEAN,
+        ).run()
+        for pair in ((LAYSHAFT, WITH_INPUT), (MAIN, WITH_PROPELLER)):
+            alone, fused = (found[name] for name in pair)
+            assert alone.samples > 60
+            assert abs(fused.samples - alone.samples) < 10
+            logs.setdefault(pair, []).append(math.log(spread_rad(fused) / spread_rad(alone)))
+    for ratios in logs.values():
+        assert sum(ratios) / len(ratios) < math.log(0.95)
 
 
 @pytest.mark.long
