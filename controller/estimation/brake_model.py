@@ -23,7 +23,7 @@ from meshpoint.controller.calibration.learned import BrakeRecord
 from meshpoint.controller.estimation.brake_kernels import pressure_course
 from meshpoint.controller.estimation.crossing_filter import Pressures
 from meshpoint.controller.estimation.touch_and_lag import TouchAndLag, uncorrelated
-from meshpoint.controller.motion.kernels import PRESSURE, SEGMENTS, STATES
+from meshpoint.controller.motion.kernels import DRAG, GAIN, PRESSURE, SEGMENTS, STATES
 from meshpoint.controller.motion.models import MotionModel
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.pressure_samples import PressureSamples
@@ -102,17 +102,18 @@ class BrakeModel:
         known = self.touch_and_lag
         return Carried(float(known.mean[0]), float(known.sd[0]))
 
-    @touch_pa.setter
-    def touch_pa(self, touch: Carried) -> None:
-        lag = self.sensor_lag_s
-        self.touch_and_lag = uncorrelated((touch.value, touch.sd), (lag.value, lag.sd))
-
     @property
     def sensor_lag_s(self) -> Carried:
         """By how much the measured pressure comes late; a sheet without a lag leaves none to be
         learned."""
         known = self.touch_and_lag
         return Carried(float(known.mean[1]), float(known.sd[1]))
+
+    def carry(self, x: Vector, p: Vector, inertia_kgm2: float) -> None:
+        """Gain and drag as the filter's state (STATES,) and covariance at the end of a run say."""
+        sd = np.sqrt(np.maximum(np.diag(p), 0.0))
+        self.gain = Carried(float(x[GAIN]), float(sd[GAIN]))
+        self.drag_nm = Carried(float(x[DRAG]) * inertia_kgm2, float(sd[DRAG]) * inertia_kgm2)
 
     def take_touch_and_lag(self, found: TouchAndLag) -> None:
         """What is known of both from now on. The valve's delays were found from pressures that came

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.estimation.brake_model import BrakeModel, Carried
+from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
 from meshpoint.controller.estimation.free_run import EDGE_TIME, MEMORY, TORQUE, FreeMotion, FreeRun
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
@@ -178,14 +178,13 @@ class CrossingTracker(WheelTracker):
 
     def _end_free(self, events: list[str]) -> None:
         self._free = False
-        state, known, inertia = self._filter, self._known, self._inertia_kgm2
+        state, known = self._filter, self._known
         state.forget_past()
         self._learn_teeth("layshaft", events)
         self._fuse(False)
-        x, sd = state.x, np.sqrt(np.maximum(np.diag(state.p), 0.0))
+        x = state.x
         if self._free_edges >= LEAST_FREE_EDGES and np.isfinite(x).all():
-            known.gain = Carried(float(x[GAIN]), float(sd[GAIN]))
-            known.drag_nm = Carried(float(x[DRAG]) * inertia, float(sd[DRAG]) * inertia)
+            known.carry(x, state.p, self._inertia_kgm2)
             learned = known.learn(self._run.samples, *self._brake.commands)
             if learned and self.teeth.learned:
                 self._run.learn_touch_and_lag(known, self._free_motion())

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.estimation.brake_model import BrakeModel, Carried, above_touch
-from meshpoint.controller.estimation.crossing_filter import CrossingFilter
+from meshpoint.controller.estimation.brake_model import BrakeModel, above_touch
+from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.estimation.likelihood import Learned, learn
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.estimation.touch_and_lag import best_of
@@ -76,21 +76,20 @@ class FreeRun:
         inertia = motion.inertia_kgm2
         for figure, open_sd in ((GAIN, tuning.gain_sd), (DRAG, tuning.drag_sd_nm / inertia)):
             open_p[figure, figure] = max(open_p[figure, figure], open_sd**2)
-        edges, before_s = self._edges_by(motion.teeth), float(known.mean[1])
+        edges, samples = self._edges_by(motion.teeth), self.samples
+        before_s = float(known.mean[1])
 
         def run(touch_pa: float, lag_s: float, p: Vector) -> CrossingFilter:
             law = motion.model.with_law(brake.law(touch_pa))
             acting = motion.switches - np.array([[(lag_s - before_s) * SECOND_US], [0.0]])
             changed = motion._replace(model=law, switches=acting)
-            return self._again(edges, changed, (touch_pa, lag_s), p)
+            return self._again(edges, above_touch(samples, touch_pa, lag_s), changed, p)
 
         found = best_of(lambda touch, lag: float(run(touch, lag, open_p).nis[0]), known)
         end = run(float(found.mean[0]), float(found.mean[1]), self._p)
-        x, sd = end.x, np.sqrt(np.maximum(np.diag(end.p), 0.0))
-        if np.isfinite(x).all():
+        if np.isfinite(end.x).all():
             brake.take_touch_and_lag(found)
-            brake.gain = Carried(float(x[GAIN]), float(sd[GAIN]))
-            brake.drag_nm = Carried(float(x[DRAG]) * inertia, float(sd[DRAG]) * inertia)
+            brake.carry(end.x, end.p, inertia)
 
     def learn_noise(
         self, known: list[Learned], brake: BrakeModel, motion: FreeMotion
@@ -98,9 +97,8 @@ class FreeRun:
         """What is known of an edge's time and of the disturbance's torque and memory after this
         run. An edge's time cannot be told from tooth errors that are not known."""
         teeth_known, inertia = motion.teeth.learned, motion.inertia_kgm2
-        edges = self._edges_by(motion.teeth)
+        edges, pressures = self._edges_by(motion.teeth), brake.above_touch(self.samples)
         law = motion.model.with_law(brake.law())
-        touch_and_lag = brake.touch_pa.value, brake.sensor_lag_s.value
         given = known[0].log
 
         def misfit(logs: Sequence[float]) -> float:
@@ -110,7 +108,7 @@ class FreeRun:
             p[DISTURBANCE, DISTURBANCE] = (disturbance.torque_nm / inertia) ** 2
             model = law.with_disturbance(*disturbance.density(inertia))
             changed = motion._replace(model=model, edge_time_s=time_s)
-            return self._again(edges, changed, touch_and_lag, p).misfit(edges.shape[1])
+            return self._again(edges, pressures, changed, p).misfit(edges.shape[1])
 
         found = learn(known, misfit).figures
         return found if teeth_known else [known[0], *found[1:]]
@@ -120,13 +118,11 @@ class FreeRun:
         return np.concatenate([teeth.edges(*taken) for taken in self._edges], axis=1)
 
     def _again(
-        self, edges: Vector, motion: FreeMotion, touch_and_lag: tuple[float, float], p: Vector
+        self, edges: Vector, pressures: Pressures, motion: FreeMotion, p: Vector
     ) -> CrossingFilter:
-        """The filter over this run once more, from covariance `p`, with pressures by another touch
-        (Pa) and lag (s)."""
+        """The filter over this run once more, from covariance `p`."""
         run = CrossingFilter(self._tuning)
         run.set_edge_time(motion.edge_time_s)
         run.begin(self._time_us, self._x, p)
-        pressures = above_touch(self.samples, *touch_and_lag)
         run.take(edges, motion.teeth.sd_rad, pressures, motion.switches, motion.model)
         return run

@@ -21,8 +21,9 @@ from typing import Final, cast
 import numpy as np
 
 from meshpoint.controller.core import ControllerCore
-from meshpoint.controller.estimation.brake_model import PARAMETERS, BrakeModel, Carried
+from meshpoint.controller.estimation.brake_model import PARAMETERS, BrakeModel
 from meshpoint.controller.estimation.layshaft import LayshaftTracker
+from meshpoint.controller.estimation.touch_and_lag import uncorrelated
 from meshpoint.controller.motion.kernels import GAIN
 from meshpoint.controller.motion.kinematics import slip_rad_s, wrap_to_pitch
 from meshpoint.controller.motion.linear_kernels import Vector
@@ -199,9 +200,9 @@ class _Draw:
         spread = 0.0 if newest.covariance is None else float(newest.covariance[GAIN, GAIN])
         gain = newest.gain + math.hypot(math.sqrt(max(spread, 0.0)), GAIN_SD) * normal[0]
         as_built = known.varied(normal[NORMALS - PARAMETERS :])
-        touch = known.touch_pa
+        touch, lag = known.touch_pa, known.sensor_lag_s
         touch_pa = touch.value + math.hypot(touch.sd, TOUCH_SD_PA) * normal[6]
-        as_built.touch_pa = Carried(abs(touch_pa), touch.sd)
+        as_built.touch_and_lag = uncorrelated((abs(touch_pa), touch.sd), (lag.value, lag.sd))
         viscous = max(0.0, VISCOUS_SHARE + VISCOUS_SD * normal[5])
         self._drag_rad_s2 = viscous * course.eased_rad_s2
         self._drag_rad_s2 += DRAG_SD_SHARE * course.coasting_rad_s2 * normal[4]
