@@ -37,7 +37,7 @@ from meshpoint.controller.shift.context import PredictorSource
 from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
-from meshpoint.controller.shift.valve_board import ValveBoard
+from meshpoint.controller.shift.valve_board import ValveBoard, driven_or_pending
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import canonical, checked_request, torque_parts, torque_share
 from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
@@ -270,12 +270,10 @@ class ControllerCore:
     def _snapshot(self, now_us: int, engine: EEC1 | None) -> StepSnapshot:
         observer = self._observer
         sensor_us = observer.clock.now_us(now_us)
-        valves = observer.valves
         torque = torque_share(None, None)
         if engine is not None:
             fine = engine.actual_engine_torque_fine_fraction
             torque = torque_share(engine.actual_engine_torque_fraction, fine)
-        brake = valves is not None and (valves.brake_energised or valves.brake_pending)
         return StepSnapshot(
             sensor_us,
             sensor_us + self._lead_us,
@@ -284,7 +282,7 @@ class ControllerCore:
             observer.main_at(sensor_us),
             self._speeds,
             self._lost(sensor_us),
-            brake,
+            driven_or_pending(observer.valves),
             observer.view.supply_pa,
             None if engine is None else engine.engine_speed_rad_s,
             *torque,

@@ -81,7 +81,7 @@ class Follower:
             observer.main_at(sensor_us),
             self.speeds,
             seen.lost,
-            seen.brake_driven,
+            seen.driven,
             observer.view.supply_pa,
         )
 

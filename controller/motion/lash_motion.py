@@ -34,6 +34,10 @@ ANGLE, SPEED, DRAG, WAY, WHEELS, TYRE, VEHICLE, HILL, STIFF, LOSS, HALF, TYRE_ST
 ROWS: Final = 12
 LONGEST_S: Final = 1.3e-3
 """A step is no longer: the shafts' mode turns by 0.37 rad in it at 45 Hz."""
+MOST_LOSS: Final = 10.0
+"""A flank pushes no harder than so many times its spring. From 1 + c b' = 2.5 on, the law gives
+nothing back of an impact (restitution 1 - 2 c b' / 3), and means no more; with this limit a step
+stays stable however hard a driveline falls onto a flank."""
 
 
 class LashModel(NamedTuple):
@@ -114,5 +118,5 @@ def _push(x: Vector, i: int, way: float, slip: float) -> float:
     twist = way - half
     beyond = twist - np.minimum(np.maximum(twist, -half), half)
     loss = 1.0 + np.copysign(x[LOSS, i], beyond) * slip
-    found: float = x[STIFF, i] * beyond * np.maximum(loss, 0.0)
+    found: float = x[STIFF, i] * beyond * np.minimum(np.maximum(loss, 0.0), MOST_LOSS)
     return found

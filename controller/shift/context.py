@@ -28,6 +28,9 @@ from meshpoint.units import SECOND_US
 SEQUENCE_CLUTCH_CLOSED_SHARE: Final = 0.98
 FALL_US: Final = 20 * MS_IN_US
 """The rate at which the slip falls is taken from two predictions this far apart."""
+DRIVEN_LATE_US: Final = 40 * MS_IN_US
+"""A valve not reported driven this long after its activation time has been refused by the valve
+side: the activation is sent again."""
 SLEEVE_VALVE: Final = {
     MainGear.FIRST: ValveName.MAIN_FIRST,
     MainGear.SECOND: ValveName.MAIN_SECOND,

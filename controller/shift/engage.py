@@ -8,7 +8,13 @@ from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.sensing.gearbox_view import ENTERED_M
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.brake_look import brake_holds
-from meshpoint.controller.shift.context import FALL_US, OPPOSITE, SLEEVE_VALVE, ShiftContext
+from meshpoint.controller.shift.context import (
+    DRIVEN_LATE_US,
+    FALL_US,
+    OPPOSITE,
+    SLEEVE_VALVE,
+    ShiftContext,
+)
 from meshpoint.controller.shift.disengage import pull_out
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import shift_aims
@@ -44,10 +50,9 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     if predictor is not None:
         context.free_predictor, context.free_us = predictor, snapshot.now_us
         if _is_to_go_back(context, predictor, snapshot):
-            shift.attempts -= 1
-            shift.calls += 1
-            context.board.off(SLEEVE_VALVE[gear])
-            return Trigger.BLOCKED
+            return _call_back(context)
+    if _is_refused(context, snapshot):
+        return _call_back(context)
     if shift.measured_contact_us is None:
         _look_for_contact(context, snapshot)
     if snapshot.view.main_gear is gear:
@@ -86,6 +91,25 @@ def _is_to_go_back(context: ShiftContext, predictor: GearPredictor, snapshot: St
     acting = context.strategist.acting(reference_known=True)
     earliest_us = snapshot.earliest_us + AGAIN_US
     return acting.is_to_go_back(predictor, snapshot.now_us, plan.contact_us, earliest_us)
+
+
+def _is_refused(context: ShiftContext, snapshot: StepSnapshot) -> bool:
+    """Whether the valve side has not taken the firing: it refuses what it hears too late. Nothing
+    has moved then, and nothing will."""
+    shift, plan = context.running, context.running.plan
+    if plan is None or shift.calls >= CALLS or shift.measured_contact_us is not None:
+        return False
+    driven = snapshot.driven[SLEEVE_VALVE[shift.target.main]]
+    return not driven and snapshot.now_us - plan.fire_us > DRIVEN_LATE_US
+
+
+def _call_back(context: ShiftContext) -> Trigger:
+    """The firing is taken back, and does not count as an attempt."""
+    shift = context.running
+    shift.attempts -= 1
+    shift.calls += 1
+    context.board.off(SLEEVE_VALVE[shift.target.main])
+    return Trigger.BLOCKED
 
 
 def _look_for_contact(context: ShiftContext, snapshot: StepSnapshot) -> None:

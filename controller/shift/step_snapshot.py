@@ -8,6 +8,7 @@ from meshpoint.controller.estimation.layshaft import LayshaftTracker
 from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
+from meshpoint.controller.shift.valve_board import Driven
 from meshpoint.dbc.messages import FaultCode
 
 
@@ -25,8 +26,8 @@ class StepSnapshot:
     lost: FaultCode
     """The input that a shift needs and that is missing: SPEED_STALE, POSITION_STALE or
     VALVE_LINK_LOST; NONE if nothing is missing."""
-    brake_driven: bool
-    """Whether the valve side reports the brake valve driven, or its activation pending."""
+    driven: Driven
+    """Of each valve, whether the valve side reports it driven, or its activation pending."""
     supply_pa: float
     """Absolute supply pressure; infinite before the first frame."""
     engine_rad_s: float | None = None

@@ -9,7 +9,7 @@ from meshpoint.controller.planning.strategies.base import EngagementStrategy
 from meshpoint.controller.planning.strategist import Plan
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.brake_look import brake_holds
-from meshpoint.controller.shift.context import FALL_US, SLEEVE_VALVE, ShiftContext
+from meshpoint.controller.shift.context import DRIVEN_LATE_US, FALL_US, SLEEVE_VALVE, ShiftContext
 from meshpoint.controller.shift.speed_up import too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import Trigger
@@ -17,9 +17,6 @@ from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import FaultCode, ShiftDecision
 from meshpoint.gearbox import MainGear
 
-DRIVEN_LATE_US: Final = 40 * MS_IN_US
-"""A brake valve not reported driven this long after its activation time has been refused by the
-valve side: the activation is sent again."""
 KEEP_US: Final = 6 * MS_IN_US
 """A firing this close to the earliest possible activation is not planned again: the new time could
 come out slightly too early to be sent, and the sleeve would have to wait for the next gap. And the
@@ -143,7 +140,7 @@ def _braked_lately(context: ShiftContext, snapshot: StepSnapshot) -> bool:
 
 def _keep_braking(context: ShiftContext, snapshot: StepSnapshot) -> None:
     command = context.board.command(ValveName.BRAKE)
-    refused = command.on and not snapshot.brake_driven
+    refused = command.on and not snapshot.driven[ValveName.BRAKE]
     if not command.on and not command.before:
         context.switch_brake(True, snapshot.earliest_us, snapshot)
     elif refused and snapshot.now_us - command.time_us > DRIVEN_LATE_US:

@@ -29,10 +29,25 @@ class ValveName(IntEnum):
     RANGE_HIGH = 8
 
 
+Driven = tuple[bool, ...]
+"""A flag of each valve, in the order of `ValveName`."""
+NONE_DRIVEN: Final[Driven] = (False,) * len(ValveName)
+_COILS: Final = 1
+_SLOTS: Final = _COILS + len(ValveName)
+"""From where on a ValveStatus tells what is driven, and what is pending."""
+
+
 def energised(status: ValveStatus) -> list[ValveName]:
-    """The valves whose coils the valve side tells as driven; they stand first behind the time."""
-    driven = status[1 : 1 + len(ValveName)]
-    return [valve for valve, is_on in zip(ValveName, driven, strict=True) if is_on]
+    """The valves whose coils the valve side tells as driven."""
+    return [valve for valve in ValveName if status[_COILS + valve]]
+
+
+def driven_or_pending(status: ValveStatus | None) -> Driven:
+    """Whether the valve side tells a valve's coil as driven, or its activation as pending: none,
+    before its first frame."""
+    if status is None:
+        return NONE_DRIVEN
+    return tuple(bool(status[_COILS + v] or status[_SLOTS + v]) for v in ValveName)
 
 
 _ACTION: Final = itemgetter(0)

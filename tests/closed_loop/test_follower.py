@@ -39,7 +39,7 @@ def told(known: StepSnapshot) -> tuple[Any, ...]:
     speeds = known.speeds
     return (
         known.now_us, known.earliest_us, angles, main, speeds.layshaft, speeds.main,
-        known.view.gear_number, known.lost, known.brake_driven, known.supply_pa,
+        known.view.gear_number, known.lost, known.driven, known.supply_pa,
     )  # fmt: skip
 
 

@@ -112,6 +112,17 @@ def test_flanks_push_and_never_pull() -> None:
         x = before
 
 
+def test_a_driveline_that_falls_hard_onto_a_flank_stays_there() -> None:
+    """A shaft far from the vehicle's speed, as after a wheel's edges were lost: the stiffest flank
+    with the most loss takes it up, and its course ahead stays one of numbers."""
+    x = a_driveline(-45.0)
+    x[STIFF], x[LOSS], x[HALF], x[WAY] = 42_000.0, 2.1, 0.0235, 0.0064
+    found = np.empty((2, 49, 1))
+    move_often(x, 2.5e-3, MODEL._replace(wheels_share=0.05), found)
+    assert np.isfinite(found).all()
+    assert np.abs(found[1] - 60.0).max() < 46.0
+
+
 def test_drivelines_that_move_at_once_move_as_each_by_itself() -> None:
     """To the bit: of many, of some and of one, in one call and in several."""
     crowd = np.concatenate([a_driveline(slip) for slip in np.linspace(-5.0, 5.0, 37)], axis=1)

@@ -240,7 +240,7 @@ class _Draw:
         state = layshaft.state = self._state(edge_us)
         main = course.main(now_us, known_us=now_us)
         speeds = _Speeds(self._parting.sheet, state.omega_rad_s, main.omega_rad_s)
-        command = self.sequence.board.command(ValveName.BRAKE)
+        commands = map(self.sequence.board.command, ValveName)
         return StepSnapshot(
             now_us,
             now_us + seen.lead_us,
@@ -249,7 +249,7 @@ class _Draw:
             main,
             cast(ShaftSpeeds, speeds),
             FaultCode.NONE,
-            command.on or command.before,
+            tuple(command.on or command.before for command in commands),
             seen.supply_pa,
         )
 
