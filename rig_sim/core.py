@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -28,23 +27,18 @@ from meshpoint.rig_sim.frames import engagement_message, read_messages, valve_st
 from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
 from meshpoint.rig_sim.presets import build_world
 from meshpoint.rig_sim.settings import RigSettings
-from meshpoint.rig_sim.shared.valve_drivers import Order
+from meshpoint.rig_sim.shared.valve_drivers import EXPIRY_US, Order
+from meshpoint.rig_sim.suspicions import Suspicions
 
 NODES: Final = (Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE)
-NAMES: Final = {codec.spec.can_id: name for name, codec in CODECS.items()}
 FROM_IO: Final = frozenset(
     codec.message_type for codec in CODECS.values() if codec.spec.sender == Node.GEARBOX_IO
 )
-SUSPECT: Final = frozenset({FrameVerdict.E2E, FrameVerdict.REPEATED, FrameVerdict.WRONG_SEQUENCE})
-"""What a bus does not do to a frame: its own check would have thrown it away."""
-TELL_US: Final = 1_000_000
 VALVES: Final = CODECS[ValveCommand.__name__].spec.can_id
 ENGINE_REQUEST: Final = CODECS[TSC1.__name__].spec.can_id
 CLUTCH: Final = CODECS[ClutchCommand.__name__].spec.can_id
 CLUTCH_ACTION: Final = 3
 """The byte of the clutch command that says what it is to do."""
-"""What is obeyed at once. The clutch actuator, like one on the bus, and the bench's script look at
-their commands every 10 ms."""
 
 
 class RigCore:
@@ -67,8 +61,8 @@ class RigCore:
         self._last_clutch = b""
         self._node = self._world.node
         self._restarts = 0
-        self._suspect: Counter[int] = Counter()
-        self._suspect_told_us: int | None = None
+        self._suspicions = Suspicions()
+        self._dropped = 0
         self.truth = self._world.truth
 
     @property
@@ -123,29 +117,15 @@ class RigCore:
             if message is not None:
                 self._obey(message, time_us)
         self._send_records(frames)
-        return Step(frames, self._take_lines() + self._take_suspicions(time_us))
+        return Step(frames, self._take_lines(time_us))
 
     def _hear(self, frame: Frame) -> Message | None:
         if frame.can_id == ENGINE_REQUEST and len(frame.data) == 8 and not is_intact(frame):
-            self._suspect[frame.can_id] += 1
+            self._suspicions.judge(frame.can_id, FrameVerdict.E2E)
             return None
         verdict, message = self.receiver.receive(frame)
-        if verdict in SUSPECT:
-            self._suspect[frame.can_id] += 1
+        self._suspicions.judge(frame.can_id, verdict)
         return message
-
-    def _take_suspicions(self, time_us: int) -> list[str]:
-        """Who may be sending what is not right, at once and then once a second."""
-        told_us = self._suspect_told_us
-        if not self._suspect or (told_us is not None and time_us - told_us < TELL_US):
-            return []
-        self._suspect_told_us = time_us
-        suspect, self._suspect = self._suspect, Counter()
-        return [
-            f"{time_us / 1e6:.6f} s {count} x {NAMES[can_id]} (0x{can_id:08X}) with a wrong CRC or "
-            "counter: another node sends it too, or its sender is faulty"
-            for can_id, count in sorted(suspect.items())
-        ]
 
     def shutdown(self, now_us: int) -> Step:
         """Go on to now, switch all valves off and say so."""
@@ -154,7 +134,7 @@ class RigCore:
         self._world.all_valves_off(time_us)
         if not self._node.away:
             frames.append(self._transmitter.encode(valve_status(self._world, time_us)))
-        return Step(frames, events + self._take_lines())
+        return Step(frames, events + self._take_lines(time_us))
 
     def _obey(self, message: Message, time_us: int) -> None:
         if self._node.away and isinstance(message, (ValveCommand, ClutchCommand)):
@@ -200,8 +180,15 @@ class RigCore:
             message = engagement_message(record, self._world.clock)
             frames.append(self._transmitter.encode(message))
 
-    def _take_lines(self) -> list[str]:
-        return [f"{time_us / 1e6:.6f} s {text}" for time_us, text in self._world.take_lines()]
+    def _take_lines(self, time_us: int) -> list[str]:
+        lines = [f"{at_us / 1e6:.6f} s {text}" for at_us, text in self._world.take_lines()]
+        if self._world.valves.dropped > self._dropped:
+            self._dropped = self._world.valves.dropped
+            silent_ms = EXPIRY_US // 1000
+            lines.append(
+                f"{time_us / 1e6:.6f} s no valve command for {silent_ms} ms: all valves off"
+            )
+        return lines + self._suspicions.take_lines(time_us)
 
 
 def _orders(command: ValveCommand) -> tuple[Order, ...]:

@@ -110,6 +110,8 @@ class ValveBank:
         """The earliest activation that waits, in the sensor clock; None: none does."""
         self.refused = 0
         self.expired = 0
+        self.dropped = 0
+        """Expiries that switched something off."""
 
     def command(self, orders: tuple[Order, ...], clock_us: int, own_us: int) -> list[Change]:
         """A valid frame, consumed now by both clocks: one order a valve."""
@@ -138,7 +140,9 @@ class ValveBank:
         if self.expiry_us is None or self.expiry_us > own_us:
             return []
         self.expired += 1
-        return self.all_off()
+        changes = self.all_off()
+        self.dropped += bool(changes)
+        return changes
 
     def all_off(self) -> list[Change]:
         """Switch everything off and empty all slots, as at shutdown."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import ast
+import itertools
 import math
 import os
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -46,6 +48,8 @@ def test_the_valves_expire_100_ms_after_the_last_frame() -> None:
     bench.step(430_000)
     assert bench.of(ValveStatus)[-1].expired_count == 1
     assert not bench.of(ValveStatus)[-1].brake_energised
+    said = [line for line in bench.lines if "no valve command" in line]
+    assert said == ["0.400000 s no valve command for 100 ms: all valves off"]
 
 
 def test_the_clutch_moves_linearly_and_opens_by_itself() -> None:
@@ -226,6 +230,48 @@ def test_another_sender_of_the_commands_is_named_once_a_second() -> None:
     assert len(said) == 3
     assert said[0].startswith("0.000000 s 1 x ValveCommand (0x0CFF4003)")
     assert said[1].startswith("1.000000 s 100 x ValveCommand")
+
+
+def commanded(frames: Iterator[list[Frame]]) -> list[str]:
+    """What the rig says of command frames that come each 10 ms for 2.5 s."""
+    bench = RigBench()
+    for now_us in range(0, 2_500_000, 10_000):
+        for frame in next(frames):
+            bench.core.receive(frame)
+        bench.step(now_us)
+    return bench.lines
+
+
+def of_one_sender(restarted: int | None = None) -> Iterator[Frame]:
+    """Valve commands with valid protection, whose counter begins anew once."""
+    for k in itertools.count():
+        if k in (0, restarted):
+            sender = Transmitter(Node.TRANSMISSION_CONTROL)
+        yield sender.encode(ValveCommand())
+
+
+def test_lost_commands_are_called_lost_and_not_another_senders() -> None:
+    """Of 20 frames, three in a row do not arrive: more than the counter's check lets pass."""
+    lossy = ([] if k % 20 in (7, 8, 9) else [frame] for k, frame in enumerate(of_one_sender()))
+    said = [line for line in commanded(lossy) if "ValveCommand" in line]
+    assert said and all("frames were lost" in line for line in said)
+    assert "1 x ValveCommand (0x0CFF4003)" in said[0] and "5 x ValveCommand" in said[1]
+
+
+def test_a_controller_that_starts_anew_is_not_called_another() -> None:
+    said = commanded([frame] for frame in of_one_sender(restarted=100))
+    assert [line for line in said if "its sender began anew" in line]
+    assert not [line for line in said if "another node" in line]
+
+
+def test_two_controllers_in_turn_are_called_so() -> None:
+    """Each by itself is faultless."""
+    other = of_one_sender()
+    for _ in range(100):
+        next(other)
+    said = commanded([frame, next(other)] for frame in of_one_sender())
+    assert [line for line in said if "another node sends it too" in line]
+    assert not [line for line in said if "lost" in line]
 
 
 def test_a_bus_without_strangers_is_not_suspected() -> None:

@@ -120,6 +120,10 @@ class _Scene(Episode):
         """A line of a node's log."""
         if "wrong CRC or counter" in line:
             self._find(time_us, "the gearbox's node: another sender")
+        elif "did not follow on" in line:
+            self._find(time_us, "the gearbox's node: frames lost")
+        elif "no valve command" in line:
+            self._find(time_us, "the gearbox's node: no command")
         elif node == 0 and ("clock jumped" in line or "late" in line or "lost" in line):
             self._find(time_us, "controller: " + line.split(":")[0])
         elif node == 0 and line.startswith("shift ") and self.back_by_us is None:
