@@ -15,8 +15,8 @@ from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.report.html import (
     NUMBER_CLASS,
     Cell,
+    Page,
     definitions,
-    pieces,
     table,
     table_row,
 )
@@ -57,10 +57,10 @@ def write_report(
         "<h2>Provenance</h2>",
         definitions({k: str(v) for k, v in spec.to_json()["provenance"].items()}),
     ]
-    page = pieces(title, body, figures(spec, collected), get_plotlyjs(), ["campaign/report.js"])
+    page = Page(title, body, figures(spec, collected), get_plotlyjs(), ["campaign/report.js"])
     try:
         with path.open("w", encoding="utf-8", newline="\n") as file:
-            file.writelines(page)
+            file.writelines(page.pieces())
     except OSError as error:
         raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from html import escape
 from importlib import resources
-from types import MappingProxyType
 from typing import Any, Final
 
 POLICY: Final = (
@@ -18,45 +18,40 @@ Cell = tuple[str, str]
 NUMBER_CLASS: Final = "number"
 
 
-def document(
-    title: str,
-    body: list[str],
-    data: dict[str, Any],
-    plotly_js: str,
-    scripts: Sequence[str],
-    style: str = "",
-    parts: Mapping[str, Any] = MappingProxyType({}),
-) -> str:
-    """The whole page as text (`pieces`)."""
-    return "".join(pieces(title, body, data, plotly_js, scripts, style, parts))
+@dataclass(frozen=True)
+class Page:
+    """A page's contents: `data` is what the product's own scripts (names of files) draw, with
+    Plotly where they use it; each of `parts` stands in an element of its own, `data-NAME`, so that
+    a page of many figures reads one when it draws it."""
 
+    title: str
+    body: list[str]
+    data: dict[str, Any]
+    plotly_js: str
+    scripts: Sequence[str]
+    style: str = ""
+    parts: Mapping[str, Any] = field(default_factory=dict)
 
-def pieces(
-    title: str,
-    body: list[str],
-    data: dict[str, Any],
-    plotly_js: str,
-    scripts: Sequence[str],
-    style: str = "",
-    parts: Mapping[str, Any] = MappingProxyType({}),
-) -> Iterator[str]:
-    """The page piece by piece, for it is five megabytes: `data` is what the product's own scripts
-    (names of files) draw, with Plotly where they use it; each of `parts` stands in an element of
-    its own, `data-NAME`, so that a page of many figures reads one when it draws it."""
-    css = own_text("report/report.css") + (own_text(style) if style else "")
-    yield "<!doctype html>\n<html lang='en'>\n<head>\n<meta charset='utf-8'>\n"
-    yield f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
-    yield "<meta name='viewport' content='width=device-width, initial-scale=1'>\n"
-    yield f"<title>{escape(title)}</title>\n<style>\n{css}</style>\n"
-    yield "</head>\n<body>\n"
-    yield "\n".join(body)
-    yield f"\n{_embedded('data', data)}"
-    yield from (_embedded(f"data-{name}", part) for name, part in parts.items())
-    yield "<script>"
-    yield plotly_js
-    yield "</script>\n"
-    yield from (f"<script>\n{own_text(script)}</script>\n" for script in scripts)
-    yield "</body>\n</html>\n"
+    def text(self) -> str:
+        """The whole page."""
+        return "".join(self.pieces())
+
+    def pieces(self) -> Iterator[str]:
+        """The page piece by piece, for it is five megabytes."""
+        css = own_text("report/report.css") + (own_text(self.style) if self.style else "")
+        yield "<!doctype html>\n<html lang='en'>\n<head>\n<meta charset='utf-8'>\n"
+        yield f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">\n'
+        yield "<meta name='viewport' content='width=device-width, initial-scale=1'>\n"
+        yield f"<title>{escape(self.title)}</title>\n<style>\n{css}</style>\n"
+        yield "</head>\n<body>\n"
+        yield "\n".join(self.body)
+        yield f"\n{_embedded('data', self.data)}"
+        yield from (_embedded(f"data-{name}", part) for name, part in self.parts.items())
+        yield "<script>"
+        yield self.plotly_js
+        yield "</script>\n"
+        yield from (f"<script>\n{own_text(script)}</script>\n" for script in self.scripts)
+        yield "</body>\n</html>\n"
 
 
 def _embedded(name: str, values: Any) -> str:

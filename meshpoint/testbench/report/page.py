@@ -10,8 +10,8 @@ from meshpoint.testbench.report.comparison import ShiftGroup, cells, compare, ex
 from meshpoint.testbench.report.html import (
     NUMBER_CLASS,
     Cell,
+    Page,
     definitions,
-    document,
     table,
     table_row,
 )
@@ -40,7 +40,7 @@ def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
     figures: dict[str, Any] = data["shifts"]
     common = {key: value for key, value in data.items() if key != "shifts"}
     common["shifts"] = list(figures)
-    return document(report.title, body, common, plotly_js, SCRIPTS, parts=figures)
+    return Page(report.title, body, common, plotly_js, SCRIPTS, parts=figures).text()
 
 
 SCRIPTS: Final = ("report/teeth.js", "report/slow_motion.js", "report/report.js")

@@ -8,7 +8,7 @@ from typing import Final
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.report.html import document
+from meshpoint.testbench.report.html import Page
 from meshpoint.testbench.report.motion import geometry
 
 TITLE: Final = "meshpoint: meet the gap"
@@ -47,7 +47,7 @@ def write_play(path: Path, sheet: GearboxSheet) -> None:
         "gap that its sleeve can reach; what is left is the scatter of the delay. The real one has "
         "to estimate both from tooth timestamps.</p>",
     ]
-    text = document(TITLE, body, {"geometry": geometry(sheet)}, "", SCRIPTS)
+    text = Page(TITLE, body, {"geometry": geometry(sheet)}, "", SCRIPTS).text()
     try:
         path.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:

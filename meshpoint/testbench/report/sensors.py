@@ -13,8 +13,8 @@ from meshpoint.testbench.logs.sensor_replay import SensorReplay
 from meshpoint.testbench.report.html import (
     NUMBER_CLASS,
     Cell,
+    Page,
     definitions,
-    document,
     table,
     table_row,
 )
@@ -32,6 +32,7 @@ from meshpoint.testbench.report.layout import (
 from meshpoint.testbench.report.run import figure
 from meshpoint.testbench.report.write import report_provenance, write_page
 
+SCRIPTS: Final = ("report/report.js",)
 HEIGHT_PX: Final = 620
 MOST_MARKS: Final = 300
 """Requests drawn as lines; of more, lines alone would be seen."""
@@ -144,7 +145,7 @@ class SensorPage:
             definitions(report_provenance(self._sheet, log=self._log)),
         ]
         data = {"shifts": [], "overview": {"log": drawn} if drawn["data"] else {}}
-        write_page(path, lambda plotly: document(title, body, data, plotly, ["report/report.js"]))
+        write_page(path, lambda plotly: Page(title, body, data, plotly, SCRIPTS).text())
 
 
 def _table(head: list[Cell], rows: list[list[Cell]], none: str) -> str:

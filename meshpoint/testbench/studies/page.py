@@ -12,8 +12,8 @@ from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.report.html import (
     NUMBER_CLASS,
     Cell,
+    Page,
     definitions,
-    document,
     table,
     table_row,
 )
@@ -63,11 +63,9 @@ def write_page(path: Path, records: Sequence[StudyRecord], provenance: dict[str,
         for chart in record.finding.charts:
             drawn[f"{record.study}-{chart.name}"] = plotly_figure(chart)
     body += ["<h2>Provenance</h2>", definitions(provenance)]
-    text = document(
-        "meshpoint study", body, {"figures": drawn}, get_plotlyjs(), ["studies/page.js"]
-    )
+    page = Page("meshpoint study", body, {"figures": drawn}, get_plotlyjs(), ["studies/page.js"])
     try:
-        path.write_text(text, encoding="utf-8", newline="\n")
+        path.write_text(page.text(), encoding="utf-8", newline="\n")
     except OSError as error:
         raise CommandError(f"{path}: cannot be written: {error.strerror or error}") from error
 
