@@ -212,6 +212,7 @@ class ControllerCore:
         if read_us is not None:
             self._observer.clock.stamp(read_us, now_us)
         self._observer.pressed_nm = self._sequence.driveline.pressed_nm
+        self._observer.kiss_share = self._sequence.kiss.share
         self._observer.take(inputs, now_us, events)
         self._speeds.take(inputs, self._observer.clock.now_us(now_us))
         newest_engine = inputs.engine[-1] if inputs.engine else None

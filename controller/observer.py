@@ -12,6 +12,7 @@ from meshpoint.controller.estimation.crossing_tracker import CrossingTracker
 from meshpoint.controller.estimation.cruise import CruiseTracker
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels, LayshaftTracker
+from meshpoint.controller.estimation.loaded_driveline import Load, LoadedDriveline
 from meshpoint.controller.estimation.main_tracker import Behind, MainTracker
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.brake_input import BrakeInput
@@ -38,6 +39,7 @@ from meshpoint.controller.sensing.wheel_edges import (
     WheelEdges,
 )
 from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.j1939 import torque_share
 from meshpoint.dbc.messages import (
     EdgesInputFall,
     EdgesInputRise,
@@ -52,6 +54,7 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
+from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import US
 
 DRAGGED_US = 30_000
@@ -96,6 +99,11 @@ class Observer:
         self.brake = BrakeModel(sheet, tuning.gain_sd, tuning.drag_sd_nm)
         self.pressed_nm = 0.0
         """What is left in the shafts as a gear comes out (`DrivelineLook.pressed_nm`)."""
+        self.kiss_share = sheet.clutch.kiss_share
+        """Where the clutch's plates begin to carry, as far as it is known."""
+        self._loaded = LoadedDriveline(sheet)
+        self._torque_nm: float | None = None
+        """The engine's, as it said last."""
         self._learns = estimator is Estimator.CROSSING
         """The baselines know the data sheet and nothing more."""
         self.layshaft: LayshaftTracker
@@ -214,6 +222,7 @@ class Observer:
         self._see_whether_free(events)
         if jumped:
             layshaft, main, pressures = NO_EDGES, NO_EDGES, NO_SAMPLES
+            self._loaded.lose()
         else:
             self._read_geared(inputs, now_us)
         self._main.edges(main)
@@ -221,8 +230,28 @@ class Observer:
             # The filter cannot follow a synchroniser, which changes the speed by 400 rpm in 20 ms.
             self._main.lose_speed()
         self.layshaft.edges(layshaft, pressures)
+        self._see_load(inputs, layshaft, main)
         if self.recovery is not None:
             self.recovery.look(events, self._layshaft_wheel.sensor.renumbered)
+
+    def _see_load(self, inputs: StepInputs, layshaft: EdgeBatch, main: EdgeBatch) -> None:
+        """Follows what loads the gear in mesh."""
+        if inputs.engine:
+            said = inputs.engine[-1]
+            share, _ = torque_share(
+                said.actual_engine_torque_fraction, said.actual_engine_torque_fine_fraction
+            )
+            known = None if share is None else share * self._sheet.engine.reference_nm
+            self._torque_nm = known
+        view, tracker, shaft = self.view, self._crossing, self._main
+        gear, closed = DRIVE_GEARS.get(view.gear_number), view.clutch_closed
+        if tracker is None or not isinstance(shaft, MainTracker) or gear is None or tracker.free:
+            return
+        shafts, torque_nm = shaft.shafts(gear.range_), self._torque_nm
+        if shafts is None or torque_nm is None or closed is None:
+            return
+        load = Load(torque_nm, closed > self.kiss_share, tracker.own_drag_nm)
+        self._loaded.take(gear, tracker.placed(layshaft), shaft.placed(main), load, shafts)
 
     def _read_geared(self, inputs: StepInputs, now_us: int) -> None:
         """Input and propeller shaft, where they are fused."""
@@ -337,7 +366,9 @@ class Observer:
         was_free = self.layshaft.free
         self.layshaft.set_free(free, newest.time_us, events)
         if isinstance(self._main, MainTracker):
-            self._main.set_free(free, view.range_, events, view.oldest_us, self.pressed_nm)
+            self._main.set_free(
+                free, view.range_, events, view.oldest_us, self.pressed_nm, self._loaded
+            )
         if was_free and not free:
             self._model_layshaft()
 

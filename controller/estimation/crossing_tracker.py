@@ -101,6 +101,11 @@ class CrossingTracker(WheelTracker):
         return max(0.0, friction_nm - self._known.drag_nm.value)
 
     @property
+    def own_drag_nm(self) -> float:
+        """The same at its newest speed, of the gearbox alone."""
+        return self.drag_nm(float(self._filter.x[OMEGA]))
+
+    @property
     def disturbance(self) -> Disturbance:
         """The torques that the model leaves out, as learned."""
         return Disturbance(self.noise[TORQUE].value, self.noise[MEMORY].value)

@@ -23,6 +23,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.controller.estimation.edge_looks import grouped_counts
+from meshpoint.controller.estimation.loaded_driveline import BehindState, Shafts
 from meshpoint.controller.motion.lash_course import LashCourse
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
@@ -60,6 +62,12 @@ PRESSED: Final = 0.6
 """Share of the first cloud that is still pressed to the flank that the shafts' torque held;"""
 AROUND: Final = 1.15
 """the rest lies within the backlash and this much of its half beyond: flanks give way."""
+TOLD_SDS: Final = 2.0
+"""In gear a flank was pressed on, where the twist was beyond it by so many standard deviations;"""
+PRESSED_TOLD: Final = 0.9
+PRESSED_UNTOLD: Final = 0.5
+"""so much of the first cloud lies where it was found in gear, with a flank pressed on, and else."""
+GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)
 DOUBT_KEPT: Final = 0.9
 """Weight of what was doubted before against a new look."""
 LOST: Final = 9.0
@@ -99,6 +107,8 @@ class LashStart(NamedTuple):
     pressed_nm: float = 0.0
     """About what was left in the shafts, at the propeller shaft: above 0 at the flank of drive,
     below at that of coast, 0 unknown."""
+    behind: BehindState | None = None
+    """What the driveline was found to be while the gear was in mesh; None: it was not followed."""
 
 
 class LashFigures(NamedTuple):
@@ -155,6 +165,12 @@ class Lash:
         )
 
     @property
+    def shafts(self) -> Shafts:
+        """Stiffness and backlash as known, at the propeller shaft."""
+        stiff = math.exp(self.known.stiff_log) * self._turned_kgm2 / (self.ratio * self.ratio)
+        return Shafts(stiff, math.exp(self.known.half_log) * self.ratio)
+
+    @property
     def chance_rad2_s3(self) -> float:
         """Density of the noise by which torques of chance accelerate the shaft."""
         axle = self.axle
@@ -177,7 +193,22 @@ class Lash:
         x[DRAG] = np.maximum(np.exp(known.drag_log + known.drag_sd * sure[8]), LEAST_DRAG)
         x[TYRE_STIFF] = self._tyre_per_s2 * np.exp(axle.tyre_tolerance * sure[9])
         self._press(x, start.pressed_nm)
+        if start.behind is not None:
+            self._follow_on(x, start.behind)
         return x
+
+    def _follow_on(self, x: Vector, behind: BehindState) -> None:
+        """Starts from what the driveline was found to be in gear. Where it lies in its backlash is
+        not believed of all: half of them lie as the ramp says where no flank is pressed on."""
+        mean, root, half = behind
+        found = mean[:, np.newaxis] + root @ _normal()[1:6]
+        twist, ratio = found[0], self.ratio
+        beyond = twist - np.clip(twist, -half, half)
+        way = x[HALF] * (1.0 + (twist - beyond) / half) + beyond / ratio
+        told = abs(mean[0]) - half > TOLD_SDS * math.sqrt(float(root[0] @ root[0]))
+        share = PRESSED_TOLD if told else PRESSED_UNTOLD
+        x[WAY] = np.where(GOLDEN * np.arange(DRIVELINES) % 1.0 < share, way, x[WAY])
+        x[WHEELS], x[TYRE], x[VEHICLE], x[HILL] = found[1:] / ratio
 
     def _press(self, x: Vector, pressed_nm: float) -> None:
         """Places the drivelines between their flanks, and at the one that was pressed on."""
@@ -279,6 +310,7 @@ class LashCloud:
                 speed_rad_s=speed,
                 vehicle_rad_s=start.vehicle_rad_s + start.hill_rad_s2 * since_s,
                 pressed_nm=0.0,
+                behind=None,
             )
         )
 
@@ -311,10 +343,7 @@ class LashCloud:
         edges = edges[:, edges[0] > self.time_us]
         if not edges.size:
             return
-        group = np.floor((edges[0] - edges[0, 0]) / LOOK_US)
-        _, first, count = np.unique(group, return_index=True, return_counts=True)
-        times = np.add.reduceat(edges[0], first) / count
-        angles = np.add.reduceat(edges[1], first) / count
+        times, angles, count = grouped_counts(edges, LOOK_US)
         jitter_rad = float(self._x[SPEED, 0]) * self._edge_time_s
         variances = (tooth_rad**2 + jitter_rad**2) / count
         for time_us, angle_rad, variance in zip(times, angles, variances, strict=True):

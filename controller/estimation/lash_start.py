@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.estimation.lash_cloud import LashStart
+from meshpoint.controller.estimation.loaded_driveline import BehindState
 from meshpoint.controller.records import Vector
 from meshpoint.units import US
 
@@ -41,6 +42,7 @@ class StartWatch:
         """The newest edge of each batch: time (us) and angle (rad)."""
         self._since_us = 0.0
         self._pressed_nm = 0.0
+        self._behind: BehindState | None = None
         self._vehicle: tuple[float, float] | None = None
         self.waiting: Vector = np.empty((2, 0))
         """Edges since the gear came out, until they were enough."""
@@ -61,9 +63,11 @@ class StartWatch:
         """A window in neutral has told the vehicle's speed, at the main shaft."""
         self._vehicle = (time_us, speed_rad_s)
 
-    def released(self, since_us: float, pressed_nm: float = 0.0) -> None:
-        """A gear came out no later than this; pressed_nm: as in `LashStart`."""
-        self._since_us, self._pressed_nm = since_us, pressed_nm
+    def released(
+        self, since_us: float, pressed_nm: float = 0.0, behind: BehindState | None = None
+    ) -> None:
+        """A gear came out no later than this; the others: as in `LashStart`."""
+        self._since_us, self._pressed_nm, self._behind = since_us, pressed_nm, behind
         self.waiting = np.empty((2, 0))
 
     def take_out(self, edges: Vector, vehicle_sds: tuple[float, float]) -> LashStart | None:
@@ -79,7 +83,9 @@ class StartWatch:
         before = before[:, before[0] <= self._since_us]
         kept, self._vehicle = self._vehicle, None
         self._in_gear.clear()
-        start = LashStart(self._since_us, angle, speed, speed, pressed_nm=self._pressed_nm)
+        start = LashStart(
+            self._since_us, angle, speed, speed, pressed_nm=self._pressed_nm, behind=self._behind
+        )
         if kept is not None and self._since_us - kept[0] < KEPT_US:
             return start._replace(vehicle_rad_s=kept[1])
         if before.shape[1] < 2 or before[0, -1] - before[0, 0] < LEAST_FIT_US:

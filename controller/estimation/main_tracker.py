@@ -21,6 +21,7 @@ from meshpoint.controller.estimation.lash_cloud import Lash, LashCloud
 from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Prediction
 from meshpoint.controller.estimation.lash_start import StartWatch
 from meshpoint.controller.estimation.likelihood import prior, restored
+from meshpoint.controller.estimation.loaded_driveline import LoadedDriveline, Shafts
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.estimation.wheel_tracker import HEED, STRUCK_RAD_S, WheelTracker
 from meshpoint.controller.motion.kernels import OMEGA, THETA
@@ -144,6 +145,13 @@ class MainTracker(WheelTracker):
     def _has_lash(self) -> bool:
         return self._rivals[self._range].believes_lash
 
+    def shafts(self, step: Range) -> Shafts | None:
+        """The shafts behind, as far as they are known; None where a step of the range shows no
+        backlash, so that nobody asks how it is loaded."""
+        if not self._rivals[step].tries_lash:
+            return None
+        return self._lashes[step].shafts
+
     def record(self, step: Range) -> SwingRecord | None:
         """What a calibration file keeps of the driveline in a step of the range."""
         has_lash = self._rivals[step].believes_lash
@@ -169,15 +177,20 @@ class MainTracker(WheelTracker):
         events: list[str],
         since_us: float = 0.0,
         pressed_nm: float = 0.0,
+        loaded: LoadedDriveline | None = None,
     ) -> None:
         """Whether it turns with the vehicle alone, surely so since a time; its teeth and its swing
-        are learned then. pressed_nm: what is left in the shafts (`LashStart`)."""
+        are learned then. pressed_nm: what is left in the shafts (`LashStart`); loaded: what was
+        seen of the driveline while the gear was in mesh."""
         if free and not self._free and self._running and range_ is not None:
-            self._begin_free(range_, since_us, pressed_nm)
+            since_us = max(since_us, self._filter.time_us)
+            behind = None if loaded is None else loaded.behind(since_us)
+            self._before.released(since_us, pressed_nm, behind)
+            self._begin_free(range_)
         elif not free and self._free:
             self._end_free(events)
 
-    def _begin_free(self, range_: Range, since_us: float, pressed_nm: float) -> None:
+    def _begin_free(self, range_: Range) -> None:
         state, swing = self._filter, self._swings[range_]
         self._in_gear.pause()
         state.forget_past()
@@ -192,7 +205,6 @@ class MainTracker(WheelTracker):
         swing.start(x, p)
         time_us = state.time_us
         state.begin(time_us, x, p)
-        self._before.released(max(since_us, time_us), pressed_nm)
         self._rivals[range_].begin()
         self._began = (time_us, x.copy(), p.copy())
         self._start_p = p

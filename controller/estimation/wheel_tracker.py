@@ -83,6 +83,10 @@ class WheelTracker(ABC):
         """Time of the newest edge used; 0 before there was one."""
         return self._filter.time_us
 
+    def placed(self, batch: EdgeBatch) -> Vector:
+        """Times (us) and angles (rad) of edges as their teeth are known, (2, n)."""
+        return self.teeth.edges(batch, self.teeth.place(batch))
+
     def _take(
         self,
         batch: EdgeBatch,

@@ -82,10 +82,9 @@ def geared_bodies(
 ) -> GearedBodies:
     """The bodies of a drive gear, with what is known of shafts and vehicle; drag_nm: of the free
     gearbox, at the layshaft."""
-    ratio, shafts = sheet.overall_ratio(gear), sheet.shafts
+    ratio = sheet.overall_ratio(gear)
     layshaft = ratio * sheet.split_mesh(gear.split).ratio
-    engine = (sheet.engine.inertia_kgm2 + shafts.input_inertia_kgm2) * ratio**2
-    engine += shafts.layshaft_inertia_kgm2 * layshaft**2
+    engine = sheet.engine.inertia_kgm2 * ratio**2 + sheet.geared_kgm2(gear)
     return GearedBodies(ratio, engine, known, _harmless_nm(sheet, gear), layshaft * drag_nm)
 
 

@@ -96,6 +96,11 @@ class Axle:
     """Standard deviation of chance torques on the propeller shaft."""
     chance_s: float = quantity("chance_ms", 1.0, 1e4, MS, default=50.0 * MS)
     """How long a chance torque lasts."""
+    road_chance_nm: float = quantity("road_chance_nm", 0.0, 1e3, default=25.0)
+    """Standard deviation of an uneven road's torque on the driven wheels: some hundredths of the
+    rolling resistance,"""
+    road_chance_s: float = quantity("road_chance_ms", 1.0, 1e4, MS, default=80.0 * MS)
+    """and how long it lasts."""
 
 
 @dataclass(frozen=True)
@@ -108,5 +113,7 @@ class Engine:
     """By how much that may differ, from engine to engine."""
     reference_nm: float = quantity("reference_nm", 50.0, 2e4, default=2500.0)
     """The torque that the percentages of EEC1 and TSC1 are of (J1939-71, SPN 544)."""
+    error_nm: float = quantity("torque_error_nm", 0.1, 500.0, default=6.0)
+    """Standard deviation of the torque that EEC1 says, beside what inertia and steps explain."""
     lag_s: float = quantity("lag_ms", 1.0, 1000.0, MS, default=80.0 * MS)
     """Time constant with which its torque follows what it is asked for, at most."""

@@ -329,6 +329,14 @@ class GearboxSheet:
         ratio = self.split_mesh(split).ratio
         return self.shafts.layshaft_inertia_kgm2 + self.shafts.input_inertia_kgm2 / ratio**2
 
+    def geared_kgm2(self, gear: DriveGear) -> float:
+        """Inertia of input shaft and layshaft with a gear in mesh, felt at the propeller shaft."""
+        input_ratio = self.overall_ratio(gear)
+        layshaft_ratio = input_ratio * self.split_mesh(gear.split).ratio
+        shafts = self.shafts
+        turned = shafts.input_inertia_kgm2 * input_ratio**2
+        return turned + shafts.layshaft_inertia_kgm2 * layshaft_ratio**2
+
     @property
     def brake_nm_per_pa(self) -> float:
         """C_db of thesis 4.4 on gauge pressure, unsigned: the torque acts against rotation."""

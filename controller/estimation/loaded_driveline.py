@@ -1,0 +1,253 @@
+"""The driveline with a gear in mesh: what the shafts carry, and how fast the vehicle is.
+
+A Kalman filter over the layshaft's angles in gear, with the torque that the engine says it gives
+(`loaded_kernels`). When the gear comes out, it tells where the driveline begins its way through the
+backlash: the shafts' twist, the wheels, the tyres and the vehicle, which no sensor sees.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.estimation.edge_looks import grouped
+from meshpoint.controller.estimation.loaded_kernels import (
+    GEAR,
+    GEAR_SPEED,
+    HILL,
+    LOADED_MODEL,
+    LOADED_STATES,
+    TWIST,
+    TYRE,
+    VEHICLE,
+    VEHICLE_INVERSE,
+    WHEELS,
+    WRONG,
+    loaded_ahead,
+)
+from meshpoint.controller.records import Vector, filled
+from meshpoint.gearbox import DriveGear, GearboxSheet
+from meshpoint.units import US
+
+LOOK_US: Final = 4000.0
+"""Edges within this are taken together, as in the cloud of drivelines."""
+FIRST_LOOKS: Final = 8
+"""A line through so many gives angle and speed at the start."""
+LEAST_S: Final = 0.3
+"""It says nothing before it has followed a gear for so long."""
+LATE_S: Final = 0.1
+"""Nor so long after its newest look."""
+LEAST_EDGES: Final = 3
+"""Fewer of a shaft in a step say nothing of its speed."""
+LOOK_RAD: Final = math.radians(0.1)
+"""Standard deviation of a look at the gear, at the main shaft: it lies anywhere in the backlash of
+its mesh."""
+MOST_OFF: Final = 4.0
+"""A look that is further off, in standard deviations, counts as so far off."""
+LOST: Final = 25.0
+"""Mean square of how far off looks are, in variances, with which it has lost the driveline."""
+DOUBT_KEPT: Final = 0.9
+"""Weight of what was doubted before against a new look."""
+START_NM: Final = 1000.0
+"""What the shafts may carry beyond what the engine says, before anything was seen."""
+START_RAD: Final = 0.02
+"""Standard deviation of the first angle (rad),"""
+START_RAD_S: Final = 0.4
+"""and of the speeds of gear, wheels and vehicle, which are taken to be alike (rad/s)."""
+OPEN_NM: Final = 2.0
+"""Drag of the clutch's open plates, at the crankshaft."""
+WRONG_S: Final = 0.2
+"""What its torque is taken for wrongly lasts for so long: a fifth of a second is a swing."""
+SHAFT_NMS: Final = 10.0
+"""Damping of the shafts (Nm s/rad): 3 % of critical and more are published (docs/gearbox.md)."""
+HILL_S: Final = 40.0
+"""A slope lasts for so long: some hundred metres of road."""
+FADING_SHARE: Final = 0.4
+"""How far tyres' relaxation lengths differ: slip stiffness over longitudinal stiffness is 0.43 to
+0.82 m from a light to a heavy load (docs/gearbox.md)."""
+FADING_MEMORY_S: Final = 1.0
+"""Error of that changes with load and slip within a ramp."""
+DOUBTED: Final = 1.5
+"""Variances count as so many times as large: stiffness and tyres differ from those of the sheet."""
+
+BEHIND: Final = (TWIST, WHEELS, TYRE, VEHICLE, HILL)
+
+
+class Load(NamedTuple):
+    """What loads the gear, as known in one step."""
+
+    torque_nm: float
+    """Of the engine, at the crankshaft."""
+    carries: bool
+    """Whether the clutch's plates carry it."""
+    drag_nm: float
+    """Of the free gearbox, at the layshaft."""
+
+
+class Shafts(NamedTuple):
+    """What is known of the shafts behind, at the propeller shaft."""
+
+    stiffness_nm_rad: float
+    half_lash_rad: float
+
+
+class BehindState(NamedTuple):
+    """The driveline behind a gearbox at a time, at the propeller shaft: the shafts' twist from the
+    middle of their backlash (rad), the wheels' speed (rad/s), the tyres' twist (rad), the vehicle's
+    speed (rad/s) and what hills do to it (rad/s2)."""
+
+    mean: Vector
+    """(5,)"""
+    root: Vector
+    """A root of their covariance, (5, 5)."""
+    half_lash_rad: float
+    """Half of the backlash by which it was found."""
+
+
+class LoadedDriveline:
+    """Follows the driveline while a gear is in mesh."""
+
+    def __init__(self, sheet: GearboxSheet) -> None:
+        self._sheet = sheet
+        self._gear: DriveGear | None = None
+        self._carried = False
+        self._model = np.zeros(0)
+        self._x, self._p = np.zeros(LOADED_STATES), np.zeros((LOADED_STATES, LOADED_STATES))
+        least, most = sheet.driveline.vehicle_kgm2
+        self._inverses = (1.0 / most, 1.0 / least)
+        self.lose()
+
+    def lose(self) -> None:
+        """Teeth or times were lost: begins anew with the next looks."""
+        self._first: list[tuple[float, float]] = []
+        self._running, self._apart = False, math.nan
+        self._time_us = self._began_us = 0.0
+        self._doubt = 1.0
+
+    def take(
+        self, gear: DriveGear | None, layshaft: Vector, main: Vector, load: Load, shafts: Shafts
+    ) -> None:
+        """One step's edges of both shafts, times (us) and angles (rad), (2, n), in order of time.
+        gear: the one in mesh; None: none is, or it is not known."""
+        if gear is None or layshaft.shape[1] < LEAST_EDGES or main.shape[1] < LEAST_EDGES:
+            return
+        if gear is not self._gear:
+            self._gear = gear
+            self.lose()
+        sheet = self._sheet
+        behind = sheet.range_mesh(gear.range_).ratio
+        edges = np.array((layshaft[0], layshaft[1] * behind * sheet.main_mesh(gear.main).ratio))
+        tooth = _apart(edges, main[0], behind * main[1])
+        self._apart = tooth if math.isnan(self._apart) else self._apart
+        self._load(gear, load, shafts, tooth - self._apart)
+        for time_us, angle in zip(*grouped(edges, LOOK_US), strict=True):
+            if not self._running:
+                self._begin(float(time_us), float(angle), gear, shafts)
+            elif time_us > self._time_us:
+                self._look(float(time_us), float(angle), LOOK_RAD * behind)
+
+    def _load(self, gear: DriveGear, load: Load, shafts: Shafts, tooth_rad: float) -> None:
+        """What the kernel takes as known in this step."""
+        sheet, axle = self._sheet, self._sheet.axle
+        behind, ratio = sheet.range_mesh(gear.range_).ratio, sheet.overall_ratio(gear)
+        layshaft = ratio * sheet.split_mesh(gear.split).ratio
+        turned = axle.propeller_kgm2 + axle.main_kgm2 / behind**2
+        turned += sheet.geared_kgm2(gear)
+        drag_nm = layshaft * load.drag_nm + axle.pinion_nm + axle.loose_nm / behind
+        driving_nm, wrong_nm = -drag_nm, OPEN_NM
+        if load.carries:
+            turned += sheet.engine.inertia_kgm2 * ratio**2
+            driving_nm, wrong_nm = ratio * load.torque_nm - drag_nm, sheet.engine.error_nm
+        elif self._carried and self._running:
+            # The plates have parted: what the engine's torque was taken for wrongly is gone.
+            self._x[WRONG], self._p[WRONG, :], self._p[:, WRONG] = 0.0, 0.0, 0.0
+            self._p[WRONG, WRONG] = (ratio * OPEN_NM) ** 2
+        self._carried = load.carries
+        chance = 2.0 * axle.propeller_chance_nm**2 * axle.chance_s
+        road = 2.0 * axle.road_chance_nm**2 * axle.road_chance_s
+        self._model = filled(
+            LOADED_MODEL,
+            geared_kgm2=turned,
+            driving_nm=driving_nm,
+            tooth_rad=tooth_rad,
+            shaft_nm_rad=shafts.stiffness_nm_rad,
+            shaft_nms=SHAFT_NMS,
+            half_lash_rad=shafts.half_lash_rad,
+            wheels_kgm2=axle.wheels_kgm2,
+            tyre_nm_rad=axle.tyre_nm_rad,
+            tyre_nms=axle.tyre_nms,
+            relaxation_rad=axle.relaxation_rad,
+            wrong_nm=ratio * wrong_nm,
+            wrong_s=WRONG_S,
+            gear_rad2_s3=chance / turned**2,
+            wheels_rad2_s3=road / axle.wheels_kgm2**2,
+            hill_rad2_s5=2.0 * axle.vehicle_rad_s2**2 / HILL_S,
+            fading_s=2.0 * FADING_SHARE**2 * FADING_MEMORY_S,
+        )
+
+    def _begin(self, time_us: float, angle: float, gear: DriveGear, shafts: Shafts) -> None:
+        """Collects the first looks, and starts from a line through them: the shafts may carry
+        anything, the vehicle may be anyone's of the sheet."""
+        self._first.append((time_us, angle))
+        if len(self._first) < FIRST_LOOKS:
+            return
+        looks, axle = np.array(self._first), self._sheet.axle
+        speed, start = np.polyfit((looks[:, 0] - time_us) * US, looks[:, 1], 1).tolist()
+        least, most = self._inverses
+        x, self._p = self._x, np.zeros((LOADED_STATES, LOADED_STATES))
+        x[:] = 0.0
+        x[GEAR], x[[GEAR_SPEED, WHEELS, VEHICLE]] = start, speed
+        x[VEHICLE_INVERSE] = 0.5 * (least + most)
+        sds = np.empty(LOADED_STATES)
+        sds[GEAR], sds[GEAR_SPEED], sds[[WHEELS, VEHICLE]] = START_RAD, START_RAD_S, START_RAD_S
+        sds[TWIST] = shafts.half_lash_rad + START_NM / shafts.stiffness_nm_rad
+        sds[TYRE], sds[HILL] = START_NM / axle.tyre_nm_rad, axle.vehicle_rad_s2
+        sds[WRONG] = self._sheet.overall_ratio(gear) * self._sheet.engine.error_nm
+        sds[VEHICLE_INVERSE] = (most - least) / math.sqrt(12.0)
+        self._p[np.diag_indices(LOADED_STATES)] = sds**2
+        self._time_us = self._began_us = time_us
+        self._doubt, self._running = 1.0, True
+
+    def _look(self, time_us: float, angle: float, sd_rad: float) -> None:
+        x, p = self._x, self._p
+        loaded_ahead(x, p, (time_us - self._time_us) * US, self._model)
+        self._time_us = time_us
+        off, variance = angle - x[GEAR], p[GEAR, GEAR] + sd_rad**2
+        square = off * off / variance
+        self._doubt = DOUBT_KEPT * self._doubt + (1.0 - DOUBT_KEPT) * square
+        if not self._doubt < LOST:  # nor where it is no number
+            self.lose()
+            return
+        gain = p[:, GEAR] / (variance * max(1.0, square / MOST_OFF**2))
+        x += gain * off
+        p -= np.outer(gain, p[GEAR])
+        p[:] = 0.5 * (p + p.T)
+        x[VEHICLE_INVERSE] = min(max(x[VEHICLE_INVERSE], self._inverses[0]), self._inverses[1])
+
+    def behind(self, time_us: float) -> BehindState | None:
+        """The driveline behind the gearbox at a time soon after the newest look; None where the
+        gear was not followed for long enough."""
+        ahead_s, followed_s = (time_us - self._time_us) * US, (self._time_us - self._began_us) * US
+        if not self._running or followed_s < LEAST_S or not 0.0 <= ahead_s < LATE_S:
+            return None
+        x, p, model = self._x.copy(), self._p.copy(), self._model
+        loaded_ahead(x, p, ahead_s, model)
+        shared = DOUBTED * p[np.ix_(BEHIND, BEHIND)]
+        values, vectors = np.linalg.eigh(shared)
+        mean = x[list(BEHIND)]
+        if not (np.isfinite(values).all() and np.isfinite(mean).all()):
+            return None
+        half, tooth = (model.view(LOADED_MODEL)[name][0] for name in ("half_lash_rad", "tooth_rad"))
+        mean[0] += tooth
+        return BehindState(mean, vectors * np.sqrt(np.maximum(values, 0.0)), float(half))
+
+
+def _apart(edges: Vector, times_us: Vector, angles: Vector) -> float:
+    """How far the mean of some angles lies from the line through the edges (2, n)."""
+    middle_us, middle = edges.mean(axis=1)
+    waits = edges[0] - middle_us
+    slope = float(waits @ (edges[1] - middle)) / float(waits @ waits)
+    along: float = middle + slope * (times_us.mean() - middle_us)
+    return float(angles.mean()) - along
