@@ -25,7 +25,7 @@ import numpy as np
 
 from meshpoint.controller.estimation.edge_looks import grouped_counts
 from meshpoint.controller.estimation.loaded_driveline import BehindState, Shafts
-from meshpoint.controller.motion.lash_course import LashCourse
+from meshpoint.controller.motion.lash_course import Chance, LashCourse
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
     DRAG,
@@ -171,11 +171,11 @@ class Lash:
         return Shafts(stiff, math.exp(self.known.half_log) * self.ratio)
 
     @property
-    def chance_rad2_s3(self) -> float:
-        """Density of the noise by which torques of chance accelerate the shaft."""
+    def chance(self) -> Chance:
+        """How torques of chance accelerate the shaft."""
         axle = self.axle
         nm = math.hypot(axle.main_chance_nm, self.ratio * axle.propeller_chance_nm)
-        return 2.0 * (nm / self._turned_kgm2) ** 2 * axle.chance_s
+        return Chance(2.0 * (nm / self._turned_kgm2) ** 2 * axle.chance_s, axle.chance_s)
 
     def cloud(self, start: LashStart) -> Vector:
         """The first cloud, (ROWS, DRIVELINES)."""
@@ -282,7 +282,7 @@ class LashCloud:
         self._recent: deque[tuple[float, float]] = deque(maxlen=RECENT)
         """Times (us) and angles of the newest looks."""
         self._model = lash.model(start.speed_rad_s)
-        self._chance_rad2_s3 = lash.chance_rad2_s3
+        self._chance = lash.chance
         self._edge_time_s = edge_time_s
         self._drawn = 0
         self.time_us = start.time_us
@@ -356,7 +356,7 @@ class LashCloud:
     def _look(self, seconds: float, angle_rad: float, variance: float) -> None:
         x = self._x
         move(x, seconds, self._model)
-        p = spread(self._p, seconds, self._chance_rad2_s3)
+        p = spread(self._p, seconds, self._chance.rad2_s3)
         whole = float(p[0, 0]) + variance
         gain = p[:, 0] / whole
         off = angle_rad - x[ANGLE]
@@ -404,7 +404,7 @@ class LashCloud:
             return None
         followed = self._x[:, _drawn(self.weights, FOLLOWED)]
         doubt = math.sqrt(max(1.0, self._doubt))
-        own = (self._p, self._chance_rad2_s3)
+        own = (self._p, self._chance)
         return LashCourse(followed, self._model, own, half_gap_rad, doubt)
 
 

@@ -18,7 +18,9 @@ LUCK: Final = 0.05
 FORGET: Final = 0.8
 """Weight of earlier windows against a new one."""
 BELIEVED: Final = 5.0
-"""Backlash is believed where it is likelier by e to half of this;"""
+"""Backlash is believed where it is likelier by e to half of this, and from then on"""
+DOUBTED: Final = 0.0
+"""until it is no likelier any more;"""
 LEAST_WINDOWS: Final = 3
 """not after the first two windows, in which the linear swing has little but its priors;"""
 MOST_A_WINDOW: Final = 8.0
@@ -44,6 +46,7 @@ class LashRivals:
         self._windows = 0
         """How many have ended."""
         self._tried = True
+        self._believed = False
         self._window = 0.0
         self._open: list[tuple[float, Prediction, Prediction]] = []
         self._newest: tuple[float, float] | None = None
@@ -51,7 +54,7 @@ class LashRivals:
     @property
     def believes_lash(self) -> bool:
         """Whether the backlash has predicted better so far."""
-        return self._windows >= LEAST_WINDOWS and self._for_lash > BELIEVED
+        return self._believed
 
     @property
     def tries_lash(self) -> bool:
@@ -62,6 +65,7 @@ class LashRivals:
         """Starts from what an earlier run believed."""
         self._for_lash = 2.0 * BELIEVED if has_lash else 0.0
         self._windows = LEAST_WINDOWS if has_lash else 0
+        self._believed = has_lash
 
     def begin(self) -> None:
         """A window begins."""
@@ -95,6 +99,8 @@ class LashRivals:
         told = min(max(self._window * STEP_SHARE, -MOST_A_WINDOW), MOST_A_WINDOW)
         self._for_lash = FORGET * self._for_lash + told
         self._tried = self._for_lash > (REJECTED if self._tried else RETRIED)
+        enough = self._for_lash > (DOUBTED if self._believed else BELIEVED)
+        self._believed = self._windows >= LEAST_WINDOWS and enough
 
 
 STEP_SHARE: Final = 20_000.0 / AHEAD_US

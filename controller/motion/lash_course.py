@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from statistics import NormalDist
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -28,6 +28,23 @@ _TABLE: Final = np.linspace(0.0, MOST_SURE, 400)
 _WIDTHS: Final = np.array([NormalDist().inv_cdf(0.5 + 0.5 * share) for share in _TABLE.tolist()])
 
 
+class Chance(NamedTuple):
+    """Accelerations of chance that last for a while (Ornstein-Uhlenbeck)."""
+
+    rad2_s3: float
+    """Their density at low frequencies, 2 sigma^2 tau,"""
+    memory_s: float
+    """and tau."""
+
+    def theta_rad2(self, wait_s: Vector) -> Vector:
+        """Variance of an angle after some time:
+
+        int int (t - u)(t - v) sigma^2 exp(-|u - v| / tau) du dv over 0..t"""
+        shares = wait_s / self.memory_s
+        grown = 2.0 / 3.0 * shares**3 - shares**2 + 2.0 - 2.0 * (1.0 + shares) * np.exp(-shares)
+        return np.asarray(0.5 * self.rad2_s3 * self.memory_s**3 * np.maximum(grown, 0.0))
+
+
 class LashCourse:
     """The course of a main shaft from a time on: what `Swing` is for a linear one.
 
@@ -38,16 +55,16 @@ class LashCourse:
         self,
         x: Vector,
         model: LashModel,
-        spread: tuple[Vector, float],
+        spread: tuple[Vector, Chance],
         half_gap_rad: float,
         doubt: float = 1.0,
     ) -> None:
         """x: drivelines (ROWS, n), all alike in weight, at the course's time; they are moved.
-        spread: covariance of angle, speed and drag in each (3, 3), and the density of the noise
-        that accelerates the shaft (rad2/s3). doubt: how many times as far off as they let expect
+        spread: covariance of angle, speed and drag in each (3, 3), and the chance by which the
+        shaft is accelerated. doubt: how many times as far off as they let expect
         the drivelines have been."""
         self._half_gap_rad = half_gap_rad
-        self._p, self._chance_rad2_s3 = spread
+        self._p, self._chance = spread
         self.hill_rad_s2 = float(x[HILL].mean())
         """The vehicle's acceleration at the main shaft."""
         self.speed_rad_s = float((x[SPEED] - x[VEHICLE]).mean())
@@ -70,7 +87,7 @@ class LashCourse:
         """Variance of the angle ahead in one driveline."""
         p = self._p
         found = p[0, 0] + wait_s * (2.0 * p[0, 1] + wait_s * (p[1, 1] - p[0, 2]))
-        found = found + wait_s**3 * (self._chance_rad2_s3 / 3.0 - p[1, 2])
+        found = found + self._chance.theta_rad2(wait_s) - wait_s**3 * p[1, 2]
         found = found + 0.25 * wait_s**4 * p[2, 2] + LEAST_SD_RAD**2
         return np.asarray(np.maximum(found, LEAST_SD_RAD**2))
 
