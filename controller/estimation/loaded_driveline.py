@@ -39,7 +39,7 @@ LEAST_S: Final = 0.3
 """It says nothing before it has followed a gear for so long."""
 LATE_S: Final = 0.1
 """Nor so long after its newest look."""
-LEAST_EDGES: Final = 3
+LEAST_EDGES: Final = 4
 """Fewer of a shaft in a step say nothing of its speed."""
 LOOK_RAD: Final = math.radians(0.1)
 """Standard deviation of a look at the gear, at the main shaft: it lies anywhere in the backlash of

@@ -20,6 +20,7 @@ from meshpoint.controller.estimation.lash_cloud import (
 )
 from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Prediction
 from meshpoint.controller.estimation.lash_start import StartWatch, vehicle_course
+from meshpoint.controller.estimation.loaded_driveline import BehindState
 from meshpoint.controller.estimation.main_tracker import MainTracker
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
@@ -272,6 +273,46 @@ def test_the_model_that_predicts_better_is_believed_and_forgotten_again() -> Non
             rivals.judge(edges, HALF_GAP_RAD)
             rivals.end()
         assert rivals.believes_lash is believed
+
+
+def test_a_backlash_that_was_believed_is_doubted_only_where_it_is_no_likelier_any_more() -> None:
+    """Windows that speak for it a little less each do not take it back."""
+    rivals = LashRivals()
+    edges = np.array([[0.0, AHEAD_US, 2.0 * AHEAD_US], [1.0, 1.0, 1.0]])
+    near, fair, far = Prediction(1.0, 0.01), Prediction(1.0, 0.014), Prediction(1.2, 0.05)
+    believed = []
+    for swing, lash in [(far, near)] * 3 + [(fair, near)] * 12 + [(near, far)] * 4:
+        rivals.begin()
+        for tick in range(4):
+            rivals.predict(1e4 * tick, swing, lash)
+        rivals.judge(edges, HALF_GAP_RAD)
+        rivals.end()
+        believed.append(rivals.believes_lash)
+    assert believed[2:15] == [True] * 13
+    assert not believed[-1]
+
+
+@pytest.mark.parametrize(("twist_rad", "told"), [(0.06, True), (0.01, False)])
+def test_a_cloud_begins_where_the_driveline_was_found_in_gear(twist_rad: float, told: bool) -> None:
+    """With a flank pressed on nine tenths of it are there; amid the backlash half of it is."""
+    lash = Lash(AXLE, BACKLASH.backlash_rad, BACKLASH.backlash_factor, RATIO)
+    half = lash.shafts.half_lash_rad
+    mean, sds = np.array((twist_rad, 15.2, 0.004, 15.0, -0.5)), (0.002, 0.05, 1e-3, 0.02, 0.2)
+    behind = BehindState(mean, np.diag(sds), half)
+    start = LashStart(0.0, 0.0, 60.0, 60.0, behind=behind)
+    x = lash.cloud(start)
+    for row, k in ((WHEELS, 1), (TYRE, 2), (VEHICLE, 3), (HILL, 4)):
+        assert x[row].mean() * RATIO == pytest.approx(mean[k], abs=0.1 * sds[k])
+        assert x[row].std() * RATIO == pytest.approx(sds[k], rel=0.1)
+    # The shafts' twist beyond their flank is theirs, whatever the backlash turns out to be.
+    twist = (x[WAY] - x[HALF]) * RATIO
+    if told:
+        beyond = twist - x[HALF] * RATIO
+        found = np.abs(beyond - (twist_rad - half)) < 3.0 * sds[0]
+        assert 0.88 < found.mean() < 0.97
+    else:
+        found = np.abs(twist / (x[HALF] * RATIO) - twist_rad / half) < 3.0 * sds[0] / half
+        assert 0.5 < found.mean() < 0.75
 
 
 def test_the_vehicle_s_course_is_what_the_shaft_swings_about_in_gear() -> None:

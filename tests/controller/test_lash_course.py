@@ -15,6 +15,7 @@ from meshpoint.controller.motion.lash_course import (
     MOST_TICKS,
     STEP_S,
     STEPS,
+    Chance,
     LashCourse,
 )
 from meshpoint.controller.motion.lash_motion import (
@@ -37,7 +38,7 @@ MODEL = LashModel(wheels_share=0.25, tyre_per_s=4.0, fading_per_s=17.0)
 HALF_GAP_RAD = math.radians(0.95)
 SPREAD: Vector = np.array(((4e-6, 2e-5, -1e-5), (2e-5, 0.01, 0.02), (-1e-5, 0.02, 0.3)))
 """Of angle, speed and drag."""
-CHANCE_RAD2_S3 = 0.8
+CHANCE = Chance(0.8, 0.03)
 
 
 def turning(speeds: list[float], angles: list[float] | None = None) -> Vector:
@@ -51,13 +52,32 @@ def turning(speeds: list[float], angles: list[float] | None = None) -> Vector:
 
 
 def course_of(x: Vector, spread: Vector = SPREAD, doubt: float = 1.0) -> LashCourse:
-    return LashCourse(x, MODEL, (spread, CHANCE_RAD2_S3), HALF_GAP_RAD, doubt)
+    return LashCourse(x, MODEL, (spread, CHANCE), HALF_GAP_RAD, doubt)
 
 
 def variance_after(seconds: float, spread: Vector = SPREAD) -> float:
-    """Of angle + speed t - drag t^2 / 2, with white noise of the acceleration."""
+    """Of angle + speed t - drag t^2 / 2, and of chance."""
     by = np.array((1.0, seconds, -(seconds**2) / 2.0))
-    return float(by @ spread @ by) + CHANCE_RAD2_S3 * seconds**3 / 3.0 + LEAST_SD_RAD**2
+    return float(by @ spread @ by) + variance_by_chance(seconds) + LEAST_SD_RAD**2
+
+
+def variance_by_chance(seconds: float) -> float:
+    """What accelerations that last for a while make of an angle: their covariance, summed."""
+    at = np.linspace(0.0, seconds, 801)
+    left = seconds - at
+    together = np.exp(-np.abs(at[:, np.newaxis] - at) / CHANCE.memory_s)
+    variance = CHANCE.rad2_s3 / (2.0 * CHANCE.memory_s)
+    summed = np.trapezoid(np.trapezoid(np.outer(left, left) * together, at, axis=0), at)
+    return float(variance * summed)
+
+
+@pytest.mark.parametrize("seconds", [1e-3, 0.02, 0.1, 1.0])
+def test_chance_is_white_over_long_times_and_steady_over_short_ones(seconds: float) -> None:
+    found = float(CHANCE.theta_rad2(np.array(seconds)))
+    assert found == pytest.approx(variance_by_chance(seconds), rel=2e-3)
+    white = CHANCE.rad2_s3 * seconds**3 / 3.0
+    steady = CHANCE.rad2_s3 / (2.0 * CHANCE.memory_s) * seconds**4 / 4.0
+    assert found < min(white, steady) * (1.0 + 1e-6)
 
 
 def deviation_within_a_gap(share: float) -> float:
@@ -78,7 +98,7 @@ def test_where_the_figures_would_make_an_angle_surer_than_bearings_let_it_be_it_
     """Speed and drag that are thought to make good for each other."""
     pulled = np.zeros((3, 3))
     pulled[0, 1] = pulled[1, 0] = -1e-3
-    course = LashCourse(turning([60.0] * 3), MODEL, (pulled, 0.0), 4.0 * LEAST_SD_RAD)
+    course = LashCourse(turning([60.0] * 3), MODEL, (pulled, Chance(0.0, 0.03)), 4.0 * LEAST_SD_RAD)
     assert course.theta_sd_ahead(0.05) >= LEAST_SD_RAD
 
 
