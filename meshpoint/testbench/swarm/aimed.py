@@ -68,6 +68,9 @@ def _unlinked(state: str) -> tuple[Strike, ...]:
 
 SECOND_STUCK: Final = Strike("synchronising", "valve_stuck", 4, 0.0, 3_000)
 """The valve of second gear, which 8 -> 10 engages: its sleeve stays in the middle."""
+SECOND_JAMMED: Final = Strike("synchronising", "sleeve_jammed", 0, 0.0, 3_000)
+"""Its sleeve stays in the middle though the valve is driven."""
+UNSEEN: Final = Strike("engaging", "bus_drop", int(Group.EDGES), 1.0)
 BETWEEN: Final = Strike("engaging", "position_offset", 1, 5.0, 1_600)
 """The other sleeve seems to stand between two gears."""
 JAMMED: Final = Strike("clutch_opening", "sleeve_jammed", 0, 0.0, 3_000)
@@ -100,7 +103,7 @@ AIMS: Final = (
     Aim("coasting+gear_unknown", _deaf("coasting")),
     Aim("coasting+gave_up", _unlinked("coasting")),
     Aim("engaging+gear_unknown", _deaf("engaging")),
-    Aim("engaging+gave_up", (SECOND_STUCK, *_unlinked("engaging")), settings=AT_ONCE),
+    Aim("engaging+gave_up", (SECOND_JAMMED, UNSEEN)),
     Aim("retracting+gear_unknown", (BETWEEN,)),
     Aim("retracting+gave_up", (SECOND_STUCK,), settings=(("limits.attempts", 1.0),)),
     Aim("clutch_closing+gear_unknown",
