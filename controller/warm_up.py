@@ -18,7 +18,13 @@ from meshpoint.controller.motion.linear_kernels import (
     propagate,
     thesis_filter,
 )
-from meshpoint.controller.motion.models import first_order_law, following_motion, predict
+from meshpoint.controller.motion.models import (
+    Ticks,
+    first_order_law,
+    following_motion,
+    outlook,
+    predict,
+)
 from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
 from meshpoint.controller.motion.swing_kernels import MODES, SWING_STATES
 from meshpoint.controller.planning import plan_kernels
@@ -64,6 +70,7 @@ def _warm_up_crossing() -> None:
     shaft.take(np.array([[1e3], [0.1]]), 0.1, Pressures(none, none), switches, model)
     state = shaft.at(2e3, switches, model)
     predict(state, 3e3, switches, model)
+    outlook(state, Ticks(1.0, 1.0, 1), switches, model)
     pressure_course(np.ones(STATES), np.array([1e3]), switches, model.flat, np.empty(1))
 
 
