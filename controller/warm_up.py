@@ -9,6 +9,7 @@ from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pres
 from meshpoint.controller.estimation.crossing_kernels import inverse_of_positive
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.kernels import STATES
+from meshpoint.controller.motion.lash_course import LashCourse
 from meshpoint.controller.motion.lash_motion import ROWS, LashModel, move
 from meshpoint.controller.motion.linear_kernels import (
     CRUISE_FILTER,
@@ -84,4 +85,6 @@ def _warm_up_swing() -> None:
     swing.theta_sd_ahead(0.1)
     swing.outlook(0.1, 0.01, 1)
     swing.course(0.1, 0.1, np.empty((2, 1)))
-    move(np.ones((ROWS, 1)), 1e-3, LashModel(1.0, 1.0, 1.0))
+    model_of_lash, spread = LashModel(1.0, 1.0, 1.0), (np.eye(3), 1.0)
+    move(np.ones((ROWS, 1)), 1e-3, model_of_lash)
+    LashCourse(np.ones((ROWS, 1)), model_of_lash, spread, 0.1).ahead(0.0)

@@ -260,6 +260,8 @@ class LashCloud:
     def _begin(self, start: LashStart) -> None:
         self._x = self._lash.cloud(start)
         self._logs = np.zeros(DRIVELINES)
+        self._weights: Vector | None = None
+        """Those of the present logarithms, once they were asked for."""
         self._p = np.diag((0.05**2, FIRST_OMEGA**2, FIRST_DRAG**2))
         """Covariance of angle, speed and drag in each driveline."""
         self._doubt = 1.0
@@ -290,8 +292,10 @@ class LashCloud:
     @property
     def weights(self) -> Vector:
         """Probabilities of the drivelines."""
-        found = np.exp(self._logs - self._logs.max())
-        return np.asarray(found / found.sum())
+        if self._weights is None:
+            found = np.exp(self._logs - self._logs.max())
+            self._weights = np.asarray(found / found.sum())
+        return self._weights
 
     def mean(self, row: int) -> float:
         """Mean of a quantity."""
@@ -336,6 +340,7 @@ class LashCloud:
         near = np.clip(off, -most, most)
         # Beyond `most` the logarithm falls in a line: Huber's law (1964).
         self._logs -= 0.5 * (2.0 * np.abs(off) - np.abs(near)) * np.abs(near) / whole
+        self._weights = None
         x[ANGLE] += gain[0] * near
         x[WAY] += gain[0] * near
         x[SPEED] += gain[1] * near
@@ -360,7 +365,7 @@ class LashCloud:
         widths = {row: _sd(x[row], weights) for row in DRAWN}
         widths |= {row: _sd(np.log(x[row]), weights) for row in SHARES}
         self._x = x = x[:, chosen]
-        self._logs[:] = 0.0
+        self._logs[:], self._weights = 0.0, None
         self._drawn += 1
         for numbers, (row, width) in zip(_normal(), widths.items(), strict=False):
             added = KERNEL * width * np.roll(numbers, self._drawn * PRIMES[-1] ** 2)
