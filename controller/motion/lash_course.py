@@ -19,7 +19,7 @@ STEP_S: Final = 2.5e-3
 STEPS: Final = 49
 """The course is worked out at so many steps of this. Beyond the last the speed is held."""
 TIMES: Final[Vector] = STEP_S * np.arange(float(STEPS))
-PLACES: Final = np.arange(STEPS)
+PLACES: Final[Vector] = np.arange(float(STEPS))
 _TIMES: Final[list[float]] = TIMES.tolist()
 MOST_TICKS: Final = 8
 """What will be known is worked out for so many ticks,"""
@@ -89,7 +89,7 @@ class LashCourse:
         self._is_merged[first:end] = [True] * (end - first)
         angle, span_rad, rows = self._angle[first:end], 2.0 * self._half_gap_rad, slice(first, end)
         # All rows as one ascending line: each begins further on than the one before ends.
-        apart: Vector = PLACES[rows, np.newaxis] * (self._widest_rad + 2.0 * span_rad)
+        apart = PLACES[rows, np.newaxis] * (self._widest_rad + 2.0 * span_rad)
         order, fullest, most = _fullest(angle, apart, span_rad)
         angle = np.take_along_axis(angle, order, axis=1)
         speed = np.take_along_axis(self._speed[first:end], order, axis=1)
