@@ -265,22 +265,26 @@ def carry(teeth: Vector, step: MotionStep) -> None:
 def cholesky(matrix: Vector) -> Vector:
     """The lower factor of a symmetric positive definite matrix (n, n); NaN where it is not one. A
     wheel's equations are small: threads of a linear algebra library would cost more than the sum,
-    and need not add up in the same order twice."""
+    and need not add up in the same order twice.
+
+    Column by column, here and below, with the sums of all its elements side by side: each waits for
+    its own last term alone."""
     n = matrix.shape[0]
-    lower = np.zeros((n, n))
+    upper, rest = np.zeros((n, n)), np.empty(n)
     for j in range(n):
-        rest = matrix[j, j]
+        for i in range(j, n):
+            rest[i] = matrix[i, j]
         for k in range(j):
-            rest -= lower[j, k] * lower[j, k]
-        if not rest > 0.0:
+            factor = upper[k, j]
+            for i in range(j, n):
+                rest[i] -= upper[k, i] * factor
+        if not rest[j] > 0.0:
             return np.full((n, n), np.nan)
-        lower[j, j] = math.sqrt(rest)
+        root = math.sqrt(rest[j])
+        upper[j, j] = root
         for i in range(j + 1, n):
-            s = matrix[i, j]
-            for k in range(j):
-                s -= lower[i, k] * lower[j, k]
-            lower[i, j] = s / lower[j, j]
-    return lower
+            upper[j, i] = rest[i] / root
+    return np.ascontiguousarray(upper.T)
 
 
 @compiled
@@ -289,21 +293,25 @@ def inverse_by_root(lower: Vector) -> Vector:
     n = lower.shape[0]
     if not lower[0, 0] > 0.0:
         return lower
-    half = np.zeros((n, n))
-    for c in range(n):
-        half[c, c] = 1.0 / lower[c, c]
-        for i in range(c + 1, n):
-            s = 0.0
-            for k in range(c, i):
-                s -= lower[i, k] * half[c, k]
-            half[c, i] = s / lower[i, i]
-    inverse = np.empty((n, n))
+    half, inverse = np.zeros((n, n)), np.empty((n, n))
     for i in range(n):
+        row = half[i]
+        for k in range(i):
+            factor = lower[i, k]
+            for c in range(k + 1):
+                row[c] -= factor * half[k, c]
+        for c in range(i):
+            row[c] /= lower[i, i]
+        row[i] = 1.0 / lower[i, i]
+    sums = np.empty(n)
+    for i in range(n):
+        sums[:] = 0.0
+        for k in range(i, n):
+            factor = half[k, i]
+            for j in range(i + 1):
+                sums[j] += factor * half[k, j]
         for j in range(i + 1):
-            s = 0.0
-            for k in range(i, n):
-                s += half[i, k] * half[j, k]
-            inverse[i, j] = inverse[j, i] = s
+            inverse[i, j] = inverse[j, i] = sums[j]
     return inverse
 
 
