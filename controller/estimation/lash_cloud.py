@@ -242,6 +242,12 @@ def _normal() -> Vector:
     return np.array([[law.inv_cdf(value) for value in row] for row in _even().tolist()])
 
 
+@cache
+def _normal_twice() -> Vector:
+    """The same, each row twice over: from any place on they are there in another order."""
+    return np.concatenate((_normal(), _normal()), axis=1)
+
+
 class LashCloud:
     """The drivelines of one interval in neutral."""
 
@@ -337,7 +343,7 @@ class LashCloud:
         off = angle_rad - x[ANGLE]
         self._look_back(off, whole)
         most = MOST_OFF * math.sqrt(whole)
-        near = np.clip(off, -most, most)
+        near = np.minimum(np.maximum(off, -most), most)
         # Beyond `most` the logarithm falls in a line: Huber's law (1964).
         self._logs -= 0.5 * (2.0 * np.abs(off) - np.abs(near)) * np.abs(near) / whole
         self._weights = None
@@ -367,8 +373,10 @@ class LashCloud:
         self._x = x = x[:, chosen]
         self._logs[:], self._weights = 0.0, None
         self._drawn += 1
-        for numbers, (row, width) in zip(_normal(), widths.items(), strict=False):
-            added = KERNEL * width * np.roll(numbers, self._drawn * PRIMES[-1] ** 2)
+        begin = -self._drawn * PRIMES[-1] ** 2 % DRIVELINES
+        turned = _normal_twice()[:, begin : begin + DRIVELINES]
+        for numbers, (row, width) in zip(turned, widths.items(), strict=False):
+            added = KERNEL * width * numbers
             if row in SHARES:
                 x[row] *= np.exp(added)
             else:
