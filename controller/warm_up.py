@@ -7,6 +7,7 @@ import numpy as np
 from meshpoint.controller.estimation.brake_kernels import pressure_course
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.estimation.crossing_kernels import inverse_of_positive
+from meshpoint.controller.estimation.lash_cloud import correct
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.kernels import STATES
 from meshpoint.controller.motion.lash_course import LashCourse
@@ -87,4 +88,5 @@ def _warm_up_swing() -> None:
     swing.course(0.1, 0.1, np.empty((2, 1)))
     model_of_lash, spread = LashModel(1.0, 1.0, 1.0), (np.eye(3), 1.0)
     move(np.ones((ROWS, 1)), 1e-3, model_of_lash)
+    correct(np.ones((ROWS, 1)), np.ones(1), np.ones(1), np.ones(3), 1.0)
     LashCourse(np.ones((ROWS, 1)), model_of_lash, spread, 0.1).ahead(0.0)

@@ -322,7 +322,6 @@ def inverse_by_root(lower: Vector) -> Vector:
     return inverse
 
 
-@compiled
 def inverse_of_positive(matrix: Vector) -> Vector:
     """The inverse of a symmetric positive definite matrix (n, n); NaN where it is not one."""
     return inverse_by_root(cholesky(matrix))

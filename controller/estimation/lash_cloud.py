@@ -23,6 +23,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.controller.jit import bare
 from meshpoint.controller.motion.lash_course import LashCourse
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
@@ -39,6 +40,7 @@ from meshpoint.controller.motion.lash_motion import (
     WAY,
     WHEELS,
     LashModel,
+    each,
     move,
 )
 from meshpoint.controller.records import Integers, Vector
@@ -342,15 +344,8 @@ class LashCloud:
         gain = p[:, 0] / whole
         off = angle_rad - x[ANGLE]
         self._look_back(off, whole)
-        most = MOST_OFF * math.sqrt(whole)
-        near = np.minimum(np.maximum(off, -most), most)
-        # Beyond `most` the logarithm falls in a line: Huber's law (1964).
-        self._logs -= 0.5 * (2.0 * np.abs(off) - np.abs(near)) * np.abs(near) / whole
+        correct(x, self._logs, off, gain, whole)
         self._weights = None
-        x[ANGLE] += gain[0] * near
-        x[WAY] += gain[0] * near
-        x[SPEED] += gain[1] * near
-        x[DRAG] = np.maximum(x[DRAG] - gain[2] * near, LEAST_DRAG)
         self._p = p - np.outer(gain, p[0])
         weights = self.weights
         if 1.0 / float(weights @ weights) < LEAST_SHARE * DRIVELINES:
@@ -390,6 +385,20 @@ class LashCloud:
         doubt = math.sqrt(max(1.0, self._doubt))
         own = (self._p, self._chance_rad2_s3)
         return LashCourse(followed, self._model, own, half_gap_rad, doubt)
+
+
+@bare
+def correct(x: Vector, logs: Vector, off: Vector, gain: Vector, variance: float) -> None:
+    """Corrects each driveline by how far off it was (n,), and weighs it by that, in place."""
+    most = MOST_OFF * math.sqrt(variance)
+    for i in each(x.shape[1]):
+        near = np.minimum(np.maximum(off[i], -most), most)
+        # Beyond `most` the logarithm falls in a line: Huber's law (1964).
+        logs[i] -= 0.5 * (2.0 * np.abs(off[i]) - np.abs(near)) * np.abs(near) / variance
+        x[ANGLE, i] += gain[0] * near
+        x[WAY, i] += gain[0] * near
+        x[SPEED, i] += gain[1] * near
+        x[DRAG, i] = np.maximum(x[DRAG, i] - gain[2] * near, LEAST_DRAG)
 
 
 def spread(p: Vector, seconds: float, chance_rad2_s3: float) -> Vector:
