@@ -11,6 +11,7 @@ identifier, so the order in which different senders got onto the bus changes not
 from __future__ import annotations
 
 import zlib
+from collections.abc import Collection
 from dataclasses import replace
 from operator import itemgetter
 from typing import Final, NamedTuple
@@ -49,6 +50,7 @@ from meshpoint.dbc.messages import (
     EdgesMainRise,
     FaultCode,
     GearboxSensors,
+    Message,
     ShiftDecision,
     SleevesAux,
     SleevesMain,
@@ -183,6 +185,11 @@ class ControllerCore:
         """From now on decisions use this source's predictions instead of the estimates. For studies
         of what a strategy could do with perfect knowledge."""
         self._sequence.predictor_source = source
+
+    def leave_unread(self, messages: Collection[type[Message]]) -> None:
+        """Nobody on this bus reads these messages: of those that take time to work out, empty
+        frames are sent."""
+        self._transmitter.leave_unread(messages)
 
     def receive(self, frame: Frame) -> None:
         """Keeps a frame for the next step."""

@@ -7,8 +7,10 @@ import numpy as np
 from meshpoint.controller.estimation.brake_kernels import pressure_course
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.estimation.crossing_kernels import inverse_of_positive
+from meshpoint.controller.estimation.lash_cloud import correct
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.kernels import STATES
+from meshpoint.controller.motion.lash_course import LashCourse
 from meshpoint.controller.motion.lash_motion import ROWS, LashModel, move
 from meshpoint.controller.motion.linear_kernels import (
     CRUISE_FILTER,
@@ -18,7 +20,13 @@ from meshpoint.controller.motion.linear_kernels import (
     propagate,
     thesis_filter,
 )
-from meshpoint.controller.motion.models import first_order_law, following_motion, predict
+from meshpoint.controller.motion.models import (
+    Ticks,
+    first_order_law,
+    following_motion,
+    outlook,
+    predict,
+)
 from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
 from meshpoint.controller.motion.swing_kernels import MODES, SWING_STATES
 from meshpoint.controller.planning import plan_kernels
@@ -64,6 +72,7 @@ def _warm_up_crossing() -> None:
     shaft.take(np.array([[1e3], [0.1]]), 0.1, Pressures(none, none), switches, model)
     state = shaft.at(2e3, switches, model)
     predict(state, 3e3, switches, model)
+    outlook(state, Ticks(1.0, 1.0, 1), switches, model)
     pressure_course(np.ones(STATES), np.array([1e3]), switches, model.flat, np.empty(1))
 
 
@@ -77,4 +86,7 @@ def _warm_up_swing() -> None:
     swing.theta_sd_ahead(0.1)
     swing.outlook(0.1, 0.01, 1)
     swing.course(0.1, 0.1, np.empty((2, 1)))
-    move(np.ones((ROWS, 1)), 1e-3, LashModel(1.0, 1.0, 1.0))
+    model_of_lash, spread = LashModel(1.0, 1.0, 1.0), (np.eye(3), 1.0)
+    move(np.ones((ROWS, 1)), 1e-3, model_of_lash)
+    correct(np.ones((ROWS, 1)), np.ones(1), np.ones(1), np.ones(3), 1.0)
+    LashCourse(np.ones((ROWS, 1)), model_of_lash, spread, 0.1).ahead(0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
@@ -106,6 +106,24 @@ class Transmitter:
             for codec in CODECS.values()
             if codec.spec.sender in self._nodes
         }
+        self._unread: dict[type[Message], Frame] = {}
+
+    def leave_unread(self, message_types: Collection[type[Message]]) -> None:
+        """Nobody on this bus reads these messages: those of them that these nodes send are not made
+        where `unread` is asked before."""
+        for sender in self._senders.values():
+            if sender.codec.message_type in message_types:
+                empty = bytes(sender.codec.spec.length)
+                frame = Frame(sender.can_id, empty, sender.is_fd, is_extended=True)
+                self._unread[sender.codec.message_type] = frame
+
+    def unread(self, *message_types: type[Message]) -> list[Frame] | None:
+        """Empty frames in place of these messages, that take as long on the bus; None where anybody
+        reads one of them."""
+        if not self._unread:
+            return None
+        frames = [self._unread.get(each) for each in message_types]
+        return None if None in frames else [frame for frame in frames if frame is not None]
 
     def restart(self, node: Node) -> None:
         """This node has started anew: its counters do as well."""

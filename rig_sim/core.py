@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import Any, Final
 
 from meshpoint.bus.core import Step
@@ -23,7 +23,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox.sheet import GearboxSheet
-from meshpoint.rig_sim.frames import engagement_message, read_messages, valve_status
+from meshpoint.rig_sim.frames import TRUTH, engagement_message, read_messages, valve_status
 from meshpoint.rig_sim.orders import EngineRequest, FaultOrder
 from meshpoint.rig_sim.presets import build_world
 from meshpoint.rig_sim.settings import RigSettings
@@ -73,6 +73,11 @@ class RigCore:
     def change_conditions(self, values: Mapping[str, float]) -> None:
         """Other oil, load, slope or supply from now on, by their as-built names; preset truck."""
         self._world.change_conditions(values)
+
+    def leave_unread(self, messages: Collection[type[Message]]) -> None:
+        """Nobody on this bus reads these messages: of those that take time to work out, empty
+        frames are sent."""
+        self._transmitter.leave_unread(messages)
 
     @property
     def next_step_us(self) -> int:
@@ -164,7 +169,8 @@ class RigCore:
         self._world.command_valves(_orders(command), time_us)
 
     def _send_read(self, frames: list[Frame], read_us: int) -> None:
-        messages = read_messages(self._world, read_us)
+        unread = self._transmitter.unread(*TRUTH)
+        messages = read_messages(self._world, read_us, with_truth=unread is None)
         node = self._node
         if node.away:
             messages = [message for message in messages if type(message) not in FROM_IO]
@@ -174,6 +180,7 @@ class RigCore:
             self.receiver = Receiver(*NODES)
             self._last_valves = None
         frames.extend(map(self._transmitter.encode, messages))
+        frames += unread or []
 
     def _send_records(self, frames: list[Frame]) -> None:
         for record in self._world.take_records():

@@ -46,6 +46,8 @@ EDGE_MESSAGES: Final[tuple[type[Message], ...]] = (
     EdgesPropellerRise,
     EdgesPropellerFall,
 )
+TRUTH: Final[tuple[type[Message], ...]] = (ReferenceEncoder, ReferencePhase)
+"""For logs and studies: no node may act by it."""
 SENSOR_MAX_PA: Final = 13.107e5  # the pressure signals saturate here, as their sensors would
 ENGINE_MAX_RAD_S: Final = 8031.875 * RPM  # likewise SPN 190
 COUNT_MODULUS: Final = 1 << 16
@@ -54,8 +56,9 @@ MOST_FACE_US: Final = (1 << 24) - 1
 MOST_RATCHETS: Final = 127
 
 
-def read_messages(world: RigWorld, now_us: int) -> list[Message]:
-    """All cyclic messages of the read at this instant, to which the world has been run."""
+def read_messages(world: RigWorld, now_us: int, with_truth: bool = True) -> list[Message]:
+    """All cyclic messages of the read at this instant, to which the world has been run; the last
+    are the truth (`TRUTH`)."""
     clock_us = world.clock.at(now_us) % CLOCK_MODULUS
     messages: list[Message] = [
         _new(edges, (clock_us, index, valid, long, stopped, False, stamps))
@@ -68,6 +71,8 @@ def read_messages(world: RigWorld, now_us: int) -> list[Message]:
     messages.extend(_sleeves(world, now_us, clock_us))
     messages.append(valve_status(world, now_us))
     messages.append(_engine(sensors))
+    if not with_truth:
+        return messages
     angles, speeds = world.encoder_read(now_us)
     messages.append(ReferenceEncoder(sample_time_us=clock_us, angle_rad=angles, speed_rad_s=speeds))
     messages.append(_phases(world, clock_us))

@@ -229,15 +229,17 @@ def widen(f: Filter, innovation: float, states: int, led: int) -> None:
 @inlined
 def learn(teeth: Vector, place: int, scale: float, innovation: float, s: float) -> None:
     """Adds one innovation to the teeth's normal equations; ROW becomes its m."""
-    size = teeth.shape[1]
+    size, row = teeth.shape[1], teeth[ROW]
     for c in range(size):
-        teeth[ROW, c] = -teeth[THETA, c]
-    teeth[ROW, place] += scale
+        row[c] = -teeth[THETA, c]
+    row[place] += scale
     for c in range(size):
-        weighted = teeth[ROW, c] / s
+        weighted = row[c] / s
         teeth[RIGHT, c] -= weighted * innovation
-        for d in range(c, size):
-            teeth[NORMAL + c, d] += weighted * teeth[ROW, d]
+        # Counted from 0 on, several are added at a time: an index from c on might be negative.
+        equation, rest = teeth[NORMAL + c, c:], row[c:]
+        for d in range(rest.shape[0]):
+            equation[d] += weighted * rest[d]
 
 
 @inlined
@@ -250,13 +252,17 @@ def follow(teeth: Vector, gain: Vector, states: int) -> None:
 
 @inlined
 def carry(teeth: Vector, step: MotionStep) -> None:
-    """The derivatives by the tooth errors after a step."""
-    for c in range(teeth.shape[1]):
-        theta, omega = teeth[0, c], 0.0
-        for k in range(1, STATES):
-            theta += step.theta_by[k] * teeth[k, c]
-            omega += step.omega_by[k] * teeth[k, c]
-        teeth[0, c], teeth[1, c] = theta, omega
+    """The derivatives by the tooth errors after a step; row by row, ROW being free."""
+    size, theta, omega = teeth.shape[1], teeth[THETA], teeth[ROW]
+    for c in range(size):
+        omega[c] = 0.0
+    for k in range(1, STATES):
+        state, theta_by, omega_by = teeth[k], step.theta_by[k], step.omega_by[k]
+        for c in range(size):
+            theta[c] += theta_by * state[c]
+            omega[c] += omega_by * state[c]
+    for c in range(size):
+        teeth[OMEGA, c] = omega[c]
         teeth[2, c] *= step.pressure_left
         teeth[3, c] *= step.disturbance_left
 
@@ -265,22 +271,27 @@ def carry(teeth: Vector, step: MotionStep) -> None:
 def cholesky(matrix: Vector) -> Vector:
     """The lower factor of a symmetric positive definite matrix (n, n); NaN where it is not one. A
     wheel's equations are small: threads of a linear algebra library would cost more than the sum,
-    and need not add up in the same order twice."""
+    and need not add up in the same order twice.
+
+    Column by column, here and below, with the sums of all its elements side by side: each waits for
+    its own last term alone."""
     n = matrix.shape[0]
-    lower = np.zeros((n, n))
+    upper = np.zeros((n, n))
     for j in range(n):
-        rest = matrix[j, j]
+        column = upper[j, j:]  # from the diagonal on
+        for i in range(n - j):
+            column[i] = matrix[j + i, j]
         for k in range(j):
-            rest -= lower[j, k] * lower[j, k]
-        if not rest > 0.0:
+            factor, before = upper[k, j], upper[k, j:]
+            for i in range(n - j):
+                column[i] -= before[i] * factor
+        if not column[0] > 0.0:
             return np.full((n, n), np.nan)
-        lower[j, j] = math.sqrt(rest)
-        for i in range(j + 1, n):
-            s = matrix[i, j]
-            for k in range(j):
-                s -= lower[i, k] * lower[j, k]
-            lower[i, j] = s / lower[j, j]
-    return lower
+        root = math.sqrt(column[0])
+        for i in range(n - j):
+            column[i] /= root
+        column[0] = root
+    return np.ascontiguousarray(upper.T)
 
 
 @compiled
@@ -289,25 +300,28 @@ def inverse_by_root(lower: Vector) -> Vector:
     n = lower.shape[0]
     if not lower[0, 0] > 0.0:
         return lower
-    half = np.zeros((n, n))
-    for c in range(n):
-        half[c, c] = 1.0 / lower[c, c]
-        for i in range(c + 1, n):
-            s = 0.0
-            for k in range(c, i):
-                s -= lower[i, k] * half[c, k]
-            half[c, i] = s / lower[i, i]
-    inverse = np.empty((n, n))
+    half, inverse = np.zeros((n, n)), np.empty((n, n))
     for i in range(n):
+        row = half[i]
+        for k in range(i):
+            factor = lower[i, k]
+            for c in range(k + 1):
+                row[c] -= factor * half[k, c]
+        for c in range(i):
+            row[c] /= lower[i, i]
+        row[i] = 1.0 / lower[i, i]
+    sums = np.empty(n)
+    for i in range(n):
+        sums[:] = 0.0
+        for k in range(i, n):
+            factor = half[k, i]
+            for j in range(i + 1):
+                sums[j] += factor * half[k, j]
         for j in range(i + 1):
-            s = 0.0
-            for k in range(i, n):
-                s += half[i, k] * half[j, k]
-            inverse[i, j] = inverse[j, i] = s
+            inverse[i, j] = inverse[j, i] = sums[j]
     return inverse
 
 
-@compiled
 def inverse_of_positive(matrix: Vector) -> Vector:
     """The inverse of a symmetric positive definite matrix (n, n); NaN where it is not one."""
     return inverse_by_root(cholesky(matrix))

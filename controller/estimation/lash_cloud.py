@@ -25,6 +25,7 @@ import numpy as np
 
 from meshpoint.controller.estimation.edge_looks import grouped_counts
 from meshpoint.controller.estimation.loaded_driveline import BehindState, Shafts
+from meshpoint.controller.jit import bare
 from meshpoint.controller.motion.lash_course import Chance, LashCourse
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
@@ -41,6 +42,7 @@ from meshpoint.controller.motion.lash_motion import (
     WAY,
     WHEELS,
     LashModel,
+    each,
     move,
 )
 from meshpoint.controller.records import Integers, Vector
@@ -273,6 +275,12 @@ def _normal() -> Vector:
     return np.array([[law.inv_cdf(value) for value in row] for row in _even().tolist()])
 
 
+@cache
+def _normal_twice() -> Vector:
+    """The same, each row twice over: from any place on they are there in another order."""
+    return np.concatenate((_normal(), _normal()), axis=1)
+
+
 class LashCloud:
     """The drivelines of one interval in neutral."""
 
@@ -291,6 +299,8 @@ class LashCloud:
     def _begin(self, start: LashStart) -> None:
         self._x = self._lash.cloud(start)
         self._logs = np.zeros(DRIVELINES)
+        self._weights: Vector | None = None
+        """Those of the present logarithms, once they were asked for."""
         self._p = np.diag((0.05**2, FIRST_OMEGA**2, FIRST_DRAG**2))
         """Covariance of angle, speed and drag in each driveline."""
         self._doubt = 1.0
@@ -322,8 +332,10 @@ class LashCloud:
     @property
     def weights(self) -> Vector:
         """Probabilities of the drivelines."""
-        found = np.exp(self._logs - self._logs.max())
-        return np.asarray(found / found.sum())
+        if self._weights is None:
+            found = np.exp(self._logs - self._logs.max())
+            self._weights = np.asarray(found / found.sum())
+        return self._weights
 
     def mean(self, row: int) -> float:
         """Mean of a quantity."""
@@ -361,14 +373,8 @@ class LashCloud:
         gain = p[:, 0] / whole
         off = angle_rad - x[ANGLE]
         self._look_back(off, whole)
-        most = MOST_OFF * math.sqrt(whole)
-        near = np.clip(off, -most, most)
-        # Beyond `most` the logarithm falls in a line: Huber's law (1964).
-        self._logs -= 0.5 * (2.0 * np.abs(off) - np.abs(near)) * np.abs(near) / whole
-        x[ANGLE] += gain[0] * near
-        x[WAY] += gain[0] * near
-        x[SPEED] += gain[1] * near
-        x[DRAG] = np.maximum(x[DRAG] - gain[2] * near, LEAST_DRAG)
+        correct(x, self._logs, off, gain, whole)
+        self._weights = None
         self._p = p - np.outer(gain, p[0])
         weights = self.weights
         if 1.0 / float(weights @ weights) < LEAST_SHARE * DRIVELINES:
@@ -389,10 +395,12 @@ class LashCloud:
         widths = {row: _sd(x[row], weights) for row in DRAWN}
         widths |= {row: _sd(np.log(x[row]), weights) for row in SHARES}
         self._x = x = x[:, chosen]
-        self._logs[:] = 0.0
+        self._logs[:], self._weights = 0.0, None
         self._drawn += 1
-        for numbers, (row, width) in zip(_normal(), widths.items(), strict=False):
-            added = KERNEL * width * np.roll(numbers, self._drawn * PRIMES[-1] ** 2)
+        begin = -self._drawn * PRIMES[-1] ** 2 % DRIVELINES
+        turned = _normal_twice()[:, begin : begin + DRIVELINES]
+        for numbers, (row, width) in zip(turned, widths.items(), strict=False):
+            added = KERNEL * width * numbers
             if row in SHARES:
                 x[row] *= np.exp(added)
             else:
@@ -406,6 +414,20 @@ class LashCloud:
         doubt = math.sqrt(max(1.0, self._doubt))
         own = (self._p, self._chance)
         return LashCourse(followed, self._model, own, half_gap_rad, doubt)
+
+
+@bare
+def correct(x: Vector, logs: Vector, off: Vector, gain: Vector, variance: float) -> None:
+    """Corrects each driveline by how far off it was (n,), and weighs it by that, in place."""
+    most = MOST_OFF * math.sqrt(variance)
+    for i in each(x.shape[1]):
+        near = np.minimum(np.maximum(off[i], -most), most)
+        # Beyond `most` the logarithm falls in a line: Huber's law (1964).
+        logs[i] -= 0.5 * (2.0 * np.abs(off[i]) - np.abs(near)) * np.abs(near) / variance
+        x[ANGLE, i] += gain[0] * near
+        x[WAY, i] += gain[0] * near
+        x[SPEED, i] += gain[1] * near
+        x[DRAG, i] = np.maximum(x[DRAG, i] - gain[2] * near, LEAST_DRAG)
 
 
 def spread(p: Vector, seconds: float, chance_rad2_s3: float) -> Vector:

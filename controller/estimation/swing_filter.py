@@ -14,7 +14,7 @@ from meshpoint.controller.estimation.crossing_kernels import (
     learn,
     take_edge,
 )
-from meshpoint.controller.estimation.crossing_layout import DONE, LATE, FilterMemory
+from meshpoint.controller.estimation.crossing_layout import DONE, LATE, ROW, FilterMemory
 from meshpoint.controller.estimation.fusion_kernels import take_geared
 from meshpoint.controller.estimation.swing_layout import (
     SWING_FILTER,
@@ -23,7 +23,7 @@ from meshpoint.controller.estimation.swing_layout import (
     swing_memory,
 )
 from meshpoint.controller.jit import bare, inlined
-from meshpoint.controller.motion.kernels import mirror
+from meshpoint.controller.motion.kernels import OMEGA, THETA, mirror
 from meshpoint.controller.motion.swing_kernels import (
     FIRST_MODE,
     MODES,
@@ -80,8 +80,8 @@ def swing_to(f: SwingFilter, to_us: float, teeth: Vector) -> None:
     swing_step(dt, f.model, step)
     swing_on(f.state, step)
     swing_spread(f.p, dt, step, f.model, f.restless)
-    for c in range(teeth.shape[1]):
-        carry_swing(teeth, c, step)
+    if teeth.shape[1] > 0:
+        carry_swing(teeth, step)
     if f.offset_rad2 > 0.0:
         carry_swing_offset(f, step)
         f.offset_rad2 += dt * f.at_flank_rad2_s
@@ -89,18 +89,26 @@ def swing_to(f: SwingFilter, to_us: float, teeth: Vector) -> None:
 
 
 @inlined
-def carry_swing(teeth: Vector, c: int, step: SwingStep) -> None:
-    """The derivatives of the state by the c-th tooth error after a step."""
-    theta, omega = 0.0, 0.0
-    for k in range(SWING_STATES):
-        theta += step.theta_by[k] * teeth[k, c]
-        omega += step.omega_by[k] * teeth[k, c]
-    teeth[0, c], teeth[1, c] = theta, omega
+def carry_swing(teeth: Vector, step: SwingStep) -> None:
+    """The derivatives of the state by the tooth errors after a step; row by row, ROW being free."""
+    size, theta, omega = teeth.shape[1], teeth[THETA], teeth[ROW]
+    for c in range(size):
+        before = theta[c]
+        theta[c], omega[c] = 0.0 + step.theta_by[0] * before, 0.0 + step.omega_by[0] * before
+    for k in range(1, SWING_STATES):
+        state, theta_by, omega_by = teeth[k], step.theta_by[k], step.omega_by[k]
+        for c in range(size):
+            theta[c] += theta_by * state[c]
+            omega[c] += omega_by * state[c]
+    for c in range(size):
+        teeth[OMEGA, c] = omega[c]
     for m in range(MODES):
         i = FIRST_MODE + 2 * m
-        q, r = teeth[i, c], teeth[i + 1, c]
-        teeth[i, c] = step.blocks[m, 0] * q + step.blocks[m, 1] * r
-        teeth[i + 1, c] = step.blocks[m, 2] * q + step.blocks[m, 3] * r
+        angle, speed = teeth[i], teeth[i + 1]
+        for c in range(size):
+            q, r = angle[c], speed[c]
+            angle[c] = step.blocks[m, 0] * q + step.blocks[m, 1] * r
+            speed[c] = step.blocks[m, 2] * q + step.blocks[m, 3] * r
 
 
 @inlined

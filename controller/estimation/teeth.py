@@ -24,7 +24,7 @@ from meshpoint.controller.estimation.tooth_match import (
     turned,
 )
 from meshpoint.controller.records import Integers, RecordMemory, Vector
-from meshpoint.controller.sensing.wheel_edges import EdgeBatch
+from meshpoint.controller.sensing.wheel_edges import NO_EDGES, EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 
 NEVER_GATED: Final = 1e9
@@ -173,6 +173,8 @@ class WheelTeeth:
         """Standard deviation of an edge's angle (rad), tooth errors taken out as far as known."""
         self.learned = False
         self.learner = TeethLearner(tuning, edges, kind)
+        self._placed: tuple[EdgeBatch, Integers] = (NO_EDGES, np.empty(0, np.int64))
+        """The newest edges, and their places."""
 
     @property
     def count(self) -> int:
@@ -180,9 +182,10 @@ class WheelTeeth:
         return self._edges // 2
 
     def place(self, batch: EdgeBatch) -> Integers:
-        """Which of the wheel's edges each one is."""
-        places: Integers = (2 * batch.tooth + batch.falling) % self._edges
-        return places
+        """Which of the wheel's edges each one is. Asked several times of a step's edges."""
+        if batch is not self._placed[0]:
+            self._placed = (batch, (2 * batch.tooth + batch.falling) % self._edges)
+        return self._placed[1]
 
     def edges(self, batch: EdgeBatch, place: Integers) -> Vector:
         """Times (us) and angles (rad) of edges, learned errors added: the (2, n) array that

@@ -182,18 +182,20 @@ class GuardEar:
         for frame in frames:
             if not frame.is_extended:
                 continue
-            channel = self.channels.get(frame.can_id)
+            can_id = frame.can_id
+            channel = self.channels.get(can_id)
             if channel is None:
-                self._hear_j1939(frame)
+                if can_id in (ENGINE_SPEED, GEAR_REQUEST):
+                    self._hear_j1939(frame)
                 continue
-            good = channel.passes(frame, now_us) and self._read(frame.can_id, frame.data)
+            good = channel.passes(frame, now_us) and self._read(can_id, frame.data)
             channel.note(good)
             if good:
                 (stamp,) = _stamp(frame.data, STAMP_AT)
-                if signed_us(stamp - self._stamps.get(frame.can_id, stamp)) < 0:
+                if signed_us(stamp - self._stamps.get(can_id, stamp)) < 0:
                     self.has_restarted = True
                     stamps.clear()  # those of this step from before it
-                self._stamps[frame.can_id] = stamp
+                self._stamps[can_id] = stamp
                 stamps.append(stamp)
         for channel in self.channels.values():
             channel.tick(now_us)
@@ -208,6 +210,7 @@ class GuardEar:
         )
 
     def _hear_j1939(self, frame: Frame) -> None:
+        """The engine's speed, or a request for a gear."""
         data = frame.data
         if frame.is_fd or len(data) != J1939_LENGTH:
             return
@@ -220,7 +223,7 @@ class GuardEar:
                     (torque - TORQUE_OFFSET) / 100 if torque <= TORQUE_STEPS else None,
                 )
             )
-        elif frame.can_id == GEAR_REQUEST:
+        else:
             raw = data[GEAR_AT]
             self.requested_gear = raw - GEAR_OFFSET if raw <= GEAR_STEPS else None
 
@@ -228,14 +231,15 @@ class GuardEar:
         """Keeps what a frame says; False where a value is none."""
         (stamp,) = _stamp(data, STAMP_AT)
         if can_id in self.edges:
-            index, shape, *lows = _edges(data, CONTENT_AT)
+            said = _edges(data, CONTENT_AT)
+            index, shape = said[0], said[1]
             held = shape & STAMPS_MASK
             if held > STAMPS:
                 return False
             self.has_restarted = self.has_restarted or held < self._held[can_id]
             self._held[can_id] = held
             usable = shape == held  # neither stopped, nor an interval too long, nor a faulty sensor
-            self.edges[can_id].append(Edges(stamp, index, tuple(lows[:held]) if usable else ()))
+            self.edges[can_id].append(Edges(stamp, index, said[2 : 2 + held] if usable else ()))
             return True
         if can_id == SENSORS:
             brake, supply, _, clutch = _sensors(data, CONTENT_AT)

@@ -34,7 +34,9 @@ class GuardClock:
 
     def __init__(self) -> None:
         self._least: deque[tuple[int, int]] = deque(maxlen=SECONDS_KEPT)
-        """Each second of the controller's clock, and its least offset."""
+        """Each second of the controller's clock, and its least offset;"""
+        self._offset = 0
+        """the least of them all."""
         self._newest_us: int | None = None
 
     def restart(self) -> None:
@@ -57,6 +59,9 @@ class GuardClock:
             self._least.append((second, offset))
         elif offset < self._least[-1][1]:
             self._least[-1] = (second, offset)
+        else:
+            return
+        self._offset = min([each for _, each in self._least])
 
     def _is_of_another_clock(self, ahead_us: int, time_us: int, now_us: int) -> bool:
         expected_us = self.now_us(now_us)
@@ -69,4 +74,4 @@ class GuardClock:
         """The sensor clock at `now_us` of the controller's; None before the first stamp."""
         if not self._least:
             return None
-        return now_us - min([offset for _, offset in self._least])
+        return now_us - self._offset

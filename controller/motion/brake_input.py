@@ -82,6 +82,17 @@ class BrakeInput:
         """The same if the brake were released at `release_us` instead, and left so."""
         return self._with(release_us)
 
+    def commanded(self) -> Vector:
+        """For `with_release` in a kernel: times at which the valve is switched, u from then on, and
+        times at which pressure starts to react: three rows."""
+        times = [switch.time_us for switch in self._switches]
+        return np.array((times, *self._with(None)[::-1]), dtype=np.float64)
+
+    @property
+    def off_delay_us(self) -> int:
+        """From a release to the pressure's first reaction, as learned."""
+        return self._delays_us[0]
+
     def _with(self, release_us: float | None) -> Vector:
         times: list[float] = [switch.time_us for switch in self._switches]
         states = [float(switch.on) for switch in self._switches]

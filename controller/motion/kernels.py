@@ -21,6 +21,8 @@ from __future__ import annotations
 import math
 from typing import Annotated, Final
 
+import numpy as np
+
 from meshpoint.controller.jit import compiled, inlined, new_record, record_on
 from meshpoint.controller.records import Over, Records, Vector, layout_of
 from meshpoint.units import US
@@ -328,3 +330,30 @@ def forecast(
             t_us = until_us
             i += 1
     mirror(spread, STATES)
+
+
+@compiled
+def settling(
+    x: Vector, p: Vector, times: Vector, switches: Vector, model: Vector, found: Vector
+) -> None:
+    """Variances (rad2) of the angle predicted a horizon ahead: now, and after each further tick of
+    edges, to found (n,). State and covariance p (6, 6) are moved.
+
+    times: of the state, from a tick to the time that is predicted, and of a tick (us), and the
+    variance of the angle that a tick's edges tell (rad2)."""
+    time_us, horizon_us, tick_us, heard_rad2 = times[0], times[1], times[2], times[3]
+    then, spread, gain = np.empty(STATES), np.empty((STATES, STATES)), np.empty(STATES)
+    for tick in range(found.shape[0]):
+        then[:], spread[:] = x, p
+        forecast(then, spread, time_us, time_us + horizon_us, switches, model)
+        found[tick] = spread[THETA, THETA]
+        if tick + 1 == found.shape[0]:
+            break  # nobody asks what comes after the last
+        forecast(x, p, time_us, time_us + tick_us, switches, model)
+        for j in range(STATES):
+            gain[j] = p[THETA, j] / (p[THETA, THETA] + heard_rad2)
+        then[:] = p[THETA]
+        for j in range(STATES):
+            for k in range(STATES):
+                p[j, k] -= gain[j] * then[k]
+        time_us += tick_us

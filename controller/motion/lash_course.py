@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import copy
 import math
+from bisect import bisect_right
+from itertools import accumulate
 from statistics import NormalDist
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.controller.jit import DISABLED, compiled, inlined
 from meshpoint.controller.motion.lash_motion import HILL, SPEED, VEHICLE, LashModel, move_often
 from meshpoint.controller.records import Integers, Vector
 
@@ -16,7 +19,8 @@ STEP_S: Final = 2.5e-3
 STEPS: Final = 49
 """The course is worked out at so many steps of this. Beyond the last the speed is held."""
 TIMES: Final[Vector] = STEP_S * np.arange(float(STEPS))
-PLACES: Final = np.arange(STEPS)
+PLACES: Final[Vector] = np.arange(float(STEPS))
+_TIMES: Final[list[float]] = TIMES.tolist()
 MOST_TICKS: Final = 8
 """What will be known is worked out for so many ticks,"""
 COMPARED: Final = 60
@@ -74,10 +78,13 @@ class LashCourse:
         """Standard deviation of the speed now."""
         found = np.empty((2, STEPS, x.shape[1]))
         move_often(x, STEP_S, model, found)
-        angle, speed = found
-        self._angle = angle
-        self._merged = self._merge(angle, speed)
-        self._merged[2] *= doubt
+        self._angle, self._speed = found
+        self._doubt = doubt
+        self._widest_rad = float(np.ptp(self._angle))
+        self._merged = np.full((3, STEPS), np.nan)
+        """Angle, speed and standard deviation at each step, where that was asked for; and"""
+        self._is_merged = [False] * STEPS
+        """whether it was: few are, of a course by which no sleeve is fired."""
         self.since_s = 0.0
         """Now, on the course's own time."""
         self._shapes: list[Vector] = []
@@ -91,23 +98,29 @@ class LashCourse:
         found = found + 0.25 * wait_s**4 * p[2, 2] + LEAST_SD_RAD**2
         return np.asarray(np.maximum(found, LEAST_SD_RAD**2))
 
-    def _merge(self, angle: Vector, speed: Vector) -> Vector:
-        """Angle, speed and standard deviation at each step, (3, STEPS)."""
-        count = angle.shape[1]
-        order = np.argsort(angle, axis=1, kind="stable")
+    def _merge(self, first: int, end: int) -> None:
+        """Works out the steps from `first` to before `end`; each comes to the same, whichever are
+        worked out together."""
+        if all(self._is_merged[first:end]):
+            return
+        self._is_merged[first:end] = [True] * (end - first)
+        angle, span_rad, rows = self._angle[first:end], 2.0 * self._half_gap_rad, slice(first, end)
+        # All rows as one ascending line: each begins further on than the one before ends.
+        apart = PLACES[rows, np.newaxis] * (self._widest_rad + 2.0 * span_rad)
+        order, fullest, most = _fullest(angle, apart, span_rad)
         angle = np.take_along_axis(angle, order, axis=1)
-        speed = np.take_along_axis(speed, order, axis=1)
-        first, most = _fullest(angle, 2.0 * self._half_gap_rad)
+        speed = np.take_along_axis(self._speed[first:end], order, axis=1)
+        count = angle.shape[1]
         places = np.arange(count)
-        held = (places >= first[:, np.newaxis]) & (places < (first + most)[:, np.newaxis])
+        held = (places >= fullest[:, np.newaxis]) & (places < (fullest + most)[:, np.newaxis])
         mean = np.sum(angle, axis=1, where=held) / most
         off = angle - mean[:, np.newaxis]
         within = np.sum(off * off, axis=1, where=held) / most
-        width = np.sqrt(2.0 * (within + self._own_variance(TIMES)))
+        width = np.sqrt(2.0 * (within + self._own_variance(TIMES)[rows]))
         shares = most / count * [math.erf(each) for each in self._half_gap_rad / width]
-        return np.array(
-            (mean, np.sum(speed, axis=1, where=held) / most, self._half_gap_rad / _width(shares))
-        )
+        self._merged[0, rows] = mean
+        self._merged[1, rows] = np.sum(speed, axis=1, where=held) / most
+        self._merged[2, rows] = self._half_gap_rad / _width(shares) * self._doubt
 
     def after(self, wait_s: float) -> LashCourse:
         """The same as seen from a later time."""
@@ -118,12 +131,18 @@ class LashCourse:
     def ahead(self, wait_s: float) -> tuple[float, float]:
         """Angle and speed after a time."""
         found = np.empty((2, 1))
-        self.course(wait_s, 0.0, found)
+        before = max(0, bisect_right(_TIMES, self.since_s + wait_s) - 1)
+        self._merge(before, min(before + 2, STEPS))
+        self._interpolate(wait_s, 0.0, found)
         return float(found[0, 0]), float(found[1, 0])
 
     def course(self, wait_s: float, step_s: float, found: Vector) -> None:
         """Angle and speed at equal steps of time, the first after `wait_s`, to the rows of found
         (2, n). Before now and after the last step of the course the speed is held."""
+        self._merge(0, STEPS)
+        self._interpolate(wait_s, step_s, found)
+
+    def _interpolate(self, wait_s: float, step_s: float, found: Vector) -> None:
         waits = self.since_s + wait_s + step_s * np.arange(found.shape[1])
         inside = np.clip(waits, 0.0, STEP_S * (STEPS - 1))
         found[1] = np.interp(inside, TIMES, self._merged[1])
@@ -132,6 +151,8 @@ class LashCourse:
     def theta_sd_ahead(self, wait_s: float) -> float:
         """Standard deviation of the angle after a time."""
         at = min(max(self.since_s + wait_s, 0.0) / STEP_S, float(STEPS - 1))
+        before = int(max(0.0, at))  # of what is no number, the first
+        self._merge(before, min(before + 2, STEPS))
         return float(np.interp(at, PLACES, self._merged[2]))
 
     def outlook(self, horizon_s: float, tick_s: float, count: int) -> Vector:
@@ -154,7 +175,9 @@ class LashCourse:
         told = self._p[0, 0] + LEAST_SD_RAD**2
         then = np.minimum(np.rint(tick_s * np.arange(MOST_TICKS) / STEP_S), STEPS - 1).astype(int)
         later = np.minimum(then + round(horizon_s / STEP_S), STEPS - 1)
-        most = np.maximum.accumulate(_apart(angle[: then[-1] + 1]), axis=0)[then]
+        # One row of NumPy's after the other: along the first axis it takes three times as long.
+        widest = list(accumulate(_apart(angle[: then[-1] + 1]), np.maximum))
+        most = np.array([widest[place] for place in then.tolist()])
         weights = np.exp(-0.25 * most**2 / told)
         weights /= weights.sum(axis=2, keepdims=True)
         near = _apart(angle[later]) < self._half_gap_rad
@@ -175,17 +198,77 @@ def _apart(angle: Vector) -> Vector:
     return np.abs(angle[:, :, np.newaxis] - angle[:, np.newaxis])
 
 
-def _fullest(angle: Vector, span_rad: float) -> tuple[Integers, Integers]:
-    """In each row of ascending angles (m, n) the span that holds most of them: the first one's
-    index, and how many there are. Of spans that hold as many it is the one in the middle: a lone
-    group is met in its middle."""
+Fullest = tuple[Integers, Integers, Integers]
+
+
+def _fullest_at_once(angle: Vector, apart: Vector, span_rad: float) -> Fullest:
+    """In each row of angles (m, n) the span that holds most of them: the order in which they
+    ascend (m, n), the index therein of the span's first one, and how many there are. Of spans that
+    hold as many it is the one in the middle: a lone group is met in its middle.
+
+    apart (m, 1) is added to each row, so that each begins beyond the one before."""
     rows, count = angle.shape
-    # All rows as one ascending line: each begins further on than the one before ends.
-    apart = np.arange(rows)[:, np.newaxis] * (float(np.ptp(angle)) + 2.0 * span_rad)
-    line = angle + apart
+    order = np.argsort(angle, axis=1, kind="stable")
+    line = np.take_along_axis(angle, order, axis=1) + apart
     ends = np.searchsorted(line.ravel(), (line + span_rad).ravel(), side="right")
     inside = ends.reshape(rows, count) - np.arange(rows * count).reshape(rows, count)
     most = inside.max(axis=1)
     counted = np.cumsum(inside == most[:, np.newaxis], axis=1)
     first = np.argmax(counted > counted[:, -1:] // 2, axis=1)
-    return first, most
+    return order, first, most
+
+
+def _fullest_by_kernel(angle: Vector, apart: Vector, span_rad: float) -> Fullest:
+    """The same, in a third of the time."""
+    rows, count = angle.shape
+    order, spans = np.empty((rows, count), np.int64), np.empty((2, rows), np.int64)
+    order[0] = np.argsort(angle[0], kind="stable")
+    fullest_spans(angle, apart.ravel(), span_rad, order, spans)
+    return order, spans[0], spans[1]
+
+
+_fullest: Final = _fullest_at_once if DISABLED else _fullest_by_kernel
+
+
+@compiled
+def fullest_spans(
+    angle: Vector, apart: Vector, span_rad: float, order: Integers, spans: Integers
+) -> None:
+    """As `_fullest_at_once`; order, of which the first row is given, and spans (2, m): first and
+    most."""
+    rows, count = angle.shape
+    line, inside = np.empty(count), np.empty(count, np.int64)
+    for r in range(rows):
+        if r > 0:
+            # A step earlier they came in nearly the same order: little is left to be moved.
+            order[r] = order[r - 1]
+            sort_on(angle[r], order[r])
+        for i in range(count):
+            line[i] = angle[r, order[r, i]] + apart[r]
+        end, most, as_many = 0, 0, 0
+        for i in range(count):
+            while end < count and line[end] <= line[i] + span_rad:
+                end += 1
+            inside[i] = end - i
+            if inside[i] > most:
+                most, as_many = inside[i], 0
+            as_many += 1 if inside[i] == most else 0
+        first, passed = -1, 0
+        while passed <= as_many // 2 and first + 1 < count:
+            first += 1
+            passed += 1 if inside[first] == most else 0
+        spans[0, r], spans[1, r] = first, most
+
+
+@inlined
+def sort_on(angle: Vector, order: Integers) -> None:
+    """Sorts indices by their angles, in place; of equal angles the lower index comes first."""
+    for i in range(1, order.shape[0]):
+        index, k = order[i], i
+        value = angle[index]
+        while k > 0 and (
+            angle[order[k - 1]] > value or (angle[order[k - 1]] == value and order[k - 1] > index)
+        ):
+            order[k] = order[k - 1]
+            k -= 1
+        order[k] = index

@@ -70,10 +70,10 @@ def _move(
     """`parts` steps after each note; follows: how much of the wheels' slip the tyre's carcass takes
     up."""
     for k in range(found.shape[1]):
-        for i in _each(x.shape[1]):
+        for i in each(x.shape[1]):
             found[0, k, i], found[1, k, i] = x[ANGLE, i], x[SPEED, i]
         for _ in range(parts):
-            for i in _each(x.shape[1]):
+            for i in each(x.shape[1]):
                 _step(x, i, dt, model, follows[i])
 
 
@@ -82,7 +82,8 @@ def _at_once(_count: int) -> tuple[slice]:
     return (slice(None),)
 
 
-_each: Any = _at_once if DISABLED else range
+each: Any = _at_once if DISABLED else range
+"""What a kernel's loop over drivelines runs through, by their number."""
 
 
 @inlined

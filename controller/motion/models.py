@@ -16,6 +16,7 @@ from meshpoint.controller.motion.kernels import (
     STATES,
     THETA,
     forecast,
+    settling,
     travel,
 )
 from meshpoint.controller.motion.kinematics import are_finite
@@ -200,18 +201,10 @@ def outlook(state: LayshaftState, ticks: Ticks, switches: Vector, model: MotionM
     horizon_us, tick_us, looks = ticks
     found = np.empty(looks)
     heard = state.edge_rad2_s / (tick_us * US)
-    time_us, x, p = state.time_us, state.vector, state.covariance.copy()
-    for k in range(looks):
-        then, spread = x.copy(), p.copy()
-        forecast(then, spread, float(time_us), float(time_us + horizon_us), switches, model.flat)
-        # By way of the deviation, as `predict_spread` says it: the same to the last bit.
-        found[k] = math.sqrt(max(0.0, spread.item(THETA, THETA))) ** 2
-        if k + 1 == looks:
-            break  # nobody asks what comes after the last
-        forecast(x, p, float(time_us), float(time_us + tick_us), switches, model.flat)
-        p -= np.outer(p[:, THETA] / (p[THETA, THETA] + heard), p[THETA])
-        time_us += tick_us
-    return found
+    times = np.array((state.time_us, horizon_us, tick_us, heard), dtype=np.float64)
+    settling(state.vector, state.covariance.copy(), times, switches, model.flat, found)
+    # By way of the deviation, as `predict_spread` says it: the same to the last bit.
+    return np.array([math.sqrt(max(0.0, variance)) ** 2 for variance in found.tolist()])
 
 
 def ahead(

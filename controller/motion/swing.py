@@ -65,7 +65,7 @@ class Swing(NamedTuple):
     @property
     def speed_rad_s(self) -> float:
         """The part of the shaft's speed with which it swings."""
-        return float(self.x[FIRST_MODE + 1 :: 2].sum())
+        return float(sum(self.x[FIRST_MODE + 1 :: 2].tolist()))
 
     def ahead(self, wait_s: float) -> tuple[float, float]:
         """Angle and speed after a time."""

@@ -225,12 +225,12 @@ def swing_course(x: Vector, model: Vector, wait_s: float, step_s: float, found: 
     state, motion = new_record(SWING_STATE), record_on(model, SWING_MODEL)
     state.x[:] = x
     step = new_record(SWING_STEP)
-    dt = wait_s
+    swing_step(wait_s, motion, step)
     for k in range(found.shape[1]):
-        swing_step(dt, motion, step)
+        if k == 1:
+            swing_step(step_s, motion, step)
         swing_on(state, step)
         found[0, k], found[1, k] = state.theta_rad, state.omega_rad_s
-        dt = step_s
 
 
 @compiled

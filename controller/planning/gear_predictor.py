@@ -7,7 +7,7 @@ of its driveline, or with constant acceleration where that is not estimated.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -26,7 +26,7 @@ from meshpoint.controller.motion.models import (
 )
 from meshpoint.controller.motion.swing import OUTLOOK_US, ShaftState, between_ticks, ticks_over
 from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.planning.plan_kernels import MEETING, course
+from meshpoint.controller.planning.plan_kernels import MEETING, course, courses
 from meshpoint.controller.records import filled
 from meshpoint.gearbox import MainGear
 from meshpoint.units import US
@@ -151,22 +151,41 @@ class GearPredictor:
     ) -> Trajectory:
         """Phase and slip at `count` times from `first_us` on, the brake as commanded or released
         at `release_us`. KeyError while the reference is unknown."""
-        main, state, brake = self.main, self.layshaft, self.brake
+        brake = self.brake
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
-        offset = -self.references.phase_rad(self.gear, 0.0, 0.0)
-        meeting = filled(
+        meeting = self._meeting(first_us, step_us)
+        found = self.main.course(first_us, step_us, count)
+        course(self.layshaft.vector, switches, self.model.flat, meeting, found)
+        return Trajectory(first_us, step_us, found[0], found[1])
+
+    def trajectories(
+        self, releases_us: Sequence[int], firsts_us: Sequence[float], step_us: float, count: int
+    ) -> Vector:
+        """Phase and slip as `trajectory` has them, of the brake released at each of `releases_us`,
+        from a time of its own on: (m, 2, count), one release a row."""
+        found = np.empty((len(releases_us), 2, count))
+        for k, first_us in enumerate(firsts_us):
+            is_same = k > 0 and first_us == firsts_us[k - 1]
+            found[k] = found[k - 1] if is_same else self.main.course(first_us, step_us, count)
+        off_us, meeting = self.brake.off_delay_us, self._meeting(firsts_us[0], step_us)
+        reacts_us = [release_us + off_us for release_us in releases_us]
+        releases = np.array((releases_us, reacts_us, firsts_us), dtype=np.float64)
+        commands = self.brake.commanded()
+        courses(self.layshaft.vector, commands, self.model.flat, meeting, releases, found)
+        return found
+
+    def _meeting(self, first_us: float, step_us: float) -> Vector:
+        """KeyError while the reference is unknown."""
+        return filled(
             MEETING,
-            layshaft_us=state.time_us,
+            layshaft_us=self.layshaft.time_us,
             first_us=first_us,
             step_us=step_us,
             i_gear=self.i_gear,
-            reference_rad=offset,
-            main_us=main.time_us,
+            reference_rad=-self.references.phase_rad(self.gear, 0.0, 0.0),
+            main_us=self.main.time_us,
             drift_rad_s=self.drift_rad_s,
         )
-        found = main.course(first_us, step_us, count)
-        course(state.vector, switches, self.model.flat, meeting, found)
-        return Trajectory(first_us, step_us, found[0], found[1])
 
     def release_time_us(
         self, earliest_us: int, latest_us: int, slip_left_rad_s: float, settle_us: float

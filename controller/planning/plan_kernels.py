@@ -90,12 +90,50 @@ def course(x: Vector, switches: Vector, model: Vector, meeting: Vector, found: V
     which the main shaft's angle and speed at these times are given.
 
     x: the layshaft's `State`; switches and model as for `travel`; meeting: a `Meeting`."""
-    ahead = x.copy()
-    state, mesh = record_on(ahead, STATE), record_on(meeting, MEETING)
+    mesh = record_on(meeting, MEETING)
+    meet(x.copy(), switches, model, mesh, mesh.first_us, found)
+
+
+@compiled
+def courses(
+    x: Vector, commands: Vector, model: Vector, meeting: Vector, releases: Vector, found: Vector
+) -> None:
+    """As `course`, after each of m releases of the brake, instead of the switches: found (m, 2, n).
+
+    commands (3, k): times of the brake valve's switches, its states from then on, and when pressure
+    begins to react; releases (3, m): times of the releases, when pressure begins to react to them,
+    and the first time that is asked for after each."""
+    mesh, ahead = record_on(meeting, MEETING), np.empty(STATES)
+    switches = np.empty((2, commands.shape[1] + 1))
+    for r in range(releases.shape[1]):
+        release(commands, releases[0, r], releases[1, r], switches)
+        ahead[:] = x
+        meet(ahead, switches, model, mesh, releases[2, r], found[r])
+
+
+@inlined
+def release(commands: Vector, release_us: float, reacts_us: float, switches: Vector) -> None:
+    """The switches of `BrakeInput.with_release`; room that is left is filled with switches that
+    never come."""
+    kept = commands.shape[1]
+    while kept > 0 and (commands[1, kept - 1] == 0.0 or commands[0, kept - 1] >= release_us):
+        kept -= 1
+    for k in range(switches.shape[1]):
+        switches[0, k], switches[1, k] = math.inf, 0.0
+        if k < kept:
+            switches[0, k], switches[1, k] = commands[2, k], commands[1, k]
+    switches[0, kept] = reacts_us
+
+
+@inlined
+def meet(
+    ahead: Vector, switches: Vector, model: Vector, mesh: Meeting, first_us: float, found: Vector
+) -> None:
+    """The course of a `Meeting` from a time on; the layshaft's state is moved."""
+    state, at_us = record_on(ahead, STATE), mesh.layshaft_us
     phase, slip = found[0], found[1]
-    at_us = mesh.layshaft_us
     for k in range(phase.shape[0]):
-        time_us = mesh.first_us + k * mesh.step_us
+        time_us = first_us + k * mesh.step_us
         travel(ahead, at_us, time_us, switches, model)
         at_us = time_us
         drifted = mesh.drift_rad_s * (time_us - mesh.main_us) * US
@@ -104,14 +142,26 @@ def course(x: Vector, switches: Vector, model: Vector, meeting: Vector, found: V
 
 
 @inlined
-def contact_cost(wait_s: float, phase: float, slip: float, variance: float, terms: Terms) -> float:
+def contact_cost(
+    wait_s: float, phase: float, slip: float, variance: float, terms: Terms, enough: float
+) -> float:
     """The cost in seconds; phase unwrapped (rad), slip (rad/s), variance of the phase without what
-    the delay adds (rad2)."""
+    the delay adds (rad2). Where even a sure hit would cost `enough` or more, the cost of that: the
+    probability of a hit is most of the work, and does not matter then."""
     half, pitch = terms.half_gap_rad, terms.pitch_rad
     moved = slip * terms.overlap_s
     centre = terms.target_rad - 0.5 * moved
     off = phase - centre
     off -= pitch * math.floor(off / pitch + 0.5)
+    energy, aim, outside = terms.energy_s3_rad2 * slip * slip, terms.aim_s * (off / half) ** 2, 0.0
+    if slip > terms.slip_high_rad_s:
+        outside = OUTSIDE_S + OUTSIDE * (slip - terms.slip_high_rad_s)
+    elif slip < terms.slip_low_rad_s:
+        outside = OUTSIDE_S + OUTSIDE * (terms.slip_low_rad_s - slip)
+    # In the order of the sum below: rounding, too, keeps it the lower one.
+    least = wait_s + energy + aim + outside
+    if least >= enough:
+        return float(least)
     at = centre + off
     low, high = -half - min(moved, 0.0), half - max(moved, 0.0)
     delay = slip * terms.delay_sd_s
@@ -121,13 +171,7 @@ def contact_cost(wait_s: float, phase: float, slip: float, variance: float, term
         hit = 0.5 * (math.erf((high - at) / root) - math.erf((low - at) / root))
     size = abs(slip)
     miss = terms.miss_s + terms.block_s * min(1.0, terms.block_slip_rad_s / max(size, 1e-6))
-    cost = wait_s + (1.0 - hit) * miss + terms.energy_s3_rad2 * slip * slip
-    cost += terms.aim_s * (off / half) ** 2
-    if slip > terms.slip_high_rad_s:
-        cost += OUTSIDE_S + OUTSIDE * (slip - terms.slip_high_rad_s)
-    elif slip < terms.slip_low_rad_s:
-        cost += OUTSIDE_S + OUTSIDE * (terms.slip_low_rad_s - slip)
-    return float(cost)
+    return float(wait_s + (1.0 - hit) * miss + energy + aim + outside)
 
 
 @compiled
@@ -144,7 +188,7 @@ def cheapest(
     for k in range(phase.shape[0]):
         later = k * series.step_s
         shifted = phase[k] + shift_rad
-        cost = contact_cost(series.wait_s + later, shifted, slip[k], variance[k], price)
+        cost = contact_cost(series.wait_s + later, shifted, slip[k], variance[k], price, least)
         if cost < least:
             best, least = k, cost
     return best, least
@@ -165,6 +209,27 @@ def expected_least(
     return best, total
 
 
+@compiled
+def best_course(
+    found: Vector, variance: Vector, waits_s: Vector, contacts: Vector, terms: Vector,
+    spread_rad: float,
+) -> tuple[int, int, float]:  # fmt: skip
+    """Of several courses, found (m, 2, n), the one of `expected_least`: its index, and what that
+    has of it.
+
+    waits_s (m,): from now to the first contact of each, `ContactSeries.wait_s`, which is set."""
+    series = record_on(contacts, CONTACT_SERIES)
+    chosen, best, least = 0, 0, math.inf
+    for r in range(found.shape[0]):
+        series.wait_s = waits_s[r]
+        index, cost = expected_least(
+            found[r, 0], found[r, 1], variance, contacts, terms, spread_rad
+        )
+        if cost < least:
+            chosen, best, least = r, index, cost
+    return chosen, best, least
+
+
 def warm_up() -> None:
     """Compiles all, or loads what was compiled before."""
     model = np.ones(MODEL.itemsize // WORD_BYTES)
@@ -172,7 +237,9 @@ def warm_up() -> None:
     law[..., 0], law[0, :, 0, 0] = np.inf, -np.inf
     meeting = np.array([0.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
     course(np.ones(STATES), np.empty((2, 0)), model, meeting, np.ones((2, 1)))
+    found = np.ones((1, 2, 1))
+    courses(np.ones(STATES), np.empty((3, 0)), model, meeting, np.ones((3, 1)), found)
     contacts = filled(CONTACT_SERIES, wait_s=0.0, step_s=1.0)
-    expected_least(
-        np.ones(1), np.ones(1), np.ones(1), contacts, np.ones(TERMS.itemsize // WORD_BYTES), 0.1
-    )
+    one, terms = np.ones(1), np.ones(TERMS.itemsize // WORD_BYTES)
+    cheapest(one, one, one, contacts, terms, 0.0)
+    best_course(found, one, one, contacts, terms, 0.1)

@@ -51,15 +51,9 @@ class Reporter:
     def frames(self, transmitter: Transmitter, snapshot: StepSnapshot) -> list[Frame]:
         """Estimates, J1939 messages, and this step's prediction and outcome where there are any."""
         sequence, sheet = self._sequence, self._header.sheet
-        # At the time of the newest read: extrapolated further, the estimates of two shafts in mesh
-        # would drift apart.
-        seen_us = self._observer.clock.latest_us
-        layshaft, main = self._observer.layshaft_at(seen_us), self._observer.main_at(seen_us)
         self._gear = current = self._gear_number()
-        messages: list[Message] = [
-            self._estimates(seen_us, layshaft, main),
-            self._etc1(main, layshaft),
-        ]
+        frames = transmitter.unread(ControllerEstimates, ETC1)
+        messages = [] if frames is not None else self._shafts()
         if self._steps % ETC2_EVERY == 0:
             target = sequence.target
             messages.append(etc2(sheet, current, target.number if target else max(current, 0)))
@@ -68,7 +62,14 @@ class Reporter:
             messages.append(prediction(snapshot.now_us, sequence.decision, shift))
         if sequence.finished is not None:
             messages.append(outcome(sequence.finished, sheet.dog.pitch_rad))
-        return [transmitter.encode(message) for message in messages]
+        return [*(frames or ()), *(transmitter.encode(message) for message in messages)]
+
+    def _shafts(self) -> list[Message]:
+        # At the time of the newest read: extrapolated further, the estimates of two shafts in mesh
+        # would drift apart.
+        seen_us = self._observer.clock.latest_us
+        layshaft, main = self._observer.layshaft_at(seen_us), self._observer.main_at(seen_us)
+        return [self._estimates(seen_us, layshaft, main), self._etc1(main, layshaft)]
 
     def _gear_number(self) -> int:
         view = self._observer.view

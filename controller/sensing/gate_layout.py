@@ -149,7 +149,7 @@ class GateMemory(RecordMemory):
         self.given, self.used = self.part("given"), self.part("used")
         self.other_gaps = self.part("other_gaps")
         self.extra, self.lost = self.part("extra"), self.part("lost")
-        self.rate_per_us = self.part("rate_per_us")
+        self.rate_per_us, self.dragged = self.part("rate_per_us"), self.part("dragged")
 
     def forget(self) -> None:
         """Tooth numbers are lost, and the loss has been counted already."""

@@ -56,10 +56,10 @@ class PressureSampler:
 
     def take(self, samples: Sequence[tuple[int, float]]) -> PressureSamples:
         """One step's samples: time (us) and pressure (Pa)."""
-        columns = np.zeros((3, len(samples)))
-        for k, (time_us, pressure_pa) in enumerate(samples):
-            columns[:, k] = time_us, pressure_pa, self._curvature(time_us, pressure_pa)
-        return PressureSamples(*columns)
+        times_us = [time_us for time_us, _ in samples]
+        pressures_pa = [pressure_pa for _, pressure_pa in samples]
+        curvatures = [self._curvature(*sample) for sample in samples]
+        return PressureSamples(*np.array((times_us, pressures_pa, curvatures), dtype=np.float64))
 
     def _curvature(self, time_us: int, pressure_pa: float) -> float:
         before, self._newest = self._newest, (time_us, pressure_pa)

@@ -218,7 +218,7 @@ class WheelEdges:
 
     def set_dragged(self, dragged: bool) -> None:
         """Whether a synchroniser may be dragging the shaft to another speed."""
-        self._gate.part("dragged")[0] = dragged
+        self._gate.dragged[0] = dragged
         if dragged:
             self.sensor.dragged()
 

@@ -34,6 +34,7 @@ Driven = tuple[bool, ...]
 NONE_DRIVEN: Final[Driven] = (False,) * len(ValveName)
 _COILS: Final = 1
 _SLOTS: Final = _COILS + len(ValveName)
+_AFTER: Final = _SLOTS + len(ValveName)
 """From where on a ValveStatus tells what is driven, and what is pending."""
 
 
@@ -47,7 +48,8 @@ def driven_or_pending(status: ValveStatus | None) -> Driven:
     before its first frame."""
     if status is None:
         return NONE_DRIVEN
-    return tuple(bool(status[_COILS + v] or status[_SLOTS + v]) for v in ValveName)
+    told = zip(status[_COILS:_SLOTS], status[_SLOTS:_AFTER], strict=True)
+    return tuple([bool(driven or pending) for driven, pending in told])
 
 
 _ACTION: Final = itemgetter(0)

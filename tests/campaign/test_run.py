@@ -16,7 +16,7 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.columns import Shifts
 from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import PAUSES, ClosedLoop
+from meshpoint.testbench.campaign.loop import PAUSES, UNREAD, ClosedLoop
 from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.run import run_one
 from meshpoint.testbench.campaign.sequential import estimate, parse_goal
@@ -94,3 +94,28 @@ def test_a_blind_strategy_may_be_judged_once_a_run_and_until_says_the_same() -> 
         runs = [replace(r, seed=seed) for seed in (7, 8) for r in records]
         said.append(estimate(goal, Shifts.of(runs), "target_phase", "speed_window").value)
     assert said[0] == pytest.approx(said[1], rel=1e-12)
+
+
+@pytest.mark.parametrize("profile", [Profile.CLEAN, Profile.TYPICAL])
+@pytest.mark.parametrize("preset", list(Preset))
+def test_what_nobody_reads_changes_nothing(preset: Preset, profile: Profile) -> None:
+    """Without a log the frames that are for logs are empty: shifts and bus are the same."""
+    spec, made = small_spec(preset), []
+    for log in (None, []):
+        drawn = draw(11, spec.sheet, spec.preset, spec.pairs, 3, {}, profile)
+        loop = ClosedLoop(spec.sheet, spec.settings, spec.preset, drawn, log=log)
+        rows = [loop.shift() for _ in range(2)]
+        fork = loop.fork()
+        fork.use(spec.engagement("target_phase"), knows_all=True)
+        made.append((rows, fork.shift(), loop.shift(), loop.simulated_s, loop.bus_load))
+    assert made[0] == made[1]
+    assert all(row is not None and row.result == "engaged" for row in made[0][0])
+
+
+def test_an_empty_frame_is_one_of_its_message() -> None:
+    """Who listens to it at all takes it as heard, not as wrong."""
+    for kind in UNREAD:
+        codec = CODECS[kind.__name__]
+        if codec.spec.receivers - {Node.BENCH}:
+            assert codec.decode(bytes(codec.spec.length)) is not None
+            assert codec.spec.data_id is None

@@ -17,6 +17,8 @@ from meshpoint.controller.motion.lash_course import (
     STEPS,
     Chance,
     LashCourse,
+    _fullest_at_once,
+    _fullest_by_kernel,
 )
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
@@ -193,3 +195,35 @@ def test_two_that_come_together_again_are_told_apart_by_how_far_they_were_apart(
     outlook = course_of(x, np.diag((2e-5, 0.0, 0.0))).outlook(0.07, 2.5e-3, MOST_TICKS)
     assert outlook[3:] == pytest.approx([outlook[3]] * (MOST_TICKS - 3))
     assert outlook[3] < outlook[2] < outlook[1] < outlook[0]
+
+
+def scattered() -> Vector:
+    """Drivelines that meet flanks at different times, some of them twice."""
+    rng = np.random.default_rng(7)
+    x = turning(rng.normal(62.0, 1.5, 240).tolist(), rng.normal(0.0, 0.03, 240).tolist())
+    x[HALF], x[WAY] = 0.03, rng.uniform(0.0, 0.06, 240)
+    x[:, 100:140] = x[:, 60:100]
+    return x
+
+
+def test_a_step_asked_for_alone_is_that_of_the_whole_course_to_the_bit() -> None:
+    whole = course_of(scattered(), doubt=1.3)
+    found = np.empty((2, 2 * STEPS))
+    whole.course(-STEP_S, 0.7 * STEP_S, found)
+    for k, (angle, speed) in enumerate(found.T.tolist()):
+        alone, wait_s = course_of(scattered(), doubt=1.3), -STEP_S + 0.7 * STEP_S * k
+        assert alone.ahead(wait_s) == (angle, speed)
+        again = course_of(scattered(), doubt=1.3)
+        assert again.theta_sd_ahead(wait_s) == whole.theta_sd_ahead(wait_s)
+
+
+@pytest.mark.parametrize("span_rad", [1e-3, 0.01, 1.0])
+def test_the_kernel_finds_the_spans_of_numpy(span_rad: float) -> None:
+    rng = np.random.default_rng(3)
+    angle = np.cumsum(rng.normal(0.0, 0.01, (12, 90)), axis=0)
+    angle[:, 20:30] = angle[:, 40:50]  # of equal ones the lower index comes first
+    angle[5] = 0.25
+    apart = np.arange(12.0)[:, np.newaxis] * (float(np.ptp(angle)) + 2.0 * span_rad)
+    by_kernel = _fullest_by_kernel(angle, apart, span_rad)
+    for ours, theirs in zip(by_kernel, _fullest_at_once(angle, apart, span_rad), strict=True):
+        assert ours.tolist() == theirs.tolist()

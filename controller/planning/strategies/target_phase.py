@@ -15,8 +15,8 @@ from meshpoint.controller.planning.gear_predictor import GearPredictor, Trajecto
 from meshpoint.controller.planning.plan_kernels import (
     CONTACT_SERIES,
     TERMS,
+    best_course,
     cheapest,
-    expected_least,
 )
 from meshpoint.controller.planning.strategies.base import (
     ReleasePlan,
@@ -160,27 +160,19 @@ class TargetPhase:
         self, predictor: GearPredictor, now_us: int, earliest_us: int, releases_us: range
     ) -> tuple[ReleasePlan, float]:
         """The release of least expected cost with the contact that goes with it, and the cost."""
-        terms = self._terms(predictor)
         step_us, count = self._steps(predictor, releases_us[0])
-        least, best = math.inf, ReleasePlan(releases_us[0], releases_us[0])
-        for release_us in releases_us:
-            fire_us = max(release_us - predictor.delay_us + CLEAR_US, earliest_us)
-            first_us = float(fire_us + predictor.delay_us)
-            trajectory = predictor.trajectory(first_us, step_us, count, release_us)
-            if release_us == releases_us[0]:
-                spread, settled = self._spread_at_release(predictor, trajectory, now_us, release_us)
-            index, cost = expected_least(
-                trajectory.phase_rad,
-                trajectory.slip_rad_s,
-                settled,
-                _contacts(trajectory, now_us),
-                terms,
-                spread,
-            )
-            if cost < least:
-                least = cost
-                best = ReleasePlan(release_us, round(first_us + index * step_us))
-        return best, least
+        delay_us = predictor.delay_us
+        fires_us = [max(each - delay_us + CLEAR_US, earliest_us) for each in releases_us]
+        firsts_us = [float(fire_us + delay_us) for fire_us in fires_us]
+        found = predictor.trajectories(releases_us, firsts_us, step_us, count)
+        first = Trajectory(firsts_us[0], step_us, *found[0])
+        spread, settled = self._spread_at_release(predictor, first, now_us, releases_us[0])
+        waits_s = (np.array(firsts_us) - now_us) / SECOND_US
+        chosen, index, cost = best_course(
+            found, settled, waits_s, _contacts(first, now_us), self._terms(predictor), spread
+        )
+        contact_us = round(firsts_us[chosen] + index * step_us)
+        return ReleasePlan(releases_us[chosen], contact_us), cost
 
     def _cheapest(self, predictor: GearPredictor, now_us: int, trajectory: Trajectory) -> float:
         """Time of a trajectory's cheapest contact."""

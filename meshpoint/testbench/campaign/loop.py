@@ -21,7 +21,15 @@ from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
-from meshpoint.dbc.messages import ControllerStatus, ReferenceEngagement, ShiftOutcome
+from meshpoint.dbc.messages import (
+    ETC1,
+    ControllerEstimates,
+    ControllerStatus,
+    ReferenceEncoder,
+    ReferenceEngagement,
+    ReferencePhase,
+    ShiftOutcome,
+)
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
@@ -56,6 +64,10 @@ without a loss; it is the bench's doing and no part of a shift."""
 CLOSING_US: Final = 400_000
 """The clutch's plates have met this long after a shift's end, or there are none."""
 ALL_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
+BENCH_READS: Final = (ControllerStatus, ShiftOutcome, ReferenceEngagement)
+UNREAD: Final = frozenset((ControllerEstimates, ETC1, ReferenceEncoder, ReferencePhase))
+"""What these say nobody acts on here, they are for logs: the engine listens to ETC1, whatever it
+says."""
 SHARED: Final = tuple(CODECS.values())
 """What a copy shares with its original: it never changes."""
 
@@ -114,6 +126,9 @@ class ClosedLoop:
             from meshpoint.bus.classic.cores import on_classic_bus
 
             cores = on_classic_bus(sheet, self._controller, self._rig, self._bench, self._scorer)
+        elif log is None:
+            self._controller.leave_unread(UNREAD)
+            self._rig.leave_unread(UNREAD)
         self._driver = VirtualTime(
             cores,
             [*tick_phases(drawn.seed), NO_STEP_US],
@@ -121,7 +136,7 @@ class ClosedLoop:
             rejected=[
                 frozenset(),
                 not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
-                ALL_IDS - identifiers((ControllerStatus, ShiftOutcome, ReferenceEngagement)),
+                ALL_IDS - identifiers(BENCH_READS),
                 ALL_IDS - SCORED_IDS,
             ],
         )

@@ -8,6 +8,7 @@ the preset truck predictions come from a copy of the rig's plant that is run ahe
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from meshpoint.controller.motion.models import LayshaftState, first_order_law
 from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.gear_predictor import GearPredictor, Trajectory
+from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.rig_sim.shared.angles import Angle
 from meshpoint.rig_sim.shared.world import Truth
@@ -69,6 +71,14 @@ class ForecastPredictor(GearPredictor):
         switches = brake.arrays() if release_us is None else brake.with_release(release_us)
         times_us = first_us + step_us * np.arange(count, dtype=np.float64)
         return Trajectory(first_us, step_us, *self.forecast.course(switches, times_us, is_released))
+
+    def trajectories(
+        self, releases_us: Sequence[int], firsts_us: Sequence[float], step_us: float, count: int
+    ) -> Vector:
+        """Phase and slip after each of several releases."""
+        each = zip(firsts_us, releases_us, strict=True)
+        found = [self.trajectory(first, step_us, count, release) for first, release in each]
+        return np.array([(one.phase_rad, one.slip_rad_s) for one in found])
 
     def _layshaft(self, time_us: float, phase_rad: float, slip_rad_s: float) -> LayshaftState:
         zero = self.references.phase_rad(self.gear, 0.0, 0.0)
