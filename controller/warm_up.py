@@ -8,9 +8,14 @@ from meshpoint.controller.estimation.brake_kernels import pressure_course
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.estimation.crossing_kernels import inverse_of_positive
 from meshpoint.controller.estimation.lash_cloud import correct
+from meshpoint.controller.estimation.loaded_kernels import (
+    LOADED_MODEL,
+    LOADED_STATES,
+    loaded_ahead,
+)
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.kernels import STATES
-from meshpoint.controller.motion.lash_course import LashCourse
+from meshpoint.controller.motion.lash_course import Chance, LashCourse
 from meshpoint.controller.motion.lash_motion import ROWS, LashModel, move
 from meshpoint.controller.motion.linear_kernels import (
     CRUISE_FILTER,
@@ -30,7 +35,7 @@ from meshpoint.controller.motion.models import (
 from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
 from meshpoint.controller.motion.swing_kernels import MODES, SWING_STATES
 from meshpoint.controller.planning import plan_kernels
-from meshpoint.controller.records import RecordMemory, filled
+from meshpoint.controller.records import WORD_BYTES, RecordMemory, filled
 from meshpoint.controller.sensing import chain_kernels as edge_kernels
 from meshpoint.controller.sensing import gate_kernels as edge_gate
 from meshpoint.controller.settings import CrossingFilterTuning
@@ -86,7 +91,9 @@ def _warm_up_swing() -> None:
     swing.theta_sd_ahead(0.1)
     swing.outlook(0.1, 0.01, 1)
     swing.course(0.1, 0.1, np.empty((2, 1)))
-    model_of_lash, spread = LashModel(1.0, 1.0, 1.0), (np.eye(3), 1.0)
+    model_of_lash, spread = LashModel(1.0, 1.0, 1.0), (np.eye(3), Chance(1.0, 1.0))
     move(np.ones((ROWS, 1)), 1e-3, model_of_lash)
     correct(np.ones((ROWS, 1)), np.ones(1), np.ones(1), np.ones(3), 1.0)
     LashCourse(np.ones((ROWS, 1)), model_of_lash, spread, 0.1).ahead(0.0)
+    loaded = np.ones((LOADED_STATES, LOADED_STATES))
+    loaded_ahead(loaded[0].copy(), loaded, 1e-3, np.ones(LOADED_MODEL.itemsize // WORD_BYTES))

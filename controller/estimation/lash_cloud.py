@@ -17,13 +17,12 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from functools import cache
-from statistics import NormalDist
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from meshpoint.controller.estimation.edge_looks import grouped_counts
+from meshpoint.controller.estimation.halton import PRIMES, even, normal, normal_twice
 from meshpoint.controller.estimation.loaded_driveline import BehindState, Shafts
 from meshpoint.controller.jit import bare
 from meshpoint.controller.motion.lash_course import Chance, LashCourse
@@ -89,7 +88,6 @@ SEEN_SDS: Final = (0.2, 0.5, 0.5, 0.5)
 their logarithms: a shaft that met no flank tells little, and its cloud does not know how little."""
 LEAST_SHARE_SD: Final = 0.5
 """They are never known better than by this share of what the sheet leaves open."""
-PRIMES: Final = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29)
 DRAWN: Final = (WAY, WHEELS, TYRE, VEHICLE, HILL)
 """What a cloud drawn anew gets its kernel in; beside the shares that follow."""
 SHARES: Final = (STIFF, LOSS, HALF, TYRE_STIFF)
@@ -181,7 +179,7 @@ class Lash:
 
     def cloud(self, start: LashStart) -> Vector:
         """The first cloud, (ROWS, DRIVELINES)."""
-        known, axle, sure = self.known, self.axle, _normal()
+        known, axle, sure = self.known, self.axle, normal(DRIVELINES)
         x = np.empty((ROWS, DRIVELINES))
         x[ANGLE], x[SPEED] = start.angle_rad, start.speed_rad_s
         x[HALF] = np.exp(known.half_log + known.half_sd * sure[0])
@@ -203,7 +201,7 @@ class Lash:
         """Starts from what the driveline was found to be in gear. Where it lies in its backlash is
         not believed of all: half of them lie as the ramp says where no flank is pressed on."""
         mean, root, half = behind
-        found = mean[:, np.newaxis] + root @ _normal()[1:6]
+        found = mean[:, np.newaxis] + root @ normal(DRIVELINES)[1:6]
         twist, ratio = found[0], self.ratio
         beyond = twist - np.clip(twist, -half, half)
         way = x[HALF] * (1.0 + (twist - beyond) / half) + beyond / ratio
@@ -215,10 +213,10 @@ class Lash:
     def _press(self, x: Vector, pressed_nm: float) -> None:
         """Places the drivelines between their flanks, and at the one that was pressed on."""
         pressed = float(np.sign(pressed_nm))
-        even, share = _even()[1], PRESSED * abs(pressed)
-        on, rest = even < share, (even - share) / (1.0 - share)
+        places, share = even(DRIVELINES)[1], PRESSED * abs(pressed)
+        on, rest = places < share, (places - share) / (1.0 - share)
         # The law of what a ramp leaves has a mean and is no less than none: exponential.
-        left_nm = -abs(pressed_nm) * np.log1p(-np.where(on, even / PRESSED, 0.0))
+        left_nm = -abs(pressed_nm) * np.log1p(-np.where(on, places / PRESSED, 0.0))
         twist = left_nm * self.ratio / (self._turned_kgm2 * x[STIFF])
         flank = (1 + pressed) * x[HALF] + pressed * twist
         x[WAY] = np.where(on, flank, (1.0 - AROUND + 2.0 * AROUND * rest) * x[HALF])
@@ -252,33 +250,6 @@ class Lash:
             after_sd = max(before_sd * math.sqrt(1.0 - gain), LEAST_SHARE_SD * most)
             learned += [min(max(after, middle - 2.0 * most), middle + 2.0 * most), after_sd]
         self.known = LashFigures(*learned)
-
-
-@cache
-def _even() -> Vector:
-    """Halton's sequences in the first primes: numbers that fill 0 to 1 evenly,
-    (len(PRIMES), DRIVELINES)."""
-    found = np.zeros((len(PRIMES), DRIVELINES))
-    for row, base in zip(found, PRIMES, strict=True):
-        rest, share = np.arange(1, DRIVELINES + 1), 1.0
-        while rest.any():
-            share /= base
-            row += share * (rest % base)
-            rest //= base
-    return found
-
-
-@cache
-def _normal() -> Vector:
-    """The same as numbers of the normal law."""
-    law = NormalDist()
-    return np.array([[law.inv_cdf(value) for value in row] for row in _even().tolist()])
-
-
-@cache
-def _normal_twice() -> Vector:
-    """The same, each row twice over: from any place on they are there in another order."""
-    return np.concatenate((_normal(), _normal()), axis=1)
 
 
 class LashCloud:
@@ -398,7 +369,7 @@ class LashCloud:
         self._logs[:], self._weights = 0.0, None
         self._drawn += 1
         begin = -self._drawn * PRIMES[-1] ** 2 % DRIVELINES
-        turned = _normal_twice()[:, begin : begin + DRIVELINES]
+        turned = normal_twice(DRIVELINES)[:, begin : begin + DRIVELINES]
         for numbers, (row, width) in zip(turned, widths.items(), strict=False):
             added = KERNEL * width * numbers
             if row in SHARES:

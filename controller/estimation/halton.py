@@ -1,0 +1,40 @@
+"""Numbers that fill a space evenly without any randomness: Halton's sequences (1960)."""
+
+from __future__ import annotations
+
+from functools import cache
+from statistics import NormalDist
+from typing import Final
+
+import numpy as np
+
+from meshpoint.controller.records import Vector
+
+PRIMES: Final = (2, 3, 5, 7, 11, 13, 17, 19, 23, 29)
+"""A sequence each."""
+
+
+@cache
+def even(count: int) -> Vector:
+    """Numbers that fill 0 to 1 evenly, (len(PRIMES), count)."""
+    found = np.zeros((len(PRIMES), count))
+    for row, base in zip(found, PRIMES, strict=True):
+        rest, share = np.arange(1, count + 1), 1.0
+        while rest.any():
+            share /= base
+            row += share * (rest % base)
+            rest //= base
+    return found
+
+
+@cache
+def normal(count: int) -> Vector:
+    """The same as numbers of the normal law."""
+    law = NormalDist()
+    return np.array([[law.inv_cdf(value) for value in row] for row in even(count).tolist()])
+
+
+@cache
+def normal_twice(count: int) -> Vector:
+    """The same, each row twice over: from any place on they are there in another order."""
+    return np.concatenate((normal(count), normal(count)), axis=1)
