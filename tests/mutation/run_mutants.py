@@ -113,12 +113,16 @@ def chosen(target: Target, options: argparse.Namespace) -> dict[str, list[str]]:
 
 
 def results_of(target: Target) -> list[dict[str, Any]]:
-    """What the runs before have found and still holds, the newest of each mutant."""
+    """What the runs before have found and still holds, the newest of each mutant. What the tests
+    that are tried first have killed is killed, by whatever name: one that never ends names no
+    test, and holds while these tests are the same."""
     hashes, newest = Hashes(target), {}
+    first = [Hashes(target._replace(tests=each)) for each in (target.near, target.kernels) if each]
     for path in sorted(OUT.glob(f"{target.name}-*.jsonl"), key=lambda each: each.stat().st_mtime):
         for line in path.read_text(encoding="utf-8").splitlines():
             values = json.loads(line)
-            if hashes.hold(values):
+            killed = values["outcome"] == "killed"
+            if hashes.hold(values) or (killed and any(each.hold(values) for each in first)):
                 newest[values["mutant"]] = values
     return list(newest.values())
 
