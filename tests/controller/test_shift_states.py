@@ -93,6 +93,7 @@ class Box:
         self.propeller = self.main * SHEET.range_mesh(gear.range_).ratio
         self.theta_layshaft = self.theta_main = 0.0
         self.pressure_pa = 0.0
+        self.out_us = self.air_us = 0
         self.driven: dict[ValveName, list[float]] = {
             valve: [0.0] * (DELAY_MS + TICK_US // MS_US) for valve in ValveName
         }
@@ -135,8 +136,8 @@ class Box:
     def step(self) -> State:
         """10 ms of the gearbox, then one of the sequence."""
         tracks = {sleeve: [at] for sleeve, at in self.position_m.items()}
-        for _ in range(TICK_US // MS_US):
-            self._millisecond()
+        for ms in range(TICK_US // MS_US):
+            self._millisecond(self.now_us + MS_US * (ms + 1))
             for sleeve, at in self.position_m.items():
                 tracks[sleeve].insert(0, at)
         self.now_us += TICK_US
@@ -156,8 +157,8 @@ class Box:
                 on = sum(self.board.driven(valve, t) for t in tenths) / 10.0
                 self.driven[valve].append(0.0 if valve in self.refused else on)
 
-    def _millisecond(self) -> None:
-        dt = 1e-3
+    def _millisecond(self, at_us: int) -> None:
+        dt, meshed = 1e-3, self.mesh
         for sleeve, valves in PUSHED.items():
             low, high = (self.driven[valve].pop(0) for valve in valves)
             push = 0.0 if sleeve in self.stuck else round(high) - round(low)
@@ -176,7 +177,11 @@ class Box:
                 at_m, self.speed_m_s[sleeve] = 0.0, 0.0  # into the detent of neutral
                 self.caught.add(sleeve)
             self.position_m[sleeve] = min(max(at_m, -STROKE_M), STROKE_M)
+        if meshed is not MainGear.NEUTRAL and self.mesh is MainGear.NEUTRAL:
+            self.out_us = at_us
         self._shafts(self.driven[ValveName.BRAKE].pop(0), dt)
+        if self.pressure_pa > 0.0 and self.air_us == 0:
+            self.air_us = at_us
 
     def _shafts(self, brake: float, dt: float) -> None:
         sequence = self.sequence
