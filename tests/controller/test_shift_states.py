@@ -102,16 +102,11 @@ class Box:
         self.references = PhaseReferences(SHEET)
         if self.phase_rad is not None:
             for each in SLEEVE_OF_MAIN:
-                self.references.adopt(each, self.offset_rad(each), 1)  # type: ignore[arg-type]
+                self.references.adopt(each, -self.phase_rad, 1)  # type: ignore[arg-type]
         self.brake = BrakeInput(DELAY_MS * MS_US)
         self.view = GearboxView(SHEET)
         self.sequence = ShiftSequence(SHEET, self.settings, self.board, self.brake, self.references)
         self.records: list[ShiftRecord] = []
-
-    def offset_rad(self, gear: MainGear) -> float:
-        """The constant between the counted angles and the phase."""
-        del gear
-        return -(self.phase_rad or 0.0)
 
     @property
     def state(self) -> State:
