@@ -24,7 +24,9 @@ SLEEVE = SHEET.sleeve
 WRAP_US = 1 << 32
 
 
-def moved(offset_m: float, direction: int, until_ms: int, begins_ms: float = 2_400.3) -> GearboxView:
+def moved(
+    offset_m: float, direction: int, until_ms: int, begins_ms: float = 2_400.3
+) -> GearboxView:
     """A sleeve that stands in neutral, and from a time on goes to its gear at the sheet's speed;
     its sensor reads so much too much."""
     view = GearboxView(SHEET)
