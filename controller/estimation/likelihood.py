@@ -150,7 +150,10 @@ def _step(
     curvature = (below - 2.0 * least + above) / (reach * reach)
     if not math.isfinite(curvature):
         return at, least, one.sd
-    best, found = min(((low, below), (at, least), (high, above)), key=lambda tried: tried[1])
+    # A probe may lie beyond the figure's range: it tells the slope there, and is never taken.
+    inside = [probe for probe in ((low, below), (high, above))
+              if one.least_log <= probe[0][k] <= one.most_log]  # fmt: skip
+    best, found = min(((at, least), *inside), key=lambda tried: tried[1])
     if curvature <= 0.0:
         return best, found, one.sd
     step = -(above - below) / (2.0 * reach) / curvature

@@ -315,7 +315,7 @@ class BrakeCourses:
         rates = np.zeros(gauge.shape)
         if on.any():
             rates += on * fill * before * flow_share(pressure / before, critical)
-        if not on.all():
+        if (on < 1.0).any():
             emptying = empty * pressure * flow_share(atmosphere / pressure, critical)
             rates -= (1.0 - on) * emptying
         rates *= self._rate

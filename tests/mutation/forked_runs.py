@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import pytest
+from first_failure import judge_by_first_failure
 from forks import FAILED, in_a_fork, limit, used_s
 from kernels import is_compiled
 from line_map import Coverage, Task, fails, in_turn, real
@@ -43,6 +44,12 @@ RUN_AT_IMPORT: Final = frozenset({ROOT / "controller/jit.py"})
 own."""
 START_S: Final = 30.0
 """What a process of its own takes to load, at most, on a busy machine (processor time)."""
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure() -> None:
+    """Before the tests are loaded: that one example fails is all that is asked."""
+    judge_by_first_failure()
 
 
 @pytest.hookimpl(tryfirst=True)

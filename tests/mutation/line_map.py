@@ -58,7 +58,8 @@ class Task:
         """Of all tests that have tried what is left."""
 
     def tell(self, mutant: str, by: str, **values: Any) -> None:
-        values = {"mutant": mutant, "by": by, **values, **self._held_by.of(mutant, by)}
+        values = {"mutant": mutant, "by": by, "how": self.how, **values}
+        values |= self._held_by.of(mutant, by)
         with self.results.open("a", encoding="utf-8") as file:
             file.write(json.dumps(values) + "\n")
 

@@ -15,6 +15,7 @@ from types import CodeType
 from typing import Any
 
 import pytest
+from first_failure import judge_by_first_failure
 from targets import NOT_IMPORTED, caught_by
 
 _FILE = os.environ["MUTATED_FILE"]
@@ -33,6 +34,12 @@ def _mutated(self: Any, fullname: str) -> CodeType | None:
 
 
 importlib.machinery.SourceFileLoader.get_code = _mutated  # type: ignore[method-assign]
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_configure() -> None:
+    """Before the tests are loaded."""
+    judge_by_first_failure()
 
 
 def pytest_runtest_logreport(report: pytest.TestReport) -> None:

@@ -113,12 +113,16 @@ def chosen(target: Target, options: argparse.Namespace) -> dict[str, list[str]]:
 
 
 def results_of(target: Target) -> list[dict[str, Any]]:
-    """What the runs before have found and still holds, the newest of each mutant."""
+    """What the runs before have found and still holds, the newest of each mutant. What the tests
+    that are tried first have killed is killed, by whatever name: one that never ends names no
+    test, and holds while these tests are the same."""
     hashes, newest = Hashes(target), {}
+    first = [Hashes(target._replace(tests=each)) for each in (target.near, target.kernels) if each]
     for path in sorted(OUT.glob(f"{target.name}-*.jsonl"), key=lambda each: each.stat().st_mtime):
         for line in path.read_text(encoding="utf-8").splitlines():
             values = json.loads(line)
-            if hashes.hold(values):
+            killed = values["outcome"] == "killed"
+            if hashes.hold(values) or (killed and any(each.hold(values) for each in first)):
                 newest[values["mutant"]] = values
     return list(newest.values())
 
@@ -136,10 +140,10 @@ def run_target(
         return
     for how, part in as_they_run(names).items():
         near = target._replace(tests=target.kernels if how == PLAIN_PYTHON else target.near)
-        tried = _passed_on(near)
-        new = {name: [each for each in all_ if each not in tried] for name, all_ in part.items()}
-        if any(new.values()):
-            _run_tests(near, (), new, how, budget_s, jobs, until_s)
+        _try_first(near, part, how, budget_s, jobs, until_s)
+        if how == PLAIN_PYTHON:
+            # Some of these tests take too long without the compiler, the best of them among those.
+            _try_first(near, part, COMPILED, 2.0 * budget_s, jobs, until_s)
     done = {each["mutant"] for each in results_of(target) if each["outcome"] == "killed"}
     left = {name: [each for each in all_ if each not in done] for name, all_ in names.items()}
     if any(left.values()):
@@ -148,9 +152,17 @@ def run_target(
         _run_tests(far, target.tests, left, COMPILED, budget_s, jobs, until_s)
 
 
-def _passed_on(near: Target) -> set[str]:
-    """Mutants of which it is known already that these tests let them through."""
-    return {each["mutant"] for each in results_of(near) if each["outcome"] == "passed on"}
+def _try_first(
+    near: Target, part: dict[str, list[str]], how: str, budget_s: float, jobs: int,
+    until_s: float | None,
+) -> None:  # fmt: skip
+    """Runs these tests for the mutants that they have not tried in this way."""
+    came = results_of(near)
+    known = {each["mutant"] for each in came
+             if each["outcome"] == "killed" or each.get("how") == how}  # fmt: skip
+    new = {name: [each for each in all_ if each not in known] for name, all_ in part.items()}
+    if any(new.values()):
+        _run_tests(near, (), new, how, budget_s, jobs, until_s)
 
 
 def _run_tests(

@@ -58,6 +58,8 @@ _KERNEL_TESTS: Final = tuple(
         "estimation_exactly",
     )
 )  # fmt: skip
+_NEAR: Final = ("tests/controller", "tests/testbench/test_reference.py")
+"""The pages of the second are made of the settings, so they hold each default and each range."""
 TARGETS: Final = (
     Target("guard", ("controller/guard/*.py",), _GUARD_TESTS, must=True),
     Target(
@@ -78,9 +80,9 @@ TARGETS: Final = (
     ),
     Target(
         "controller", ("controller/**/*.py",),
-        ("tests/controller", "tests/closed_loop", "tests/campaign/test_open_loop.py",
+        (*_NEAR, "tests/closed_loop", "tests/campaign/test_open_loop.py",
          "tests/testbench/test_own_strategy.py"),
-        must=False, near=("tests/controller",), kernels=_KERNEL_TESTS,
+        must=False, near=_NEAR, kernels=_KERNEL_TESTS,
     ),
 )  # fmt: skip
 """The last one is looked at by samples: `--sample`; what belongs to an earlier one is left out."""

@@ -1,0 +1,274 @@
+"""How figures are learned from shift to shift: as Bayes has it, within their ranges, and no surer
+than they may be; the swing's figures and the two models' rivalry among them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+
+from meshpoint.controller.estimation.driveline_swing import (
+    HILL,
+    OF_A_MODE,
+    START_SHARE,
+    WHITE,
+    DrivelineSwing,
+    EdgeRun,
+)
+from meshpoint.controller.estimation.lash_cloud import Lash
+from meshpoint.controller.estimation.lash_rivals import (
+    AHEAD_US,
+    BELIEVED,
+    EACH_US,
+    FORGET,
+    LEAST_WINDOWS,
+    LUCK,
+    MOST_A_WINDOW,
+    STEP_SHARE,
+    LashRivals,
+    Prediction,
+)
+from meshpoint.controller.estimation.likelihood import GROWTH, Learned, learn, prior, restored
+from meshpoint.controller.motion.swing_kernels import FIRST_MODE, MODES, STEADY, SWING_STATES
+from meshpoint.controller.settings import CrossingFilterTuning
+from meshpoint.gearbox.driveline import Axle
+from meshpoint.units import TURN
+
+TUNING = CrossingFilterTuning()
+Misfit = Callable[[Sequence[float]], float]
+
+
+def test_a_figure_lies_within_its_factor_of_a_typical_one() -> None:
+    one = prior(20.0, 2.0, (1.0, 400.0), 0.01)
+    assert one.value == pytest.approx(20.0)
+    assert one.sd == one.prior_sd == pytest.approx(math.log(2.0))
+    assert math.exp(one.least_log) == pytest.approx(1.0)
+    assert math.exp(one.most_log) == pytest.approx(400.0)
+    for value, sd, kept, kept_sd in (
+        (30.0, 0.1, 30.0, 0.1),
+        (0.5, 0.1, 1.0, 0.1),
+        (500.0, 0.1, 400.0, 0.1),
+        (30.0, 1e-4, 30.0, 0.01),
+        (30.0, 9.0, 30.0, math.log(2.0)),
+    ):
+        found = restored(one, value, sd)
+        assert found.value == pytest.approx(kept)
+        assert found.sd == pytest.approx(kept_sd)
+
+
+def seen_at(log: float, sd: float, k: int = 0) -> Misfit:
+    """Minus twice the log-likelihood of a shift that saw a figure there, by that deviation."""
+    return lambda logs: 3.0 + ((logs[k] - log) / sd) ** 2
+
+
+@pytest.mark.parametrize(("at", "sd"), [(0.3, 0.2), (-0.1, 0.05), (0.2, 1.0)])
+def test_a_shift_and_what_was_known_are_weighed_by_their_variances(at: float, sd: float) -> None:
+    """What was known has become a little less sure in between."""
+    known = Learned(0.1, 0.25, -3.0, 3.0, 0.6, 0.001)
+    (found,), misfit = learn([known], seen_at(at, sd))
+    grown = GROWTH * known.sd**2
+    weight = 1.0 / grown + 1.0 / sd**2
+    assert found.log == pytest.approx((0.1 / grown + at / sd**2) / weight, abs=1e-6)
+    assert found.sd == pytest.approx(weight**-0.5, rel=1e-6)
+    assert misfit == pytest.approx(3.0 + (at - 0.1) ** 2 / (grown + sd**2), rel=1e-6)
+    assert (found.prior_sd, found.least_sd) == (known.prior_sd, known.least_sd)
+
+
+def test_many_shifts_make_a_figure_no_surer_than_it_may_be_and_none_as_unsure_as_at_first() -> None:
+    known = Learned(0.0, 0.5, -3.0, 3.0, 0.5, 0.04)
+    for _ in range(12):
+        (known,), _ = learn([known], seen_at(0.4, 0.05))
+    assert known.log == pytest.approx(0.4, abs=0.01)
+    assert known.sd == pytest.approx(0.04)
+    for _ in range(100):
+        (known,), _ = learn([known], lambda _: 0.0)
+    assert known.sd == pytest.approx(0.5), "shifts that tell nothing, roads and loads that change"
+
+
+def test_a_figure_stays_within_its_range() -> None:
+    for far in (-2.0, 2.0):
+        known = Learned(0.0, 0.6, -0.5, 0.7, 0.6, 0.01)
+        (found,), _ = learn([known], seen_at(far, 0.02))
+        assert found.log == pytest.approx(-0.5 if far < 0.0 else 0.7)
+
+
+def test_a_shift_that_no_figure_explains_teaches_nothing() -> None:
+    known = [Learned(0.1, 0.3, -3.0, 3.0, 0.6, 0.01)]
+    for none in (math.inf, math.nan):
+        found, misfit = learn(known, lambda _, none=none: none)
+        assert found == known
+        assert misfit == math.inf
+
+
+def test_two_figures_that_make_up_for_each_other_are_found_in_the_valley() -> None:
+    known = [Learned(0.0, 0.5, -3.0, 3.0, 0.5, 0.01) for _ in range(2)]
+
+    def misfit(logs: Sequence[float]) -> float:
+        return ((logs[0] + 0.3 * logs[1] - 0.4) / 0.05) ** 2 + ((logs[1] - 0.1) / 0.2) ** 2
+
+    found, _ = learn(known, misfit)
+    assert found[0].log + 0.3 * found[1].log == pytest.approx(0.4, abs=0.02)
+    assert found[1].log == pytest.approx(0.1, abs=0.06)
+
+
+def test_of_several_minima_the_deepest_is_found_where_the_whole_range_is_looked_at() -> None:
+    """And only while the figure is not well known."""
+
+    def misfit(logs: Sequence[float]) -> float:
+        return 10.0 * (1.0 - math.cos(6.0 * (logs[0] - 0.9))) + 4.0 * abs(logs[0] - 0.9)
+
+    unsure = Learned(0.0, 1.0, -1.5, 1.5, 1.0, 0.005)
+    (found,), _ = learn([unsure], misfit, (0,))
+    assert found.log == pytest.approx(0.9, abs=0.02)
+    (near,), _ = learn([unsure], misfit)
+    assert abs(near.log - 0.9) > 0.3
+    sure = Learned(-0.15, 0.05, -1.5, 1.5, 1.0, 0.005)
+    (kept,), _ = learn([sure], misfit, (0,))
+    assert abs(kept.log + 0.15) < 0.1
+
+
+def test_a_driveline_s_swing_begins_with_what_the_settings_say() -> None:
+    swing = DrivelineSwing(TUNING)
+    modes = swing.motion.part("modes")
+    assert modes["natural_rad_s"].tolist() == pytest.approx(
+        [TURN * TUNING.near_hz, TURN * TUNING.far_hz]
+    )
+    decay = TUNING.swing_damping * modes["natural_rad_s"]
+    assert modes["decay_per_s"] == pytest.approx(decay)
+    lash = Lash(Axle(), TUNING.lash_rad, TUNING.lash_factor, 1.0)
+    assert swing.record(lash.known, False) is None
+
+
+def test_what_is_not_known_of_a_mode_is_noise_that_drives_it() -> None:
+    """Off by a share e of its frequency it accelerates otherwise by 2 e w times its speed v, for
+    1 / w at a time: a density of (2 e w v)^2 / w, and the same of its decay."""
+    swing = DrivelineSwing(TUNING)
+    for m, speed in enumerate((TUNING.near_rad_s, TUNING.far_rad_s)):
+        natural, damping, _, noise = swing._figures[OF_A_MODE * m : OF_A_MODE * (m + 1)]
+        w = natural.value
+        by_frequency = (2.0 * natural.sd * w * speed) ** 2 / w
+        by_decay = (2.0 * damping.value * damping.sd * w * speed) ** 2 / w
+        expected = noise.value + by_frequency + by_decay
+        assert swing.motion.part("modes")["noise_rad2_s3"][m] == pytest.approx(expected)
+
+
+def test_a_gear_that_comes_out_leaves_angle_and_speed_and_a_swing_of_any_phase() -> None:
+    swing = DrivelineSwing(TUNING)
+    x, p = np.arange(1.0, SWING_STATES + 1.0), np.full((SWING_STATES, SWING_STATES), 7.0)
+    swing.start(x, p)
+    assert x.tolist() == [1.0, 2.0, *[0.0] * (SWING_STATES - 2)]
+    assert (p[:2, :2] == 7.0).all()
+    diagonal = np.diag(p)[2:]
+    assert np.count_nonzero(p) == 4 + diagonal.size
+    assert p[STEADY, STEADY] == pytest.approx((START_SHARE * TUNING.main_start_rad_s2) ** 2)
+    for m, (hertz, speed) in enumerate(
+        ((TUNING.near_hz, TUNING.near_rad_s), (TUNING.far_hz, TUNING.far_rad_s))
+    ):
+        i = FIRST_MODE + 2 * m
+        assert p[i + 1, i + 1] == pytest.approx((START_SHARE * speed) ** 2)
+        assert p[i, i] == pytest.approx(p[i + 1, i + 1] / (TURN * hertz) ** 2)
+    logs = [one.log for one in swing._figures]
+    x, p = np.ones(SWING_STATES), np.ones((SWING_STATES, SWING_STATES))
+    swing.start(x, p, logs)
+    assert p[STEADY, STEADY] == pytest.approx(TUNING.main_start_rad_s2**2), "what is tried is meant"
+
+
+def test_a_swing_that_was_kept_is_taken_up_as_it_was() -> None:
+    swing, other = DrivelineSwing(TUNING), DrivelineSwing(TUNING)
+    figures = list(swing._figures)
+    for k in range(len(figures)):
+        figures[k] = restored(figures[k], figures[k].value * (1.01 + 0.01 * k), 0.3 - 0.02 * k)
+    swing._figures, swing.shifts = figures, 3
+    lash = Lash(Axle(), TUNING.lash_rad, TUNING.lash_factor, 1.0)
+    record = swing.record(lash.known, True)
+    assert record is not None
+    assert record.has_lash is True
+    assert record.half_lash_rad == pytest.approx(math.exp(lash.known.half_log))
+    assert record.natural_rad_s == tuple(figures[OF_A_MODE * m].value for m in range(MODES))
+    assert record.noise_rad2_s3[-1] == figures[WHITE].value
+    assert (record.hill_rad_s2, record.hill_sd) == (figures[HILL].value, figures[HILL].sd)
+    other.restore(record)
+    assert other.shifts == 3
+    for mine, theirs in zip(figures, other._figures, strict=True):
+        assert theirs.value == pytest.approx(mine.value)
+        assert theirs.sd == pytest.approx(mine.sd)
+
+
+def test_edges_of_a_run_are_kept_in_their_order_until_the_next_begins() -> None:
+    run = EdgeRun()
+    assert run.edges.shape == (2, 0)
+    assert run.places.size == 0
+    run.add(np.array([1.0, 2.0]), np.array([0.1, 0.2]), np.array([5, 6]))
+    run.add(np.array([3.0]), np.array([0.3]), np.array([7]))
+    assert run.edges.tolist() == [[1.0, 2.0, 3.0], [0.1, 0.2, 0.3]]
+    assert run.places.tolist() == [5, 6, 7]
+    run.begin()
+    assert run.edges.shape == (2, 0)
+
+
+EVEN = np.arange(0.0, 400_000.0, 5_000.0)
+GAP_RAD = math.radians(1.0)
+
+
+def judged(rivals: LashRivals, swing: Prediction, lash: Prediction) -> None:
+    """A window of a shaft that stands at 0, in which both predict at each time they are asked."""
+    rivals.begin()
+    for k in range(0, EVEN.size, 2):
+        edges = np.array((EVEN[k : k + 2], np.zeros(2)))
+        rivals.judge(edges, GAP_RAD)
+        if rivals.wants(float(EVEN[k + 1])):
+            rivals.predict(float(EVEN[k + 1]), swing, lash)
+    rivals.end()
+
+
+def within(off_sd: float, half_sd: float) -> float:
+    """Probability of a normal law between two places, deviations from its middle."""
+    return 0.5 * (
+        math.erf((off_sd + half_sd) / math.sqrt(2.0))
+        - math.erf((off_sd - half_sd) / math.sqrt(2.0))
+    )
+
+
+def test_a_window_weighs_what_each_model_gave_to_what_came() -> None:
+    """Twice the logarithm of both probabilities' ratio, a horizon counting as one."""
+    swing, lash = Prediction(GAP_RAD, 0.8 * GAP_RAD), Prediction(0.1 * GAP_RAD, 0.5 * GAP_RAD)
+    rivals = LashRivals()
+    judged(rivals, swing, lash)
+    given = [LUCK + (1.0 - LUCK) * p for p in (within(1.25, 1.25), within(0.2, 2.0))]
+    asked = [t for t in EVEN[1::2] if t + AHEAD_US <= EVEN[-1]]
+    every = EACH_US / 10_000.0
+    count = math.ceil(len(asked) / max(1.0, every))
+    told = min(2.0 * math.log(given[1] / given[0]) * count * STEP_SHARE, MOST_A_WINDOW)
+    assert rivals._for_lash == pytest.approx(told, rel=0.15)
+
+
+def test_backlash_is_believed_after_some_windows_and_forgotten_where_it_fails() -> None:
+    good, bad = Prediction(0.0, 0.3 * GAP_RAD), Prediction(3.0 * GAP_RAD, 0.3 * GAP_RAD)
+    rivals = LashRivals()
+    for window in range(1, 5):
+        judged(rivals, bad, good)
+        assert rivals.believes_lash is (window >= LEAST_WINDOWS)
+    assert rivals._for_lash <= MOST_A_WINDOW / (1.0 - FORGET)
+    for _ in range(4):
+        judged(rivals, good, bad)
+    assert not rivals.believes_lash
+    assert not rivals.tries_lash
+    other = LashRivals()
+    other.restore(True)
+    assert other.believes_lash
+    assert other._for_lash == 2.0 * BELIEVED
+    other.restore(False)
+    assert not other.believes_lash
+    assert other.tries_lash
+
+
+def test_predictions_are_asked_for_one_step_after_another() -> None:
+    rivals = LashRivals()
+    assert rivals.wants(0.0)
+    rivals.predict(0.0, Prediction(0.0, 1.0), Prediction(0.0, 1.0))
+    assert not rivals.wants(EACH_US - 1.0)
+    assert rivals.wants(EACH_US)
+    rivals.begin()
+    assert rivals.wants(0.0)

@@ -1,0 +1,252 @@
+"""What the sequence does in the milliseconds about a sleeve's way: air for the brake as the old
+teeth part, a firing taken back, a clutch that closes as the overlap holds."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from test_shift_states import (
+    CONTACT_M,
+    DOWN,
+    FIRST_SECOND,
+    PITCH,
+    SHEET,
+    STROKE_M,
+    UP,
+    Box,
+    aimed,
+)
+
+from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftDecision, ShiftResult
+from meshpoint.dbc.messages import ControllerState as State
+from meshpoint.gearbox import MainGear
+
+GEAR, VALVE = MainGear.SECOND, ValveName.MAIN_SECOND
+
+
+def going(*states: State, **other: Any) -> Box:
+    """The shift up, as far as one of these states."""
+    box = aimed(*UP[:2], **other)
+    box.ask(UP[2])
+    return box.until(*states)
+
+
+@pytest.mark.parametrize(("gear", "speed", "target"), [UP, (7, 190.0, 9), (3, 120.0, 5),
+                                                       (8, 150.0, 10), (9, 150.0, 11)])  # fmt: skip
+def test_the_brakes_air_comes_as_the_old_teeth_part_and_no_sooner(
+    gear: int, speed: float, target: int
+) -> None:
+    box = aimed(gear, speed)
+    record = box.shift(target)
+    assert (record.result, record.pulses) == (ShiftResult.ENGAGED, 1)
+    assert 0 <= box.air_us - box.out_us <= 9_000
+
+
+def test_a_sleeve_that_stops_on_its_way_out_takes_the_brakes_air_back() -> None:
+    """Next to no air comes in gear, and the attempt does not count as a use of the brake."""
+    box = going(State.DISENGAGING)
+    while not box.board.command(ValveName.BRAKE).on:
+        box.step()
+        assert box.running()
+    assert box.sequence.running.pulses == 1
+    box.stuck.add(FIRST_SECOND)
+    box.position_m[FIRST_SECOND] = -0.99 * STROKE_M
+    box.step()
+    box.step()
+    assert not box.board.command(ValveName.BRAKE).on
+    assert box.sequence.running.pulses == 0
+    for _ in range(20):
+        box.step()
+        assert box.pressure_pa < 0.1 * SHEET.air.supply_gauge_pa
+    assert box.pressure_pa < 0.01 * SHEET.air.supply_gauge_pa
+    box.stuck.clear()
+    box.until(State.IN_GEAR)
+    assert box.records[-1].result is ShiftResult.ENGAGED
+
+
+def test_no_brake_for_a_gear_that_is_too_slow_or_while_another_step_is_to_be_changed() -> None:
+    for gear, speed, target in (DOWN, (6, 110.0, 7)):
+        box = aimed(gear, speed)
+        box.ask(target)
+        while box.running():
+            box.step()
+            if box.state in (State.SYNCHRONISING, State.COASTING):
+                break
+            assert not box.board.command(ValveName.BRAKE).on
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_the_clutch_closes_as_soon_as_the_overlap_holds_the_sleeve_where_the_phase_is_known(
+    known: bool,
+) -> None:
+    """A gear whose phase is not known yet is left to show on which flank it lies."""
+    box = Box(*UP[:2], phase_rad=0.01 if known else None).ready()
+    box.ask(UP[2])
+    box.until(State.ENGAGING)
+    early = []
+    while box.running():
+        box.step()
+        if box.state is State.ENGAGING:
+            past_m = box.view.position_m(FIRST_SECOND) - CONTACT_M
+            closes = box.sequence.clutch is ClutchAction.CLOSE
+            assert closes is (known and past_m > SHEET.dog.most_overlap_m)
+            early.append(closes)
+    assert any(early) is known
+
+
+@pytest.mark.parametrize("kick", [0.35, 0.5, -0.4])
+def test_a_sleeve_that_would_meet_a_tooth_is_called_back_before_it_moves(kick: float) -> None:
+    """The main shaft jerks just after the firing: the valve goes off before its delay is over, it
+    is no attempt, and the next firing meets the gap."""
+    met: list[float] = []
+    box = going(State.ENGAGING)
+    box.face = lambda phase: met.append(phase) or False  # type: ignore[func-returns-value]
+    box.theta_main += kick * PITCH
+    box.until(State.RETRACTING, most=2)
+    assert not box.board.command(VALVE).on
+    assert box.sequence.running.attempts == 0
+    box.until(State.IN_GEAR)
+    record = box.records[-1]
+    assert (record.result, record.calls, record.attempts) == (ShiftResult.ENGAGED, 1, 1)
+    assert len(met) == 1
+    assert abs(met[0]) < 0.5 * SHEET.dog.backlash_rad
+
+
+def test_a_sleeve_that_is_on_its_way_is_not_called_back() -> None:
+    box = going(State.ENGAGING)
+    plan = box.sequence.running.plan
+    assert plan is not None
+    while box.now_us < plan.fire_us + 1e6 * SHEET.sleeve.valve_delay_s:
+        box.step()
+    box.theta_main += 0.5 * PITCH
+    box.step()
+    assert box.state is State.ENGAGING
+    assert box.board.command(VALVE).on
+
+
+def test_a_jerking_main_shaft_costs_no_more_than_some_calls() -> None:
+    """After them the sleeve goes as it was fired."""
+    box = going(State.ENGAGING)
+    before = State.COASTING
+    while box.running():
+        if box.state is State.ENGAGING and before is not State.ENGAGING:
+            box.theta_main += 0.5 * PITCH
+        before = box.state
+        box.step()
+    assert 2 <= box.records[-1].calls <= 6
+    assert box.records[-1].result is ShiftResult.ENGAGED
+
+
+def test_a_firing_that_the_valve_side_did_not_take_is_made_again_after_40_ms() -> None:
+    box = going(State.ENGAGING)
+    box.refused.add(VALVE)
+    plan = box.sequence.running.plan
+    assert plan is not None
+    box.until(State.RETRACTING)
+    assert 40_000 < box.now_us - plan.fire_us <= 50_000
+    box.refused.clear()
+    box.until(State.IN_GEAR)
+    record = box.records[-1]
+    assert (record.result, record.calls, record.attempts) == (ShiftResult.ENGAGED, 1, 1)
+
+
+def test_a_brake_command_that_the_valve_side_did_not_take_is_sent_again_after_40_ms() -> None:
+    box = going(State.DISENGAGING)
+    box.refused.add(ValveName.BRAKE)
+    box.until(State.SYNCHRONISING)
+    first_us = box.board.command(ValveName.BRAKE).time_us
+    while box.board.command(ValveName.BRAKE).time_us == first_us:
+        box.step()
+        assert box.now_us - first_us < 60_000
+    assert box.now_us - first_us > 40_000
+    assert box.board.command(ValveName.BRAKE).on
+
+
+def test_a_firing_not_yet_sent_for_good_is_taken_back_where_the_gap_went_away() -> None:
+    box = going(State.SYNCHRONISING, State.COASTING)
+    while box.sequence.running.plan is None:
+        box.step()
+    box.theta_main += 0.5 * PITCH
+    box.step()
+    plan = box.sequence.running.plan
+    if plan is None:
+        assert not box.board.command(VALVE).on
+    else:
+        assert not plan.misses
+    box.until(State.IN_GEAR)
+    assert box.records[-1].result is ShiftResult.ENGAGED
+
+
+@pytest.mark.parametrize("way", [UP, DOWN])
+def test_what_carried_a_tooth_to_its_flank_is_told_with_the_slip_at_contact(
+    way: tuple[int, float, int],
+) -> None:
+    """For the phase reference: a sleeve that went straight in, and the slip as it did; none where
+    drag might have turned it round within the gap."""
+    box, told, slips = Box(*way[:2]), [], []
+    gear = SHEET.main_mesh
+    del gear
+    target = MainGear.SECOND if way is UP else MainGear.FIRST
+    box.face = lambda _: slips.append(box.slip(target)) or False  # type: ignore[func-returns-value]
+    box.references.locked = lambda *args: told.append(args)  # type: ignore[method-assign]
+    box.ready().shift(way[2])
+    ((locked, slip, straight),) = told
+    assert locked is target
+    assert straight is True
+    inertia = SHEET.inertia_kgm2(box.split)
+    ratio = SHEET.main_mesh(target).ratio
+    fall = ratio * SHEET.shafts.friction_nms * box.main / ratio / inertia
+    crosses = slips[0] < 0.0 or slips[0] ** 2 > 2.0 * SHEET.dog.backlash_rad * fall
+    assert slip == pytest.approx(slips[0] if crosses else 0.0, abs=0.6)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_every_step_of_a_shift_says_what_is_being_decided(known: bool) -> None:
+    """First to brake, then when to let it go, and when to fire, until it is done."""
+    box = Box(*UP[:2], phase_rad=0.01 if known else None).ready()
+    box.ask(UP[2])
+    said = []
+    while box.running():
+        box.step()
+        if box.sequence.decision is not None:
+            said.append(box.sequence.decision.decision)
+    order = [one for k, one in enumerate(said) if k == 0 or one is not said[k - 1]]
+    waits = ShiftDecision.WAIT_FOR_GAP if known else ShiftDecision.WAIT_FOR_SLIP
+    assert order[0] is ShiftDecision.BRAKE
+    assert order[-2:] == [ShiftDecision.FIRE, ShiftDecision.COMMITTED]
+    assert set(order[1:-2]) == ({waits} if known else {ShiftDecision.RELEASE, waits})
+
+
+def test_the_range_is_not_taken_for_changed_before_its_shafts_turn_together() -> None:
+    """Nor are the speeds believed that the estimators had before."""
+    box = aimed(6, 110.0)
+    box.ask(7)
+    box.until(State.STEPS_CHANGING)
+    snapshot, estimated = box.snapshot, [1.2]
+
+    def late(**other: Any) -> Any:
+        found = snapshot(**other)
+        main = found.main
+        assert main is not None
+        return snapshot(main=main._replace(omega_rad_s=main.omega_rad_s * estimated[0]))
+
+    box.snapshot = late  # type: ignore[method-assign]
+    for _ in range(40):
+        assert box.step() is State.STEPS_CHANGING
+    estimated[0] = 1.04
+    assert box.step() is not State.STEPS_CHANGING
+
+
+def test_speeds_that_never_agree_after_a_change_of_range_end_the_shift() -> None:
+    box = aimed(6, 110.0)
+    box.ask(7)
+    box.until(State.STEPS_CHANGING)
+    snapshot = box.snapshot
+    box.snapshot = lambda **other: snapshot(**{"main": None} | other)  # type: ignore[method-assign]
+    while box.running():
+        box.step()
+    record = box.records[-1]
+    assert record.fault is FaultCode.SPEED_STALE
+    assert record.result is ShiftResult.ENDED_IN_NEUTRAL

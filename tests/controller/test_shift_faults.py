@@ -1,0 +1,251 @@
+"""What does not move, and what is not known any more: each ends a shift by its name, in its time,
+with nothing left driven."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+import pytest
+from test_shift_states import (
+    DOWN,
+    FIRST_SECOND,
+    SHEET,
+    SPLIT,
+    STROKE_M,
+    UP,
+    WAYS,
+    Box,
+    aimed,
+)
+
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
+from meshpoint.dbc.messages import ControllerState as State
+from meshpoint.gearbox import MainGear, Sleeve
+from meshpoint.gearbox.gears import DRIVE_GEARS
+
+
+def silent_clutch(box: Box) -> None:
+    box.stuck_clutch = True
+
+
+def stuck(*sleeves: Sleeve) -> Callable[[Box], None]:
+    return lambda box: box.stuck.update(sleeves)
+
+
+def weak(box: Box) -> None:
+    box.weak_engine = True
+
+
+def without_air(box: Box) -> None:
+    box.refused.add(ValveName.BRAKE)
+
+
+BROKEN: Final = [
+    (UP, silent_clutch, FaultCode.CLUTCH_STUCK, ShiftResult.ENDED_IN_OLD_GEAR, 0.6),
+    (UP, stuck(FIRST_SECOND), FaultCode.DISENGAGE_FAILED, ShiftResult.ENDED_IN_OLD_GEAR, 1.5),
+    (SPLIT, stuck(Sleeve.SPLITTER), FaultCode.SPLITTER_FAILED, ShiftResult.ENDED_IN_OLD_GEAR, 1.6),
+    ((6, 110.0, 7), stuck(Sleeve.RANGE), FaultCode.RANGE_FAILED, ShiftResult.ENDED_IN_NEUTRAL, 1.7),
+    ((6, 110.0, 7), stuck(Sleeve.SPLITTER), FaultCode.SPLITTER_FAILED,
+     ShiftResult.ENDED_IN_NEUTRAL, 1.7),
+    (DOWN, weak, FaultCode.ENGINE_FAILED, ShiftResult.ENDED_IN_NEUTRAL, 2.2),
+    ((7, 150.0, 11), without_air, FaultCode.SYNCHRONISE_FAILED, ShiftResult.ENDED_IN_NEUTRAL, 2.2),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("way", "breaks", "fault", "result", "after_s"), BROKEN)
+def test_what_does_not_move_ends_the_shift_with_its_name_and_in_time(
+    way: tuple[int, float, int], breaks: Callable[[Box], None], fault: FaultCode,
+    result: ShiftResult, after_s: float,
+) -> None:  # fmt: skip
+    """Then all valves are off, the engine is asked for nothing, and the clutch closes."""
+    box = aimed(*way[:2])
+    breaks(box)
+    box.ask(way[2])
+    begun_us = box.now_us
+    while box.running():
+        box.step()
+    record = box.records[0]
+    assert (record.fault, record.result) == (fault, result)
+    assert (box.now_us - begun_us) * 1e-6 == pytest.approx(after_s, abs=0.12)
+    assert not any(box.board.command(valve).on for valve in ValveName)
+    assert record.end_us == box.now_us
+    if breaks is not silent_clutch:
+        box.until(State.IN_GEAR, State.NEUTRAL)
+        assert box.clutch > 0.9
+    assert box.sequence.fault is fault
+    assert box.sequence.engine_rad_s is None
+
+
+@pytest.mark.parametrize("state", WAYS[DOWN][1:-2])
+@pytest.mark.parametrize("lost", [FaultCode.SPEED_STALE, FaultCode.VALVE_LINK_LOST,
+                                  FaultCode.POSITION_STALE])  # fmt: skip
+def test_an_input_that_is_lost_ends_the_shift_in_the_same_step(
+    state: State, lost: FaultCode
+) -> None:
+    box = aimed(*DOWN[:2])
+    box.ask(DOWN[2])
+    box.until(state)
+    box.lost = lost
+    box.step()
+    (record,) = box.records
+    assert record.fault is lost
+    assert not any(box.board.command(valve).on for valve in ValveName)
+    known = lost is not FaultCode.POSITION_STALE
+    if not known or box.view.main_gear is None:
+        assert record.result is ShiftResult.ENDED_BETWEEN_GEARS
+        assert box.state is State.FAULTED
+        assert box.sequence.clutch is ClutchAction.OPEN
+    else:
+        neutral = box.view.main_gear is MainGear.NEUTRAL
+        old, none = ShiftResult.ENDED_IN_OLD_GEAR, ShiftResult.ENDED_IN_NEUTRAL
+        assert record.result is (none if neutral else old)
+        assert box.state is State.CLUTCH_CLOSING
+        assert box.sequence.clutch is ClutchAction.CLOSE
+
+
+def test_a_box_without_air_begins_no_shift_and_says_so() -> None:
+    box = aimed(*UP[:2])
+    limit_pa = box.settings.limits.supply_low_pa
+    box.supply_pa = limit_pa - 1.0
+    assert "supply at" in str(box.ask(UP[2]))
+    refused = box.sequence.finished
+    assert refused is not None
+    assert (refused.result, refused.fault) == (ShiftResult.REFUSED, FaultCode.LOW_SUPPLY)
+    assert refused.end_us == box.now_us
+    assert box.step() is State.IN_GEAR
+    box.supply_pa = limit_pa
+    assert box.ask(UP[2]) is None
+    assert box.state is State.CLUTCH_OPENING
+
+
+@pytest.mark.parametrize(("number", "says"), [(0, "gears are 1 to 14"), (15, "gears are 1 to 14"),
+                                              (1, "rpm"), (7, None)])  # fmt: skip
+def test_what_the_gearbox_cannot_do_is_refused_with_the_reason(
+    number: int, says: str | None
+) -> None:
+    """No such gear; a gear in which the input shaft would turn too fast. The gear that is in is
+    no shift at all."""
+    box = aimed(*UP[:2])
+    said = box.ask(number)
+    assert (said is None) if says is None else (says in str(said))
+    assert box.state is State.IN_GEAR
+    assert (box.sequence.finished is None) is (says is None)
+
+
+def test_an_engine_needs_some_room_below_its_limit_where_it_has_to_be_raised() -> None:
+    """It overshoots; a higher gear needs no engine, and no room."""
+    top = SHEET.limits.input_max_rad_s
+    ratio = SHEET.overall_ratio(DRIVE_GEARS[7]) / SHEET.overall_ratio(DRIVE_GEARS[9])
+    for share, refused in ((0.89, False), (0.95, True)):
+        assert (aimed(9, share * top / ratio).ask(7) is not None) is refused
+    up = SHEET.overall_ratio(DRIVE_GEARS[9]) / SHEET.overall_ratio(DRIVE_GEARS[7])
+    assert aimed(7, 0.99 * top / max(1.0, up)).ask(9) is None
+
+
+@pytest.mark.parametrize("blocks", [1, 7, 8])
+def test_a_shift_goes_on_after_some_commands_that_the_guard_has_blocked_and_ends_after_more(
+    blocks: int,
+) -> None:
+    box = aimed(*UP[:2])
+    box.ask(UP[2])
+    box.until(State.SYNCHRONISING)
+    for _ in range(blocks):
+        box.step()
+        box.sequence.blocked(5, box.snapshot())
+        assert not any(box.board.command(valve).on for valve in ValveName)
+    if blocks < box.settings.limits.blocks:
+        assert box.state is State.SYNCHRONISING
+        box.until(State.IN_GEAR)
+        assert box.records[-1].result is ShiftResult.ENGAGED
+    else:
+        assert box.sequence.fault is FaultCode.GUARD_BLOCKED
+        assert box.state is State.CLUTCH_CLOSING
+
+
+@pytest.mark.parametrize(("row", "fault"), [(6, FaultCode.BRAKE_LIMIT),
+    (9, FaultCode.INPUT_OVERSPEED), (10, FaultCode.DISENGAGE_REFUSED),
+    (11, FaultCode.LOW_SUPPLY), (3, FaultCode.GUARD_BLOCKED)])  # fmt: skip
+def test_the_fault_tells_what_the_guard_had_against_it(row: int, fault: FaultCode) -> None:
+    box = aimed(*UP[:2])
+    box.ask(UP[2])
+    box.until(State.SYNCHRONISING)
+    for _ in range(box.settings.limits.blocks):
+        box.sequence.blocked(row, box.snapshot())
+    assert box.sequence.fault is fault
+
+
+def test_a_firing_that_the_guard_blocks_is_taken_back_and_tried_again() -> None:
+    box = aimed(*UP[:2])
+    box.ask(UP[2])
+    box.until(State.ENGAGING)
+    box.sequence.blocked(3, box.snapshot())
+    assert box.state is State.RETRACTING
+    box.until(State.IN_GEAR)
+    record = box.records[-1]
+    assert (record.result, record.attempts, record.blocks) == (ShiftResult.ENGAGED, 2, 1)
+
+
+def test_a_sleeve_between_two_gears_keeps_the_clutch_open_until_it_is_known_again() -> None:
+    """Not for ever in the hope of it: after the clutch's time it is a fault."""
+    box = aimed(*UP[:2])
+    box.ask(UP[2])
+    box.until(State.DISENGAGING)
+    box.lost = FaultCode.POSITION_STALE
+    box.step()
+    for _ in range(20):
+        assert box.step() is State.FAULTED
+        assert box.sequence.clutch is ClutchAction.OPEN
+    box.lost, box.position_m[FIRST_SECOND] = FaultCode.NONE, 0.5 * STROKE_M
+    for _ in range(20):
+        assert box.step() is State.FAULTED
+    box.position_m[FIRST_SECOND] = 0.0
+    box.until(State.NEUTRAL)
+    assert box.clutch > 0.9
+
+
+def test_after_a_shift_the_engine_is_brought_to_the_gears_speed_before_the_plates_meet() -> None:
+    box = aimed(*UP[:2])
+    box.ask(UP[2])
+    box.until(State.CLUTCH_CLOSING)
+    wanted = box.layshaft / SHEET.split_mesh(box.split).ratio
+    assert box.sequence.engine_rad_s == pytest.approx(wanted)
+    box.until(State.IN_GEAR)
+    assert box.sequence.engine_rad_s is None
+
+
+@pytest.mark.parametrize("pull", [0.0, 0.04, 0.3, -0.2])
+def test_the_clutch_opens_when_little_of_the_engines_torque_will_be_left(pull: float) -> None:
+    box = aimed(*UP[:2], pull=pull)
+    for _ in range(20):
+        box.step()
+    box.ask(UP[2])
+    box.until(State.DISENGAGING)
+    while box.clutch > SHEET.clutch.kiss_share:
+        box.step()
+    left = box.settings.engine.torque_left_share
+    assert abs(box.torque) < left + 0.02
+    opened_us = box.sequence.running.clutch_us
+    assert opened_us is not None
+    if abs(pull) < left:
+        assert opened_us - box.sequence.running.request_us <= 10_000
+    else:
+        waits_s = SHEET.engine.lag_s * math.log(abs(pull) / left)
+        clutch = SHEET.clutch.open_delay_s * (1.0 - SHEET.clutch.kiss_share)
+        since_s = 1e-6 * (opened_us - box.sequence.running.request_us)
+        assert since_s == pytest.approx(waits_s - clutch, abs=0.03)
+
+
+@pytest.mark.parametrize("way", [UP, DOWN])
+def test_a_gear_is_met_with_little_slip(way: tuple[int, float, int]) -> None:
+    window, slips = ControllerSettings().window, []
+    for phase in (None, 0.0, 0.03, 0.06):
+        box = Box(*way[:2], phase_rad=phase)
+        gear = DRIVE_GEARS[way[2]].main
+        box.face = lambda _, box=box, gear=gear: slips.append(box.slip(gear)) or False  # type: ignore[func-returns-value]
+        box.ready().shift(way[2])
+    assert len(slips) == 4
+    assert all(window.contact_low_rad_s < slip < window.fire_slip_rad_s for slip in slips)

@@ -1,0 +1,237 @@
+"""What is told on the bus is what is known: outcome, prediction and estimates, each field for
+itself; and small laws of what is commanded and read."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from test_shift_states import UP, aimed
+
+from meshpoint.controller.motion.models import Disturbance, LayshaftState
+from meshpoint.controller.motion.swing import ShaftState
+from meshpoint.controller.report.messages import (
+    ANGLE_SD_TOP,
+    estimates,
+    etc1,
+    etc2,
+    outcome,
+    prediction,
+)
+from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
+from meshpoint.controller.sensing.step_inputs import StepInputs
+from meshpoint.controller.settings import ValveTiming
+from meshpoint.controller.shift.table import ShiftRecord
+from meshpoint.controller.shift.torque_fall import TorqueFall
+from meshpoint.controller.shift.valve_board import OFF_HELD_US, ValveBoard, ValveName
+from meshpoint.dbc.messages import (
+    EdgesInputRise,
+    EdgesLayshaftRise,
+    EdgesMainRise,
+    EdgesPropellerRise,
+    FaultCode,
+    J1939Measured,
+    PhaseReference,
+    ReferenceSource,
+    ShiftResult,
+    Strategy,
+)
+from meshpoint.gearbox import MainGear, Range, Split, load_sheet
+from meshpoint.gearbox.gears import DRIVE_GEARS
+
+SHEET = load_sheet("truck12")
+PITCH = SHEET.dog.pitch_rad
+
+
+def test_an_outcome_says_of_the_shift_what_the_shift_was() -> None:
+    shift = aimed(*UP[:2]).shift(UP[2])
+    told, plan = outcome(shift, PITCH), shift.plan
+    assert plan is not None
+    assert (told.from_gear, told.to_gear, told.attempts) == (UP[0], UP[2], 1)
+    assert (told.result, told.fault) == (ShiftResult.ENGAGED, FaultCode.NONE)
+    assert (told.strategy, told.reference) == (Strategy.TARGET_PHASE, PhaseReference.KNOWN)
+    assert told.reference_source is shift.reference_source
+    assert (told.request_time_us, told.end_time_us) == (shift.request_us, shift.end_us)
+    assert told.fire_time_us == plan.fire_us
+    assert told.predicted_contact_time_us == plan.contact_us
+    assert told.measured_contact_time_us == shift.measured_contact_us
+    assert told.request_time_us < told.fire_time_us < told.measured_contact_time_us
+    assert told.measured_contact_time_us < told.end_time_us
+    for said, known in (
+        (told.predicted_phase_rad, plan.phase_rad),
+        (told.estimated_phase_rad, shift.estimated_phase_rad),
+        (told.predicted_phase_sd_rad, plan.phase_sd_rad),
+        (told.predicted_slip_rad_s, plan.slip_rad_s),
+    ):
+        assert said == pytest.approx(known) and said != 0.0
+
+
+def test_a_shift_that_was_refused_has_neither_firing_nor_contact() -> None:
+    shift = ShiftRecord(5, 9, DRIVE_GEARS[9], 1_000, Strategy.SPEED_WINDOW)
+    shift.result, shift.fault = ShiftResult.REFUSED, FaultCode.LOW_SUPPLY
+    told = outcome(shift, PITCH)
+    assert (told.result, told.fault) == (ShiftResult.REFUSED, FaultCode.LOW_SUPPLY)
+    assert (told.reference, told.reference_source) == (PhaseReference.UNKNOWN, ReferenceSource.NONE)
+    nothing = (
+        told.fire_time_us, told.predicted_contact_time_us, told.measured_contact_time_us,
+        told.end_time_us, told.predicted_phase_rad, told.predicted_phase_sd_rad,
+        told.predicted_slip_rad_s, told.estimated_phase_rad, told.attempts,
+    )  # fmt: skip
+    assert not any(nothing)
+
+
+def test_a_prediction_is_that_of_the_steps_decision() -> None:
+    box = aimed(*UP[:2])
+    box.ask(UP[2])
+    seen = 0
+    while box.running():
+        box.step()
+        plan, shift = box.sequence.decision, box.sequence.shift
+        if plan is None or shift is None:
+            continue
+        told, seen = prediction(box.now_us, plan, shift), seen + 1
+        assert told.decision_time_us == box.now_us
+        assert told.decision is plan.decision
+        assert told.release_time_us == (shift.release_us or 0)
+        assert (told.fire_time_us, told.contact_time_us) == (plan.fire_us, plan.contact_us)
+        assert told.phase_rad == pytest.approx(plan.phase_rad)
+        assert told.phase_sd_rad == pytest.approx(min(plan.phase_sd_rad, ANGLE_SD_TOP))
+        assert told.slip_rad_s == pytest.approx(plan.slip_rad_s)
+    assert seen > 10
+
+
+def test_estimates_that_are_not_there_are_told_as_not_valid_and_as_uncertain_as_can_be() -> None:
+    layshaft = LayshaftState(9.0, 3.0, 140.0, 2e5, 1e-3, 0.2, 3e3)
+    main = ShaftState(9.0, 4.0, 90.0, 2e-3, 0.3)
+    tracker: Any = SimpleNamespace(free=True)
+    told = estimates(77, tracker, layshaft, main, 1e5, 5.0, 0.02, 0.003)
+    assert told.estimate_time_us == 77
+    assert (told.layshaft_valid, told.main_valid, told.phase_known, told.model_valid) == (True,) * 4
+    assert told[1:] is not None
+    assert told.layshaft_angle_rad == 3.0
+    assert told.layshaft_speed_rad_s == 140.0
+    assert (told.layshaft_angle_sd_rad, told.layshaft_speed_sd_rad_s) == (1e-3, 0.2)
+    assert (told.main_angle_rad, told.main_speed_rad_s) == (4.0, 90.0)
+    assert (told.main_angle_sd_rad, told.main_speed_sd_rad_s) == (2e-3, 0.3)
+    assert (told.brake_pressure_pa, told.brake_pressure_sd_pa) == (3e5, 3e3)
+    assert (told.slip_rad_s, told.phase_rad, told.phase_sd_rad) == (5.0, 0.02, 0.003)
+    tracker.free = False
+    none = estimates(77, tracker, None, None, 1e5, 0.0, None, 0.0)
+    assert not any((none.layshaft_valid, none.main_valid, none.phase_known, none.model_valid))
+    assert none.phase_rad == 0.0
+    for known, unknown in (
+        (told.layshaft_angle_sd_rad, none.layshaft_angle_sd_rad),
+        (told.layshaft_speed_sd_rad_s, none.layshaft_speed_sd_rad_s),
+        (told.main_angle_sd_rad, none.main_angle_sd_rad),
+        (told.main_speed_sd_rad_s, none.main_speed_sd_rad_s),
+        (told.brake_pressure_sd_pa, none.brake_pressure_sd_pa),
+    ):
+        assert unknown > 10.0 * known
+    assert (none.layshaft_angle_rad, none.layshaft_speed_rad_s) == (0.0, 0.0)
+    assert (none.main_angle_rad, none.main_speed_rad_s) == (0.0, 0.0)
+
+
+def test_what_any_truck_tool_reads_of_gears_and_speeds() -> None:
+    for number in (-1, 0, 1, 12):
+        told = etc2(SHEET, number, 9)
+        assert told.selected_gear == 9
+        assert told.current_gear == (None if number < 0 else number)
+        ratio = SHEET.overall_ratio(DRIVE_GEARS[number]) if number > 0 else None
+        assert told.actual_ratio == ratio
+        assert (told.requested_range, told.current_range) == (None, None)
+    for engaged, shifting in ((True, False), (False, True)):
+        told1 = etc1(engaged, shifting, 100.0, 150.0)
+        assert told1.driveline_engaged is (J1939Measured.YES if engaged else J1939Measured.NO)
+        assert told1.shift_in_process is (J1939Measured.YES if shifting else J1939Measured.NO)
+        assert told1.converter_lockup is J1939Measured.NOT_AVAILABLE
+        assert (told1.output_shaft_speed_rad_s, told1.input_shaft_speed_rad_s) == (100.0, 150.0)
+        assert (told1.clutch_slip_fraction, told1.controlling_address) == (None, None)
+    top = 8031.0 * math.pi / 30.0
+    for speed, is_told in ((0.0, True), (-0.1, False), (top - 0.1, True), (top, False)):
+        told1 = etc1(True, False, speed, None)
+        assert told1.output_shaft_speed_rad_s == (speed if is_told else None)
+        assert told1.input_shaft_speed_rad_s is None
+
+
+@pytest.mark.parametrize("inertia", [0.3, 0.5])
+def test_a_disturbance_stays_as_large_as_it_is_said_to_be(inertia: float) -> None:
+    """Driven by noise of this density and forgotten at this rate, its variance comes to rest at
+    the torque's square over the inertia's: v' = -2 r v + q."""
+    rate, density = Disturbance(1.5, 0.04).density(inertia)
+    assert rate == pytest.approx(1.0 / 0.04)
+    variance = 0.0
+    for _ in range(4_000):
+        variance += (density - 2.0 * rate * variance) * 1e-4
+    assert math.sqrt(variance) * inertia == pytest.approx(1.5, rel=1e-3)
+
+
+@pytest.mark.parametrize("timing", list(ValveTiming))
+def test_a_command_that_is_kept_is_always_what_would_be_said_anew(timing: ValveTiming) -> None:
+    """Also as the time of a switch passes, and as an old one is said without its time."""
+    board, now_us = ValveBoard(timing), 10_000_000
+    board.schedule(ValveName.BRAKE, True, now_us + 5_000, now_us)
+    board.schedule(ValveName.MAIN_FIRST, True, now_us + 2_000, now_us)
+    board.schedule(ValveName.MAIN_FIRST, False, now_us + 40_000, now_us + 3_000)
+    board.schedule(ValveName.RANGE_HIGH, False, now_us - 400_000, now_us)
+    edges = [now_us + 2_000, now_us + 5_000, now_us + 40_000, now_us - 400_000 + OFF_HELD_US,
+             now_us + 40_000 + OFF_HELD_US]  # fmt: skip
+    for at_us in sorted(edge + beside for edge in edges for beside in (-1, 0, 1, 2)):
+        if at_us < now_us:
+            continue
+        assert board.message(at_us) == board._make_message(at_us), at_us - now_us
+
+
+def edge_frame(kind: type, speed: float, teeth: int, now_us: int) -> Any:
+    every_us = round(2e6 * math.pi / teeth / speed)
+    stamps = tuple((now_us - every_us * back) & 0xFFFF for back in range(27))
+    return kind(now_us, 500, 27, False, False, False, stamps)
+
+
+def test_speeds_are_those_of_their_shafts_and_slip_is_of_the_gear_against_its_sleeve() -> None:
+    wheels, now_us = SHEET.wheels, 5_000_000
+    given = {
+        EdgesInputRise: (150.0, wheels.input_),
+        EdgesLayshaftRise: (141.0, wheels.layshaft),
+        EdgesMainRise: (88.0, wheels.main),
+        EdgesPropellerRise: (23.5, wheels.propeller),
+    }
+    inputs = StepInputs()
+    for kind, (speed, wheel) in given.items():
+        inputs.edges[kind].append(edge_frame(kind, speed, wheel.teeth, now_us))
+    speeds = ShaftSpeeds(SHEET)
+    speeds.take(inputs, now_us)
+    assert speeds.layshaft == pytest.approx(141.0, rel=1e-3)
+    assert speeds.main == pytest.approx(88.0, rel=1e-3)
+    assert speeds.propeller == pytest.approx(23.5, rel=1e-3)
+    for gear in (MainGear.FIRST, MainGear.SECOND, MainGear.THIRD, MainGear.CRAWL):
+        expected = SHEET.main_mesh(gear).ratio * 141.0 - 88.0
+        assert speeds.slip_rad_s(gear) == pytest.approx(expected, abs=0.3)
+    assert speeds.split_turns_together(Split.HIGH) is True
+    assert speeds.split_turns_together(Split.LOW) is False
+    assert speeds.range_turns_together(Range.LOW) is True
+    assert speeds.range_turns_together(Range.HIGH) is False
+    speeds.take(StepInputs(), now_us + 100_000)
+    assert speeds.slip_rad_s(MainGear.FIRST) is None
+    assert not speeds.split_turns_together(Split.HIGH)
+
+
+def test_a_torque_that_fades_will_have_faded_as_it_did() -> None:
+    """By the same share in the same time; one that grows, or has changed its sign, says no more
+    than what it is."""
+    fall = TorqueFall()
+    assert (fall.share, fall.left_in(0.1)) == (None, None)
+    fall.take(1_000_000, 0.4)
+    assert (fall.share, fall.left_in(0.1)) == (0.4, 0.4)
+    fall.take(1_010_000, 0.2)
+    assert fall.left_in(0.0) == pytest.approx(0.2)
+    assert fall.left_in(0.01) == pytest.approx(0.1)
+    assert fall.left_in(0.03) == pytest.approx(0.025)
+    fall.take(1_020_000, None)
+    assert fall.share == 0.2
+    for share in (0.2, 0.3, -0.1, 0.0):
+        other = TorqueFall()
+        other.take(1_000_000, 0.2)
+        other.take(1_010_000, share)
+        assert other.left_in(0.05) == share
