@@ -50,7 +50,7 @@ class Told:
         return self.frames()
 
     def frames(self) -> dict[type, Any]:
-        sender: Any = SimpleNamespace(encode=lambda message: message)
+        sender: Any = SimpleNamespace(encode=lambda message: message, unread=lambda *_: None)
         found = self.reporter.frames(sender, self.box.snapshot())
         kinds = {type(message): message for message in found}
         assert len(kinds) == len(found)
