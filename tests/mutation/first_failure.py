@@ -1,5 +1,7 @@
-"""A test that fails under a mutant has caught it: hypothesis need not look for the smallest example,
-which takes many times as long as the test, so that it would seem to be the mutant that never ends."""
+"""A test that fails under a mutant has caught it: hypothesis need not look for a smaller example.
+
+That takes many times as long as the test, so that it would seem to be the mutant that never ends.
+"""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ from targets import ROOT, TARGETS, Target, files_of  # noqa: E402
 
 OUT: Final = ROOT / "out" / "mutation"
 LISTED: Final = HERE / "equivalent.toml"
-BUDGET_S: Final = 15.0
+BUDGET_S: Final = 30.0
 HUNK: Final = re.compile(r"^@@ -\S+ \+(\d+)(?:,(\d+))? @@", re.MULTILINE)
 BEGIN, END = "<!-- begin: made by `make mutants` -->", "<!-- end -->"
 ENDED_WELL: Final = (0, 5)
