@@ -120,10 +120,8 @@ class Transmitter:
     def unread(self, *message_types: type[Message]) -> list[Frame] | None:
         """Empty frames in place of these messages, that take as long on the bus; None where anybody
         reads one of them."""
-        if not self._unread:
-            return None
-        frames = [self._unread.get(each) for each in message_types]
-        return None if None in frames else [frame for frame in frames if frame is not None]
+        frames = [self._unread[each] for each in message_types if each in self._unread]
+        return frames if len(frames) == len(message_types) else None
 
     def restart(self, node: Node) -> None:
         """This node has started anew: its counters do as well."""

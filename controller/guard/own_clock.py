@@ -35,13 +35,14 @@ class GuardClock:
     def __init__(self) -> None:
         self._least: deque[tuple[int, int]] = deque(maxlen=SECONDS_KEPT)
         """Each second of the controller's clock, and its least offset;"""
-        self._offset = 0
-        """the least of them all."""
+        self._offset: int | None = None
+        """the least of them all, None without any."""
         self._newest_us: int | None = None
 
     def restart(self) -> None:
         """The sensors have started anew, however near to the old clock the new one reads."""
         self._least.clear()
+        self._offset = None
 
     def hear(self, stamp: int, now_us: int) -> None:
         """A stamp of a frame that is consumed at `now_us` of the controller's clock."""
@@ -72,6 +73,4 @@ class GuardClock:
 
     def now_us(self, now_us: int) -> int | None:
         """The sensor clock at `now_us` of the controller's; None before the first stamp."""
-        if not self._least:
-            return None
-        return now_us - self._offset
+        return None if self._offset is None else now_us - self._offset

@@ -26,6 +26,7 @@ def test_teeth_are_taken_for_15_ms() -> None:
     assert teeth_us(lows(99_000, *[5_000] * 9)) == [5_000] * 3
     assert teeth_us(lows(99_000, *[4_999] * 9)) == [4_999] * 4
     assert teeth_us(lows(99_000, 20_000, 20_000)) == [20_000]
+    assert teeth_us(lows(99_000, 14_999, 14_999)) == [14_999] * 2
     assert teeth_us(lows(99_000, 4_000)) == [4_000]
     assert teeth_us(lows(3_000, 4_000, 4_000)) == [4_000, 4_000]  # over the wrap of 16 bits
 

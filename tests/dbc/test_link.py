@@ -437,3 +437,16 @@ def test_a_frame_instead_of_one_that_is_not_sent_has_its_counter() -> None:
         assert receiver.receive(frame).verdict is FrameVerdict.OK
     assert counters == [(counters[0] + k) % 256 for k in range(300)]
     assert receiver.receive(sender.encode(ValveCommand())).verdict is FrameVerdict.OK
+
+
+def test_what_nobody_reads_is_an_empty_frame_of_its_message() -> None:
+    rig, controller = Transmitter(Node.GEARBOX_IO, Node.REFERENCE), Transmitter(Node.BENCH)
+    assert rig.unread(ReferenceEncoder) is None
+    for transmitter in (rig, controller):
+        transmitter.leave_unread({ReferenceEncoder, ReferenceEngagement})
+    specs = [CODECS[kind.__name__].spec for kind in (ReferenceEngagement, ReferenceEncoder)]
+    empty = [Frame(spec.can_id, bytes(spec.length), spec.is_fd, True) for spec in specs]
+    assert rig.unread(ReferenceEngagement, ReferenceEncoder) == empty
+    assert rig.unread(ReferenceEncoder, GearboxSensors) is None
+    assert rig.unread(GearboxSensors) is None
+    assert controller.unread(ReferenceEncoder) is None
