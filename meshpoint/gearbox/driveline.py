@@ -98,9 +98,9 @@ class Axle:
     """How long a chance torque lasts."""
     road_chance_nm: float = quantity("road_chance_nm", 0.0, 1e3, default=25.0)
     """Standard deviation of an uneven road's torque on the driven wheels: some hundredths of the
-    rolling resistance,"""
+    rolling resistance."""
     road_chance_s: float = quantity("road_chance_ms", 1.0, 1e4, MS, default=80.0 * MS)
-    """and how long it lasts."""
+    """How long a torque of the road lasts: for as long as a wheel takes over a bump."""
 
 
 @dataclass(frozen=True)
