@@ -40,8 +40,8 @@ class GuardClock:
         self._newest_us: int | None = None
 
     def restart(self) -> None:
-        """The sensors have started anew, however near to the old clock the new one reads."""
-        self._least.clear()
+        """The sensors have started anew, however near to the old clock the new one reads: with the
+        next stamp all before is forgotten."""
         self._offset = None
 
     def hear(self, stamp: int, now_us: int) -> None:
