@@ -86,15 +86,17 @@ class GuardSpeed:
 
 
 def teeth_us(lows_us: tuple[int, ...]) -> list[int]:
-    """How long each of the newest teeth took, over `MEASURED_US`; none where they are unlike."""
+    """How long each of the newest teeth took, over `MEASURED_US`; none where they, or the last of
+    them and the one before it, are unlike: a sensor that was silent for longer than that looks like
+    one slow tooth."""
     took: list[int] = []
     span_us = 0
     for later, earlier in itertools.pairwise(lows_us):
         tooth_us = (later - earlier) & LOW
         if tooth_us == 0 or (took and not took[-1] / UNLIKE < tooth_us < took[-1] * UNLIKE):
             return []
-        took.append(tooth_us)
-        span_us += tooth_us
         if span_us >= MEASURED_US:
             break
+        took.append(tooth_us)
+        span_us += tooth_us
     return took

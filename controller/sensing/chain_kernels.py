@@ -61,17 +61,18 @@ def newest_teeth(low: Integers, valid: int) -> tuple[int, int]:
     """How long the newest teeth of one frame took, us, and how many they are.
 
     low: low 16 bits of the newest `valid` edge times, newest first. Returns no teeth with fewer
-    than two edges, or if neighbouring intervals are uneven."""
+    than two edges, or if neighbouring intervals are uneven, the one before the last taken among
+    them: a sensor that was silent for longer than the span looks like one slow tooth."""
     span_us = teeth = last_us = 0
     for k in range(1, valid):
         interval_us = (low[k - 1] - low[k]) & 0xFFFF
         if teeth > 0 and not last_us < UNEVEN * interval_us < UNEVEN * UNEVEN * last_us:
             return 0, 0
+        if span_us >= SPAN_US:
+            break
         last_us = interval_us
         span_us += interval_us
         teeth += 1
-        if span_us >= SPAN_US:
-            break
     return (span_us, teeth) if span_us > 0 else (0, 0)
 
 

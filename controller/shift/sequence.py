@@ -30,6 +30,7 @@ from meshpoint.controller.shift.table import TRANSITIONS, ShiftRecord, Trigger
 from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import FaultCode, ShiftResult
+from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import SECOND_US
 
@@ -52,8 +53,8 @@ HANDLERS: Final[dict[State, Handler]] = {
     State.FAULTED: wait_for_position,
 }
 RAISE_ROOM: Final = 1.11
-"""For a lower gear the engine raises the input shaft by so much above the speed that the gear will
-have: the slip that is asked for, and what the engine overshoots."""
+"""For a lower gear, and out of neutral, the engine raises the input shaft by so much above the speed
+that the gear will have: the slip that is asked for, and what the engine overshoots."""
 FAULT_OF_ROW: Final = {
     6: FaultCode.BRAKE_LIMIT,
     9: FaultCode.INPUT_OVERSPEED,
@@ -160,11 +161,15 @@ class ShiftSequence(ShiftContext):
         top = self.sheet.limits.input_max_rad_s
         if propeller is not None:
             input_rad_s = propeller * self.sheet.overall_ratio(DRIVE_GEARS[number])
-            raised = 0 < number < snapshot.view.gear_number
-            if input_rad_s * (RAISE_ROOM if raised else 1.0) > top:
+            if input_rad_s * (RAISE_ROOM if _may_be_raised(number, snapshot.view) else 1.0) > top:
                 rpm = input_rad_s * 30.0 / math.pi
                 return FaultCode.INPUT_OVERSPEED, f"the input shaft would turn at {rpm:.0f} rpm"
         return None
+
+
+def _may_be_raised(number: int, view: GearboxView) -> bool:
+    """Whether the engine may have to raise the layshaft for this gear: in neutral it slows down."""
+    return view.main_gear is MainGear.NEUTRAL or number < view.gear_number
 
 
 def _knows_the_gear(view: GearboxView) -> bool:

@@ -52,6 +52,11 @@ def test_a_tooth_too_many_or_too_few_gives_none(interval_us: int, at: int, times
         assert (speed_of(intervals) is not None) == even
 
 
+@given(st.integers(300, 5_000), st.integers(SPAN_US, 60_000))
+def test_a_sensor_that_was_silent_is_not_one_slow_tooth(interval_us: int, silent_us: int) -> None:
+    assert speed_of([silent_us, interval_us, interval_us]) is None
+
+
 def test_one_edge_is_no_speed_but_teeth_are_counted_on() -> None:
     shaft = EdgeSpeed(TEETH)
     assert shaft.turned is None

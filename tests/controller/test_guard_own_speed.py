@@ -43,6 +43,20 @@ def test_neighbouring_teeth_do_not_differ_by_more_than_a_factor(
     assert teeth_us(lows(50_000, *took_us)) == (list(took_us) if is_alike else [])
 
 
+@pytest.mark.parametrize("silent_us", [15_000, 16_100, 44_000, 51_000, 63_000])
+def test_a_sensor_that_was_silent_is_not_one_slow_tooth(silent_us: int) -> None:
+    """The first edge behind a silence is young, and the gap before it as long as a whole span."""
+    assert teeth_us(lows(90_000, silent_us, 2_100, 2_100)) == []
+    shaft = GuardSpeed(TEETH)
+    shaft.take(Edges(30_000, 20, lows(29_900, *[2_100] * 6)), 30_000)
+    newest_us = 29_900 + silent_us
+    back = Edges(newest_us + 100, 21, lows(newest_us, silent_us, *[2_100] * 5))
+    shaft.take(back, newest_us + 100)
+    speed = shaft.at(newest_us + 100)
+    assert speed is None or speed.omega_rad_s == pytest.approx(PITCH / 2.1e-3)
+    assert (speed is None) is (silent_us > 45_000)
+
+
 def test_a_speed_is_the_mean_over_its_teeth_in_the_middle_of_their_time() -> None:
     shaft, now_us = GuardSpeed(TEETH), (5 << 32) + 70_000
     assert shaft.at(now_us) is None

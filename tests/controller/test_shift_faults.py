@@ -146,6 +146,17 @@ def test_an_engine_needs_some_room_below_its_limit_where_it_has_to_be_raised() -
     assert aimed(7, 0.99 * top / max(1.0, up)).ask(9) is None
 
 
+def test_out_of_neutral_the_engine_needs_that_room_too() -> None:
+    """The layshaft slows down meanwhile: the swarm had the input shaft at 2,487 rpm this way."""
+    top = SHEET.limits.input_max_rad_s
+    for share, refused in ((0.89, False), (0.95, True)):
+        box = aimed(9, share * top)
+        box.position_m.update(dict.fromkeys((Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD), 0.0))
+        while box.state is not State.NEUTRAL:
+            box.step()
+        assert (box.ask(9) is not None) is refused
+
+
 @pytest.mark.parametrize("blocks", [1, 7, 8])
 def test_a_shift_goes_on_after_some_commands_that_the_guard_has_blocked_and_ends_after_more(
     blocks: int,

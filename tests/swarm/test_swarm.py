@@ -7,13 +7,15 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
 from meshpoint.controller.guard.rules import Guard
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.shared.engagement import Violation
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.swarm.aimed import AIMS, Aim, mad_world
@@ -29,6 +31,7 @@ from meshpoint.testbench.swarm.events import (
     save_world,
 )
 from meshpoint.testbench.swarm.invariants import Broken, Invariants
+from meshpoint.testbench.swarm.nodes import WatchedRig
 from meshpoint.testbench.swarm.shrink import shrink
 from meshpoint.testbench.swarm.swarm import SwarmSpec, breaks, run_seed, world_of
 
@@ -181,6 +184,50 @@ def test_after_a_clock_was_set_back_a_little_shifts_are_made_at_once() -> None:
     assert result.reached.fault_codes.total() <= 2
     assert result.engaged
     assert result.simulated_s < 3.5
+
+
+@pytest.mark.parametrize(
+    ("events", "safety_ms", "gear", "layshaft_rpm"),
+    [
+        (
+            (
+                Event(289, "clock_step", 0, 84_608.0, 1_517),
+                Event(1_027, "controller_stalled", 0, 0.0, 1_450),
+            ),
+            2_700, 10, 1_171.9,
+        ),
+        (
+            (
+                Event(301, "controller_stalled", 0, 0.0, 1_456),
+                Event(572, "node_restart", 0, 0.0, 353),
+            ),
+            2_000, 10, 1_339.1,
+        ),
+    ],
+)  # fmt: skip
+def test_a_clock_fault_that_a_hanging_controller_has_not_heard_of_shows_when_it_goes_on(
+    events: tuple[Event, ...], safety_ms: int, gear: int, layshaft_rpm: float
+) -> None:
+    """It ended while the controller hung, and longer before it went on than a fault shows."""
+    assert run(World(2_000_067, gear, layshaft_rpm, {}, events, safety_ms)).broken == []
+
+
+def test_a_brake_that_was_on_when_the_bench_pushes_a_gear_in_is_the_bench_s_own() -> None:
+    """Not so without the bench."""
+    broken: list[Broken] = []
+    invariants = Invariants(SHEET, broken)
+    rig = SimpleNamespace(
+        truth=SimpleNamespace(violations={Violation.BRAKE_IN_GEAR: 0}, speeds_rad_s=(0.0,) * 4),
+        energised=(), is_stalled=False, is_moved_by_the_bench=True,
+    )  # fmt: skip
+    for now_us, count, moved, is_broken in (
+        (1_000_000, 1, True, False),
+        (1_030_000, 2, False, False),
+        (1_030_001, 3, False, True),
+    ):
+        rig.truth.violations, rig.is_moved_by_the_bench = {Violation.BRAKE_IN_GEAR: count}, moved
+        invariants.rig(cast(WatchedRig, rig), now_us, frozenset())
+        assert bool(broken) is is_broken
 
 
 def test_a_crash_of_a_node_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -237,7 +237,7 @@ class Episode:
         elif kind in BUS_KINDS:
             self._begin_on_bus(event)
         elif kind == "controller_stalled":
-            self._wires[CONTROLLER].stalled_until_us = now_us + event.for_ms * 1000
+            self._stall_controller(now_us, now_us + event.for_ms * 1000)
         elif kind == "controller_restarted":
             self._controller = self._wires[CONTROLLER].core = self._new_controller()
             self._invariants.controller_is_new()
@@ -245,6 +245,12 @@ class Episode:
             deed = DEEDS[kind]
             self._controller.go_mad(deed)
             self._with_it = deed.fault
+
+    def _stall_controller(self, now_us: int, until_us: int) -> None:
+        """It hangs. What it has not heard yet of a fault just over, it hears when it goes on."""
+        self._wires[CONTROLLER].stalled_until_us = until_us
+        since_us = now_us - AFTERMATH_US
+        self._lately |= {kind: until_us for kind, us in self._lately.items() if us >= since_us}
 
     def _begin_on_bus(self, event: Event) -> None:
         if event.kind == "bus_off":
@@ -261,7 +267,7 @@ class Episode:
         """A fault is over."""
         kind = event.kind
         self._active[kind] -= 1
-        self._lately[kind] = now_us
+        self._lately[kind] = max(now_us, self._wires[CONTROLLER].stalled_until_us)
         if kind == "bus_off":
             self._wires[CONTROLLER].is_off = False
         elif kind == "bus_babble":

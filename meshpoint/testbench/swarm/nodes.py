@@ -17,6 +17,7 @@ from meshpoint.dbc.messages import EEC1, TC1, ControllerState, ValveStatus
 from meshpoint.dbc.node import Node
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import FaultOrder
+from meshpoint.rig_sim.shared.script import ScriptPhase
 from meshpoint.testbench.swarm.deeds import Deed, Wish
 from meshpoint.units import RPM
 
@@ -147,6 +148,11 @@ class WatchedRig(RigCore):
     def energised(self) -> tuple[bool, ...]:
         """Which valves' drivers are on."""
         return self._world.valves.energised
+
+    @property
+    def is_moved_by_the_bench(self) -> bool:
+        """Whether the bench's hand is on the sleeves."""
+        return self._world.script.phase is not ScriptPhase.IDLE
 
     @property
     def is_stalled(self) -> bool:
