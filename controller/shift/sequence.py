@@ -53,8 +53,8 @@ HANDLERS: Final[dict[State, Handler]] = {
     State.FAULTED: wait_for_position,
 }
 RAISE_ROOM: Final = 1.11
-"""For a lower gear, and out of neutral, the engine raises the input shaft by so much above the speed
-that the gear will have: the slip that is asked for, and what the engine overshoots."""
+"""For a lower gear, and out of neutral, the engine raises the input shaft by so much above the
+speed that the gear will have: the slip that is asked for, and what the engine overshoots."""
 FAULT_OF_ROW: Final = {
     6: FaultCode.BRAKE_LIMIT,
     9: FaultCode.INPUT_OVERSPEED,
