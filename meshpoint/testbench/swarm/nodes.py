@@ -152,7 +152,8 @@ class WatchedRig(RigCore):
     @property
     def is_moved_by_the_bench(self) -> bool:
         """Whether the bench's hand is on the sleeves."""
-        return self._world.script.phase is not ScriptPhase.IDLE
+        world: Any = self._world
+        return bool(world.script.phase is not ScriptPhase.IDLE)
 
     @property
     def is_stalled(self) -> bool:
