@@ -121,7 +121,7 @@ class Observer:
                 )
             layshaft = self.layshaft = self._crossing = CrossingTracker(
                 tuning, brake, self.brake, wheels.layshaft.teeth, wheels.layshaft.missing,
-                self._input_wheel,
+                self._input_wheel, sheet.shafts.friction_nms,
             )  # fmt: skip
             main = self._main = MainTracker(
                 tuning,
@@ -159,10 +159,10 @@ class Observer:
         if layshaft is None or not isinstance(main, MainTracker) or layshaft.noise_shifts == 0:
             return None
         edge, torque, memory = layshaft.noise
-        own = main.edge_time
+        own, friction = main.edge_time, layshaft.friction
         return NoiseRecord(
             layshaft.noise_shifts, edge.value, edge.sd, own.value, own.sd, torque.value,
-            torque.sd, memory.value, memory.sd,
+            torque.sd, memory.value, memory.sd, friction.value, friction.sd,
         )  # fmt: skip
 
     def take_noise(self, record: NoiseRecord) -> None:
@@ -176,6 +176,8 @@ class Observer:
             (record.torque_nm, record.torque_sd),
             (record.memory_s, record.memory_sd),
         )
+        if record.friction_nms > 0.0:
+            layshaft.take_friction(record.friction_nms, record.friction_sd)
         main.take_edge_time(record.main_edge_s, record.main_edge_sd)
         self._model_layshaft()
 
@@ -200,8 +202,10 @@ class Observer:
         if self._learns:
             law = self.brake.law()
             self._brake_input.set_delays(self.brake.off_delay_us, self.brake.on_delay_us)
-        disturbance = None if self._crossing is None else self._crossing.disturbance
-        motion = free_motion(sheet, split, law, self._tuning, disturbance)
+        disturbance = friction_nms = None
+        if self._crossing is not None:
+            disturbance, friction_nms = self._crossing.disturbance, self._crossing.friction.value
+        motion = free_motion(sheet, split, law, self._tuning, disturbance, friction_nms)
         self.layshaft.set_models(LayshaftModels(motion, thesis, sheet.inertia_kgm2(split)))
 
     def take(self, inputs: StepInputs, now_us: int, events: list[str]) -> None:

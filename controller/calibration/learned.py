@@ -150,6 +150,9 @@ class NoiseRecord:
     memory_s: float = quantity("memory_ms", 0.1, 5e3, MS)
     """and how long they last."""
     memory_sd: float = quantity("memory_sd", 0.0, 5.0)
+    friction_nms: float = quantity("friction_nms", 0.0, 10.0, default=0.0)
+    """Viscous friction of the layshaft; 0 in a file that was written before it was learned."""
+    friction_sd: float = quantity("friction_sd", 0.0, 5.0, default=0.0)
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,13 @@ from meshpoint.controller.sensing.pressure_samples import PressureSamples
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import CrossingFilterTuning
 
+VISCOUS_FACTOR: Final = 3.0
+"""A gearbox's viscous friction is its sheet's within this factor, one standard deviation: oil,
+temperature and load change it;"""
+VISCOUS_NMS: Final = (1e-3, 2.0)
+"""within this range, Nms;"""
+VISCOUS_SD: Final = 0.1
+"""and it is never known better than this."""
 LEAST_FREE_EDGES: Final = 100
 """With fewer edges of free motion, gain and drag are not taken over from the filter."""
 
@@ -57,7 +64,9 @@ class CrossingTracker(WheelTracker):
         teeth: int,
         missing: tuple[int, ...] = (),
         geared: GearedWheel | None = None,
+        friction_nms: float = 0.0,
     ) -> None:
+        """friction_nms: the sheet's viscous friction."""
         super().__init__(tuning, teeth, missing, geared)
         self._brake = brake
         self._known = known
@@ -75,6 +84,12 @@ class CrossingTracker(WheelTracker):
         """What is known of an edge's time (s), the disturbance's torque (Nm) and memory (s)."""
         self.noise_shifts = 0
         """From how many shifts that was learned."""
+        self.friction = prior(
+            max(friction_nms, VISCOUS_NMS[0]), VISCOUS_FACTOR, VISCOUS_NMS, VISCOUS_SD
+        )
+        """What is known of the viscous friction, Nms."""
+        self._steady_rad_s: float | None = None
+        """The speed at which the drag was seen last; None before the first shift."""
 
     def _first_state(self, omega_sd_rad_s: float) -> tuple[Vector, Vector]:
         theta_sd = 2.0 * self._tuning.tooth_error_rad
@@ -115,6 +130,10 @@ class CrossingTracker(WheelTracker):
         self.noise_shifts = shifts
         self.noise = [restored(one, *given) for one, given in zip(self.noise, known, strict=True)]
         self._filter.set_edge_time(self.noise[EDGE_TIME].value)
+
+    def take_friction(self, value_nms: float, sd: float) -> None:
+        """Sets the viscous friction as earlier runs learned it; sd: of its logarithm."""
+        self.friction = restored(self.friction, value_nms, sd)
 
     def set_models(self, models: LayshaftModels) -> None:
         """The splitter's step or the brake's law is new."""
@@ -190,10 +209,12 @@ class CrossingTracker(WheelTracker):
         x = state.x
         if self._free_edges >= LEAST_FREE_EDGES and np.isfinite(x).all():
             known.carry(x, state.p, self._inertia_kgm2)
+            end_rad_s = float(x[OMEGA])
             learned = known.learn(self._run.samples, *self._brake.commands)
             if learned and self.teeth.learned:
                 self._run.learn_touch_and_lag(known, self._free_motion())
             self._learn_noise()
+            self._learn_friction(end_rad_s)
         # From here on the torque on the layshaft is unknown.
         state.heed(HEED)
         follow = self._tuning.follow_rad_s2
@@ -211,6 +232,15 @@ class CrossingTracker(WheelTracker):
         self._brake.set_delays(known.off_delay_us, known.on_delay_us)
         edge_time_s, switches = self.noise[EDGE_TIME].value, self._brake.arrays()
         return FreeMotion(self.teeth, edge_time_s, switches, self.model, self._inertia_kgm2)
+
+    def _learn_friction(self, end_rad_s: float) -> None:
+        """From the same motion. The drag at its end is what the next shift begins with."""
+        if self.teeth.learned and self._steady_rad_s is not None:
+            motion = self._free_motion()
+            self.friction = self._run.learn_friction(
+                self.friction, self._steady_rad_s, self._known, motion
+            )
+        self._steady_rad_s = end_rad_s
 
     def _learn_noise(self) -> None:
         """From the free motion that has just ended: how much of what was not expected is the edges'

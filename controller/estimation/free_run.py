@@ -113,16 +113,46 @@ class FreeRun:
         found = learn(known, misfit).figures
         return found if teeth_known else [known[0], *found[1:]]
 
+    def learn_friction(
+        self, known: Learned, steady_rad_s: float, brake: BrakeModel, motion: FreeMotion
+    ) -> Learned:
+        """What is known of the viscous friction (Nms) after this run, by which the drag falls with
+        the speed; updates gain and drag with what the run then says of them.
+
+        steady_rad_s: the speed at which the drag is known, whatever the friction."""
+        edges, pressures = self._edges_by(motion.teeth), brake.above_touch(self.samples)
+        law = motion.model.with_law(brake.law())
+
+        def run(friction_nms: float) -> CrossingFilter:
+            rate = friction_nms / motion.inertia_kgm2
+            x = self._x.copy()
+            x[DRAG] += (rate - motion.model.friction_per_s) * steady_rad_s
+            changed = motion._replace(model=law.with_friction(rate))
+            return self._again(edges, pressures, changed, self._p, x)
+
+        found = learn([known], lambda logs: run(math.exp(logs[0])).misfit(edges.shape[1]))
+        if not math.isfinite(found.misfit):
+            return known
+        end = run(found.figures[0].value)
+        brake.carry(end.x, end.p, motion.inertia_kgm2)
+        return found.figures[0]
+
     def _edges_by(self, teeth: WheelTeeth) -> Vector:
         """All edges (2, n), their angles by what is known of the teeth now."""
         return np.concatenate([teeth.edges(*taken) for taken in self._edges], axis=1)
 
     def _again(
-        self, edges: Vector, pressures: Pressures, motion: FreeMotion, p: Vector
+        self,
+        edges: Vector,
+        pressures: Pressures,
+        motion: FreeMotion,
+        p: Vector,
+        x: Vector | None = None,
     ) -> CrossingFilter:
-        """The filter over this run once more, from covariance `p`."""
+        """The filter over this run once more, from covariance `p`, and another state than it began
+        with if one is given."""
         run = CrossingFilter(self._tuning)
         run.set_edge_time(motion.edge_time_s)
-        run.begin(self._time_us, self._x, p)
+        run.begin(self._time_us, self._x if x is None else x, p)
         run.take(edges, motion.teeth.sd_rad, pressures, motion.switches, motion.model)
         return run

@@ -79,6 +79,12 @@ class MotionModel(RecordMemory):
         """Deceleration by the brake's pressure."""
         return float(self.part("brake_rad_s2_pa")[0])
 
+    def with_friction(self, friction_per_s: float) -> MotionModel:
+        """The same motion with another viscous friction."""
+        other = copy.deepcopy(self)
+        other.part("friction_per_s")[0] = friction_per_s
+        return other
+
     def with_disturbance(self, rate_per_s: float, density_rad2_s5: float) -> MotionModel:
         """The same motion with another disturbance."""
         other = copy.deepcopy(self)
@@ -122,13 +128,15 @@ def free_motion(
     law: Vector,
     tuning: CrossingFilterTuning,
     disturbance: Disturbance | None = None,
+    friction_nms: float | None = None,
 ) -> MotionModel:
-    """The layshaft with clutch open and main box in neutral (4.13, 4.15); without `disturbance`,
-    that of the settings."""
+    """The layshaft with clutch open and main box in neutral (4.13, 4.15); without `disturbance` and
+    `friction_nms`, those of settings and sheet."""
     inertia = sheet.inertia_kgm2(split)
+    friction = sheet.shafts.friction_nms if friction_nms is None else friction_nms
     given = Disturbance(tuning.torque_disturbance_nm, tuning.disturbance_s)
     rate, density = (disturbance or given).density(inertia)
-    rates = np.array([sheet.shafts.friction_nms / inertia, sheet.brake_nm_per_pa / inertia, rate])
+    rates = np.array([friction / inertia, sheet.brake_nm_per_pa / inertia, rate])
     noise = np.array(
         [
             density,
