@@ -41,7 +41,8 @@ class Profile(StrEnum):
     HARSH = "harsh"
 
 
-DEFAULT_PROFILE: Final = Profile.CLEAN
+DEFAULT_PROFILE: Final = Profile.TYPICAL
+"""What people get who name none: a gearbox as it is met in a truck."""
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 from meshpoint.dbc.messages import EngagementEvent
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear
 from meshpoint.gearbox.sheet import GearboxSheet
-from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.rig_sim.shared.engagement import VALVE_OF_MAIN, Engaged
 from meshpoint.rig_sim.truck import layout as at
 from meshpoint.rig_sim.truck.gear_train import INDEX
@@ -50,7 +50,9 @@ class Trials:
         gear: MainGear = MainGear.SECOND,
         seed: int = 1,
     ) -> None:
-        settings = RigSettings(preset=Preset.TRUCK, seed=seed, as_built=values)
+        settings = RigSettings(
+            preset=Preset.TRUCK, seed=seed, profile=Profile.CLEAN, as_built=values
+        )
         self.gear = gear
         self.world = TruckWorld(sheet, settings)
         self.engagement, self.plant = self.world.engagement, self.world.plant

@@ -156,6 +156,23 @@ def test_a_gap_that_comes_by_with_a_slip_allowed_is_met() -> None:
     assert met >= 6
 
 
+@pytest.mark.parametrize("slip_rpm", [200.0, 400.0, 900.0])
+def test_no_sleeve_is_fired_while_its_gear_is_too_fast_in_every_contact_in_sight(
+    slip_rpm: float,
+) -> None:
+    """Drag brings the slip down; until a contact within the window is in sight nothing is fired."""
+    chosen = ControllerSettings()
+    high = chosen.window.contact_high_rad_s
+    far_us = EARLIEST_US + DELAY_US + 600_000.0
+    slips = truth(predictor_at(slip_rpm), np.linspace(NOW_US, far_us, 50))[1]
+    plan = planned("target_phase", chosen, predictor_at(slip_rpm))
+    if slips.min() > high:
+        assert plan is None
+    else:
+        assert plan is not None
+        assert plan.slip_rad_s <= high
+
+
 def test_an_unknown_phase_cannot_be_aimed_at() -> None:
     predictor = predictor_at(15.0, references=PhaseReferences(SHEET))
     with pytest.raises(KeyError):

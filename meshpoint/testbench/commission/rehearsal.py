@@ -314,7 +314,8 @@ def rehearse(
 
 def rehearse_turned(sheet: GearboxSheet, seed: int, wrong: Miswiring) -> Turned:
     """One box of this sheet, which commissioning does not know, on a stand: both parts."""
-    rig = RigCore(sheet, RigSettings(seed=seed, main_speed_rpm=0.0, as_built=STAND))
+    settings = RigSettings(seed=seed, main_speed_rpm=0.0, profile=Profile.CLEAN, as_built=STAND)
+    rig = RigCore(sheet, settings)
     core = WholeCommission(withheld(sheet), consents=True, turns=True)
     time = VirtualTime([core, MiswiredRig(rig, wrong)], [3_000, 1_000])
     time.run(lambda: core.done, TURNED_LIMIT_US)
