@@ -234,11 +234,11 @@ class Observer:
             # The filter cannot follow a synchroniser, which changes the speed by 400 rpm in 20 ms.
             self._main.lose_speed()
         self.layshaft.edges(layshaft, pressures)
-        self._see_load(inputs, layshaft, main)
+        self._see_load(inputs)
         if self.recovery is not None:
             self.recovery.look(events, self._layshaft_wheel.sensor.renumbered)
 
-    def _see_load(self, inputs: StepInputs, layshaft: EdgeBatch, main: EdgeBatch) -> None:
+    def _see_load(self, inputs: StepInputs) -> None:
         """Follows what loads the gear in mesh."""
         if inputs.engine:
             said = inputs.engine[-1]
@@ -255,7 +255,7 @@ class Observer:
         if shafts is None or torque_nm is None or closed is None:
             return
         load = Load(torque_nm, closed > self.kiss_share, tracker.own_drag_nm)
-        self._loaded.take(gear, tracker.placed(layshaft), shaft.placed(main), load, shafts)
+        self._loaded.take(gear, tracker.placed, shaft.placed, load, shafts)
 
     def _read_geared(self, inputs: StepInputs, now_us: int) -> None:
         """Input and propeller shaft, where they are fused."""

@@ -139,7 +139,7 @@ class LoadedDriveline:
         sheet = self._sheet
         behind = sheet.range_mesh(gear.range_).ratio
         edges = np.array((layshaft[0], layshaft[1] * behind * sheet.main_mesh(gear.main).ratio))
-        tooth = _apart(edges, main[0], behind * main[1])
+        tooth = _tooth_rad(edges, main[0], behind * main[1])
         self._apart = tooth if math.isnan(self._apart) else self._apart
         self._load(gear, load, shafts, tooth - self._apart)
         for time_us, angle in zip(*grouped(edges, LOOK_US), strict=True):
@@ -244,7 +244,7 @@ class LoadedDriveline:
         return BehindState(mean, vectors * np.sqrt(np.maximum(values, 0.0)), float(half))
 
 
-def _apart(edges: Vector, times_us: Vector, angles: Vector) -> float:
+def _tooth_rad(edges: Vector, times_us: Vector, angles: Vector) -> float:
     """How far the mean of some angles lies from the line through the edges (2, n)."""
     middle_us, middle = edges.mean(axis=1)
     waits = edges[0] - middle_us

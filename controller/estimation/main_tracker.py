@@ -95,7 +95,7 @@ class MainTracker(WheelTracker):
         if not self._free:
             self._in_gear.edges(batch)
         if batch.time_us.size and self._running:
-            self._follow_lash(self.teeth.edges(batch, self.teeth.place(batch)))
+            self._follow_lash(self.placed)
 
     def _follow_lash(self, edges: Vector) -> None:
         """The cloud takes new edges, and both models say what comes next."""

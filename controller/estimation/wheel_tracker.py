@@ -49,6 +49,8 @@ class WheelTracker(ABC):
         self._running = False
         self._geared = geared
         self._own_us = 0.0
+        self.placed = np.zeros((2, 0))
+        """Times (us) and angles (rad) of the step's edges as their teeth are known, (2, n)."""
         self._start_p = np.zeros((0, 0))
         """Covariance of the shaft's state at the start of a window in which teeth are learned."""
         side = tuning.mesh_side_rad**2 / tuning.mesh_side_s
@@ -83,10 +85,6 @@ class WheelTracker(ABC):
         """Time of the newest edge used; 0 before there was one."""
         return self._filter.time_us
 
-    def placed(self, batch: EdgeBatch) -> Vector:
-        """Times (us) and angles (rad) of edges as their teeth are known, (2, n)."""
-        return self.teeth.edges(batch, self.teeth.place(batch))
-
     def _take(
         self,
         batch: EdgeBatch,
@@ -94,6 +92,8 @@ class WheelTracker(ABC):
         switches: Vector,
         model: RecordMemory,
     ) -> None:
+        teeth, place = self.teeth, self.teeth.place(batch)
+        edges = self.placed = teeth.edges(batch, place)
         if not self._running:
             self._start(batch)
             return
@@ -103,8 +103,6 @@ class WheelTracker(ABC):
             self._own_us = batch.time_us[-1] if batch.time_us.size else self._own_us
         if not batch.time_us.size and not pressures.time_us.size and geared is None:
             return
-        teeth, place = self.teeth, self.teeth.place(batch)
-        edges = teeth.edges(batch, place)
         self._filter.take(edges, teeth.sd_rad, pressures, switches, model, geared)
         if teeth.learner.running:
             if wheel is not None:
@@ -112,6 +110,7 @@ class WheelTracker(ABC):
             teeth.learner.take(batch, place, pressures, switches, self._teeth_motion(model))
             if teeth.look():
                 self._teeth_found()
+                self.placed = teeth.edges(batch, place)
 
     def _edge_rad2_s(self, omega_rad_s: float, edge_time_s: float) -> float:
         """Variance of an edge's angle times the time from edge to edge: two edges a pitch."""

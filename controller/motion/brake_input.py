@@ -75,34 +75,31 @@ class BrakeInput:
         """Times at which pressure starts to react, and u from then on: two rows, the switches of
         the kernels."""
         if self._arrays is None or self._arrays_of != self._switches:
-            self._arrays, self._arrays_of = self._with(None), self.switches
+            off_us, on_us = self._delays_us
+            times = [time_us + (on_us if on else off_us) for time_us, on in self._switches]
+            states = [on for _, on in self._switches]
+            self._arrays = np.array((times, states), dtype=np.float64)
+            self._arrays_of = self.switches
         return self._arrays
 
     def with_release(self, release_us: float) -> Vector:
         """The same if the brake were released at `release_us` instead, and left so."""
-        return self._with(release_us)
+        switches, kept = self._switches, len(self._switches)
+        # A release that is planned already is what is being moved, not a switch of its own.
+        while kept and (not switches[kept - 1].on or switches[kept - 1].time_us >= release_us):
+            kept -= 1
+        found = np.empty((2, kept + 1))
+        found[:, :kept] = self.arrays()[:, :kept]
+        found[0, kept], found[1, kept] = release_us + self.off_delay_us, 0.0
+        return found
 
     def commanded(self) -> Vector:
         """For `with_release` in a kernel: times at which the valve is switched, u from then on, and
         times at which pressure starts to react: three rows."""
         times = [switch.time_us for switch in self._switches]
-        return np.array((times, *self._with(None)[::-1]), dtype=np.float64)
+        return np.array((times, *self.arrays()[::-1]), dtype=np.float64)
 
     @property
     def off_delay_us(self) -> int:
         """From a release to the pressure's first reaction, as learned."""
         return self._delays_us[0]
-
-    def _with(self, release_us: float | None) -> Vector:
-        times: list[float] = [switch.time_us for switch in self._switches]
-        states = [float(switch.on) for switch in self._switches]
-        if release_us is not None:
-            # A release that is planned already is what is being moved, not a switch of its own.
-            while times and (states[-1] == 0.0 or times[-1] >= release_us):
-                times.pop()
-                states.pop()
-            times.append(release_us)
-            states.append(0.0)
-        off_us, on_us = self._delays_us
-        times = [t + (on_us if u else off_us) for t, u in zip(times, states, strict=True)]
-        return np.array((times, states), dtype=np.float64)
