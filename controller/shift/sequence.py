@@ -26,10 +26,17 @@ from meshpoint.controller.shift.group_change import change_splitter, change_step
 from meshpoint.controller.shift.speed_up import part_clutch, raise_speed
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import coast, synchronise
-from meshpoint.controller.shift.table import TRANSITIONS, ShiftRecord, Trigger
+from meshpoint.controller.shift.table import (
+    NEUTRAL_WANTED,
+    STEPS_ARE_IN,
+    TRANSITIONS,
+    ShiftRecord,
+    Trigger,
+)
 from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import FaultCode, ShiftResult
+from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.units import SECOND_US
 
@@ -77,6 +84,8 @@ class ShiftSequence(ShiftContext):
             self.engine_share = None
         if self.shift is not None and snapshot.lost is not FaultCode.NONE:
             self._go(self.give_up(snapshot, snapshot.lost), snapshot)
+        elif self.state in NEUTRAL_WANTED and _shows_a_gear(snapshot.view):
+            self._go(self._brought_in(snapshot), snapshot)
         for _ in range(len(State)):
             trigger = self._handle(snapshot)
             if trigger is None:
@@ -89,6 +98,15 @@ class ShiftSequence(ShiftContext):
         except StrategyError as error:
             self.strategy_error, self.decision = str(error), None
             return self.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
+
+    def _brought_in(self, snapshot: StepSnapshot) -> Trigger:
+        """A gear is in mesh that this shift has not fired: the shift ends, well if it is the one
+        asked for. Nobody saw how its teeth met: nothing is learned of its phase."""
+        asked = DRIVE_GEARS.get(snapshot.view.gear_number) == self.running.target
+        if asked and self.state in STEPS_ARE_IN:
+            self.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE)
+            return Trigger.ENGAGED
+        return self.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
 
     def _go(self, trigger: Trigger, snapshot: StepSnapshot) -> None:
         if self.on_transition is not None:
@@ -165,6 +183,10 @@ class ShiftSequence(ShiftContext):
                 rpm = input_rad_s * 30.0 / math.pi
                 return FaultCode.INPUT_OVERSPEED, f"the input shaft would turn at {rpm:.0f} rpm"
         return None
+
+
+def _shows_a_gear(view: GearboxView) -> bool:
+    return view.main_gear is not None and view.main_gear is not MainGear.NEUTRAL
 
 
 def _knows_the_gear(view: GearboxView) -> bool:
