@@ -26,7 +26,13 @@ from meshpoint.controller.shift.group_change import change_splitter, change_step
 from meshpoint.controller.shift.speed_up import part_clutch, raise_speed
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import coast, synchronise
-from meshpoint.controller.shift.table import TRANSITIONS, ShiftRecord, Trigger
+from meshpoint.controller.shift.table import (
+    NEUTRAL_WANTED,
+    STEPS_ARE_IN,
+    TRANSITIONS,
+    ShiftRecord,
+    Trigger,
+)
 from meshpoint.controller.strategy_file import StrategyError
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.dbc.messages import FaultCode, ShiftResult
@@ -78,6 +84,8 @@ class ShiftSequence(ShiftContext):
             self.engine_share = None
         if self.shift is not None and snapshot.lost is not FaultCode.NONE:
             self._go(self.give_up(snapshot, snapshot.lost), snapshot)
+        elif self.state in NEUTRAL_WANTED and _shows_a_gear(snapshot.view):
+            self._go(self._brought_in(snapshot), snapshot)
         for _ in range(len(State)):
             trigger = self._handle(snapshot)
             if trigger is None:
@@ -90,6 +98,15 @@ class ShiftSequence(ShiftContext):
         except StrategyError as error:
             self.strategy_error, self.decision = str(error), None
             return self.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
+
+    def _brought_in(self, snapshot: StepSnapshot) -> Trigger:
+        """A gear is in mesh that this shift has not fired: the shift ends, well if it is the one
+        asked for. Nobody saw how its teeth met: nothing is learned of its phase."""
+        asked = DRIVE_GEARS.get(snapshot.view.gear_number) == self.running.target
+        if asked and self.state in STEPS_ARE_IN:
+            self.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE)
+            return Trigger.ENGAGED
+        return self.give_up(snapshot, FaultCode.SYNCHRONISE_FAILED)
 
     def _go(self, trigger: Trigger, snapshot: StepSnapshot) -> None:
         if self.on_transition is not None:
@@ -170,6 +187,10 @@ class ShiftSequence(ShiftContext):
 def _may_be_raised(number: int, view: GearboxView) -> bool:
     """Whether the engine may have to raise the layshaft for this gear: in neutral it slows down."""
     return view.main_gear is MainGear.NEUTRAL or number < view.gear_number
+
+
+def _shows_a_gear(view: GearboxView) -> bool:
+    return view.main_gear is not None and view.main_gear is not MainGear.NEUTRAL
 
 
 def _knows_the_gear(view: GearboxView) -> bool:

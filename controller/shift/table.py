@@ -90,6 +90,14 @@ for _state in IN_SHIFT:
     TRANSITIONS[_state, _T.GAVE_UP] = _S.CLUTCH_CLOSING
     TRANSITIONS[_state, _T.GEAR_UNKNOWN] = _S.FAULTED
 
+STEPS_ARE_IN: Final = (_S.SYNCHRONISING, _S.SPEED_RAISING, _S.CLUTCH_PARTING, _S.COASTING)
+"""Splitter and range are in the steps of the new gear, and the main box is to stay in neutral until
+its sleeve is fired."""
+NEUTRAL_WANTED: Final = (_S.STEPS_CHANGING, *STEPS_ARE_IN)
+"""A gear that is in mesh here was brought in by somebody else."""
+for _state in STEPS_ARE_IN:
+    TRANSITIONS[_state, _T.ENGAGED] = _S.CLUTCH_CLOSING
+
 
 @dataclass
 class ShiftRecord:

@@ -119,7 +119,7 @@ class Loop:
 
     def __post_init__(self) -> None:
         plan = plan_shifts(self.sheet, list(self.pairs), self.shifts, self.layshaft_rad_s)
-        self.operator = BenchCore(plan) if plan else Operator(self.requests)
+        self.operator = BenchCore(plan) if plan else self.new_operator()
         self.controller = Tapped(ControllerCore(self.header), self.receiving)
         self.rig = Tapped(self.new_rig(self.seed))
         self.frames: list[tuple[int, Frame]] = []
@@ -128,6 +128,10 @@ class Loop:
         self._decoder = Receiver(*Node)
         cores: list[Core] = [self.controller, self.rig, self.operator]
         self.time = VirtualTime(cores, list(self.phases_us), self._take, self._event)
+
+    def new_operator(self) -> Operator:
+        """Who asks for the gears."""
+        return Operator(self.requests)
 
     def fault(self, kind: RigFault, target: int = 0, value: float = 0.0, for_us: int = 0) -> None:
         """The rig goes wrong from now on, or for so long."""

@@ -39,3 +39,30 @@ def test_pressure_in_the_chamber_is_not_taken_for_an_offset() -> None:
     for k in range(60, 90):
         zero.take(k * TICK_US, 5e5 * math.exp(-(k - 60) * TICK_US * 1e-6 / TAU_S), False)
     assert zero.offset_pa == 0.0
+
+
+def test_the_offset_is_the_mean_of_what_an_empty_chamber_showed_the_old_counting_less() -> None:
+    """A sample weighs 0.998 of the next one. Nothing is told before ten samples' weight."""
+    zero, shown = PressureZero(TAU_S), []
+    begun_us = zero._wait_us
+    zero.take(0.0, 8e5, True)
+    for k in range(1, 40):
+        pressure_pa = OFFSET_PA + 1e3 * math.sin(2.0 * k)
+        corrected = zero.take(begun_us + k * TICK_US, pressure_pa, False)
+        shown.append(pressure_pa)
+        weights = 0.998 ** np.arange(k - 1.0, -1.0, -1.0)
+        told = float(np.average(shown, weights=weights)) if weights.sum() >= 10.0 else 0.0
+        assert zero.offset_pa == pytest.approx(told)
+        assert corrected == pytest.approx(pressure_pa - told)
+
+
+@pytest.mark.parametrize(("late_us", "is_empty"), [(0, False), (1, True)])
+def test_a_chamber_is_empty_eight_time_constants_after_its_valve_went_off(
+    late_us: int, is_empty: bool
+) -> None:
+    """An exponential has then fallen to 1 / 2981 of where it began."""
+    zero = PressureZero(0.125)
+    zero.take(5e6, 8e5, True)
+    for _ in range(20):
+        zero.take(5e6 + 1e6 + late_us, OFFSET_PA, False)
+    assert (zero.offset_pa != 0.0) is is_empty

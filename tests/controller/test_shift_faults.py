@@ -25,7 +25,7 @@ from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
 from meshpoint.gearbox import MainGear, Sleeve
-from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN
 
 
 def silent_clutch(box: Box) -> None:
@@ -105,6 +105,65 @@ def test_an_input_that_is_lost_ends_the_shift_in_the_same_step(
         assert record.result is (none if neutral else old)
         assert box.state is State.CLUTCH_CLOSING
         assert box.sequence.clutch is ClutchAction.CLOSE
+
+
+WANTS_NEUTRAL: Final = [
+    (UP, State.SYNCHRONISING), (UP, State.COASTING), (DOWN, State.SPEED_RAISING),
+    (DOWN, State.CLUTCH_PARTING), (DOWN, State.COASTING),
+]  # fmt: skip
+
+
+def brought_in(way: tuple[int, float, int], state: State, gear: MainGear) -> Box:
+    """A shift in this state, and a gear that somebody else has brought into mesh."""
+    box = aimed(*way[:2])
+    box.ask(way[2])
+    box.until(state)
+    side = SLEEVE_OF_MAIN[gear]
+    box.position_m[side.sleeve] = STROKE_M * side.direction
+    return box
+
+
+@pytest.mark.parametrize("gear", [MainGear.CRAWL, MainGear.FIRST, MainGear.SECOND, MainGear.THIRD])
+@pytest.mark.parametrize(("way", "state"), WANTS_NEUTRAL)
+def test_a_shift_under_way_ends_at_once_when_a_gear_is_seen_in_mesh(
+    way: tuple[int, float, int], state: State, gear: MainGear
+) -> None:
+    """Well where it is the gear asked for, else with a fault; the clutch closes, valves are off,
+    and the engine gets the gear's speed. How its teeth met nobody has seen: no phase is learned."""
+    box = brought_in(way, state, gear)
+    assert box.running()
+    box.step()
+    (record,) = box.records
+    if gear is DRIVE_GEARS[way[2]].main:
+        assert (record.result, record.fault) == (ShiftResult.ENGAGED, FaultCode.NONE)
+    else:
+        assert record.result is ShiftResult.ENDED_IN_OLD_GEAR
+        assert record.fault is FaultCode.SYNCHRONISE_FAILED
+    assert (box.state, record.end_us) == (State.CLUTCH_CLOSING, box.now_us)
+    assert box.sequence.clutch is ClutchAction.CLOSE
+    assert not any(box.board.command(valve).on for valve in ValveName)
+    assert box.references.watched is None
+    box.until(State.IN_GEAR)
+    assert box.view.main_gear is gear
+
+
+def test_the_range_is_let_go_when_a_gear_is_seen_in_mesh_amid_its_change() -> None:
+    box = brought_in((6, 110.0, 7), State.STEPS_CHANGING, MainGear.THIRD)
+    assert box.board.command(ValveName.RANGE_HIGH).on
+    box.step()
+    (record,) = box.records
+    assert record.result is ShiftResult.ENDED_IN_OLD_GEAR
+    assert record.fault is FaultCode.SYNCHRONISE_FAILED
+    assert not any(box.board.command(valve).on for valve in ValveName)
+
+
+def test_a_shift_goes_on_while_a_sleeve_is_only_near_its_gear() -> None:
+    """It is in mesh within a millimetre of its stroke."""
+    box = brought_in(UP, State.SYNCHRONISING, MainGear.THIRD)
+    box.position_m[Sleeve.CRAWL_THIRD] = STROKE_M - 1.1e-3
+    box.step()
+    assert box.running()
+    assert box.state is State.SYNCHRONISING
 
 
 def test_a_box_without_air_begins_no_shift_and_says_so() -> None:

@@ -55,7 +55,7 @@ _KERNEL_TESTS: Final = tuple(
     for name in (
         "kernels", "motion", "crossing", "swing", "lash", "lash_course", "edges", "edge_gate",
         "edge_gate_foreign", "edge_speed", "sensor_count", "fused_wheels", "predictor", "strategy",
-        "estimation_exactly",
+        "estimation_exactly", "fusion_exactly", "lash_exactly", "aiming_exactly",
     )
 )  # fmt: skip
 _NEAR: Final = ("tests/controller", "tests/testbench/test_reference.py")

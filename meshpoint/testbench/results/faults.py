@@ -22,7 +22,8 @@ MEANING: Final[dict[FaultCode, str]] = {
     FaultCode.VALVE_LINK_LOST: "no fresh valve status",
     FaultCode.CLUTCH_STUCK: "the clutch did not open or close in time: see its position and air",
     FaultCode.DISENGAGE_FAILED: "the old gear did not come out in time: torque in the mesh, or air",
-    FaultCode.SYNCHRONISE_FAILED: "the speeds did not come together in time: brake, or engine",
+    FaultCode.SYNCHRONISE_FAILED: "the speeds did not come together in time: brake, or engine; or "
+    "somebody else brought the box into a gear meanwhile",
     FaultCode.ENGAGE_FAILED: "the sleeve did not go in, in all the attempts that are allowed",
     FaultCode.GUARD_BLOCKED: "the guard blocked the valve commands; the controller's own lines "
     "name the row (docs/guard.md). Frames that come late are one cause",

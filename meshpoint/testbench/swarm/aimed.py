@@ -71,6 +71,16 @@ SECOND_STUCK: Final = Strike("synchronising", "valve_stuck", 4, 0.0, 3_000)
 SECOND_JAMMED: Final = Strike("synchronising", "sleeve_jammed", 0, 0.0, 3_000)
 """Its sleeve stays in the middle though the valve is driven."""
 UNSEEN: Final = Strike("engaging", "bus_drop", int(Group.EDGES), 1.0)
+SHOWS_SECOND: Final = 12.0
+"""The first sleeve, in neutral, seems to stand in second gear, which 8 -> 10 engages."""
+SHOWS_FIRST: Final = -12.0
+
+
+def _brought_in(state: str, position_mm: float) -> Strike:
+    """A gear is seen in mesh that no valve has engaged."""
+    return Strike(state, "position_offset", 0, position_mm, 600)
+
+
 BETWEEN: Final = Strike("engaging", "position_offset", 1, 5.0, 1_600)
 """The other sleeve seems to stand between two gears."""
 JAMMED: Final = Strike("clutch_opening", "sleeve_jammed", 0, 0.0, 3_000)
@@ -96,10 +106,15 @@ AIMS: Final = (
     Aim("steps_changing+gear_unknown", _deaf("steps_changing"), 6, 8),
     Aim("steps_changing+gave_up", _unlinked("steps_changing"), 6, 8),
     Aim("synchronising+gear_unknown", _deaf("synchronising")),
+    Aim("synchronising+gave_up", (_brought_in("synchronising", SHOWS_FIRST),)),
+    Aim("synchronising+engaged", (_brought_in("synchronising", SHOWS_SECOND),)),
+    Aim("speed_raising+engaged", (_brought_in("speed_raising", SHOWS_FIRST),), 10, 8),
     Aim("speed_raising+gear_unknown", _deaf("speed_raising"), 10, 8),
     Aim("speed_raising+gave_up", _unlinked("speed_raising"), 10, 8),
+    Aim("clutch_parting+engaged", (_brought_in("clutch_parting", SHOWS_FIRST),), 10, 8),
     Aim("clutch_parting+gear_unknown", (HELD, *_deaf("clutch_parting")), 10, 8),
     Aim("clutch_parting+gave_up", (HELD,), 10, 8),
+    Aim("coasting+engaged", (_brought_in("coasting", SHOWS_SECOND),)),
     Aim("coasting+gear_unknown", _deaf("coasting")),
     Aim("coasting+gave_up", _unlinked("coasting")),
     Aim("engaging+gear_unknown", _deaf("engaging")),
