@@ -4,21 +4,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pytest
 from wheel import Wheel
 
+from meshpoint.controller.estimation.brake_model import Carried
 from meshpoint.controller.estimation.crossing_tracker import STRUCK_RAD_S, CrossingTracker
 from meshpoint.controller.estimation.cruise import CruiseTracker
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.lash_cloud import _drawn
 from meshpoint.controller.estimation.lash_start import StartWatch
 from meshpoint.controller.estimation.likelihood import Learned, _step, learn
+from meshpoint.controller.estimation.main_tracker import MainTracker
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.swing import ModeRates, Swing, SwingMotion
-from meshpoint.controller.observer import Observer
+from meshpoint.controller.motion.kernels import (
+    DISTURBANCE,
+    DRAG,
+    GAIN,
+    OMEGA,
+    PRESSURE,
+    THETA,
+)
+from meshpoint.controller.motion.swing import ModeRates, ShaftState, Swing, SwingMotion
+from meshpoint.controller.motion.swing_kernels import STEADY
+from meshpoint.controller.observer import CLUTCH_BITES_SHARE, PULL_RAD_S2, Observer
 from meshpoint.controller.sensing.pressure_samples import NO_SAMPLES
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
@@ -28,7 +40,7 @@ from meshpoint.controller.settings import (
     CruiseFilterTuning,
     Estimator,
 )
-from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox import MainGear, Split, load_sheet
 from meshpoint.gearbox.sheet import Wheel as SheetWheel
 from meshpoint.units import US
 
@@ -161,3 +173,69 @@ def test_a_gear_that_strikes_moves_the_layshaft_by_half_a_pitch_and_its_speed_at
     assert after[0, 0] - before[0, 0] == pytest.approx(half_pitch**2)
     assert after[1, 1] - before[1, 1] == pytest.approx(STRUCK_RAD_S**2)
     assert after[0, 1] == before[0, 1]
+
+
+def test_a_shaft_of_which_only_angle_and_speed_were_seen_may_do_what_the_settings_allow() -> None:
+    """Its angle is off by two unlearned teeth, and nothing goes with anything else."""
+    tuning = CrossingFilterTuning()
+    x, p = MainTracker(tuning, 45, range_ratios=(0.27, 1.0))._first_state(5.0)
+    assert not x.any()
+    assert p[THETA, THETA] == pytest.approx((2.0 * tuning.tooth_error_rad) ** 2)
+    assert p[OMEGA, OMEGA] == 25.0
+    assert p[STEADY, STEADY] == pytest.approx(tuning.main_start_rad_s2**2)
+    assert np.count_nonzero(p) == 3
+
+
+def test_a_layshaft_that_becomes_free_begins_with_what_is_known_of_brake_and_drag() -> None:
+    """Torques over its inertia, each as sure as was learned and as may have changed in a pause."""
+    sheet, settings = load_sheet("truck12"), ControllerSettings()
+    delay_us = round(sheet.brake.valve_delay_s / US)
+    observer = Observer(sheet, settings, BrakeInput(delay_us), Estimator.CROSSING)
+    tracker, teeth = observer.layshaft, sheet.wheels.layshaft.teeth
+    assert isinstance(tracker, CrossingTracker)
+    for number in range(0, 60, 6):
+        edges = np.arange(number, number + 6)
+        angle = math.pi / teeth * edges
+        batch = EdgeBatch(angle / 100.0 / US, angle, edges // 2 % teeth, edges % 2)
+        tracker.edges(batch, NO_SAMPLES)
+    tuning, known, inertia = settings.crossing_filter, tracker._known, tracker._inertia_kgm2
+    tracker.set_free(True, tracker._filter.time_us, [])
+    x, p = tracker._filter.x, tracker._filter.p
+    assert (x[PRESSURE], x[DISTURBANCE]) == (0.0, 0.0)
+    assert x[GAIN] == known.gain.value
+    assert x[DRAG] == pytest.approx(known.drag_nm.value / inertia)
+    assert p[PRESSURE, PRESSURE] == pytest.approx(tuning.pressure_start_sd_pa**2)
+    assert p[DISTURBANCE, DISTURBANCE] == pytest.approx(
+        (tracker.disturbance.torque_nm / inertia) ** 2
+    )
+    assert p[GAIN, GAIN] == pytest.approx(known.gain.sd**2 + tuning.gain_pause**2)
+    drag_nm2 = known.drag_nm.sd**2 + tuning.drag_pause_nm**2
+    assert p[DRAG, DRAG] == pytest.approx(drag_nm2 / inertia**2)
+    assert not p[2:, :2].any()
+
+
+@pytest.mark.parametrize(
+    ("drag_nm", "swing_rad_s", "closed", "pulls"),
+    [(-8.0, 0.0, 0.0, True), (-0.5, 0.0, 0.0, False), (-8.0, 2.0, 0.0, False),
+     (-8.0, 0.0, CLUTCH_BITES_SHARE, False), (-8.0, 0.0, 0.99 * CLUTCH_BITES_SHARE, True)],
+)  # fmt: skip
+def test_drag_holds_a_tooth_at_its_lower_flank_where_it_slows_down_more_than_the_main_shaft(
+    drag_nm: float, swing_rad_s: float, closed: float, pulls: bool
+) -> None:
+    """By 5 rad/s2, at the gear; on a driveline that swings the main shaft does at times, too. And
+    nothing else may turn the layshaft."""
+    sheet = load_sheet("truck12")
+    brake = BrakeInput(round(sheet.brake.valve_delay_s / US))
+    observer: Any = Observer(sheet, ControllerSettings(), brake, Estimator.CROSSING)
+    observer._split = Split.HIGH
+    observer.brake.drag_nm = Carried(drag_nm, 0.1)
+    observer.view.clutch.closed = closed
+    gear = MainGear.THIRD
+    slows = sheet.main_mesh(gear).ratio * drag_nm / sheet.inertia_kgm2(Split.HIGH)
+    assert (slows < -PULL_RAD_S2) is (drag_nm < -1.0)
+    found = []
+    for k in range(12):
+        speed = 90.0 + swing_rad_s * math.sin(0.9 * k)
+        main = ShaftState(1e4 * k, 0.0, speed, 1e-3, 0.05)
+        found.append(observer._drag_pulls(gear, main))
+    assert found[-1] is pulls

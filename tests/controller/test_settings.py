@@ -61,6 +61,7 @@ def test_without_a_file_the_defaults_hold_and_given_values_win(tmp_path: Path) -
             "[window]\ncontact_low_rpm = 30\ncontact_high_rpm = 20",
             ("contact_low_rpm", "contact_high_rpm"),
         ),
+        ("[window]\ncontact_low_rpm = 20\ncontact_high_rpm = 20", ("less than",)),
         ("[aim]\ntarget_percent_of_gap = -91", ("target_percent_of_gap", "-91", "-90", "90")),
         ("[limits]\nattempts = 11", ("attempts", "11", "1", "10")),
         ("= what", ()),

@@ -231,6 +231,7 @@ def test_a_shift_goes_on_after_some_commands_that_the_guard_has_blocked_and_ends
         assert box.state is State.SYNCHRONISING
         box.until(State.IN_GEAR)
         assert box.records[-1].result is ShiftResult.ENGAGED
+        assert box.records[-1].pulses == 1, "a pulse that was blocked was none"
     else:
         assert box.sequence.fault is FaultCode.GUARD_BLOCKED
         assert box.state is State.CLUTCH_CLOSING
