@@ -113,7 +113,8 @@ def _accelerate(y: RigState, rate: RigState, rig: Rig) -> None:
         torques.group_nm[k] = 0.0
     for k in range(at.BODIES):
         torques.group_nm[g.bodies[k].lead] += g.bodies[k].rate * torques.body_nm[k]
-    torques.pull_nm = torques.group_nm[g.bodies[at.LAYSHAFT].lead]
+    layshaft = g.bodies[at.LAYSHAFT]
+    torques.pull_nm = torques.group_nm[layshaft.lead] / layshaft.rate
     for k in range(at.BODIES):
         body = g.bodies[k]
         if body.lead != k:

@@ -188,11 +188,11 @@ def assert_ended_well(outcome: Outcome) -> None:
 def assert_refused(outcome: Outcome, *named: str) -> None:
     """Exit code 2, no traceback, and one error line that names each of `named`.
 
-    argparse prints its usage first; the error itself is the last line.
-    """
+    A long one goes on indented. argparse prints its usage first; the error is the last line."""
     assert "Traceback" not in outcome.err + outcome.out, outcome.text
     assert outcome.code == 2, outcome.text
-    lines = [line for line in outcome.err.splitlines() if line.strip()]
+    said = outcome.err.replace("\n  ", " ")
+    lines = [line for line in said.splitlines() if line.strip()]
     assert lines, f"refused without a word\n{outcome.text}"
     start_of_usage = lines[0].startswith("usage:")
     assert start_of_usage or len(lines) == 1, f"more than one line\n{outcome.text}"

@@ -40,9 +40,9 @@ class Bench:
         if apart_s > 0.0:
             self.controller = self.node("controller")
             time.sleep(apart_s)
-            self.rig = self.node("rig")
+            self.rig = self.node("rig", "--as-built", "clean")
         else:
-            self.rig = self.node("rig")
+            self.rig = self.node("rig", "--as-built", "clean")
             time.sleep(-apart_s)
             self.controller = self.node("controller")
         self.listener = Listener(channel, wire)

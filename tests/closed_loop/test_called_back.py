@@ -18,7 +18,9 @@ from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.units import RPM
 
 LITTLE_DRAG = {"drag.constant_nm": 0.5, "sheet.friction_factor": 0.2}
-"""Slip falls so slowly that another gap comes before the gear is too slow."""
+"""Slip falls so slowly that another gap comes before the gear is too slow;"""
+SEED = 15
+"""here with a slip that is negative already: where it is about to pass zero, a gap comes late."""
 PLAIN = ControllerSettings()
 FAST = replace(PLAIN, window=replace(PLAIN.window, aim_slip_rad_s=24.0 * RPM))
 
@@ -27,7 +29,7 @@ def aimed_shift(monkeypatch: pytest.MonkeyPatch, doubted: int) -> tuple[ShiftRow
     """An aimed shift of a rigid gearbox whose firings are said, so many times, to meet a tooth once
     their valve is on; and when it was said (us after the firing)."""
     sheet = load_sheet("truck12")
-    drawn = draw(12, sheet, Preset.TRUCK, upshifts(), 4, LITTLE_DRAG, Profile.CLEAN)
+    drawn = draw(SEED, sheet, Preset.TRUCK, upshifts(), 4, LITTLE_DRAG, Profile.CLEAN)
     loop = ClosedLoop(sheet, FAST, Preset.TRUCK, drawn)
     for _ in range(3):
         loop.shift()

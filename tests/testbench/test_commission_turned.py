@@ -29,7 +29,7 @@ from meshpoint.gearbox.keys import groups_of, to_toml
 from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.gearbox.tables import parse_toml, read_group
 from meshpoint.rig_sim.core import RigCore
-from meshpoint.rig_sim.settings import RigSettings
+from meshpoint.rig_sim.settings import Profile, RigSettings
 from meshpoint.testbench.check.finding import Verdict
 from meshpoint.testbench.check.shafts import Shaft
 from meshpoint.testbench.commission.core import CONSENT_US, CommissionCore
@@ -67,7 +67,8 @@ SEED = 5
 def turned() -> tuple[GearboxSheet, WholeCommission, float]:
     """A drawn box whose sheet is withheld, and its kiss point as built."""
     sheet = draw_sheet(TRUCK, SEED)
-    rig = RigCore(sheet, RigSettings(seed=SEED, main_speed_rpm=0.0, as_built=STAND))
+    settings_ = RigSettings(seed=SEED, main_speed_rpm=0.0, profile=Profile.CLEAN, as_built=STAND)
+    rig = RigCore(sheet, settings_)
     core = WholeCommission(withheld(TRUCK), consents=True, turns=True)
     VirtualTime([core, rig], [3_000, 1_000]).run(lambda: core.done, 300_000_000)
     assert rig.as_built is not None
@@ -169,7 +170,7 @@ def test_what_was_not_turned_is_not_judged() -> None:
 def test_outputs_are_all_found_where_the_main_sleeves_position_sensors_are_exchanged() -> None:
     """The gear that is in cannot be taken out by the output of its name."""
     core = CommissionCore(TRUCK, consents=True)
-    settings_ = RigSettings(seed=4, main_speed_rpm=0.0, as_built=STAND)
+    settings_ = RigSettings(seed=4, main_speed_rpm=0.0, profile=Profile.CLEAN, as_built=STAND)
     rig = MiswiredRig(RigCore(TRUCK, settings_), Miswiring(positions=POSITION_PAIRS[0]))
     VirtualTime([core, rig], [3_000, 1_000]).run(lambda: core.done, 60_000_000)
     wires = wires_of(core)
