@@ -163,7 +163,7 @@ def test_no_sleeve_is_fired_while_its_gear_is_too_fast_in_every_contact_in_sight
     """Drag brings the slip down; until a contact within the window is in sight nothing is fired."""
     chosen = ControllerSettings()
     high = chosen.window.contact_high_rad_s
-    far_us = EARLIEST_US + DELAY_US + 300_000.0
+    far_us = EARLIEST_US + DELAY_US + 600_000.0
     slips = truth(predictor_at(slip_rpm), np.linspace(NOW_US, far_us, 50))[1]
     plan = planned("target_phase", chosen, predictor_at(slip_rpm))
     if slips.min() > high:

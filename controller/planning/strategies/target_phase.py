@@ -29,7 +29,11 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import SECOND_US
 
 LOOK_AHEAD_US: Final = 300_000.0
-"""Contacts are looked at so far ahead: in that time the slip falls out of its window."""
+"""Contacts of a release are looked at so far ahead: in that time the slip falls out of its
+window;"""
+FIRING_AHEAD_US: Final = 600_000.0
+"""those of a firing so far: where little drag is left, and the teeth pass slowly, a gap may come
+late."""
 COARSE_US: Final = 2_000.0
 LEAST_COARSE_US: Final = 200.0
 """Contacts are looked at in steps of at most, and at least, this;"""
@@ -88,7 +92,7 @@ class TargetPhase:
         """The contact of least expected cost that a sleeve not yet fired can still make; None where
         the gear is too fast in all of them: drag brings those that are not."""
         first_us = float(earliest_us + predictor.delay_us)
-        step_us, count = self._steps(predictor, earliest_us)
+        step_us, count = self._steps(predictor, earliest_us, FIRING_AHEAD_US)
         coarse = predictor.trajectory(first_us, step_us, count)
         around_us = max(first_us, self._cheapest(predictor, now_us, coarse) - step_us)
         fine = predictor.trajectory(around_us, step_us / FINE_SHARE, 2 * FINE_SHARE + 1)
@@ -104,12 +108,14 @@ class TargetPhase:
         on_way = predictor.trajectory(float(contact_us), 1.0, 1)
         variances = self._variances(predictor, on_way)
         stays = self._least(predictor, now_us, on_way, variances)[1]
-        step_us, count = self._steps(predictor, earliest_us)
+        step_us, count = self._steps(predictor, earliest_us, FIRING_AHEAD_US)
         later = predictor.trajectory(float(earliest_us + predictor.delay_us), step_us, count)
         # By then as much will be known of a later contact as now of this one.
         return self._least(predictor, now_us, later, np.full(count, variances[0]))[1] < stays
 
-    def _steps(self, predictor: GearPredictor, release_us: int) -> tuple[float, int]:
+    def _steps(
+        self, predictor: GearPredictor, release_us: int, ahead_us: float = LOOK_AHEAD_US
+    ) -> tuple[float, int]:
         """Length and number of the coarse steps of contacts: small where teeth are small, or where
         drag soon takes the slip away."""
         window = self._window
@@ -121,7 +127,7 @@ class TargetPhase:
         by_slip_us = STEP_OF_WINDOW * allowed * FALL_US / max(fall, 1e-6)
         by_phase_us = STEP_OF_PITCH * self._dog.pitch_rad / window.contact_high_rad_s * SECOND_US
         step_us = max(LEAST_COARSE_US, min(COARSE_US, by_slip_us, by_phase_us))
-        return step_us, math.ceil(LOOK_AHEAD_US / step_us)
+        return step_us, math.ceil(ahead_us / step_us)
 
     def _reach_us(self, predictor: GearPredictor, release_us: int) -> float:
         """By how much later a release moves the phase at contact by a pitch."""
