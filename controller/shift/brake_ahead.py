@@ -67,7 +67,7 @@ def _is_wanted(context: ShiftContext, snapshot: StepSnapshot) -> bool:
         return False
     if slip is None or layshaft is None or shift.pulses >= context.settings.limits.pulses:
         return False
-    drag_rad_s2 = layshaft * sheet.shafts.friction_nms / sheet.inertia_kgm2(target.split)
+    drag_rad_s2 = snapshot.layshaft.drag_nm(layshaft) / sheet.inertia_kgm2(target.split)
     coast_s = context.settings.limits.coast_ms * MS_IN_US / SECOND_US
     fall = sheet.main_mesh(target.main).ratio * drag_rad_s2 * coast_s
     return slip - context.settings.window.fire_slip_rad_s > fall

@@ -73,7 +73,7 @@ def _raised_slip(context: ShiftContext, snapshot: StepSnapshot) -> float:
     sheet, target = context.sheet, context.running.target
     ratio = sheet.main_mesh(target.main).ratio
     layshaft = snapshot.speeds.layshaft or 0.0
-    drag_rad_s2 = layshaft * sheet.shafts.friction_nms / sheet.inertia_kgm2(target.split)
+    drag_rad_s2 = snapshot.layshaft.drag_nm(layshaft) / sheet.inertia_kgm2(target.split)
     clutch = sheet.clutch
     parted_s = (context.kiss.share - clutch.surely_open_share) * clutch.open_delay_s
     fall_s = parted_s + SEEN_LATE_US / (1000.0 * MS_IN_US)

@@ -254,6 +254,9 @@ class TruckEngagement(Engagement[TruckSleeve]):
         slip = self._plant.slip_rad_s(gear)
         phase = self._truck.shafts.phase_rad(gear) if self._chamfer_rad else edge * self._half_rad
         self._leave_face(name)
+        if not self._delays.has_cylinder:
+            # The air may have changed since the valve was switched.
+            self.sleeves[name].force_n = self._delays.force_n(self._truck.supply_gauge_pa)
         self.sleeves[name].enter(time_us)
         self._record(EngagementEvent.TOOTH_PASSED, gear, phase, slip)
         self._watch_gap(name)

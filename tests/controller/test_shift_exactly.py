@@ -22,7 +22,12 @@ from meshpoint.controller.sensing.gearbox_view import SleeveTrack
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.shift import engage, speed_up
-from meshpoint.controller.shift.brake_ahead import CLEAR_M, MAIN_SLEEVES, _teeth_out_us
+from meshpoint.controller.shift.brake_ahead import (
+    CLEAR_M,
+    MAIN_SLEEVES,
+    _is_wanted,
+    _teeth_out_us,
+)
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.kiss_point import MOST_SEEN, SEEN_SD, KissPoint
 from meshpoint.controller.shift.sequence import ShiftSequence
@@ -321,9 +326,12 @@ def test_a_strategy_s_own_release_and_contact_are_what_it_said() -> None:
 
 
 @pytest.mark.parametrize("number", [3, 8])
-def test_a_gear_is_raised_by_what_drag_takes_until_its_plates_are_seen_apart(number: int) -> None:
+@pytest.mark.parametrize("friction_nms", [0.04, 0.13])
+def test_a_gear_is_raised_by_what_drag_takes_until_its_plates_are_seen_apart(
+    number: int, friction_nms: float
+) -> None:
     """J w' = -c w at the layshaft, from the plates' parting on until the clutch is surely open, and
-    until that is seen."""
+    until that is seen; c as it was learned, whatever the sheet says."""
     gear, clutch, omega = DRIVE_GEARS[number], SHEET.clutch, 150.0
     context: Any = SimpleNamespace(
         sheet=SHEET,
@@ -331,14 +339,38 @@ def test_a_gear_is_raised_by_what_drag_takes_until_its_plates_are_seen_apart(num
         kiss=SimpleNamespace(share=0.4),
         settings=ControllerSettings(),
     )
-    snapshot: Any = SimpleNamespace(speeds=SimpleNamespace(layshaft=omega))
+    snapshot: Any = SimpleNamespace(
+        speeds=SimpleNamespace(layshaft=omega),
+        layshaft=SimpleNamespace(drag_nm=lambda speed: friction_nms * speed),
+    )
     opens_s = (0.4 - clutch.surely_open_share) * clutch.open_delay_s
     fall_s = opens_s + speed_up.SEEN_LATE_US * 1e-6
-    left = omega * math.exp(-SHEET.shafts.friction_nms / SHEET.inertia_kgm2(gear.split) * fall_s)
+    left = omega * math.exp(-friction_nms / SHEET.inertia_kgm2(gear.split) * fall_s)
     lost = SHEET.main_mesh(gear.main).ratio * (omega - left)
     raised = speed_up._raised_slip(context, snapshot)
     assert raised - context.settings.window.raised_rad_s == pytest.approx(lost, rel=0.02)
-    assert lost > 0.05
+    assert lost > 0.015
+
+
+@pytest.mark.parametrize(("drag_nm", "is_wanted"), [(4.0, True), (40.0, False)])
+def test_air_is_put_in_the_brake_early_where_the_drag_as_learned_would_take_too_long(
+    drag_nm: float, is_wanted: bool
+) -> None:
+    """In `limits.coast_ms` the gear falls by drag over inertia, as its ratio says; its slip is to
+    fall by what lies half way between the two drags."""
+    gear, settings = DRIVE_GEARS[8], ControllerSettings()
+    coast_s = 1e-3 * settings.limits.coast_ms
+    ratio, inertia = SHEET.main_mesh(gear.main).ratio, SHEET.inertia_kgm2(gear.split)
+    slip = settings.window.fire_slip_rad_s + ratio * 20.0 / inertia * coast_s
+    context: Any = SimpleNamespace(
+        sheet=SHEET, settings=settings, running=SimpleNamespace(target=gear, pulses=0)
+    )
+    snapshot: Any = SimpleNamespace(
+        view=SimpleNamespace(split=gear.split, range_=gear.range_),
+        speeds=SimpleNamespace(layshaft=150.0, slip_rad_s=lambda _: slip),
+        layshaft=SimpleNamespace(drag_nm=lambda _: drag_nm),
+    )
+    assert _is_wanted(context, snapshot) is is_wanted
 
 
 def test_after_a_shift_requests_rest_until_the_clutch_could_have_opened_and_closed_again() -> None:

@@ -20,7 +20,7 @@ from meshpoint.dbc.messages import (
     ValveAction,
     ValveCommand,
 )
-from meshpoint.gearbox.gears import Sleeve
+from meshpoint.gearbox.gears import MainGear, Sleeve
 from meshpoint.rig_sim import RigSettings
 from meshpoint.rig_sim.orders import EngineRequest, FaultOrder, ScheduledFault
 from meshpoint.rig_sim.parts.engine import SPEED_CONTROL
@@ -102,6 +102,21 @@ def test_a_valve_that_was_stuck_is_as_its_coil_is_when_the_fault_ends(on: bool) 
     run(truck, 600_000)
     freed_pa = truck.plant.brake_gauge_pa
     assert freed_pa > 1e5 if on else freed_pa < 1e4
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_sleeve_that_too_little_air_leaves_on_a_tooth_goes_in_when_the_air_is_back(
+    seed: int,
+) -> None:
+    """Its cylinder has the pressure of the tank, not that of the moment its valve was switched."""
+    order = FaultOrder(int(RigFault.SUPPLY_DROP), 0, 2.2, 900_000)
+    truck = world(seed=seed, faults=(ScheduledFault(100_000, order),))
+    run(truck, 150_000)
+    truck.return_to_gear(8, 60.0, 150_000)
+    run(truck, 950_000)
+    assert truck.truth.locked_gear is not MainGear.FIRST
+    run(truck, 3_000_000)
+    assert truck.truth.locked_gear is MainGear.FIRST
 
 
 def test_the_supply_drops_and_comes_back() -> None:
