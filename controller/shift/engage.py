@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from meshpoint.controller.planning.gear_predictor import GearPredictor
+from meshpoint.controller.planning.strategies.base import BUS_US
 from meshpoint.controller.sensing.gearbox_view import ENTERED_M
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.brake_look import brake_holds
@@ -30,8 +31,6 @@ LET_GO_US: Final = 120 * MS_IN_US
 STRAIGHT_US: Final = 32 * MS_IN_US
 """A sleeve that enters a gap at first contact is measured in mesh within this time."""
 
-BUS_US: Final = 2 * MS_IN_US
-"""A command that switches off arrives within this: the bus, and the node's own lateness."""
 CALLS: Final = 6
 """So often a sleeve may be called back in one shift: each costs a gap's time."""
 AGAIN_US: Final = 20 * MS_IN_US

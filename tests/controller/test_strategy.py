@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 
@@ -171,6 +172,44 @@ def test_no_sleeve_is_fired_while_its_gear_is_too_fast_in_every_contact_in_sight
     else:
         assert plan is not None
         assert plan.slip_rad_s <= high
+
+
+class ToldSoon(GearPredictor):
+    """By which the phase is known to 0.1 degrees in so many microseconds, and until then to 2."""
+
+    told_us: float
+
+    def variances(
+        self, first_us: float, step_us: float, count: int, release_us: float | None = None
+    ) -> np.ndarray:
+        del first_us, release_us
+        degrees = np.where(step_us * np.arange(count) < self.told_us - 1e-6, 2.0, 0.1)
+        return np.asarray(np.radians(degrees) ** 2)
+
+
+@pytest.mark.parametrize(
+    ("told_ms", "valve_ms", "is_fired"),
+    [(10, 12, True), (20, 12, False), (20, 22, True), (10, 5, False)],
+)
+def test_a_sleeve_is_fired_at_once_if_what_can_call_it_back_is_told_in_time(
+    told_ms: int, valve_ms: int, is_fired: bool
+) -> None:
+    """The earliest contact is in the middle of a gap, with 20 rpm. Until its valve's delay is over
+    the sleeve has not moved: the step 10 ms after the one that plans it can still call it back,
+    with a valve of 22 ms the one after 20 ms. If the phase is told later, a later gap is better."""
+    sheet = dataclasses.replace(
+        SHEET, sleeve=dataclasses.replace(SHEET.sleeve, valve_delay_s=1e-3 * valve_ms)
+    )
+    first_us = EARLIEST_US + DELAY_US
+    at_zero, _ = predictor_at(20.0, references=learned(0.0)).phase_and_slip(first_us)
+    usual = predictor_at(20.0, references=learned(-at_zero))
+    values = {field.name: getattr(usual, field.name) for field in dataclasses.fields(usual)}
+    predictor = ToldSoon(**values)
+    object.__setattr__(predictor, "told_us", 1000.0 * told_ms)
+    chosen = ControllerSettings().with_strategy("target_phase")
+    contact_us = make_strategy(sheet, chosen).contact(predictor, NOW_US, EARLIEST_US)
+    assert contact_us is not None
+    assert (contact_us - first_us < 3_000) is is_fired
 
 
 def test_an_unknown_phase_cannot_be_aimed_at() -> None:

@@ -5,11 +5,14 @@ from __future__ import annotations
 from typing import Final, NamedTuple, Protocol
 
 from meshpoint.controller.planning.gear_predictor import GearPredictor
+from meshpoint.controller.settings import MS_IN_US, Timing
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import SECOND_US
 
 LATEST_RELEASE_US: Final = 1_000_000
 """No release is planned further ahead than this."""
+BUS_US: Final = 2 * MS_IN_US
+"""A command that switches off arrives within this: the bus, and the node's own lateness."""
 
 
 class ReleasePlan(NamedTuple):
@@ -76,3 +79,10 @@ def settle_time_us(sheet: GearboxSheet, time_constants: float) -> float:
     """From a release until so many time constants of the brake's pressure have passed."""
     brake = sheet.brake
     return SECOND_US * (brake.valve_delay_s + time_constants * brake.time_constant_s)
+
+
+def told_until_called_back_us(sheet: GearboxSheet, timing: Timing) -> int:
+    """How much later than the step that plans the earliest firing the last step comes in which that
+    sleeve can be called back: the command's lead and the valve's delay, in whole ticks."""
+    moves_us = timing.lead_ms * MS_IN_US + round(sheet.sleeve.valve_delay_s * SECOND_US)
+    return max(0, moves_us - BUS_US) // timing.tick_us * timing.tick_us

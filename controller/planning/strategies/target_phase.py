@@ -22,6 +22,7 @@ from meshpoint.controller.planning.strategies.base import (
     ReleasePlan,
     release_for_slip,
     settle_time_us,
+    told_until_called_back_us,
 )
 from meshpoint.controller.records import Vector, filled
 from meshpoint.controller.settings import ControllerSettings
@@ -87,6 +88,7 @@ class TargetPhase:
         self._reference_variance = REFERENCE_SD_RAD**2
         self._target_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
         self._settle_us = settle_time_us(sheet, window.aim_time_constants)
+        self._told_us = told_until_called_back_us(sheet, settings.timing)
 
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
         """The contact of least expected cost that a sleeve not yet fired can still make; None where
@@ -106,7 +108,7 @@ class TargetPhase:
         """Whether a sleeve that is fired anew, at `earliest_us` or later, is expected to cost less
         than one that is on its way to its contact."""
         on_way = predictor.trajectory(float(contact_us), 1.0, 1)
-        variances = self._variances(predictor, on_way)
+        variances = predictor.variances(float(contact_us), 1.0, 1) + self._reference_variance
         stays = self._least(predictor, now_us, on_way, variances)[1]
         step_us, count = self._steps(predictor, earliest_us, FIRING_AHEAD_US)
         later = predictor.trajectory(float(earliest_us + predictor.delay_us), step_us, count)
@@ -198,18 +200,20 @@ class TargetPhase:
         return cheapest(phase, slip, variances, contacts, terms, 0.0)
 
     def _variances(self, predictor: GearPredictor, trajectory: Trajectory) -> Vector:
-        """Variance of the phase at each contact when its firing has to be decided."""
+        """Variance of the phase at each contact when its sleeve can last be called back."""
         first_us, step_us, phase, _ = trajectory
-        return predictor.variances(first_us, step_us, phase.size) + self._reference_variance
+        told = round(self._told_us / step_us)
+        settled = predictor.variances(first_us, step_us, told + phase.size)[told:]
+        return settled + self._reference_variance
 
     def _spread_at_release(
         self, predictor: GearPredictor, trajectory: Trajectory, now_us: int, release_us: int
     ) -> tuple[float, Vector]:
         """Standard deviation of the phase at the first contact as it is predicted now, and the
-        variances that are left when the firing for each contact has to be decided."""
+        variances that are left when the sleeve for each contact can last be called back."""
         first_us, step_us, phase, _ = trajectory
         firing_us = float(now_us + predictor.delay_us)
-        before = max(0, round((first_us - firing_us) / step_us))
+        before = round((max(0.0, first_us - firing_us) + self._told_us) / step_us)
         settled = predictor.variances(firing_us, step_us, before + phase.size, release_us)[before:]
         now = predictor.estimate_variance(first_us) + self._reference_variance
         return math.sqrt(now), settled + self._reference_variance
