@@ -1,0 +1,70 @@
+"""Where in the sensors' cycle the steps lie: soon after the edges of a read are all there.
+
+The sensor side reads once a cycle and sends its frames one after the other. A step just before the
+last of them decides by edges that are a cycle old, one just after it by edges as old as the bus is
+slow. A tick is as long as that cycle, so steps stay where in it they began, wherever that was, until
+they are moved. They are moved to where a read's frames are awaited no longer than needed: longer at
+once when a step came between the frames of a read, and shorter by little with each that did not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from meshpoint.controller.sensing.sensor_clock import unwrap
+from meshpoint.controller.sensing.wheel_edges import EdgeFrame
+from meshpoint.dbc.messages import EdgesInputRise, EdgesMainFall
+
+FIRST: Final = EdgesInputRise
+LAST: Final = EdgesMainFall
+"""Of the edge frames that a shift needs, these have the highest and the lowest bus priority."""
+LONGER_US: Final = 300
+"""Frames that had not all come are awaited for so much longer,"""
+SHORTER_US: Final = 3
+"""and after each step that had them all for so much less: one step in a hundred comes too soon."""
+MOST_MOVED_US: Final = 500
+"""A step is moved by no more than this against the one before."""
+CYCLE_SHARE: Final = 0.02
+"""The sensors' cycle may differ so much from a tick; with another one there is nothing to keep."""
+
+
+class StepPhase:
+    """How much sooner the next step should come than a tick after this one."""
+
+    def __init__(self, tick_us: int) -> None:
+        self._tick_us = tick_us
+        self._waits_us = 0
+        """How long after a read its frames are awaited."""
+        self._read_us: int | None = None
+        """When the newest read was made whose edges are all there (sensor time)."""
+        self.sooner_us = 0
+        """To be taken from the tick that follows; negative to step later."""
+
+    def take(self, edges: Mapping[type, Sequence[EdgeFrame]], sensor_us: int) -> None:
+        """The edge frames of a tick's step, made at this time of the sensor clock."""
+        self.sooner_us = 0
+        begun_us, whole_us = _newest(edges[FIRST], sensor_us), _newest(edges[LAST], sensor_us)
+        before_us, self._read_us = self._read_us, whole_us
+        if begun_us is not None and (whole_us is None or whole_us < begun_us):
+            self._waits_us = max(self._waits_us, sensor_us - begun_us + LONGER_US)
+            self._waits_us = min(self._waits_us, self._tick_us // 2)
+            self._move(sensor_us - begun_us)
+        elif whole_us is not None and before_us is not None and self._follows(whole_us - before_us):
+            self._waits_us = max(0, self._waits_us - SHORTER_US)
+            self._move(sensor_us - whole_us)
+
+    def _follows(self, since_us: int) -> bool:
+        """Whether a read follows the one before as ticks follow each other."""
+        return abs(since_us - self._tick_us) <= CYCLE_SHARE * self._tick_us
+
+    def _move(self, age_us: int) -> None:
+        """A read was so old when the step was made."""
+        half = self._tick_us // 2
+        off_us = (age_us - self._waits_us + half) % self._tick_us - half
+        self.sooner_us = max(-MOST_MOVED_US, min(MOST_MOVED_US, off_us))
+
+
+def _newest(frames: Sequence[EdgeFrame], sensor_us: int) -> int | None:
+    """When the newest of some frames was read; None without any."""
+    return unwrap(frames[-1].read_time_us, sensor_us) if frames else None
