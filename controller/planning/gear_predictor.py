@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -46,6 +46,18 @@ class Trajectory(NamedTuple):
     step_us: float
     phase_rad: Vector
     slip_rad_s: Vector
+
+
+class LastLook(NamedTuple):
+    """When a sleeve can last be called back: in the last tick that is so long before its contact."""
+
+    before_us: float
+    tick_us: int
+
+
+GROWTH: Final = (0.0, 0.5, 1.0, 1.5)
+"""How the phase's variance grows with the time ahead is worked out at these shares of a tick
+beyond the least."""
 
 
 @dataclass(frozen=True)
@@ -126,6 +138,23 @@ class GearPredictor:
         layshaft = (self.spread_share * self.i_gear) ** 2 * seen
         scaled: Vector = self._main_share**2 * self.main.variances(first_us, step_us, count)
         return scaled + layshaft
+
+    def told_variances(
+        self, first_us: float, step_us: float, count: int, now_us: int, look: LastLook
+    ) -> Vector:
+        """Variances (rad2) of the phase at equal steps of time, without the part from the sleeve's
+        delay: each as predicted by what will be known at the last look before it.
+
+        Looks come tick by tick. A contact that is a little too early for one more of them has the
+        one before, a tick longer ago."""
+        before_us, tick_us = look
+        waits_us = first_us - now_us + step_us * np.arange(count)
+        ticks = np.maximum(0.0, np.floor((waits_us - before_us) / tick_us))
+        beyond = (waits_us - ticks * tick_us - before_us) / tick_us
+        most = int(ticks[-1]) + 1
+        settled = self.variances(now_us + before_us, float(tick_us), most)[ticks.astype(np.int64)]
+        grown = [self.estimate_variance(now_us + before_us + each * tick_us) for each in GROWTH]
+        return np.asarray(settled * np.interp(beyond, GROWTH, grown) / grown[0])
 
     def _layshaft_variances(
         self, first_us: float, step_us: float, count: int, release_us: float | None

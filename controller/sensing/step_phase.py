@@ -37,26 +37,37 @@ class StepPhase:
         self._waits_us = 0
         """How long after a read its frames are awaited."""
         self._read_us: int | None = None
-        """When the newest read was made whose edges are all there (sensor time)."""
+        """When the read was made whose frames had begun to come in the step before (sensor
+        time)."""
         self.sooner_us = 0
         """To be taken from the tick that follows; negative to step later."""
 
     def take(self, edges: Mapping[type, Sequence[EdgeFrame]], sensor_us: int) -> None:
         """The edge frames of a tick's step, made at this time of the sensor clock."""
         self.sooner_us = 0
-        begun_us, whole_us = _newest(edges[FIRST], sensor_us), _newest(edges[LAST], sensor_us)
-        before_us, self._read_us = self._read_us, whole_us
-        if begun_us is not None and (whole_us is None or whole_us < begun_us):
-            self._waits_us = max(self._waits_us, sensor_us - begun_us + LONGER_US)
-            self._waits_us = min(self._waits_us, self._tick_us // 2)
-            self._move(sensor_us - begun_us)
-        elif whole_us is not None and before_us is not None and self._follows(whole_us - before_us):
+        before_us, self._read_us = self._read_us, None
+        if not edges[FIRST]:
+            return
+        read_us = self._read_us = _read(edges[FIRST][-1], sensor_us)
+        if len(edges[FIRST]) != 1 or not self._follows(read_us, before_us):
+            return
+        age_us = sensor_us - read_us
+        is_whole = bool(edges[LAST]) and _read(edges[LAST][-1], sensor_us) == read_us
+        if age_us > self._tick_us - LONGER_US:
+            # Nothing has come yet of the read that is due.
+            age_us, is_whole = age_us - self._tick_us, False
+        if is_whole:
             self._waits_us = max(0, self._waits_us - SHORTER_US)
-            self._move(sensor_us - whole_us)
+        else:
+            self._waits_us = max(self._waits_us, age_us + LONGER_US)
+            self._waits_us = min(self._waits_us, self._tick_us // 2)
+        self._move(age_us)
 
-    def _follows(self, since_us: int) -> bool:
+    def _follows(self, read_us: int, before_us: int | None) -> bool:
         """Whether a read follows the one before as ticks follow each other."""
-        return abs(since_us - self._tick_us) <= CYCLE_SHARE * self._tick_us
+        if before_us is None:
+            return False
+        return abs(read_us - before_us - self._tick_us) <= CYCLE_SHARE * self._tick_us
 
     def _move(self, age_us: int) -> None:
         """A read was so old when the step was made."""
@@ -65,6 +76,6 @@ class StepPhase:
         self.sooner_us = max(-MOST_MOVED_US, min(MOST_MOVED_US, off_us))
 
 
-def _newest(frames: Sequence[EdgeFrame], sensor_us: int) -> int | None:
-    """When the newest of some frames was read; None without any."""
-    return unwrap(frames[-1].read_time_us, sensor_us) if frames else None
+def _read(frame: EdgeFrame, sensor_us: int) -> int:
+    """When the edges of a frame were read, in sensor time."""
+    return unwrap(frame.read_time_us, sensor_us)

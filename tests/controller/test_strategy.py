@@ -189,14 +189,15 @@ class ToldSoon(GearPredictor):
 
 @pytest.mark.parametrize(
     ("told_ms", "valve_ms", "is_fired"),
-    [(10, 12, True), (20, 12, False), (20, 22, True), (10, 5, False)],
+    [(20, 12, True), (30, 12, False), (30, 22, True), (20, 1, False)],
 )
 def test_a_sleeve_is_fired_at_once_if_what_can_call_it_back_is_told_in_time(
     told_ms: int, valve_ms: int, is_fired: bool
 ) -> None:
-    """The earliest contact is in the middle of a gap, with 20 rpm. Until its valve's delay is over
-    the sleeve has not moved: the step 10 ms after the one that plans it can still call it back,
-    with a valve of 22 ms the one after 20 ms. If the phase is told later, a later gap is better."""
+    """The earliest contact is in the middle of a gap, with 20 rpm. It is fired in 18 ms, and until
+    its valve's delay of 12 ms is over the sleeve has not moved: the step after 20 ms can still call
+    it back, with a valve of 22 ms the one after 30 ms. If the phase is told later, a later gap is
+    better."""
     sheet = dataclasses.replace(
         SHEET, sleeve=dataclasses.replace(SHEET.sleeve, valve_delay_s=1e-3 * valve_ms)
     )

@@ -163,3 +163,32 @@ def test_a_run_ends_when_it_is_told_to(count: int) -> None:
     driver = VirtualTime([talker], [0])
     assert driver.run(lambda: len(talker.steps) == count, 10**6)
     assert driver.now_us == (count - 1) * 10_000
+
+
+def test_a_node_is_switched_on_at_its_phase_whatever_it_hears_before() -> None:
+    """Real nodes do not tick together: a frame does not start one that wants to step at once."""
+
+    class Node:
+        """Sends a frame every 10 ms; due at once before its first step, as both our nodes are."""
+
+        def __init__(self) -> None:
+            self.stepped_us: list[int] = []
+
+        @property
+        def next_step_us(self) -> int:
+            return self.stepped_us[-1] + 10_000 if self.stepped_us else 0
+
+        def receive(self, frame: Frame) -> None:
+            pass
+
+        def step(self, now_us: int) -> Step:
+            self.stepped_us.append(now_us)
+            return Step([Frame(0x123, bytes(8), True, True)], [])
+
+        def shutdown(self, now_us: int) -> Step:
+            return Step([], [])
+
+    nodes = [Node(), Node()]
+    VirtualTime([*nodes], [805, 7_091]).run(lambda: False, 30_000)
+    assert nodes[0].stepped_us == [805, 10_805, 20_805]
+    assert nodes[1].stepped_us == [7_091, 17_091, 27_091]

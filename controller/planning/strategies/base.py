@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple, Protocol
 
-from meshpoint.controller.planning.gear_predictor import GearPredictor
+from meshpoint.controller.planning.gear_predictor import GearPredictor, LastLook
 from meshpoint.controller.settings import MS_IN_US, Timing
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import SECOND_US
@@ -13,6 +13,8 @@ LATEST_RELEASE_US: Final = 1_000_000
 """No release is planned further ahead than this."""
 BUS_US: Final = 2 * MS_IN_US
 """A command that switches off arrives within this: the bus, and the node's own lateness."""
+LATE_US: Final = 1 * MS_IN_US
+"""A plan that counts on a step to come lets it be late by so much."""
 
 
 class ReleasePlan(NamedTuple):
@@ -86,3 +88,10 @@ def told_until_called_back_us(sheet: GearboxSheet, timing: Timing) -> int:
     sleeve can be called back: the command's lead and the valve's delay, in whole ticks."""
     moves_us = timing.lead_ms * MS_IN_US + round(sheet.sleeve.valve_delay_s * SECOND_US)
     return max(0, moves_us - BUS_US) // timing.tick_us * timing.tick_us
+
+
+def last_look(sheet: GearboxSheet, timing: Timing, delay_us: int) -> LastLook:
+    """When a sleeve that takes `delay_us` to its gear can last be called back: until its valve's
+    delay is over it has not moved."""
+    moves_us = round(sheet.sleeve.valve_delay_s * SECOND_US)
+    return LastLook(max(0, delay_us - moves_us) + BUS_US + LATE_US, timing.tick_us)

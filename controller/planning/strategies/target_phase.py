@@ -20,6 +20,7 @@ from meshpoint.controller.planning.plan_kernels import (
 )
 from meshpoint.controller.planning.strategies.base import (
     ReleasePlan,
+    last_look,
     release_for_slip,
     settle_time_us,
     told_until_called_back_us,
@@ -88,6 +89,7 @@ class TargetPhase:
         self._reference_variance = REFERENCE_SD_RAD**2
         self._target_rad = settings.aim.target_rad(sheet.dog.backlash_rad)
         self._settle_us = settle_time_us(sheet, window.aim_time_constants)
+        self._sheet, self._timing = sheet, settings.timing
         self._told_us = told_until_called_back_us(sheet, settings.timing)
 
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
@@ -187,7 +189,10 @@ class TargetPhase:
 
     def _cheapest(self, predictor: GearPredictor, now_us: int, trajectory: Trajectory) -> float:
         """Time of a trajectory's cheapest contact."""
-        variances = self._variances(predictor, trajectory)
+        look = last_look(self._sheet, self._timing, predictor.delay_us)
+        first_us, step_us, phase, _ = trajectory
+        settled = predictor.told_variances(first_us, step_us, phase.size, now_us, look)
+        variances = settled + self._reference_variance
         best, _ = self._least(predictor, now_us, trajectory, variances)
         return trajectory.first_us + best * trajectory.step_us
 
@@ -198,13 +203,6 @@ class TargetPhase:
         phase, slip = trajectory.phase_rad, trajectory.slip_rad_s
         contacts, terms = _contacts(trajectory, now_us), self._terms(predictor)
         return cheapest(phase, slip, variances, contacts, terms, 0.0)
-
-    def _variances(self, predictor: GearPredictor, trajectory: Trajectory) -> Vector:
-        """Variance of the phase at each contact when its sleeve can last be called back."""
-        first_us, step_us, phase, _ = trajectory
-        told = round(self._told_us / step_us)
-        settled = predictor.variances(first_us, step_us, told + phase.size)[told:]
-        return settled + self._reference_variance
 
     def _spread_at_release(
         self, predictor: GearPredictor, trajectory: Trajectory, now_us: int, release_us: int

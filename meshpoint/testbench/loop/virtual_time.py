@@ -43,6 +43,7 @@ class VirtualTime:
         self._routes: dict[tuple[int, int], list[tuple[int, Core]]] = {}
         self._sequence = 0
         self._due: list[int] = list(phases_us)
+        self._phases_us = list(phases_us)
         self.now_us = 0
         for node, phase_us in enumerate(phases_us):
             self._push(phase_us, node)
@@ -87,6 +88,8 @@ class VirtualTime:
             route = self._routes[sender, frame.can_id] = self._route(sender, frame.can_id)
         for node, core in route:
             core.receive(frame)
+            if now_us < self._phases_us[node]:
+                continue  # it has not been switched on yet
             if due_us[node] > now_us and core.next_step_us <= now_us:
                 due_us[node] = now_us
                 self._push(now_us, node)

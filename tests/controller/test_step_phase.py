@@ -1,0 +1,116 @@
+"""Steps are moved to where a read's edges have just come, wherever in the cycle they began."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from meshpoint.controller.core import ControllerCore
+from meshpoint.controller.header import new_header
+from meshpoint.controller.sensing.step_inputs import EDGE_INPUTS
+from meshpoint.controller.sensing.step_phase import MOST_MOVED_US, StepPhase
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.messages import EdgesInputRise, EdgesMainFall
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.core import RigCore
+from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
+from meshpoint.testbench.loop.virtual_time import VirtualTime
+
+TICK_US = 10_000
+START_US = 1 << 33
+"""Of the sensor clock, which has wrapped by then."""
+
+
+def steps(
+    begin_us: int, cycle_us: int, first_us: int, last_us: int, jitter_us: int = 0, count: int = 600
+) -> list[tuple[int, int | None]]:
+    """Sensor times of so many steps, each with the age of the newest read that was whole. Frames
+    come `first_us` to `last_us` after their read, and late by up to a jitter."""
+    phase, rng = StepPhase(TICK_US), np.random.default_rng(1)
+    now_us, seen, found = START_US + begin_us, [0, 0], []
+    late = rng.integers(0, jitter_us + 1, count * TICK_US // cycle_us + 500)
+    for _ in range(count):
+        edges: dict[type, list[Any]] = {kind: [] for kind in EDGE_INPUTS}
+        for k, (kind, after_us) in enumerate(((EdgesInputRise, first_us), (EdgesMainFall, last_us))):
+            while True:
+                read_us = START_US + seen[k] * cycle_us
+                if read_us + after_us + int(late[seen[k]]) > now_us:
+                    break
+                edges[kind].append(SimpleNamespace(read_time_us=read_us & 0xFFFFFFFF))
+                seen[k] += 1
+        phase.take(edges, now_us)
+        whole_us = START_US + (seen[1] - 1) * cycle_us
+        found.append((now_us, now_us - whole_us if seen[1] else None))
+        assert abs(phase.sooner_us) <= MOST_MOVED_US
+        now_us += TICK_US - phase.sooner_us
+    return found
+
+
+@settings(deadline=None, max_examples=60)
+@given(
+    begin_us=st.integers(0, TICK_US - 1),
+    first_us=st.integers(100, 1_000),
+    more_us=st.integers(0, 3_500),
+    jitter_us=st.integers(0, 300),
+    ppm=st.integers(-200, 200),
+)
+def test_steps_come_soon_after_the_last_edges_of_a_read(
+    begin_us: int, first_us: int, more_us: int, jitter_us: int, ppm: int
+) -> None:
+    """By edges that are as old as the bus is slow, in all steps but some of a hundred, whatever the
+    two clocks make of a tick."""
+    cycle_us = TICK_US + ppm * TICK_US // 1_000_000
+    last_us = first_us + more_us
+    found = steps(begin_us, cycle_us, first_us, last_us, jitter_us)
+    ages = np.array([age for _, age in found[100:] if age is not None])
+    slack_us = 800 + 2 * jitter_us
+    assert np.mean(ages < last_us + slack_us) > 0.94
+    assert np.median(ages) <= last_us + slack_us / 2
+
+
+@pytest.mark.parametrize("cycle_us", [5_000, 7_300, 20_000])
+def test_with_another_cycle_than_a_tick_steps_stay_ticks(cycle_us: int) -> None:
+    """But for those that come between the frames of a read."""
+    found = steps(3_000, cycle_us, 10, 20)
+    between = np.diff([now_us for now_us, _ in found])
+    assert np.mean(between == TICK_US) > 0.95
+
+
+def test_without_edges_steps_stay_ticks() -> None:
+    phase = StepPhase(TICK_US)
+    for k in range(20):
+        phase.take({kind: [] for kind in EDGE_INPUTS}, START_US + k * TICK_US)
+        assert phase.sooner_us == 0
+
+
+@pytest.mark.parametrize("begin_us", [0, 2_500, 5_000, 9_700])
+def test_the_controller_s_edges_are_younger_than_half_a_tick_on_the_bus(begin_us: int) -> None:
+    """Both nodes over the virtual bus, on which a read's eight edge frames take 3 ms."""
+    sheet = load_sheet("truck12")
+    controller = ControllerCore(new_header("0", sheet, ControllerSettings()))
+    rig = RigCore(sheet, RigSettings(preset=Preset.TRUCK, start_gear=8, profile=Profile.CLEAN))
+    ages: list[float] = []
+
+    class Watched:
+        """The controller, whose edges' age is noted at each step."""
+
+        next_step_us = property(lambda _: controller.next_step_us)
+        receive = staticmethod(controller.receive)
+        shutdown = staticmethod(controller.shutdown)
+
+        @staticmethod
+        def step(now_us: int) -> Any:
+            made, shot = controller.step(now_us), controller.snapshot
+            if shot is not None and shot.speeds.layshaft is not None:
+                ages.append(shot.now_us - controller.observer.layshaft.latest().time_us)
+            return made
+
+    nodes: list[Any] = [Watched(), rig]
+    VirtualTime(nodes, [20_000 + begin_us, 1]).run(lambda: False, 3_000_000)
+    settled = np.array(ages[100:])
+    assert np.mean(settled < TICK_US / 2) > 0.97
