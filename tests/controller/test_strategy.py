@@ -17,7 +17,7 @@ from meshpoint.controller.motion.linear import layshaft_model
 from meshpoint.controller.motion.models import LayshaftState, first_order_law, free_motion
 from meshpoint.controller.motion.swing import ShaftState
 from meshpoint.controller.phase.reference import PhaseReferences
-from meshpoint.controller.planning.gear_predictor import GearPredictor
+from meshpoint.controller.planning.gear_predictor import GearPredictor, LastLook
 from meshpoint.controller.planning.strategies.table import STRATEGIES, make_strategy
 from meshpoint.controller.planning.strategist import Plan, Strategist
 from meshpoint.controller.settings import STRATEGY_NAMES, Aim, ControllerSettings, Window
@@ -211,6 +211,17 @@ def test_a_sleeve_is_fired_at_once_if_what_can_call_it_back_is_told_in_time(
     contact_us = make_strategy(sheet, chosen).contact(predictor, NOW_US, EARLIEST_US)
     assert contact_us is not None
     assert (contact_us - first_us < 3_000) is is_fired
+
+
+@given(ticks=st.integers(0, 8), share=st.floats(0.0, 0.999))
+def test_a_contact_is_as_uncertain_as_at_the_last_look_before_it(ticks: int, share: float) -> None:
+    """Looks come every 10 ms, the last one 36 to 46 ms before a contact; what they tell besides is
+    nothing here, so only the time from look to contact counts."""
+    predictor, look = predictor_at(20.0), LastLook(36_000.0, 10_000)
+    contact_us = NOW_US + look.before_us + 10_000.0 * (ticks + share)
+    found = predictor.told_variances(contact_us, 1.0, 1, NOW_US, look)
+    ahead_us = look.before_us + 10_000.0 * share
+    assert found[0] == pytest.approx(predictor.estimate_variance(NOW_US + ahead_us), rel=0.01)
 
 
 def test_an_unknown_phase_cannot_be_aimed_at() -> None:
