@@ -27,8 +27,9 @@ class ClockProbe:
     """When to step at once, and the stamp that such a step is for."""
 
     def __init__(self) -> None:
-        self.is_armed = True
-        """Whether an arriving frame may be the awaited one."""
+        self.is_armed = False
+        """Whether an arriving frame may be the awaited one. Not before the first step, which takes
+        frames that have waited for it."""
         self._probed_us = 0
         self.is_due = False
         """Whether the awaited frame has come, so that the controller should step now."""
@@ -48,6 +49,7 @@ class ClockProbe:
         found = frames[0].read_time_us if self.is_due and len(frames) == 1 else None
         if self.is_due:
             self.is_due = self.is_armed = False
+        if found is not None:
             self._probed_us = now_us
         return found
 

@@ -37,22 +37,22 @@ class StepPhase:
         self._waits_us = 0
         """How long after a read its frames are awaited."""
         self._read_us: int | None = None
-        """When the read was made whose frames had begun to come in the step before (sensor
-        time)."""
+        """When the newest read was made of which a frame has come (sensor time),"""
+        self._ticks = 0
+        """and how many ticks ago that was taken."""
         self.sooner_us = 0
         """To be taken from the tick that follows; negative to step later."""
 
     def take(self, edges: Mapping[type, Sequence[EdgeFrame]], sensor_us: int) -> None:
         """The edge frames of a tick's step, made at this time of the sensor clock."""
         self.sooner_us = 0
-        before_us, self._read_us = self._read_us, None
-        if not edges[FIRST]:
+        self._ticks += 1
+        first, last = edges[FIRST], edges[LAST]
+        if not self._is_a_cycle(first, sensor_us):
             return
-        read_us = self._read_us = _read(edges[FIRST][-1], sensor_us)
-        if len(edges[FIRST]) != 1 or not self._follows(read_us, before_us):
-            return
+        read_us = self._read_us or 0
         age_us = sensor_us - read_us
-        is_whole = bool(edges[LAST]) and _read(edges[LAST][-1], sensor_us) == read_us
+        is_whole = bool(last) and _read(last[-1], sensor_us) == read_us
         if age_us > self._tick_us - LONGER_US:
             # Nothing has come yet of the read that is due.
             age_us, is_whole = age_us - self._tick_us, False
@@ -63,11 +63,16 @@ class StepPhase:
             self._waits_us = min(self._waits_us, self._tick_us // 2)
         self._move(age_us)
 
-    def _follows(self, read_us: int, before_us: int | None) -> bool:
-        """Whether a read follows the one before as ticks follow each other."""
-        if before_us is None:
+    def _is_a_cycle(self, first: Sequence[EdgeFrame], sensor_us: int) -> bool:
+        """Whether a read's first frame has come, so many ticks after the one before as steps."""
+        if not first:
             return False
-        return abs(read_us - before_us - self._tick_us) <= CYCLE_SHARE * self._tick_us
+        before_us, self._read_us = self._read_us, _read(first[-1], sensor_us)
+        ticks, self._ticks = self._ticks, 0
+        if before_us is None or len(first) > ticks:
+            return False
+        off_us = self._read_us - before_us - ticks * self._tick_us
+        return abs(off_us) <= CYCLE_SHARE * self._tick_us
 
     def _move(self, age_us: int) -> None:
         """A read was so old when the step was made."""

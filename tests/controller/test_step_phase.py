@@ -73,12 +73,11 @@ def test_steps_come_soon_after_the_last_edges_of_a_read(
     assert np.median(ages) <= last_us + slack_us / 2
 
 
-@pytest.mark.parametrize("cycle_us", [5_000, 7_300, 20_000])
+@pytest.mark.parametrize("cycle_us", [5_000, 7_300, 13_000])
 def test_with_another_cycle_than_a_tick_steps_stay_ticks(cycle_us: int) -> None:
-    """But for those that come between the frames of a read."""
     found = steps(3_000, cycle_us, 10, 20)
     between = np.diff([now_us for now_us, _ in found])
-    assert np.mean(between == TICK_US) > 0.95
+    assert np.all(between == TICK_US)
 
 
 def test_without_edges_steps_stay_ticks() -> None:
