@@ -52,7 +52,7 @@ class SensorClockEstimate:
     def stamp(self, stamp: int, now_us: int) -> int:
         """The unwrapped time of a frame read just before `now_us` of the controller's clock."""
         if not self._offsets:
-            time_us = stamp
+            time_us = self.latest_us = stamp
         else:
             expected_us = now_us - self._least
             time_us = unwrap(stamp, expected_us)
@@ -61,10 +61,11 @@ class SensorClockEstimate:
             elif abs(time_us - expected_us) > JUMP_US or time_us < self.latest_us - BACK_US:
                 self.jumps += 1
                 self._offsets.clear()
-                time_us = unwrap(stamp, self.latest_us)
+                time_us = self.latest_us = unwrap(stamp, self.latest_us)
             elif time_us > expected_us - ON_TIME_US:
                 self._is_late = False
-        self.latest_us = time_us
+        # Frames of a read come one after the other, so one of an older read may be the last seen.
+        self.latest_us = max(self.latest_us, time_us)
         self._note(now_us - time_us)
         return time_us
 

@@ -40,39 +40,45 @@ class StepPhase:
         """When the newest read was made of which a frame has come (sensor time),"""
         self._ticks = 0
         """and how many ticks ago that was taken."""
+        self._is_kept = False
+        """Whether reads follow each other as ticks do."""
         self.sooner_us = 0
         """To be taken from the tick that follows; negative to step later."""
+
+    def between(self, edges: Mapping[type, Sequence[EdgeFrame]], sensor_us: int) -> None:
+        """The edge frames of a step between two ticks."""
+        if edges[FIRST]:
+            self._read_us, self._ticks = _read(edges[FIRST][-1], sensor_us), -1
 
     def take(self, edges: Mapping[type, Sequence[EdgeFrame]], sensor_us: int) -> None:
         """The edge frames of a tick's step, made at this time of the sensor clock."""
         self.sooner_us = 0
         self._ticks += 1
-        first, last = edges[FIRST], edges[LAST]
-        if not self._is_a_cycle(first, sensor_us):
+        if edges[FIRST]:
+            self._follow(len(edges[FIRST]), _read(edges[FIRST][-1], sensor_us))
+        if not self._is_kept or self._read_us is None:
             return
-        read_us = self._read_us or 0
-        age_us = sensor_us - read_us
-        is_whole = bool(last) and _read(last[-1], sensor_us) == read_us
+        age_us, last = sensor_us - self._read_us, edges[LAST]
+        is_whole = bool(last) and _read(last[-1], sensor_us) == self._read_us
         if age_us > self._tick_us - LONGER_US:
             # Nothing has come yet of the read that is due.
             age_us, is_whole = age_us - self._tick_us, False
         if is_whole:
             self._waits_us = max(0, self._waits_us - SHORTER_US)
         else:
-            self._waits_us = max(self._waits_us, age_us + LONGER_US)
-            self._waits_us = min(self._waits_us, self._tick_us // 2)
+            longer_us = max(self._waits_us, age_us + LONGER_US)
+            self._waits_us = min(longer_us, self._tick_us // 2)
         self._move(age_us)
 
-    def _is_a_cycle(self, first: Sequence[EdgeFrame], sensor_us: int) -> bool:
-        """Whether a read's first frame has come, so many ticks after the one before as steps."""
-        if not first:
-            return False
-        before_us, self._read_us = self._read_us, _read(first[-1], sensor_us)
+    def _follow(self, frames: int, read_us: int) -> None:
+        """The first frames of so many reads have come, the newest of this one."""
+        before_us, self._read_us = self._read_us, read_us
         ticks, self._ticks = self._ticks, 0
-        if before_us is None or len(first) > ticks:
-            return False
-        off_us = self._read_us - before_us - ticks * self._tick_us
-        return abs(off_us) <= CYCLE_SHARE * self._tick_us
+        if before_us is None or (ticks > 1 and not (self._is_kept and frames == ticks)):
+            self._is_kept = False
+            return
+        off_us = read_us - before_us - ticks * self._tick_us
+        self._is_kept = frames <= ticks and abs(off_us) <= CYCLE_SHARE * self._tick_us
 
     def _move(self, age_us: int) -> None:
         """A read was so old when the step was made."""
