@@ -6,7 +6,7 @@ from typing import Final
 
 from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.strategies.base import BUS_US
-from meshpoint.controller.sensing.gearbox_view import ENTERED_M
+from meshpoint.controller.sensing.gearbox_view import ENGAGED_SHORT_M, ENTERED_M
 from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.brake_look import brake_holds
 from meshpoint.controller.shift.context import (
@@ -28,8 +28,8 @@ from meshpoint.units import SECOND_US
 LET_GO_US: Final = 120 * MS_IN_US
 """If the sleeve is not back in neutral this long after its valve went off, it is pulled back."""
 
-STRAIGHT_US: Final = 32 * MS_IN_US
-"""A sleeve that enters a gap at first contact is measured in mesh within this time."""
+STRAIGHT_SHARE: Final = 1.3
+"""A sleeve that enters a gap at first contact takes no longer than this by the sheet's speed."""
 
 CALLS: Final = 6
 """So often a sleeve may be called back in one shift: each costs a gap's time."""
@@ -55,12 +55,11 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     if shift.measured_contact_us is None:
         _look_for_contact(context, snapshot)
     if snapshot.view.main_gear is gear:
-        contact_us = shift.measured_contact_us
-        straight = contact_us is not None and snapshot.now_us - contact_us < STRAIGHT_US
-        struck_us = context.free_us if straight else snapshot.now_us - SEEN_US
-        context.references.locked(gear, _flank_slip_rad_s(context, struck_us), straight)
         side = SLEEVE_OF_MAIN[gear]
         seen_us = snapshot.view.engaged_us(side.sleeve, side.direction)
+        straight = _went_straight(context, seen_us)
+        struck_us = context.free_us if straight else snapshot.now_us - SEEN_US
+        context.references.locked(gear, _flank_slip_rad_s(context, struck_us), straight)
         context.end(snapshot, ShiftResult.ENGAGED, FaultCode.NONE, seen_us)
         return Trigger.ENGAGED
     # The plates meet some hundredths of a second after the clutch sets off: it does so as soon as
@@ -137,6 +136,15 @@ def _is_tooth_on_tooth(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     rested_us = snapshot.now_us - shift.measured_contact_us
     entered = _entered_m(context, snapshot) > 2.0 * ENTERED_M
     return not entered and rested_us > context.settings.limits.face_ms * MS_IN_US
+
+
+def _went_straight(context: ShiftContext, seen_us: int | None) -> bool:
+    """Whether a sleeve that was measured in mesh at a time has not rested on a tooth before."""
+    contact_us, sleeve = context.running.measured_contact_us, context.sheet.sleeve
+    if contact_us is None or seen_us is None:
+        return False
+    way_m = sleeve.stroke_m - ENGAGED_SHORT_M - sleeve.to_contact_m
+    return seen_us - contact_us < STRAIGHT_SHARE * way_m / sleeve.speed_m_s * SECOND_US
 
 
 def _entered_m(context: ShiftContext, snapshot: StepSnapshot) -> float:
