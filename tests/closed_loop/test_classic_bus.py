@@ -134,8 +134,8 @@ def test_a_bit_that_the_controller_did_not_send_is_found(run: Run) -> None:
     _, frames, folder = run
     some = [frame for _, frame in frames[:3_000]]
     orders, engine = (
-        next(n for n, f in enumerate(some) if f.can_id == can_id and n > 2_000)
-        for can_id in (0x0CFF9103, 0x0C000003)
+        next(n for n, f in enumerate(some) if f.can_id == can_id and n > first)
+        for can_id, first in ((0x0CFF9103, 2_000), (0x0C000003, 1_000))
     )
     sender = ClassicSender("ValveOrders")
     sender.counter = (some[orders].data[1] - 1) % 15

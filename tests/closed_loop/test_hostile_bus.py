@@ -46,7 +46,8 @@ def test_a_flood_of_requests_is_heeded_after_a_rest_and_does_no_harm() -> None:
         if before in RESTING and now not in RESTING and ended_us is not None:
             rests.append(time_us - ended_us)
     assert len(rests) >= 4
-    assert min(rests) >= REST_US
+    # Both ends by the arrival of a step's frames, and a step may be moved by half a millisecond.
+    assert min(rests) >= REST_US - 1_000
 
 
 def every(k: int, twice: bool) -> Alter:
