@@ -227,7 +227,7 @@ class ControllerCore:
         newest_engine = inputs.engine[-1] if inputs.engine else None
         snapshot = self.snapshot = self._snapshot(now_us, newest_engine)
         look = self._phase.take if self._is_tick(now_us) else self._phase.between
-        look(inputs.edges, snapshot.now_us)
+        look(inputs, snapshot.now_us)
         self._decide(inputs.requested_gear, snapshot, events)
         self._observer.learn(events)
         frames = self._commands(now_us, snapshot, events)

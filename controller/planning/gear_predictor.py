@@ -154,7 +154,9 @@ class GearPredictor:
         most = int(ticks[-1]) + 1
         settled = self.variances(now_us + before_us, float(tick_us), most)[ticks.astype(np.int64)]
         grown = [self.estimate_variance(now_us + before_us + each * tick_us) for each in GROWTH]
-        return np.asarray(settled * np.interp(beyond, GROWTH, grown) / grown[0])
+        if grown[0] == 0.0:
+            return settled  # everything is known
+        return np.asarray(settled * (np.interp(beyond, GROWTH, grown) / grown[0]))
 
     def _layshaft_variances(
         self, first_us: float, step_us: float, count: int, release_us: float | None

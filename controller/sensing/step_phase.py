@@ -1,30 +1,28 @@
-"""Where in the sensors' cycle the steps lie: soon after the edges of a read are all there.
+"""Where in the sensors' cycle the steps lie: soon after the frames of a read are all there.
 
 The sensor side reads once a cycle and sends its frames one after the other. A step just before the
-last of them decides by edges that are a cycle old, one just after it by edges as old as the bus is
-slow. A tick is as long as that cycle, so steps stay where in it they began, wherever that was, until
+last of them decides by what is a cycle old, one just after it by what is as old as the bus is slow. A tick is as long as that cycle, so steps stay where in it they began, wherever that was, until
 they are moved. They are moved to where a read's frames are awaited no longer than needed: longer at
 once when a step came between the frames of a read, and shorter by little with each that did not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from meshpoint.controller.sensing.sensor_clock import unwrap
-from meshpoint.controller.sensing.wheel_edges import EdgeFrame
-from meshpoint.dbc.messages import EdgesInputRise, EdgesMainFall
+from meshpoint.controller.sensing.step_inputs import StepInputs
+from meshpoint.dbc.messages import EdgesInputRise
 
-FIRST: Final = EdgesInputRise
-LAST: Final = EdgesMainFall
-"""Of the edge frames that a shift needs, these have the highest and the lowest bus priority."""
 LONGER_US: Final = 300
 """Frames that had not all come are awaited for so much longer,"""
 SHORTER_US: Final = 3
 """and after each step that had them all for so much less: one step in a hundred comes too soon."""
 MOST_MOVED_US: Final = 500
 """A step is moved by no more than this against the one before."""
+MOST_SHARE: Final = 0.8
+"""Of a tick: they are awaited no longer."""
 CYCLE_SHARE: Final = 0.02
 """The sensors' cycle may differ so much from a tick; with another one there is nothing to keep."""
 
@@ -45,21 +43,23 @@ class StepPhase:
         self.sooner_us = 0
         """To be taken from the tick that follows; negative to step later."""
 
-    def between(self, edges: Mapping[type, Sequence[EdgeFrame]], sensor_us: int) -> None:
-        """The edge frames of a step between two ticks."""
-        if edges[FIRST]:
-            self._read_us, self._ticks = _read(edges[FIRST][-1], sensor_us), -1
+    def between(self, inputs: StepInputs, sensor_us: int) -> None:
+        """The frames of a step between two ticks."""
+        first = _reads(inputs, sensor_us)
+        if first:
+            self._read_us, self._ticks = first[-1], -1
 
-    def take(self, edges: Mapping[type, Sequence[EdgeFrame]], sensor_us: int) -> None:
-        """The edge frames of a tick's step, made at this time of the sensor clock."""
+    def take(self, inputs: StepInputs, sensor_us: int) -> None:
+        """The frames of a tick's step, made at this time of the sensor clock."""
         self.sooner_us = 0
         self._ticks += 1
-        if edges[FIRST]:
-            self._follow(len(edges[FIRST]), _read(edges[FIRST][-1], sensor_us))
+        first = _reads(inputs, sensor_us)
+        if first:
+            self._follow(len(first), first[-1])
         if not self._is_kept or self._read_us is None:
             return
-        age_us, last = sensor_us - self._read_us, edges[LAST]
-        is_whole = bool(last) and _read(last[-1], sensor_us) == self._read_us
+        age_us, last = sensor_us - self._read_us, inputs.sensors
+        is_whole = bool(last) and unwrap(last[-1].sample_time_us, sensor_us) >= self._read_us
         if age_us > self._tick_us - LONGER_US:
             # Nothing has come yet of the read that is due.
             age_us, is_whole = age_us - self._tick_us, False
@@ -67,7 +67,7 @@ class StepPhase:
             self._waits_us = max(0, self._waits_us - SHORTER_US)
         else:
             longer_us = max(self._waits_us, age_us + LONGER_US)
-            self._waits_us = min(longer_us, self._tick_us // 2)
+            self._waits_us = min(longer_us, round(MOST_SHARE * self._tick_us))
         self._move(age_us)
 
     def _follow(self, frames: int, read_us: int) -> None:
@@ -87,6 +87,7 @@ class StepPhase:
         self.sooner_us = max(-MOST_MOVED_US, min(MOST_MOVED_US, off_us))
 
 
-def _read(frame: EdgeFrame, sensor_us: int) -> int:
-    """When the edges of a frame were read, in sensor time."""
-    return unwrap(frame.read_time_us, sensor_us)
+def _reads(inputs: StepInputs, sensor_us: int) -> Sequence[int]:
+    """When the reads were made of which a first frame has come: the edge frame that has the highest
+    bus priority. The pressures are those that come last."""
+    return [unwrap(each.read_time_us, sensor_us) for each in inputs.edges[EdgesInputRise]]
