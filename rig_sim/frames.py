@@ -57,20 +57,21 @@ MOST_RATCHETS: Final = 127
 
 
 def read_messages(world: RigWorld, now_us: int, with_truth: bool = True) -> list[Message]:
-    """All cyclic messages of the read at this instant, to which the world has been run; the last
-    are the truth (`TRUTH`)."""
+    """All cyclic messages of the read at this instant, to which the world has been run, in the
+    order in which they are sent: the engine's, which wins the bus before all others, first; the
+    truth (`TRUTH`) last."""
     clock_us = world.clock.at(now_us) % CLOCK_MODULUS
-    messages: list[Message] = [
+    sensors = world.sensors(now_us)
+    messages: list[Message] = [_engine(sensors)]
+    messages += [
         _new(edges, (clock_us, index, valid, long, stopped, False, stamps))
         for edges, (index, valid, long, stopped, stamps) in zip(
             EDGE_MESSAGES, world.edge_reads(now_us), strict=True
         )
     ]
-    sensors = world.sensors(now_us)
     messages.append(_sensors(sensors, clock_us))
-    messages.extend(_sleeves(world, now_us, clock_us))
     messages.append(valve_status(world, now_us))
-    messages.append(_engine(sensors))
+    messages.extend(_sleeves(world, now_us, clock_us))
     if not with_truth:
         return messages
     angles, speeds = world.encoder_read(now_us)

@@ -58,7 +58,7 @@ class StepPhase:
             self._follow(len(first), first[-1])
         if not self._is_kept or self._read_us is None:
             return
-        age_us, last = sensor_us - self._read_us, inputs.sensors
+        age_us, last = sensor_us - self._read_us, inputs.sleeves_aux
         is_whole = bool(last) and unwrap(last[-1].sample_time_us, sensor_us) >= self._read_us
         if age_us > self._tick_us - LONGER_US:
             # Nothing has come yet of the read that is due.
@@ -89,5 +89,5 @@ class StepPhase:
 
 def _reads(inputs: StepInputs, sensor_us: int) -> Sequence[int]:
     """When the reads were made of which a first frame has come: the edge frame that has the highest
-    bus priority. The pressures are those that come last."""
+    bus priority. The splitter's and range's sleeves come last."""
     return [unwrap(each.read_time_us, sensor_us) for each in inputs.edges[EdgesInputRise]]

@@ -45,7 +45,7 @@ def steps(
                 if k == 0:
                     inputs.edges[EdgesInputRise].append(SimpleNamespace(read_time_us=stamp))
                 else:
-                    inputs.sensors.append(SimpleNamespace(sample_time_us=stamp))
+                    inputs.sleeves_aux.append(SimpleNamespace(sample_time_us=stamp))
                 seen[k] += 1
         phase.take(inputs, now_us)
         whole_us = START_US + (seen[1] - 1) * cycle_us

@@ -180,7 +180,7 @@ def test_after_a_clock_was_set_back_a_little_shifts_are_made_at_once() -> None:
         Event(600, "clock_step", 0, 25_000.0, 700),
         Event(1_800, REQUEST, 0, 8.0),
     )
-    result = run(World(1_000_077, 8, 1400.0, {}, events, 2_500))
+    result = run(World(1_000_077, 8, 1400.0, {}, events, 2_300))
     assert result.broken == []
     assert result.reached.fault_codes.total() <= 2
     assert result.engaged
