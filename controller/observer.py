@@ -294,6 +294,7 @@ class Observer:
             sampled_us = self._sampled_us(sample.sample_time_us, now_us)
             self.view.clutch.take(sampled_us, sample.clutch_position_fraction)
             gauge_pa = sample.brake_pressure_pa - atmosphere_pa
+            self.view.brake_gauge_pa = gauge_pa
             gauge_pa = self._zero.take(sampled_us, gauge_pa, self._brake_driven)
             pressures.append((sampled_us, gauge_pa))
             self.view.supply_pa = sample.supply_pressure_pa

@@ -73,6 +73,8 @@ class GearboxView:
         self._clutch_open_share = sheet.clutch.surely_open_share
         self.supply_pa = math.inf
         """Absolute supply pressure; infinite before it was first seen."""
+        self.brake_gauge_pa = 0.0
+        """The brake's pressure as its sensor says, gauge; its offset is not taken out."""
         self.main_gear: MainGear | None = None
         """The main gear in mesh, NEUTRAL with both sleeves in the middle, None in between."""
         self.split: Split | None = None

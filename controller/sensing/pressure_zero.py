@@ -15,6 +15,8 @@ pressure."""
 FORGET: Final = 0.998
 """Weight of the past with each new sample: 5 s at 10 ms, in which an offset changes little."""
 LEAST_SAMPLES: Final = 10.0
+MOST_PA: Final = 1.5e5
+"""No sensor is off by more than this: more is pressure, of a valve that is stuck."""
 
 
 class PressureZero:
@@ -30,7 +32,7 @@ class PressureZero:
         offset taken out."""
         if driven:
             self._driven_us = time_us
-        elif time_us - self._driven_us > self._wait_us:
+        elif time_us - self._driven_us > self._wait_us and abs(gauge_pa) <= MOST_PA:
             self._weight = FORGET * self._weight + 1.0
             self._mean_pa += (gauge_pa - self._mean_pa) / self._weight
         return gauge_pa - self.offset_pa

@@ -84,7 +84,7 @@ def _is_to_go_back(context: ShiftContext, predictor: GearPredictor, snapshot: St
     moves_us = plan.fire_us + context.sheet.sleeve.valve_delay_s * SECOND_US
     if snapshot.now_us + BUS_US > moves_us:
         return False
-    if brake_holds(context.sheet, predictor):
+    if brake_holds(context.sheet, predictor, snapshot.view.brake_gauge_pa):
         return True
     acting = context.strategist.acting(reference_known=True)
     earliest_us = snapshot.earliest_us + AGAIN_US

@@ -187,7 +187,7 @@ def _plan_firing(context: ShiftContext, predictor: GearPredictor, snapshot: Step
         plan = None  # the gear would be too slow by then: it is, or will be, the engine's turn
     if plan is not None and plan.fire_us > snapshot.now_us + RELEASE_HORIZON_US:
         plan = None  # too far ahead: the valve side would refuse it
-    if brake_holds(context.sheet, predictor):
+    if brake_holds(context.sheet, predictor, snapshot.view.brake_gauge_pa):
         plan = None
     if plan is None:
         context.board.off(valve)

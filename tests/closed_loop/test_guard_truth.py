@@ -251,11 +251,14 @@ def test_row_12_nothing_is_driven_before_the_inputs_are_proven() -> None:
         mad.is_mad = True
         loop.controller.core = mad
         ask_for(loop, 11)
+        loop.run(8_000)
+        ask_for(loop, 11)  # once more, when the sensor clock is known
         loop.run(200_000)
         first[guarded] = next(
             time_us
             for time_us, message in loop.messages
             if isinstance(message, ValveCommand) and message.split_high_action is ValveAction.ON_AT
         )
-        assert set(mad.rows) == {12}
+        assert set(mad.rows) <= {12, 17}
+        assert mad.rows[0] == 12
     assert first[True] > first[False] + 20_000

@@ -66,3 +66,11 @@ def test_a_chamber_is_empty_eight_time_constants_after_its_valve_went_off(
     for _ in range(20):
         zero.take(5e6 + 1e6 + late_us, OFFSET_PA, False)
     assert (zero.offset_pa != 0.0) is is_empty
+
+
+def test_the_pressure_of_a_stuck_valve_is_not_taken_for_an_offset() -> None:
+    """Off for two seconds, and still 8 bar: it is told as what it is, so that no gear is engaged
+    against it."""
+    zero = PressureZero(TAU_S)
+    told = [zero.take(k * TICK_US, 8e5, driven=k < 40) for k in range(240)]
+    assert told[-1] == 8e5
