@@ -72,6 +72,7 @@ swarm: $(VENV)/test.stamp
 
 # A hundred hours of them, in parts: interrupted, it goes on where it was.
 swarm-nightly: $(VENV)/test.stamp
+	mkdir -p out
 	$(BIN)/meshpoint campaign --faults --hours 100 --seed $(SWARM_SEED) --out out/swarm --resume \
 	    --json out/swarm.json
 

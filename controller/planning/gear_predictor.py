@@ -49,7 +49,7 @@ class Trajectory(NamedTuple):
 
 
 class LastLook(NamedTuple):
-    """When a sleeve can last be called back: in the last tick that is so long before its contact."""
+    """When a sleeve can last be called back: the last tick so long before its contact."""
 
     before_us: float
     tick_us: int

@@ -1,9 +1,10 @@
 """Where in the sensors' cycle the steps lie: soon after the frames of a read are all there.
 
 The sensor side reads once a cycle and sends its frames one after the other. A step just before the
-last of them decides by what is a cycle old, one just after it by what is as old as the bus is slow. A tick is as long as that cycle, so steps stay where in it they began, wherever that was, until
-they are moved. They are moved to where a read's frames are awaited no longer than needed: longer at
-once when a step came between the frames of a read, and shorter by little with each that did not.
+last of them decides by what is a cycle old, one just after it by what is as old as the bus is slow.
+A tick is as long as that cycle, so steps stay where in it they began, wherever that was, until they
+are moved. They are moved to where a read's frames are awaited no longer than needed: longer at once
+when a step came between the frames of a read, and shorter by little with each that did not.
 """
 
 from __future__ import annotations

@@ -18,7 +18,7 @@ RPM_TO_DEG_PER_MS = 6e-3
     [
         (Preset.THESIS, (1,)),
         (Preset.TRUCK, (3,)),
-        pytest.param(Preset.THESIS, (2,), marks=pytest.mark.long),
+        pytest.param(Preset.THESIS, (3,), marks=pytest.mark.long),
         pytest.param(Preset.TRUCK, (4, 5), marks=pytest.mark.long),
     ],
 )

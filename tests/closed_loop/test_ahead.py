@@ -10,8 +10,6 @@ from loop_bench import Loop
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.settings import ControllerSettings, EngineRequests
 from meshpoint.dbc.messages import (
-    ClutchAction,
-    ClutchCommand,
     ControllerState,
     EngagementEvent,
     FaultCode,

@@ -128,7 +128,7 @@ SHOWN = [aim for aim in AIMS if aim.reaches in
     ],
 )
 def test_an_aimed_world_reaches_what_it_aims_at(aim: Aim) -> None:
-    result = run(aim.world(5))
+    result = run(aim.world(2))
     assert result.broken == []
     assert result.reached.transitions[aim.reaches] + result.reached.fault_codes[aim.reaches] > 0
 

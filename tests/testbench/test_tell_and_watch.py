@@ -68,7 +68,7 @@ def test_each_shift_is_told_from_its_request_to_its_end_with_the_rows_own_figure
         assert line.words.startswith(f"tooth meets {row['contact']}")
         assert f"{row['phase_error_deg']:+.2f} deg" in line.words
         expected_ms = ((row["contact_us"] - row["request_us"]) & 0xFFFF_FFFF) / 1000
-        # counted from the newest sample at the request, which may be a cycle and a read's frames old
+        # counted from the newest sample at the request: a cycle and a read's frames old at most
         assert expected_ms - 1 <= line.of_request_ms <= expected_ms + 16
 
 
