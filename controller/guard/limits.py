@@ -64,7 +64,8 @@ class GuardLimits:
     clutch_open_share: float
     """The clutch's plates are surely apart from here on."""
     sleeve_scatter_us: float
-    brake_delay_us: float
+    brake_delay_us: tuple[float, float]
+    """Of its valve, least and greatest: the sheet's with its tolerance."""
     brake_lag_us: float
     brake_nm_per_pa: float
     atmosphere_pa: float
@@ -164,7 +165,10 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
         stroke_m=sleeve.stroke_m,
         clutch_open_share=sheet.clutch.surely_open_share,
         sleeve_scatter_us=sleeve.delay_limit_s * 1e6,
-        brake_delay_us=brake.valve_delay_s * 1e6,
+        brake_delay_us=(
+            (1.0 - brake.valve_delay_tolerance) * brake.valve_delay_s * 1e6,
+            (1.0 + brake.valve_delay_tolerance) * brake.valve_delay_s * 1e6,
+        ),
         brake_lag_us=brake.time_constant_s * 1e6,
         brake_nm_per_pa=sheet.brake_nm_per_pa,
         atmosphere_pa=sheet.air.atmosphere_pa,

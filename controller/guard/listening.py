@@ -195,6 +195,8 @@ class GuardEar:
                 if signed_us(stamp - self._stamps.get(can_id, stamp)) < 0:
                     self.has_restarted = True
                     stamps.clear()  # those of this step from before it
+                    if can_id in self.edges:
+                        del self.edges[can_id][:-1]
                 self._stamps[can_id] = stamp
                 stamps.append(stamp)
         for channel in self.channels.values():
@@ -236,7 +238,9 @@ class GuardEar:
             held = shape & STAMPS_MASK
             if held > STAMPS:
                 return False
-            self.has_restarted = self.has_restarted or held < self._held[can_id]
+            if held < self._held[can_id]:
+                self.has_restarted = True
+                self.edges[can_id].clear()
             self._held[can_id] = held
             usable = shape == held  # neither stopped, nor an interval too long, nor a faulty sensor
             self.edges[can_id].append(Edges(stamp, index, said[2 : 2 + held] if usable else ()))

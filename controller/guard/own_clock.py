@@ -29,6 +29,11 @@ def signed_us(difference: int) -> int:
     return (difference + MODULUS // 2) % MODULUS - MODULUS // 2
 
 
+CAUGHT_UP_US: Final = 20_000
+"""A second this much less late than the one before was one of catching up with what had waited:
+the second before says nothing that it does not say better, and is not kept."""
+
+
 class GuardClock:
     """The sensors' time, unwrapped."""
 
@@ -38,6 +43,8 @@ class GuardClock:
         self._offset: int | None = None
         """the least of them all, None without any."""
         self._newest_us: int | None = None
+        self.begun = 0
+        """How many times another clock has begun."""
 
     def restart(self) -> None:
         """The sensors have started anew, however near to the old clock the new one reads: with the
@@ -54,15 +61,22 @@ class GuardClock:
             time_us = newest_us + ahead_us
             if self._is_of_another_clock(ahead_us, time_us, now_us):
                 self._least.clear()
+                self.begun += 1
         self._newest_us = time_us
         offset, second = now_us - time_us, now_us // SECOND
         if not self._least or self._least[-1][0] != second:
+            self._drop_what_waited()
             self._least.append((second, offset))
         elif offset < self._least[-1][1]:
             self._least[-1] = (second, offset)
         else:
             return
         self._offset = min([each for _, each in self._least])
+
+    def _drop_what_waited(self) -> None:
+        least = self._least
+        if len(least) > 1 and least[-1][1] < least[-2][1] - CAUGHT_UP_US:
+            del least[-2]
 
     def _is_of_another_clock(self, ahead_us: int, time_us: int, now_us: int) -> bool:
         expected_us = self.now_us(now_us)

@@ -106,7 +106,7 @@ def _braking_s(case: Case, from_us: float, early_us: float, late_us: float) -> t
     """Least and greatest time (s) for which the brake acts between `from_us`, at which the speed
     was measured, and a contact between `early_us` and `late_us`."""
     limits, brake = case.limits, case.spans[BRAKE]
-    tail_us = limits.brake_delay_us + 3.0 * limits.brake_lag_us
+    tail_us = limits.brake_delay_us[1] + 3.0 * limits.brake_lag_us
     if brake is None:
         end_us = case.state.brake_off_us + tail_us
         return 0.0, max(0.0, min(late_us, end_us) - from_us) * 1e-6
@@ -130,7 +130,7 @@ def brake_against_the_driveline(case: Case) -> bool:
         return False
     engaging = case.engaging()
     approaching = {case.limits.main[valve].sleeve for valve, _ in engaging}
-    acts_us = max(float(case.seen.now_us), brake.start_us + case.limits.brake_delay_us)
+    acts_us = max(float(case.seen.now_us), brake.start_us + case.limits.brake_delay_us[0])
     in_mesh = not all(case.teeth_are_out(sleeve, acts_us) for sleeve in {0, 1} - approaching)
     meets = any(brake.end_us > case.contact_us(span)[0] for _, span in engaging)
     return in_mesh or meets or not case.is_parted(acts_us)
@@ -147,8 +147,8 @@ def brake_beyond_its_limits(case: Case) -> bool:
     layshaft = case.seen.speeds[LAYSHAFT]
     if too_long or too_hot or layshaft is None:
         return True
-    off_us = now_us + REACT_US + limits.brake_delay_us + limits.brake_lag_us
-    acting_us = max(0.0, off_us - max(layshaft.time_us, brake.start_us + limits.brake_delay_us))
+    off_us = now_us + REACT_US + limits.brake_delay_us[1] + limits.brake_lag_us
+    acting_us = max(0.0, off_us - max(layshaft.time_us, brake.start_us + limits.brake_delay_us[0]))
     lowest = layshaft.omega_rad_s - limits.brake_rad_s2[1] * acting_us * 1e-6
     return lowest < limits.brake_floor_rad_s
 
@@ -344,9 +344,12 @@ class Guard:
         return None
 
     def _note(self, seen: GuardInputs) -> None:
-        """Self-test, the request and the brake's energy, from what is seen."""
+        """Self-test, the request and the brake's energy, from what is seen. With another sensor
+        clock the self-test begins anew: how long its frames waited for the bus is not known yet."""
         state = self._state
         self._note_request(seen)
+        if seen.clock_is_new:
+            state.proofs = 0
         if state.proofs < PROOF_STEPS:
             proven = seen.valid and self._is_sound and seen.clock_gained_us <= SETTLED_US
             state.proofs = state.proofs + 1 if proven else 0

@@ -82,6 +82,8 @@ class GuardInputs(NamedTuple):
     clock_gained_us: int = 0
     """How much the guard's sensor clock has gained on the controller's in this step: frames that
     come faster than they were sent have waited, and those to come are younger still."""
+    clock_is_new: bool = False
+    """Whether the sensors' clock is another since this step."""
 
 
 class GuardView:
@@ -97,6 +99,7 @@ class GuardView:
         }
         self._ear = GuardEar()
         self._clock = GuardClock()
+        self._begun = 0
         self._engine: tuple[int, Engine] = (0, NO_ENGINE)
         self._ahead_us: int | None = None
         self._clutch: tuple[int, float] | None = None
@@ -109,9 +112,11 @@ class GuardView:
         ear = self._ear
         stamps = ear.take(frames, step_us)
         if ear.has_restarted:
-            self._clock.restart()
-        for stamp in stamps:
+            self._begin_anew()
+        # A step hears its frames message by message: after a hang their times go back and forth.
+        for stamp in sorted(stamps, key=lambda each: signed_us(each - stamps[0])):
             self._clock.hear(stamp, step_us)
+        is_new, self._begun = self._clock.begun != self._begun, self._clock.begun
         own_us = self._clock.now_us(step_us)
         now_us = 0 if own_us is None else own_us
         gained_us = self._gained_us(own_us, step_us)
@@ -147,7 +152,16 @@ class GuardView:
             engine.torque_share,
             self._clutch_per_s,
             gained_us,
+            is_new,
         )
+
+    def _begin_anew(self) -> None:
+        """The sensors' clock is another: a time of the old one says nothing in the new."""
+        self._clock.restart()
+        self._turns.clear()
+        self._clutch, self._clutch_per_s = None, 0.0
+        for shaft in self._shafts.values():
+            shaft.forget()
 
     def _gained_us(self, own_us: int | None, step_us: int) -> int:
         """By how much the clock is further ahead of the controller's than a step ago."""

@@ -174,7 +174,7 @@ class ShiftSequence(ShiftContext):
             return FaultCode.REQUEST_IMPOSSIBLE, "a sleeve stands between two gears"
         if snapshot.supply_pa < self.settings.limits.supply_low_pa:
             return FaultCode.LOW_SUPPLY, f"supply at {snapshot.supply_pa / 1e5:.1f} bar"
-        propeller = snapshot.speeds.propeller
+        propeller = self._propeller(snapshot)
         top = self.sheet.limits.input_max_rad_s
         if propeller is not None:
             input_rad_s = propeller * self.sheet.overall_ratio(DRIVE_GEARS[number])
@@ -182,6 +182,14 @@ class ShiftSequence(ShiftContext):
                 rpm = input_rad_s * 30.0 / math.pi
                 return FaultCode.INPUT_OVERSPEED, f"the input shaft would turn at {rpm:.0f} rpm"
         return None
+
+    def _propeller(self, snapshot: StepSnapshot) -> float | None:
+        """Propeller shaft speed (rad/s); with its sensor silent, that of the main shaft through the
+        range that is in."""
+        speeds, range_ = snapshot.speeds, snapshot.view.range_
+        if speeds.propeller is not None or speeds.main is None or range_ is None:
+            return speeds.propeller
+        return speeds.main * self.sheet.range_mesh(range_).ratio
 
 
 def _may_be_raised(number: int, view: GearboxView) -> bool:

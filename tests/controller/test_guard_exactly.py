@@ -48,7 +48,7 @@ ROUND = dataclasses.replace(
     split_ratio={-1: 0.5, 1: 1.0},
     range_ratio={-1: 0.25, 1: 1.0},
     sleeve_delay_us=S / 2, sleeve_scatter_us=S / 4,
-    brake_delay_us=S / 8, brake_lag_us=S / 8,
+    brake_delay_us=(S / 32, S / 8), brake_lag_us=S / 8,
     brake_rad_s2=(16.0, 32.0), drag_rad_s2=8.0, drag_rate=0.5,
     slip_rad_s=(-4.0, 8.0),
     input_max_rad_s=256.0, main_max_rad_s=128.0,
@@ -155,8 +155,8 @@ def test_row_5_a_release_at_the_very_contact() -> None:
     for until_us, forbids in ((NOW + S // 4, False), (NOW + S // 4 + 1, True)):
         judged = case({BRAKE: on(NOW, until_us), SECOND: on()})
         assert brake_against_the_driveline(judged) is forbids
-    # The clutch where it is when air comes in, 1/8 s on; no further ahead than 60 ms.
-    for closed, forbids in ((0.25 + 0.06, False), (0.25 + 0.06 + 1e-9, True)):
+    # The clutch where it is when air comes in, 1/32 s on at the earliest.
+    for closed, forbids in ((0.25 + 1 / 32, False), (0.25 + 1 / 32 + 1e-9, True)):
         judged = case({BRAKE: on()}, clutch_closed=closed, clutch_per_s=-1.0)
         assert brake_against_the_driveline(judged) is forbids
     early = case({BRAKE: on(NOW - S)}, clutch_closed=0.25 + 1e-9, clutch_per_s=-1.0)
@@ -177,7 +177,7 @@ def test_row_6_exactly_at_its_limits() -> None:
     [
         (NOW - S, NOW, SOON + S // 4),  # off in 15 ms and 1/4 s; since the speed was measured
         (NOW - S, NOW - S // 4, SOON + S // 2),
-        (NOW, NOW, SOON + S // 8),  # since the air can have come in
+        (NOW, NOW, SOON + 7 * S // 32),  # since the air can have come in
         (NOW + S, NOW, 0),  # it can be taken back before
     ],
 )
@@ -348,6 +348,12 @@ def test_a_guard_whose_decoder_is_wrong_is_never_proven(
         noted(guard, NOW)
     assert not guard.is_proven
     assert guard._state.proofs == 0
+
+
+def test_with_another_sensor_clock_the_self_test_begins_anew() -> None:
+    guard = Guard(ROUND, armed=True)
+    found = [noted(guard, NOW, clock_is_new=each == 4).proofs for each in range(8)]
+    assert found == [1, 2, 3, 3, 1, 2, 3, 3]
 
 
 def test_proofs_are_counted_from_one_that_fails_and_no_further_than_needed() -> None:

@@ -43,7 +43,6 @@ BY_HAND: dict[str, Any] = {
     "stroke_m": 0.012,
     "clutch_open_share": 0.3,  # parts at 0.35 +- 0.05
     "sleeve_scatter_us": 5_000.0,
-    "brake_delay_us": 12_000.0,
     "brake_lag_us": 45_000.0,
     "brake_nm_per_pa": 100.0 / 850_000.0,
     "atmosphere_pa": 101_300.0,
@@ -68,6 +67,7 @@ BY_HAND: dict[str, Any] = {
 }
 PAIRS = {
     "brake_rad_s2": (100.0 / 1.4 / 0.4267676767676768, 140.0 / 0.362930612244898),
+    "brake_delay_us": (0.85 * 12_000.0, 1.15 * 12_000.0),
     "slip_rad_s": (-60.0 * math.pi / 30.0, 120.0 * math.pi / 30.0),
 }
 GEAR_AT = {

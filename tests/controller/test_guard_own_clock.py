@@ -71,3 +71,14 @@ def test_each_seconds_least_is_kept_for_six_seconds_in_which_stamps_were_heard()
     assert clock.now_us(6_000_000) is None
     clock.hear(6_010_000 - 9_000, 6_010_000)
     assert clock.now_us(6_010_000) == 6_010_000 - 9_000
+
+
+@pytest.mark.parametrize(("less_us", "goes_on"), [(20_000, False), (20_001, True)])
+def test_seconds_in_which_a_bus_catches_up_push_nothing_out(less_us: int, goes_on: bool) -> None:
+    """What had waited comes less late from second to second: only the last of them is kept."""
+    clock = clock_at(seconds=5)
+    for second in range(6, 14):
+        now_us = second * 1_000_000
+        late_us = 450_000 - (second - 6) * less_us
+        clock.hear(now_us - late_us, now_us)
+    assert clock.now_us(13_000_000) == (13_000_000 if goes_on else 13_000_000 - late_us)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from guard_cases import LIMITS, SHEET
-from test_guard_ear import frame, j1939
+from test_guard_ear import DATA_IDS, frame, j1939, write_crc
 
 from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, MainValve
 from meshpoint.controller.guard.listening import (
@@ -21,8 +21,10 @@ from meshpoint.controller.guard.listening import (
 )
 from meshpoint.controller.guard.own_speed import ShaftSpeed, TeethCounted
 from meshpoint.controller.guard.view import GuardInputs, GuardView
+from meshpoint.dbc.frame import Frame
 
 CYCLE_US = 10_000
+FAULTY_BIT = 0x80
 SLOW = (SENSORS, SLEEVES_MAIN, SLEEVES_AUX, VALVE_STATUS)
 TURNING = 11.0
 """A layshaft fast enough to tell gears apart (rad/s)."""
@@ -30,6 +32,15 @@ TURNING = 11.0
 
 def view() -> GuardView:
     return GuardView(SHEET, LIMITS)
+
+
+def turning(can_id: int, counter: int, stamp: int, *, held: int, faulty: bool) -> Frame:
+    """Edges each 2 ms, the newest at the stamp."""
+    words = {7: 5 * counter} | {10 + 2 * k: stamp - 2_000 * k for k in range(held)}
+    data = bytearray(frame(can_id, counter, stamp, words).data)
+    data[9] = held | (FAULTY_BIT if faulty else 0)
+    write_crc(data, DATA_IDS[can_id], increment_counter=False)
+    return Frame(can_id, bytes(data), is_fd=True)
 
 
 def test_nothing_is_known_before_all_has_been_heard() -> None:
@@ -95,6 +106,31 @@ def test_the_clock_goes_by_the_frame_that_came_least_late() -> None:
         seen = guard_view.take(frames, 500_000 + CYCLE_US * step, 0)
         found.append((seen.now_us, seen.clock_gained_us))
     assert found == [(100_000, 0), (110_000, 0), (120_000, 0), (133_000, 3_000), (143_000, 0)]
+
+
+def test_after_a_hang_frames_come_message_by_message_and_the_clock_stays() -> None:
+    """None of them is younger than 90 ms: the least delay of before holds."""
+    guard_view = view()
+    for step in range(5):
+        sent_us = 100_000 + CYCLE_US * step
+        guard_view.take([frame(each, step, sent_us) for each in SLOW], 500_000 + CYCLE_US * step, 0)
+    waited = [
+        frame(each, step, 100_000 + CYCLE_US * step) for each in SLOW for step in range(5, 16)
+    ]
+    seen = guard_view.take(waited, 740_000, 0)
+    assert (seen.now_us, seen.clock_is_new) == (340_000, False)
+
+
+def test_where_the_sensors_start_anew_no_speed_of_before_comes_back() -> None:
+    """Their new clock passes the times of the old one; the first edges on it are of no use."""
+    guard_view, found = view(), []
+    for step in range(20):
+        stamp = 100_000 + CYCLE_US * (step % 10)
+        edges = turning(MAIN_EDGES, step, stamp, held=20 if step < 10 else 2, faulty=step >= 10)
+        slow = [frame(each, step, stamp) for each in SLOW]
+        seen = guard_view.take([*slow, edges], 500_000 + CYCLE_US * step, 0)
+        found.append((seen.speeds[2] is not None, seen.clock_is_new))
+    assert found == [(step in range(2, 10), step == 10) for step in range(20)]
 
 
 @pytest.mark.parametrize(("later_us", "is_known"), [(40_000, True), (40_001, False)])

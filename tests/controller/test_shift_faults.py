@@ -216,6 +216,16 @@ def test_out_of_neutral_the_engine_needs_that_room_too() -> None:
         assert (box.ask(9) is not None) is refused
 
 
+def test_where_the_propellers_sensor_is_silent_the_main_shaft_tells_of_overspeed() -> None:
+    """The swarm had the input shaft at 2,477 rpm this way."""
+    top = SHEET.limits.input_max_rad_s
+    ratio = SHEET.overall_ratio(DRIVE_GEARS[7]) / SHEET.overall_ratio(DRIVE_GEARS[9])
+    for share, refused in ((0.89, False), (0.95, True)):
+        box = aimed(9, share * top / ratio)
+        box.hears_propeller = False
+        assert (box.ask(7) is not None) is refused
+
+
 @pytest.mark.parametrize("blocks", [1, 7, 8])
 def test_a_shift_goes_on_after_some_commands_that_the_guard_has_blocked_and_ends_after_more(
     blocks: int,

@@ -76,6 +76,7 @@ class Box:
     face: Callable[[float], bool] = lambda _: False
     """Whether a tooth is in the way at a phase."""
     supply_pa: float = 9.5e5
+    hears_propeller: bool = True
 
     def __post_init__(self) -> None:
         gear = DRIVE_GEARS[self.gear]
@@ -239,7 +240,7 @@ class Box:
         main = ShaftState(self.now_us, self.theta_main, self.main, 1e-4, 0.01)
         speeds: Any = SimpleNamespace(
             layshaft=self.layshaft, main=self.main,
-            propeller=self.propeller,
+            propeller=self.propeller if self.hears_propeller else None,
             slip_rad_s=self.slip,
             split_turns_together=lambda split: self.split is split,
             range_turns_together=lambda range_: self.range is range_,

@@ -10,6 +10,7 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
+from meshpoint.controller.guard.own_clock import signed_us
 from meshpoint.controller.shift.table import IN_SHIFT
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.shared.engagement import Violation
@@ -27,9 +28,11 @@ SPEED_ERROR: Final = 0.05
 """A gear that locks jerks its shafts for less time than there is between two looks at the truth."""
 SPEED_ERROR_RAD_S: Final = 2.0
 BLIND_STEPS: Final = 2
-FOLLOWED_US: Final = 20_000
-"""A sensor clock that goes back by less than a cycle may be followed late (docs/safety.md, Not
-protected), a frame's delay beside."""
+BEHIND_US: Final = 20_000
+"""A frame's delay, and a sensor clock that went back by less than a cycle (docs/safety.md, Not
+protected)."""
+AHEAD_US: Final = 60_000
+"""Samples may be 40 ms old to be valid, and a cycle is sent after its samples."""
 LIES: Final = frozenset({"position_offset", "position_frozen", "frozen_payload"})
 SLUGGISH: Final = frozenset({"valve_stuck", "valve_slow"})
 REACT_US: Final = 30_000
@@ -59,8 +62,7 @@ class Invariants:
         self._blind = 0
         self._sent_us = 0
         self._in_shift_us: int | None = None
-        self._sensor_us: int | None = None
-        self._stepped_us = 0
+        self._clock: tuple[int, int] | None = None
         self._bench_us = -REACT_US
 
     def note(self, what: str, now_us: int, text: str) -> None:
@@ -69,8 +71,8 @@ class Invariants:
             self.broken.append(Broken(what, now_us // 1000, text))
 
     def controller_is_new(self) -> None:
-        """It has started anew: its clock and its shift begin anew as well."""
-        self._sensor_us = self._in_shift_us = None
+        """It has started anew, and its shift as well."""
+        self._in_shift_us = None
 
     def heard(self, now_us: int) -> None:
         """A valve command of the controller's has reached the gearbox."""
@@ -79,6 +81,7 @@ class Invariants:
     def rig(self, rig: WatchedRig, now_us: int, active: frozenset[str]) -> None:
         """After a step of the gearbox."""
         truth: Any = rig.truth
+        self._clock = now_us, rig.sensor_us
         if rig.is_moved_by_the_bench:
             self._bench_us = now_us
         by_bench = now_us - self._bench_us <= REACT_US
@@ -114,19 +117,17 @@ class Invariants:
         elif now_us - self._in_shift_us > LONGEST_SHIFT_US:
             self.note("shift_without_end", now_us, core.state.name)
         if core.seen is not None and core.is_proven:
-            self._time(core.seen.now_us, now_us, active)
+            self._time(core.seen, now_us, active)
             self._guard_speeds(core.seen.speeds, now_us, active)
 
-    def _time(self, sensor_us: int, now_us: int, active: frozenset[str]) -> None:
-        before_us, self._sensor_us = self._sensor_us, sensor_us or None
-        passed_us, self._stepped_us = now_us - self._stepped_us, now_us
-        if active & (CLOCKS | {"bus_delay"}):
+    def _time(self, seen: Any, now_us: int, active: frozenset[str]) -> None:
+        """Where the guard would let a valve be driven, its clock is that of the sensors."""
+        if self._clock is None or not seen.valid or active & (CLOCKS | {"bus_delay"}):
             return
-        if before_us is None or not sensor_us:
-            return
-        error_us = sensor_us - before_us - passed_us
-        if abs(error_us) > FOLLOWED_US and len(self._speeds) > 1:
-            self.note("absurd_time", now_us, f"the guard's clock went wrong by {error_us} us")
+        stepped_us, sensor_us = self._clock
+        error_us = signed_us(seen.now_us - sensor_us - (now_us - stepped_us))
+        if not -BEHIND_US <= error_us <= AHEAD_US:
+            self.note("absurd_time", now_us, f"the guard's clock is wrong by {error_us} us")
 
     def _guard_speeds(self, speeds: Any, now_us: int, active: frozenset[str]) -> None:
         if active & {"hall_noise_burst", "bus_delay", *CLOCKS} or not self._speeds:

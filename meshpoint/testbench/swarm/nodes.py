@@ -145,6 +145,11 @@ class WatchedRig(RigCore):
             self._world.inject(order, max(0, now_us - self._start_us))
 
     @property
+    def sensor_us(self) -> int:
+        """What the sensors' clock shows, as of the node's last step."""
+        return self._world.clock.at(self.truth.time_us)
+
+    @property
     def energised(self) -> tuple[bool, ...]:
         """Which valves' drivers are on."""
         return self._world.valves.energised
