@@ -18,9 +18,8 @@ from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.units import RPM
 
 LITTLE_DRAG = {"drag.constant_nm": 0.5, "sheet.friction_factor": 0.2}
-"""Slip falls so slowly that another gap comes before the gear is too slow;"""
-SEED = 15
-"""here with a slip that is negative already: where it is about to pass zero, a gap comes late."""
+"""Slip falls so slowly that another gap comes before the gear is too slow."""
+SEED = 18
 PLAIN = ControllerSettings()
 FAST = replace(PLAIN, window=replace(PLAIN.window, aim_slip_rad_s=24.0 * RPM))
 
