@@ -55,7 +55,8 @@ _KERNEL_TESTS: Final = tuple(
     for name in (
         "kernels", "motion", "crossing", "swing", "lash", "lash_course", "edges", "edge_gate",
         "edge_gate_foreign", "edge_speed", "sensor_count", "fused_wheels", "predictor", "strategy",
-        "estimation_exactly", "fusion_exactly", "lash_exactly", "aiming_exactly",
+        "estimation_exactly", "fusion_exactly", "lash_exactly",
+        "lash_start_exactly", "aiming_exactly",
     )
 )  # fmt: skip
 _NEAR: Final = ("tests/controller", "tests/testbench/test_reference.py")
@@ -64,13 +65,14 @@ TARGETS: Final = (
     Target("guard", ("controller/guard/*.py",), _GUARD_TESTS, must=True),
     Target(
         "e2e", ("dbc/e2e.py",),
-        ("tests/dbc/test_e2e.py", "tests/dbc/test_link.py", "tests/controller/test_staleness.py"),
+        ("tests/dbc/test_e2e.py", "tests/dbc/test_link.py", "tests/dbc/test_channels.py",
+         "tests/controller/test_staleness.py"),
         must=True,
     ),
     Target(
         "link", ("dbc/link.py",),
-        ("tests/dbc/test_link.py", "tests/dbc/test_codec.py", "tests/dbc/test_messages.py",
-         "tests/controller/test_staleness.py"),
+        ("tests/dbc/test_link.py", "tests/dbc/test_channels.py", "tests/dbc/test_codec.py",
+         "tests/dbc/test_messages.py", "tests/controller/test_staleness.py"),
         must=True,
     ),
     Target(
