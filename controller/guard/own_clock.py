@@ -43,25 +43,24 @@ class GuardClock:
         self._offset: int | None = None
         """the least of them all, None without any."""
         self._newest_us: int | None = None
-        self.begun = 0
-        """How many times another clock has begun."""
 
     def restart(self) -> None:
         """The sensors have started anew, however near to the old clock the new one reads: with the
         next stamp all before is forgotten."""
         self._offset = None
 
-    def hear(self, stamp: int, now_us: int) -> None:
-        """A stamp of a frame that is consumed at `now_us` of the controller's clock."""
-        newest_us = self._newest_us
+    def hear(self, stamp: int, now_us: int) -> bool:
+        """A stamp of a frame that is consumed at `now_us` of the controller's clock. True: it is of
+        another clock than those before it."""
+        newest_us, is_another = self._newest_us, False
         if newest_us is None:
             time_us = stamp
         else:
             ahead_us = signed_us(stamp - newest_us)
             time_us = newest_us + ahead_us
-            if self._is_of_another_clock(ahead_us, time_us, now_us):
+            is_another = self._is_of_another_clock(ahead_us, time_us, now_us)
+            if is_another:
                 self._least.clear()
-                self.begun += 1
         self._newest_us = time_us
         offset, second = now_us - time_us, now_us // SECOND
         if not self._least or self._least[-1][0] != second:
@@ -70,8 +69,9 @@ class GuardClock:
         elif offset < self._least[-1][1]:
             self._least[-1] = (second, offset)
         else:
-            return
+            return is_another
         self._offset = min([each for _, each in self._least])
+        return is_another
 
     def _drop_what_waited(self) -> None:
         least = self._least

@@ -55,7 +55,6 @@ class GuardSpeed:
     def forget(self) -> None:
         """The sensors' clock is another: nothing of before holds."""
         self._measured = self.counted = None
-        self._tooth_us, self._is_dead = 0, False
 
     def take(self, edges: Edges, now_us: int) -> None:
         """A believed frame; now_us: the guard's sensor clock."""

@@ -99,7 +99,6 @@ class GuardView:
         }
         self._ear = GuardEar()
         self._clock = GuardClock()
-        self._begun = 0
         self._engine: tuple[int, Engine] = (0, NO_ENGINE)
         self._ahead_us: int | None = None
         self._clutch: tuple[int, float] | None = None
@@ -114,9 +113,10 @@ class GuardView:
         if ear.has_restarted:
             self._begin_anew()
         # A step hears its frames message by message: after a hang their times go back and forth.
-        for stamp in sorted(stamps, key=lambda each: signed_us(each - stamps[0])):
-            self._clock.hear(stamp, step_us)
-        is_new, self._begun = self._clock.begun != self._begun, self._clock.begun
+        in_order = sorted(stamps, key=lambda each: signed_us(each - stamps[0]))
+        is_new = False
+        for stamp in in_order:
+            is_new = self._clock.hear(stamp, step_us) or is_new
         own_us = self._clock.now_us(step_us)
         now_us = 0 if own_us is None else own_us
         gained_us = self._gained_us(own_us, step_us)

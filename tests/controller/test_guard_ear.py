@@ -212,6 +212,17 @@ def test_sensors_have_started_anew_where_an_array_gets_emptier() -> None:
     assert not ear.has_restarted
 
 
+@pytest.mark.parametrize(("shape", "stamp"), [(2, 60), (4, 40)])
+def test_edges_of_a_step_from_before_the_sensors_started_anew_are_left_out(
+    shape: int, stamp: int
+) -> None:
+    """They are told by an array that got emptier, or by a time that went back."""
+    ear = GuardEar()
+    ear.take([edges_frame(0, 3, 30)], 0)
+    ear.take([edges_frame(1, 4, 50), edges_frame(2, shape, stamp), edges_frame(3, 5, 70)], 0)
+    assert [edges.stamp for edges in ear.edges[MAIN_EDGES]] == [stamp, 70]
+
+
 def test_a_clock_has_been_set_back_where_a_stamp_is_before_the_last_of_its_message() -> None:
     ear = GuardEar()
     two = [frame(SENSORS, 0, 100), frame(VALVE_STATUS, 0, 50)]

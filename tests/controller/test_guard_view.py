@@ -24,7 +24,6 @@ from meshpoint.controller.guard.view import GuardInputs, GuardView
 from meshpoint.dbc.frame import Frame
 
 CYCLE_US = 10_000
-FAULTY_BIT = 0x80
 SLOW = (SENSORS, SLEEVES_MAIN, SLEEVES_AUX, VALVE_STATUS)
 TURNING = 11.0
 """A layshaft fast enough to tell gears apart (rad/s)."""
@@ -34,11 +33,12 @@ def view() -> GuardView:
     return GuardView(SHEET, LIMITS)
 
 
-def turning(can_id: int, counter: int, stamp: int, *, held: int, faulty: bool) -> Frame:
-    """Edges each 2 ms, the newest at the stamp."""
-    words = {7: 5 * counter} | {10 + 2 * k: stamp - 2_000 * k for k in range(held)}
+def turning(can_id: int, counter: int, stamp: int, took_us: list[int]) -> Frame:
+    """Edges of a wheel, the newest at the stamp, and how long each tooth took, newest first."""
+    times = [stamp - sum(took_us[:k]) for k in range(len(took_us) + 1)]
+    words = {7: 5 * counter} | {10 + 2 * k: time_us for k, time_us in enumerate(times)}
     data = bytearray(frame(can_id, counter, stamp, words).data)
-    data[9] = held | (FAULTY_BIT if faulty else 0)
+    data[9] = len(times)
     write_crc(data, DATA_IDS[can_id], increment_counter=False)
     return Frame(can_id, bytes(data), is_fd=True)
 
@@ -108,29 +108,40 @@ def test_the_clock_goes_by_the_frame_that_came_least_late() -> None:
     assert found == [(100_000, 0), (110_000, 0), (120_000, 0), (133_000, 3_000), (143_000, 0)]
 
 
-def test_after_a_hang_frames_come_message_by_message_and_the_clock_stays() -> None:
+@pytest.mark.parametrize("begun_us", [100_000, 1 << 30, (1 << 32) - 100_000])
+def test_after_a_hang_frames_come_message_by_message_and_the_clock_stays(begun_us: int) -> None:
     """None of them is younger than 90 ms: the least delay of before holds."""
     guard_view = view()
-    for step in range(5):
-        sent_us = 100_000 + CYCLE_US * step
-        guard_view.take([frame(each, step, sent_us) for each in SLOW], 500_000 + CYCLE_US * step, 0)
+    for step in range(16):
+        sent_us = (begun_us + CYCLE_US * step) % (1 << 32)
+        if step < 5:
+            frames = [frame(each, step, sent_us) for each in SLOW]
+            guard_view.take(frames, 500_000 + CYCLE_US * step, 0)
     waited = [
-        frame(each, step, 100_000 + CYCLE_US * step) for each in SLOW for step in range(5, 16)
+        frame(each, step, (begun_us + CYCLE_US * step) % (1 << 32))
+        for each in SLOW
+        for step in range(5, 16)
     ]
     seen = guard_view.take(waited, 740_000, 0)
-    assert (seen.now_us, seen.clock_is_new) == (340_000, False)
+    assert (seen.now_us, seen.clock_is_new) == (begun_us + 240_000, False)
 
 
-def test_where_the_sensors_start_anew_no_speed_of_before_comes_back() -> None:
-    """Their new clock passes the times of the old one; the first edges on it are of no use."""
+def test_where_the_sensors_start_anew_nothing_of_before_comes_back() -> None:
+    """Their new clock passes the times of the old one; the first edges on it are of no use: one
+    tooth is far longer than the next. The pressures are heard a step later, and tell of it again."""
     guard_view, found = view(), []
     for step in range(20):
         stamp = 100_000 + CYCLE_US * (step % 10)
-        edges = turning(MAIN_EDGES, step, stamp, held=20 if step < 10 else 2, faulty=step >= 10)
-        slow = [frame(each, step, stamp) for each in SLOW]
-        seen = guard_view.take([*slow, edges], 500_000 + CYCLE_US * step, 0)
-        found.append((seen.speeds[2] is not None, seen.clock_is_new))
-    assert found == [(step in range(2, 10), step == 10) for step in range(20)]
+        took_us = [2_000] * 20 if step < 10 else [2_000, 500]
+        edges = [turning(each, step, stamp, took_us) for each in (LAYSHAFT_EDGES, MAIN_EDGES)]
+        closed = {13: 5_000 - 100 * step}
+        slow = [frame(each, step, stamp, closed if each == SENSORS else {}) for each in SLOW]
+        seen = guard_view.take([*slow[step == 10 :], *edges], 500_000 + CYCLE_US * step, 0)
+        found.append((seen.speeds[2] is not None, seen.clock_is_new, seen.clutch_per_s != 0.0))
+        assert len(guard_view._turns) <= step % 10 + 1
+    assert found == [
+        (step in range(2, 10), step in (10, 11), step not in (0, 10, 11)) for step in range(20)
+    ]
 
 
 @pytest.mark.parametrize(("later_us", "is_known"), [(40_000, True), (40_001, False)])
