@@ -128,7 +128,7 @@ def test_after_a_hang_frames_come_message_by_message_and_the_clock_stays(begun_u
 
 def test_where_the_sensors_start_anew_nothing_of_before_comes_back() -> None:
     """Their new clock passes the times of the old one; the first edges on it are of no use: one
-    tooth is far longer than the next. The pressures are heard a step later, and tell of it again."""
+    tooth is far longer than the next. Pressures are heard a step later, and tell of it again."""
     guard_view, found = view(), []
     for step in range(20):
         stamp = 100_000 + CYCLE_US * (step % 10)
