@@ -158,7 +158,6 @@ class GuardView:
     def _begin_anew(self) -> None:
         """The sensors' clock is another: a time of the old one says nothing in the new."""
         self._clock.restart()
-        self._turns.clear()
         self._clutch, self._clutch_per_s = None, 0.0
         for shaft in self._shafts.values():
             shaft.forget()

@@ -23,7 +23,7 @@ from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.disengage import disengage, open_clutch
 from meshpoint.controller.shift.engage import engage, retract
 from meshpoint.controller.shift.group_change import change_splitter, change_steps
-from meshpoint.controller.shift.speed_up import part_clutch, raise_speed
+from meshpoint.controller.shift.speed_up import part_clutch, raise_speed, too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.synchronise import coast, synchronise
 from meshpoint.controller.shift.table import (
@@ -61,6 +61,9 @@ HANDLERS: Final[dict[State, Handler]] = {
 RAISE_ROOM: Final = 1.11
 """For a lower gear, and out of neutral, the engine raises the input shaft by so much above the
 speed that the gear will have: the slip that is asked for, and what the engine overshoots."""
+SLIP_ROW: Final = 3
+"""While the guard forbids each contact for its slip, the gear is too slow, or the main shaft swings
+too far for it: the engine brings the gear above its sleeve again."""
 FAULT_OF_ROW: Final = {
     6: FaultCode.BRAKE_LIMIT,
     9: FaultCode.INPUT_OVERSPEED,
@@ -124,6 +127,10 @@ class ShiftSequence(ShiftContext):
         if self.state is State.SYNCHRONISING:
             self.shift.pulses = max(0, self.shift.pulses - 1)
         if self.shift.blocks >= self.settings.limits.blocks:
+            if row == SLIP_ROW and (self.state, Trigger.TOO_SLOW) in TRANSITIONS:
+                self.shift.blocks = 0
+                self._go(too_slow(self, snapshot), snapshot)
+                return
             fault = FAULT_OF_ROW.get(row, FaultCode.GUARD_BLOCKED)
             self._go(self.give_up(snapshot, fault), snapshot)
         elif self.state is State.ENGAGING:

@@ -108,7 +108,7 @@ def test_the_clock_goes_by_the_frame_that_came_least_late() -> None:
     assert found == [(100_000, 0), (110_000, 0), (120_000, 0), (133_000, 3_000), (143_000, 0)]
 
 
-@pytest.mark.parametrize("begun_us", [100_000, 1 << 30, (1 << 32) - 100_000])
+@pytest.mark.parametrize("begun_us", [100_000, (1 << 30) - 70_000, (1 << 32) - 100_000])
 def test_after_a_hang_frames_come_message_by_message_and_the_clock_stays(begun_us: int) -> None:
     """None of them is younger than 90 ms: the least delay of before holds."""
     guard_view = view()

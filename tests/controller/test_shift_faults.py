@@ -249,7 +249,7 @@ def test_a_shift_goes_on_after_some_commands_that_the_guard_has_blocked_and_ends
 
 @pytest.mark.parametrize(("row", "fault"), [(6, FaultCode.BRAKE_LIMIT),
     (9, FaultCode.INPUT_OVERSPEED), (10, FaultCode.DISENGAGE_REFUSED),
-    (11, FaultCode.LOW_SUPPLY), (3, FaultCode.GUARD_BLOCKED)])  # fmt: skip
+    (11, FaultCode.LOW_SUPPLY), (4, FaultCode.GUARD_BLOCKED)])  # fmt: skip
 def test_the_fault_tells_what_the_guard_had_against_it(row: int, fault: FaultCode) -> None:
     box = aimed(*UP[:2])
     box.ask(UP[2])
@@ -257,6 +257,19 @@ def test_the_fault_tells_what_the_guard_had_against_it(row: int, fault: FaultCod
     for _ in range(box.settings.limits.blocks):
         box.sequence.blocked(row, box.snapshot())
     assert box.sequence.fault is fault
+
+
+def test_where_the_guard_forbids_every_contact_for_its_slip_the_engine_raises_the_gear() -> None:
+    """As often as in any shift: then it ends. A main shaft that swung by 50 rpm in a downshift had
+    each firing forbidden, and the shift ended in neutral."""
+    box = aimed(*UP[:2])
+    box.ask(UP[2])
+    for raises in range(box.settings.limits.raises + 1):
+        box.until(State.SYNCHRONISING if raises == 0 else State.COASTING)
+        for _ in range(box.settings.limits.blocks):
+            assert box.sequence.running.raises == raises
+            box.sequence.blocked(3, box.snapshot())
+    assert box.sequence.fault is FaultCode.SYNCHRONISE_FAILED
 
 
 def test_a_firing_that_the_guard_blocks_is_taken_back_and_tried_again() -> None:
