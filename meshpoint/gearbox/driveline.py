@@ -35,7 +35,10 @@ class Driveline:
 
     def __post_init__(self) -> None:
         if self.vehicle_least_kg > self.vehicle_most_kg:
-            raise TableError("vehicle_least_kg must not be more than vehicle_most_kg")
+            raise TableError(
+                f"vehicle_least_kg = {self.vehicle_least_kg:g}, allowed is no more than "
+                f"vehicle_most_kg = {self.vehicle_most_kg:g}"
+            )
 
     @property
     def vehicle_kgm2(self) -> tuple[float, float]:

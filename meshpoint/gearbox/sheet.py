@@ -14,6 +14,7 @@ The angle from dog tooth to dog tooth is the pitch; a gear tooth stands in a gap
 from __future__ import annotations
 
 import hashlib
+import itertools
 import json
 import math
 from dataclasses import dataclass
@@ -48,6 +49,17 @@ SENSOR_SD_PA: Final = 0.01 * BAR
 LEAST_RUN: Final = 6
 """Teeth in a row that a sensor wheel needs somewhere, to see its speed."""
 _MAIN_FIELD: Final = {gear: gear.name.lower() for gear in MAIN_GEARS}
+
+
+def _check_rising(group: str, meshes: dict[str, Mesh]) -> None:
+    """TableError unless each step turns its driven shaft faster than the one before it."""
+    for (slow, slower), (fast, faster) in itertools.pairwise(meshes.items()):
+        if slower.exact >= faster.exact:
+            raise TableError(
+                f"{group}: teeth_driving / teeth_driven = {slower.driving}/{slower.driven} = "
+                f"{slower.ratio:.3f} in {slow}, allowed is less than in {fast}, {faster.driving}/"
+                f"{faster.driven} = {faster.ratio:.3f}"
+            )
 
 
 class SheetError(TableError):
@@ -149,7 +161,10 @@ class Wheel:
             raise TableError(f"missing = {list(self.missing)}, allowed are 0 to {self.teeth - 1}")
         left = "".join("-" if k in self.missing else "#" for k in range(self.teeth))
         if "#" * LEAST_RUN not in left + left:
-            raise TableError(f"missing must leave {LEAST_RUN} teeth in a row")
+            raise TableError(
+                f"missing = {list(self.missing)} of {self.teeth}, allowed is what leaves "
+                f"{LEAST_RUN} teeth in a row"
+            )
         if left in (left + left)[1:-1]:
             raise TableError("missing must tell each tooth from all others, its pattern repeats")
 
@@ -249,9 +264,16 @@ class SleeveActuator:
 
     def __post_init__(self) -> None:
         if self.to_contact_m >= self.stroke_m:
-            raise TableError("to_contact_mm must be less than stroke_mm")
+            contact_mm, stroke_mm = self.to_contact_m / MM, self.stroke_m / MM
+            raise TableError(
+                f"to_contact_mm = {contact_mm:g}, allowed is less than stroke_mm = {stroke_mm:g}"
+            )
         if self.valve_delay_s + self.delay_limit_s >= self.delay_s:
-            raise TableError("delay_ms must be more than valve_delay_ms + delay_limit_ms")
+            least_ms = (self.valve_delay_s + self.delay_limit_s) / MS
+            raise TableError(
+                f"delay_ms = {self.delay_s / MS:g}, allowed is more than valve_delay_ms + "
+                f"delay_limit_ms = {least_ms:g}"
+            )
 
 
 @dataclass(frozen=True)
@@ -303,13 +325,9 @@ class GearboxSheet:
     engine: Engine = group(Engine, default=Engine())
 
     def __post_init__(self) -> None:
-        ratios = [self.main_mesh(gear).ratio for gear in MAIN_GEARS]
-        if sorted(ratios) != ratios or len(set(ratios)) != len(ratios):
-            raise TableError("main: i_gear must rise from crawl over first and second to third")
-        if self.splitter.low.ratio >= self.splitter.high.ratio:
-            raise TableError("splitter: i_split must be smaller in low than in high")
-        if self.range_.low.ratio >= self.range_.high.ratio:
-            raise TableError("range: i_range must be smaller in low than in high")
+        _check_rising("main", {_MAIN_FIELD[gear]: self.main_mesh(gear) for gear in MAIN_GEARS})
+        _check_rising("splitter", {"low": self.splitter.low, "high": self.splitter.high})
+        _check_rising("range", {"low": self.range_.low, "high": self.range_.high})
 
     def main_mesh(self, gear: MainGear) -> Mesh:
         """The wheel pair of a main-box gear. KeyError for neutral."""

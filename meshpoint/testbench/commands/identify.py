@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +12,9 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
-from meshpoint.bus.logs.files import log_files
+from meshpoint.bus.logs.files import log_files, read_logs
+from meshpoint.bus.logs.limits import LogError
+from meshpoint.controller.header import header_name
 from meshpoint.controller.identification.held_out import HeldOut
 from meshpoint.controller.identification.identified import Figure, Identified
 from meshpoint.controller.identification.identify import identify
@@ -25,6 +28,7 @@ from meshpoint.testbench.commands.log_progress import complain_of_interrupt, log
 from meshpoint.testbench.commands.replay_page import log_name
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.logs.log_header import named_header
 from meshpoint.testbench.logs.logged_frames import LoggedFrames
 from meshpoint.testbench.logs.sensor_replay import LogTime
 from meshpoint.testbench.results.output import check_writable, complain, console, write_json
@@ -46,9 +50,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument("log", type=Path, nargs="+", metavar="LOG", help=arguments.LOGS_HELP)
     parser.add_argument(
         "--gearbox",
-        default=SHEET_NAMES[0],
         metavar="NAME|FILE",
-        help="the data sheet: tooth counts, and where the search begins (default: %(default)s)",
+        help="the data sheet: tooth counts, and where the search begins (default: that of the run "
+        f"header beside the log, else {SHEET_NAMES[0]})",
     )
     parser.add_argument(
         "--bus", metavar="NAME", help="of a log of several buses: can0, or its number"
@@ -66,11 +70,13 @@ def add_parser(commands: Any) -> None:
 
 def run(namespace: argparse.Namespace) -> int:
     """Reads, fits, shows. A log that is torn gives what is before that, and bad input."""
-    sheet = load_sheet(namespace.gearbox)
     check_writable(namespace.json)
     if namespace.output is not None:
         check_writable(str(namespace.output))
     files = log_files(namespace.log)
+    sheet, gearbox, said = _sheet(namespace, files)
+    if said is not None:
+        complain(said)
     with interruptible() as stop:
         reader, log = _read(files, namespace.bus, sheet, stop)
     if log.interrupted:
@@ -79,7 +85,7 @@ def run(namespace: argparse.Namespace) -> int:
     with out.status("identifying") as status:
         found = identify(reader.finish(), sheet, lambda step: status.update(f"fitting: {step}"))
     if namespace.output is not None:
-        based_on = _base(namespace.gearbox, namespace.output)
+        based_on = _base(gearbox, namespace.output)
         text = overlay(found, sheet, based_on, log_name(files))
         try:
             namespace.output.write_text(text, encoding="utf-8")
@@ -87,13 +93,35 @@ def run(namespace: argparse.Namespace) -> int:
             cause = error.strerror or error
             raise CommandError(f"{namespace.output}: cannot be written: {cause}") from error
     if namespace.json is not None:
-        write_json(namespace.json, _values(found, files, namespace.gearbox, log))
+        write_json(namespace.json, _values(found, files, gearbox, log))
     if namespace.json != "-":
         _show(out, found, log)
     if log.defect is not None:
         complain(f"the log cannot be read on: {log.defect}")
         return Exit.BAD_INPUT
     return Exit.INTERRUPTED if log.interrupted else Exit.DONE
+
+
+def _sheet(
+    namespace: argparse.Namespace, files: list[Path]
+) -> tuple[GearboxSheet, str, str | None]:
+    """The data sheet to begin with, its name, and what is to be said about where it is from."""
+    if namespace.gearbox is not None:
+        return load_sheet(namespace.gearbox), namespace.gearbox, None
+    with contextlib.suppress(LogError):  # what is wrong with the log is said when it is read
+        header = named_header(read_logs(files, namespace.bus), files[0].parent)
+        if header is not None:
+            sheet = header.sheet
+            known = next((name for name in SHEET_NAMES if load_sheet(name) == sheet), None)
+            if known is None and namespace.output is not None:
+                raise CommandError(
+                    f"{namespace.output}: to be based on a file, it needs --gearbox: the log's "
+                    f"data sheet ({sheet.name}, by its run header) is no sheet of the product"
+                )
+            name = known or f"{sheet.name} ({header_name(header.run_hash)})"
+            return sheet, name, f"data sheet: {name}, by the log's run header"
+    name = SHEET_NAMES[0]
+    return load_sheet(name), name, f"data sheet: {name}; no run header says another (--gearbox)"
 
 
 def _read(

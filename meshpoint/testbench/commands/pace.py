@@ -13,6 +13,7 @@ from meshpoint.bus.signals import stop_on_signals
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.results.output import complain
 
 
 def add_parser(commands: Any) -> None:
@@ -35,6 +36,7 @@ def run(namespace: argparse.Namespace) -> int:
         PaceFile.create(path)
     except OSError as error:
         raise CommandError(f"{path}: {error.strerror}") from error
+    complain(f"keeps bus time in {path}, until Ctrl-C or SIGTERM")
     ending = threading.Event()
 
     async def until_signal() -> str:

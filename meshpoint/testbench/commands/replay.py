@@ -37,6 +37,7 @@ from meshpoint.testbench.logs.replay_strategy import Chosen, other_header, recor
 from meshpoint.testbench.logs.session import Session, Verification
 from meshpoint.testbench.report.write import check_report
 from meshpoint.testbench.results.output import (
+    complain,
     complain_of_strategy,
     console,
     rows_table,
@@ -241,8 +242,15 @@ def _replay(namespace: argparse.Namespace, stop: Callable[[], bool]) -> tuple[in
         complain_of_interrupt(log.frames)
         return Exit.INTERRUPTED, values
     if log.defect is not None and not verify:
-        return Exit.BAD_INPUT, values
+        return _torn(namespace, log.defect), values
     return _exit_code(sessions, verify) or (Exit.FAILED if errors else Exit.DONE), values
+
+
+def _torn(namespace: argparse.Namespace, defect: LogError) -> int:
+    """Says on standard error where the log ends; with `--json -` all else that is said is there."""
+    if namespace.json != "-":
+        complain(f"the log cannot be read on: {defect}")
+    return Exit.BAD_INPUT
 
 
 def _by_sensors(

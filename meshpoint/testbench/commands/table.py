@@ -24,7 +24,7 @@ exit codes:
   0    done
   1    ran, but failed: a shift that did not end, a replay that differs
   2    bad input: what was found and what is allowed is on standard error
-  3    not verifiable (replay --verify), with the reason
+  3    not verifiable (replay), with the reason
   4    not decided (campaign --against): more runs are needed
   130  interrupted"""
 MODULES: Final = {
