@@ -32,8 +32,8 @@ def test_a_shaft_of_which_any_figure_is_no_number_is_not_known(place: int) -> No
 
 
 def test_a_step_s_messages_reach_wheels_view_and_trackers() -> None:
-    """Where the clock jumped in it, its edges and pressures are of two clocks and of no use. A main shaft that
-    its synchroniser drags loses its speed."""
+    """Where the clock jumped in it, its edges and pressures are of two clocks and of no use. A
+    main shaft that its synchroniser drags loses its speed."""
     for jumped in (False, True):
         observer = an_observer()
         observer.layshaft, observer._main = Noted(free=False), Noted()
