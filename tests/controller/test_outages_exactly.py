@@ -156,11 +156,42 @@ def test_a_disk_that_is_full_ends_the_record(tmp_path: Path) -> None:
     assert run.kept._file is None
 
 
-def test_two_seconds_before_an_outage_one_after_it_and_two_hours_of_it_are_kept() -> None:
-    """A step is 10 ms."""
-    assert outage_record.BEFORE_STEPS == 200
-    assert outage_record.AFTER_STEPS == 100
-    assert outage_record.MOST_STEPS == 2 * 3600 * 100
+def test_two_seconds_before_an_outage_and_two_hours_of_it_are_kept(tmp_path: Path) -> None:
+    """A step is 10 ms. What is longer is not kept to its end, nor is another one behind it."""
+    run = Run(tmp_path)
+    run.steps(1)
+    assert run.kept._newest.maxlen == 2 * 100
+    run.steps(1, lost=1)
+    assert run.kept._newest.maxlen == 2 * 100
+    run.kept._written = 2 * 3600 * 100 - 2
+    run.steps(1, lost=1)
+    assert run.kept._file is not None
+    run.steps(1, lost=1)
+    assert run.kept._file is None
+    run.steps(2, lost=1)
+    assert run.numbers == [0, 1, 2, 3]
+
+
+def test_a_second_record_may_be_as_long_as_the_first(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, value in (("BEFORE_STEPS", 10), ("AFTER_STEPS", 50), ("MOST_STEPS", 80)):
+        monkeypatch.setattr(outage_record, name, value)
+    run = Run(tmp_path)
+    for _ in range(2):
+        run.steps(60)
+        run.steps(1, lost=1)
+        run.steps(60)
+    lengths = [len(path.read_text("utf-8").splitlines()) for path in tmp_path.iterdir()]
+    assert len(lengths) == 2
+    assert min(lengths) >= 50
+
+
+def test_a_run_that_ends_before_its_first_step_has_no_record(tmp_path: Path) -> None:
+    run = Run(tmp_path)
+    run.lost = 1
+    assert run.kept.shutdown(5).events == ["end 5"]
+    assert not list(tmp_path.iterdir())
 
 
 def written(folder: Path, *lines: Any, end: str = "\n") -> None:
