@@ -1,0 +1,191 @@
+"""A calibration's file: when it is written, what is said of it, and what is put aside."""
+
+from __future__ import annotations
+
+import os
+import threading
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from test_calibration import SHEET, TEXT, example
+
+from meshpoint.bus.core import Step
+from meshpoint.controller import calibration_keeper
+from meshpoint.controller.calibration import file as module
+from meshpoint.controller.calibration.file import load, save
+from meshpoint.controller.calibration.learned import Calibration
+from meshpoint.controller.calibration_keeper import CalibrationKeeper, CalibrationWriter
+
+
+class Learner:
+    """A core whose knowledge is set from outside."""
+
+    next_step_us = 5
+
+    def __init__(self) -> None:
+        self.knows, self.got = (0, 0), list[Any]()
+
+    def receive(self, frame: Any) -> None:
+        self.got.append(frame)
+
+    def step(self, now_us: int) -> Step:
+        return Step([], [f"step {now_us}"])
+
+    def shutdown(self, now_us: int) -> Step:
+        return Step(["frame"], [f"end {now_us}"])  # type: ignore[list-item]
+
+    def calibration(self, written: str) -> Any:
+        return self.knows, written
+
+
+def kept_by(answers: list[str | None]) -> tuple[Learner, CalibrationKeeper, list[Any]]:
+    core, kept = Learner(), list[Any]()
+
+    def keep(calibration: Any) -> str | None:
+        kept.append(calibration)
+        return answers.pop(0) if answers else None
+
+    any_core: Any = core
+    return core, CalibrationKeeper(any_core, keep, lambda now_us: f"at {now_us}"), kept
+
+
+def test_a_calibration_is_kept_after_each_step_that_knows_more() -> None:
+    core, keeper, kept = kept_by([None, "disk full"])
+    assert keeper.step(1).events == ["step 1"]
+    core.knows = (1, 0)
+    assert keeper.step(2).events == ["step 2"]
+    assert keeper.step(3).events == ["step 3"]
+    core.knows = (1, 4)
+    assert keeper.step(4).events == ["step 4", "disk full"]
+    assert kept == [((1, 0), "at 2"), ((1, 4), "at 4")]
+
+
+def test_at_the_end_a_calibration_is_kept_whatever_is_known() -> None:
+    _, keeper, kept = kept_by(["disk full"])
+    last = keeper.shutdown(9)
+    assert (last.frames, last.events) == (["frame"], ["end 9", "disk full"])
+    assert kept == [((0, 0), "at 9")]
+    assert keeper.next_step_us == 5
+
+
+def refused() -> Calibration:
+    """One of another sheet, which the next start would refuse."""
+    return replace(example(), provenance=replace(example().provenance, sheet_sha256="0" * 64))
+
+
+def test_what_went_wrong_in_the_thread_is_said_at_the_next_writing_once(tmp_path: Path) -> None:
+    writer: Any = CalibrationWriter(tmp_path / "a.toml", SHEET, threaded=True)
+    assert writer._pool._max_workers == 1
+    assert writer(refused()) is None
+    writer._last.result()
+    line = writer(refused())
+    assert line.startswith("calibration not written: ")
+    writer._last.result()
+    assert writer(example()) is None
+    assert writer.close() is None
+    assert (tmp_path / "a.toml").read_text("utf-8") == TEXT
+    with pytest.raises(RuntimeError):
+        writer(example())
+
+
+def test_what_went_wrong_is_said_again_after_it_went_well(tmp_path: Path) -> None:
+    writer = CalibrationWriter(tmp_path / "a.toml", SHEET, threaded=False)
+    lines = [writer(each) for each in (refused(), refused(), example(), refused())]
+    assert [line is not None for line in lines] == [True, False, False, True]
+    assert writer.close() is None
+    assert CalibrationWriter(tmp_path / "b.toml", SHEET, threaded=True).close() is None
+
+
+def test_an_end_waits_five_seconds_for_the_last_writing_and_no_longer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert calibration_keeper.LAST_S == 5.0
+    monkeypatch.setattr(calibration_keeper, "LAST_S", 0.01)
+    writer: Any = CalibrationWriter(tmp_path / "a.toml", SHEET, threaded=True)
+    written = threading.Event()
+    writer._write = lambda _calibration: written.wait(10.0) and None
+    late = threading.Timer(2.0, written.set)
+    late.start()
+    writer(example())
+    line = writer.close()
+    assert not written.is_set()
+    written.set()
+    late.cancel()
+    assert line == f"calibration {tmp_path / 'a.toml'}: still not written after 0 s"
+
+
+@pytest.mark.parametrize(("shifts", "noun"), [(0, "shifts"), (1, "shift"), (2, "shifts")])
+def test_a_start_says_over_how_many_shifts_was_learned(
+    tmp_path: Path, shifts: int, noun: str
+) -> None:
+    path = tmp_path / "a.toml"
+    save(path, replace(example(), provenance=replace(example().provenance, shifts=shifts)))
+    found = load(path, SHEET)
+    assert found.line == f"calibration {path}: learned over {shifts} {noun}"
+    assert found.writable
+    assert found.calibration is not None
+    assert found.calibration.provenance.shifts == shifts
+
+
+def bad_beside(folder: Path, refused_files: int) -> Path:
+    path = folder / "a.toml"
+    path.write_text("nonsense", encoding="utf-8")
+    for number in range(1, refused_files + 1):
+        name = "a.toml.refused" + (f"-{number}" if number > 1 else "")
+        (folder / name).write_text(f"{number}", encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize(("before", "name"), [(0, ""), (1, "-2"), (2, "-3"), (99, "-100")])
+def test_a_refused_file_is_put_beside_the_others_by_the_next_number(
+    tmp_path: Path, before: int, name: str
+) -> None:
+    path = bad_beside(tmp_path, before)
+    found = load(path, SHEET)
+    kept = tmp_path / f"a.toml.refused{name}"
+    assert found.line.endswith(f"; kept as {kept}; cold start")
+    assert (found.calibration, found.writable) == (None, True)
+    assert kept.read_text("utf-8") == "nonsense"
+    assert not path.exists()
+
+
+def test_beside_a_hundred_refused_files_there_is_no_place_for_another(tmp_path: Path) -> None:
+    path = bad_beside(tmp_path, 100)
+    found = load(path, SHEET)
+    assert (found.calibration, found.writable) == (None, False)
+    assert "(100 refused files are beside it already)" in found.line
+    assert path.read_text("utf-8") == "nonsense"
+
+
+def test_why_a_file_cannot_be_put_aside_is_said_in_the_system_s_words(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def denied(*_: Any) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "rename", denied)
+    found = load(bad_beside(tmp_path, 0), SHEET)
+    assert not found.writable
+    assert "cannot be put aside (Permission denied), so nothing will be written" in found.line
+
+
+def test_a_file_is_on_the_disk_before_it_takes_its_place_and_then_its_place_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A loss of power at any time leaves the old one or the new one."""
+    path, seen, own = tmp_path / "a.toml", list[Any](), os.fsync
+    path.write_text("old", encoding="utf-8")
+
+    def noted(handle: int) -> None:
+        new = tmp_path / ".a.toml.new"
+        whole = new.read_text("utf-8") if new.exists() else None
+        seen.append((whole == TEXT, path.read_text("utf-8") == "old"))
+        own(handle)
+
+    monkeypatch.setattr(module, "os", SimpleNamespace(**(vars(os) | {"fsync": noted})))
+    save(path, example())
+    assert seen == [(True, True), (False, False)]
+    assert path.read_text("utf-8") == TEXT
