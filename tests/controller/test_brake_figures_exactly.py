@@ -173,7 +173,9 @@ def test_where_the_equations_leave_more_open_than_the_runs_differ_that_is_the_in
 @pytest.mark.parametrize(("share", "is_told"), [(0.62, True), (0.79, False)])
 def test_what_is_known_hardly_better_than_before_is_not_told(share: float, is_told: bool) -> None:
     """70 % of what the sheet leaves open is the limit."""
-    figure = told(share / JACK).figure("brake valve on delay")
+    found = told(share / JACK)
+    assert [each.name for each in found.figures] == list(module.BRAKE_FIGURES)
+    figure = found.figure("brake valve on delay")
     assert (figure.value is not None) is is_told
     if not is_told:
         assert figure.why == "the runs tell no more of it than the data sheet"

@@ -169,6 +169,12 @@ def test_a_look_is_forgotten_when_it_is_exactly_80_ms_old() -> None:
     assert observer._slowest_rad_s2(main) == 0.0
 
 
+def test_looks_at_one_and_the_same_time_tell_no_acceleration() -> None:
+    observer, main = an_observer(), ShaftState(5e6, 0.0, 58.0, 0.0, 0.0, -1.5)
+    observer._main_speeds.extend([(5e6, 60.0), (5e6, 59.0), (5e6, 58.0)])
+    assert observer._slowest_rad_s2(main) == -1.5
+
+
 def test_a_clock_that_jumped_as_often_as_a_wheel_broke_has_jumped_all_the_same() -> None:
     observer = an_observer()
     observer.clock = SimpleNamespace(late=0, jumps=1)
