@@ -56,6 +56,8 @@ class OutageRecord(AroundCore[Core]):
         self._number = 0
         self._file: IO[str] | None = None
         self._left = self._written = 0
+        self._sent = 0
+        """Steps in a row that could be sent."""
 
     def receive(self, frame: Frame) -> None:
         """As the core does; kept."""
@@ -83,6 +85,9 @@ class OutageRecord(AroundCore[Core]):
         discarded = self._discarded()
         is_lost = discarded > self._discarded_before
         self._discarded_before = discarded
+        self._sent = 0 if is_lost else self._sent + 1
+        if self._sent > AFTER_STEPS:
+            self._written = 0  # that outage is over
         if not is_lost or self._written >= MOST_STEPS:
             return []
         self._left = AFTER_STEPS
@@ -97,13 +102,20 @@ class OutageRecord(AroundCore[Core]):
         except OSError as error:
             return [f"outage not recorded: {path}: {error.strerror or error}"]
         self._written = 0
-        kept, self._newest = list(self._newest), deque(maxlen=BEFORE_STEPS)
-        for each in kept:
-            self._take(each)
+        for each in self._newest:
+            self._write(each)
         return [f"outage: what its steps were made of is kept in {path.name}"]
 
     def _take(self, step: StepInput) -> None:
         self._newest.append(step)
+        if self._file is None:
+            return
+        self._write(step)
+        self._left -= 1
+        if self._left <= 0 or self._written >= MOST_STEPS:
+            self._close()
+
+    def _write(self, step: StepInput) -> None:
         if self._file is None:
             return
         frames = [[f.can_id, f.data.hex(), f.is_fd, f.is_extended] for f in step.frames]
@@ -112,9 +124,6 @@ class OutageRecord(AroundCore[Core]):
         except OSError:  # a full disk: a record that ends early says so by itself
             self._left = 0
         self._written += 1
-        self._left -= 1
-        if self._left <= 0 or self._written >= MOST_STEPS:
-            self._close()
 
     def _close(self) -> None:
         file, self._file = self._file, None

@@ -38,7 +38,6 @@ class _Slot:
         self.on = False
         self.switches: list[Switch] = []
         self._pending: Switch | None = None
-        self._refused: int | None = None
 
     def take(self, action: ValveAction, stamp: int, now_us: int) -> None:
         self.run(now_us)

@@ -71,6 +71,33 @@ def test_while_frames_go_on_being_lost_the_record_goes_on(tmp_path: Path) -> Non
     assert run.numbers == list(range(154 + 100))
 
 
+def test_an_outage_late_in_a_run_is_kept_with_two_seconds_before_and_one_after(
+    tmp_path: Path,
+) -> None:
+    run = Run(tmp_path)
+    run.steps(250)
+    run.steps(30, lost=3)
+    run.steps(300)
+    assert run.numbers == list(range(50, 279 + 100))
+    assert len(run.lines) == 1
+
+
+def test_after_an_outage_too_long_to_be_kept_the_next_one_is_kept_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outage_record, "MOST_STEPS", 250)
+    run = Run(tmp_path)
+    run.steps(200)
+    run.steps(500, lost=1)
+    assert len(run.lines) == 1
+    assert run.numbers == list(range(250))
+    run.steps(101)
+    run.steps(1, lost=1)
+    run.steps(200)
+    assert len(run.lines) == 2
+    assert run.numbers[250:] == list(range(801 - 200, 801 + 50))
+
+
 def test_a_record_is_named_by_its_first_step_and_said_once(tmp_path: Path) -> None:
     run = Run(tmp_path)
     run.steps(30)
