@@ -145,7 +145,7 @@ def line(old: str, new: str) -> Callable[[str], str]:
          ("to_contact_mm = 8", "stroke_mm = 8")),
         (line("valve_delay_ms = 12.0\nto", "valve_delay_ms = 40.0\nto"),
          ("delay_ms = 45", "valve_delay_ms + delay_limit_ms = 4")),
-        (line("teeth_driving = 14", "teeth_driving = 24"), ("main", "24/", "in crawl", "first, 23/")),
+        (line("teeth_driving = 14", "teeth_driving = 24"), ("main", "24/", "crawl", "first, 23/")),
         (line("teeth_driving = 34", "teeth_driving = 25"), ("splitter", "in low", "in high, 25/")),
         (line("teeth_driven = 94", "teeth_driven = 20"), ("range", "/20", "in low", "in high")),
         (line('name = "thesis"', "name = 3"), ("name", "3")),
