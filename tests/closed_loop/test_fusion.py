@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import statistics
 from dataclasses import replace
 
 import pytest
@@ -29,10 +30,11 @@ def spread_rad(squares: ShiftErrors) -> float:
 
 @pytest.mark.long
 def test_both_shafts_are_better_known_with_a_further_sensor() -> None:
-    """Backlash and tooth errors as built: 0.90 and 0.81 of the angle's error in the mean of four
-    such gearboxes, 0.70 to 0.95 in one (of eight, one is worse with the input shaft: 1.4)."""
+    """Backlash and tooth errors as built. Of twelve such gearboxes (seeds 101 to 112) eleven have
+    0.67 to 0.88 of the layshaft's error with the input shaft, one 2.4; all twelve have 0.61 to 0.99
+    of the main shaft's with the propeller shaft."""
     logs: dict[tuple[str, str], list[float]] = {}
-    for seed in range(101, 105):
+    for seed in range(101, 109):
         found = FusionRun(
             load_sheet("thesis"),
             seed=seed,
@@ -47,7 +49,8 @@ def test_both_shafts_are_better_known_with_a_further_sensor() -> None:
             assert abs(fused.samples - alone.samples) < 10
             logs.setdefault(pair, []).append(math.log(spread_rad(fused) / spread_rad(alone)))
     for ratios in logs.values():
-        assert sum(ratios) / len(ratios) < math.log(0.95)
+        assert statistics.median(ratios) < math.log(0.9)
+        assert sum(ratio < 0.0 for ratio in ratios) >= len(ratios) - 1
 
 
 @pytest.mark.long
