@@ -22,16 +22,14 @@ GOES_ON_US: Final = 100_000
 BACK_US: Final = 20_000
 """A stamp so far behind the newest is that of another clock too. A frame that only waited for the
 bus does no harm: the next one that did not wait gives the least again."""
+CAUGHT_UP_US: Final = 20_000
+"""A second this much less late than the one before was one of catching up with what had waited:
+the second before says nothing that it does not say better, and is not kept."""
 
 
 def signed_us(difference: int) -> int:
     """A difference of 32-bit times as the shorter way round."""
     return (difference + MODULUS // 2) % MODULUS - MODULUS // 2
-
-
-CAUGHT_UP_US: Final = 20_000
-"""A second this much less late than the one before was one of catching up with what had waited:
-the second before says nothing that it does not say better, and is not kept."""
 
 
 class GuardClock:
