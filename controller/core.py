@@ -315,13 +315,20 @@ class ControllerCore:
             or sensor_us - view.oldest_us > FRESH_US
         ):
             return FaultCode.POSITION_STALE
-        speeds = (self._speeds.layshaft, self._speeds.main)
-        tracker = self._observer.layshaft
-        if tracker.free and not tracker.latest().is_finite:
-            return FaultCode.SPEED_STALE
-        if None in speeds or not receiver.all_valid(SPEEDS):
+        if not receiver.all_valid(SPEEDS) or not self._turns_as_wanted():
             return FaultCode.SPEED_STALE
         return FaultCode.NONE if receiver.valid(ValveStatus) else FaultCode.VALVE_LINK_LOST
+
+    def _turns_as_wanted(self) -> bool:
+        """Whether the speeds are known that a shift needs. In neutral, a splitter that stands
+        between its steps leaves the layshaft to itself, and it stops: to bring the step in, no
+        speed of it is needed; the propeller's tells how fast the new gear would be."""
+        speeds, view, tracker = self._speeds, self._observer.view, self._observer.layshaft
+        if view.main_gear is MainGear.NEUTRAL and None in (view.split, view.range_):
+            return speeds.propeller is not None
+        if tracker.free and not tracker.latest().is_finite:
+            return False
+        return speeds.layshaft is not None and speeds.main is not None
 
     def _decide(self, requested: int | None, snapshot: StepSnapshot, events: list[str]) -> None:
         sequence = self._sequence

@@ -97,11 +97,13 @@ def _steps(context: ShiftContext, snapshot: StepSnapshot) -> list[GroupChange]:
     from_ = _stood(view, context)
     steps = []
     if from_[0] is not target.split:
+        rests = from_[0] is None and _layshaft_rests(snapshot)
+        split = Split.HIGH if rests else target.split
         steps.append(
             GroupChange(
-                SPLIT_VALVE[target.split],
-                view.split is target.split,
-                speeds.split_turns_together(target.split),
+                SPLIT_VALVE[split],
+                view.split is split,
+                speeds.split_turns_together(split),
                 FaultCode.SPLITTER_FAILED,
             )
         )
@@ -115,6 +117,12 @@ def _steps(context: ShiftContext, snapshot: StepSnapshot) -> list[GroupChange]:
             )
         )
     return steps
+
+
+def _layshaft_rests(snapshot: StepSnapshot) -> bool:
+    """Whether the layshaft was left to itself by a splitter between its steps, until its speed was
+    unknown. The guard (row 9) forbids the low step then; by the high one it turns again."""
+    return snapshot.view.split is None and snapshot.speeds.layshaft is None
 
 
 def _stood(view: GearboxView, context: ShiftContext) -> tuple[Split | None, Range | None]:

@@ -177,8 +177,8 @@ class ShiftSequence(ShiftContext):
             return FaultCode.GUARD_BLOCKED, "the outputs are not armed (--arm)"
         if snapshot.lost is not FaultCode.NONE:
             return snapshot.lost, f"{snapshot.lost.name.lower()} before it began"
-        if not _knows_the_gear(snapshot.view):
-            return FaultCode.REQUEST_IMPOSSIBLE, "a sleeve stands between two gears"
+        if snapshot.view.main_gear is None:
+            return FaultCode.REQUEST_IMPOSSIBLE, "a main sleeve stands between two gears"
         if snapshot.supply_pa < self.settings.limits.supply_low_pa:
             return FaultCode.LOW_SUPPLY, f"supply at {snapshot.supply_pa / 1e5:.1f} bar"
         propeller = self._propeller(snapshot)
@@ -206,7 +206,3 @@ def _may_be_raised(number: int, view: GearboxView) -> bool:
 
 def _shows_a_gear(view: GearboxView) -> bool:
     return view.main_gear is not None and view.main_gear is not MainGear.NEUTRAL
-
-
-def _knows_the_gear(view: GearboxView) -> bool:
-    return view.main_gear is not None and view.split is not None and view.range_ is not None

@@ -137,7 +137,7 @@ class BenchScript:
             (self.range_, self._gear.range_ is Range.HIGH),
         ):
             side = 1 if is_high else -1
-            if sleeve.side != side:
+            if sleeve.side != side or sleeve.loose:
                 sleeve.change_over(time_us, side, self._delays.draw_s())
 
     def _engage(self) -> None:
@@ -163,13 +163,13 @@ class BenchScript:
                 sleeve.arrive()
         shafts = self._plant.shafts
         split, range_ = shafts.split, shafts.range_
-        if self.splitter.arrival_us == NEVER_US:
+        if not self.splitter.under_way:
             split = Split.HIGH if self.splitter.side > 0 else Split.LOW
-        if self.range_.arrival_us == NEVER_US:
+        if not self.range_.under_way:
             range_ = Range.HIGH if self.range_.side > 0 else Range.LOW
         moving = frozenset(
             name
             for name, sleeve in ((Sleeve.SPLITTER, self.splitter), (Sleeve.RANGE, self.range_))
-            if sleeve.arrival_us != NEVER_US
+            if sleeve.under_way
         )
         self._plant.set_steps(split, range_, moving)

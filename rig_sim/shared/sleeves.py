@@ -245,8 +245,9 @@ class SleeveAxis:
 
 
 class ShiftingSleeve:
-    """Splitter or range sleeve: it always stands at one of its two sides and changes over in the
-    same delay; the ratio changes as it arrives. Between the sides it moves under constant force."""
+    """Splitter or range sleeve: it changes over from one of its two sides to the other in the same
+    delay; the ratio changes as it arrives. Between the sides it moves under constant force, as long
+    as its cylinder has air."""
 
     def __init__(self, actuator: SleeveActuator, side: int) -> None:
         self._actuator = actuator
@@ -255,26 +256,48 @@ class ShiftingSleeve:
         self.arrival_us = NEVER_US
         self.baulked = False
         """Held at the cones until both sides have one speed."""
+        self.loose = False
+        """Without air on its way: it stands where it was, and nothing presses on its cones."""
         self._stroke = resting(0.0, side * actuator.stroke_m)
 
     def change_over(self, time_us: float, side: int, delay_s: float, baulked: bool = False) -> None:
         """Move to this side; arrives exactly delay_s later: there, or `baulked` at the cones on the
         way, where it stays until `go_in`."""
-        self.side, self.baulked = side, baulked
+        self.side, self.baulked, self.loose = side, baulked, False
         self.arrival_us = time_us + delay_s * SECOND_US
         start_us = time_us + self._actuator.valve_delay_s * SECOND_US
         way_m = self._actuator.to_contact_m if baulked else self._actuator.stroke_m
         from_m = self._stroke.at(time_us)
         self._stroke = Stroke(time_us, start_us, self.arrival_us, from_m, side * way_m, 2)
 
+    def let_go(self, time_us: float) -> None:
+        """The air is out before the cones hold. A sleeve that has not left the teeth of its old
+        side yet is drawn back by its detent and has to meet them anew; any other stays."""
+        position_m = self._stroke.at(time_us)
+        if position_m * self.side < -self._actuator.to_contact_m:
+            self.side = -self.side
+            back_m = self.side * self._actuator.stroke_m - position_m
+            self.arrival_us = time_us + abs(back_m) / self._actuator.speed_m_s * SECOND_US
+            end_m = self.side * self._actuator.stroke_m
+            self._stroke = Stroke(time_us, time_us, self.arrival_us, position_m, end_m, 1)
+            self.baulked = False
+            return
+        self.loose, self.arrival_us = True, NEVER_US
+        self._stroke = resting(time_us, position_m)
+
     def go_in(self, time_us: float) -> None:
         """The cones hold: nothing keeps a baulked sleeve from its teeth any more."""
-        if not self.baulked or self.arrival_us != NEVER_US:
+        if not self.baulked or self.loose or self.arrival_us != NEVER_US:
             return
         self.baulked = False
         from_m, to_m = self._stroke.at(time_us), self.side * self._actuator.stroke_m
         end_us = time_us + abs(to_m - from_m) / self._actuator.speed_m_s * SECOND_US
         self._stroke = Stroke(time_us, time_us, end_us, from_m, to_m, 1)
+
+    @property
+    def under_way(self) -> bool:
+        """Whether it is between its sides and nothing of it rubs."""
+        return self.loose or self.arrival_us != NEVER_US
 
     def arrive(self) -> None:
         """The other side has been reached."""

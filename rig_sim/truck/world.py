@@ -47,6 +47,7 @@ STEP_VALVES: Final[dict[Valve, tuple[Sleeve, int]]] = {
     Valve.RANGE_HIGH: (Sleeve.RANGE, 1),
 }
 LINK_OF: Final = {Sleeve.SPLITTER: at.SPLITTER, Sleeve.RANGE: at.RANGE}
+CONE_OF: Final = {Sleeve.SPLITTER: at.CONE_SPLITTER, Sleeve.RANGE: at.CONE_RANGE}
 
 
 CONDITIONS: Final = frozenset(
@@ -88,6 +89,7 @@ class TruckWorld:
         self.positions = PositionSensors(self.built)
         self.pressures = PressureSensors(self.built, self.sheet.air.atmosphere_pa)
         self.faults = FaultInjector(self)
+        self._steps_driven = dict.fromkeys(STEP_VALVES, False)
         self._queue: list[tuple[float, int, Callable[[], None]]] = []
         self._asked = 0
         self._read_us = 0
@@ -326,8 +328,13 @@ class TruckWorld:
             self.engagement.switch(valve, on, time_us)
         elif valve in GEAR_OF_VALVE:
             self.engagement.switch(valve, on, time_us)
-        elif on:
-            self._change_over(*STEP_VALVES[valve])
+        else:
+            self._steps_driven[valve] = on
+            if on:
+                self._change_over(*STEP_VALVES[valve])
+            else:
+                delay_us = self.sheet.sleeve.valve_delay_s * SECOND_US
+                self.later(delay_us, partial(self._step_air_out, valve))
 
     def _brake_air(self, on: bool) -> None:
         """The brake valve has moved: air comes in, or goes out."""
@@ -337,7 +344,7 @@ class TruckWorld:
     def _change_over(self, name: Sleeve, side: int) -> None:
         """Splitter or range by its valve: out of the old step, then the cones, then in."""
         sleeve = self.script.splitter if name is Sleeve.SPLITTER else self.script.range_
-        if sleeve.side == side or self.engagement.scripted:
+        if (sleeve.side == side and not sleeve.loose) or self.engagement.scripted:
             return
         if sleeve.jammed:
             text = f"activation of {name.name} lost: jammed"
@@ -347,3 +354,14 @@ class TruckWorld:
         sleeve.change_over(self.plant.time_us, side, self.delays.draw_s(), baulked=True)
         self.plant.take_air(self.delays.air_share())
         self.later(delay_us, partial(self.plant.chain.open, LINK_OF[name]))
+
+    def _step_air_out(self, valve: Valve) -> None:
+        """A valve of splitter or range is off and its cylinder empty, unless it was driven anew:
+        what still stands before its cones or rubs on them lets go."""
+        name, side = STEP_VALVES[valve]
+        sleeve = self.script.splitter if name is Sleeve.SPLITTER else self.script.range_
+        if self._steps_driven[valve] or sleeve.side != side or self.engagement.scripted:
+            return
+        if sleeve.baulked and not sleeve.loose:
+            sleeve.let_go(self.plant.time_us)
+            self.plant.cone_lets_go(CONE_OF[name])

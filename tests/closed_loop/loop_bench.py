@@ -140,6 +140,12 @@ class Loop:
         order = FaultOrder(int(kind), target, value, for_us)
         core._world.inject(order, self.time.now_us - self.phases_us[1])
 
+    def lose_valves(self) -> None:
+        """The valve side forgets all commands at once."""
+        core = self.rig.core
+        assert isinstance(core, RigCore)
+        core._world.all_valves_off(self.time.now_us - self.phases_us[1])
+
     @property
     def header(self) -> RunHeader:
         return new_header(product_version(), self.sheet, self.settings, armed=self.armed)

@@ -15,8 +15,11 @@ from meshpoint.dbc.messages import (
     ControllerStatus,
     FaultCode,
     ShiftResult,
+    SleevesAux,
     ValveStatus,
 )
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Preset
 
 State = ControllerState
 PROTECTED = {codec.spec.can_id for codec in CODECS.values() if codec.spec.data_id is not None}
@@ -145,6 +148,44 @@ def test_a_controller_cut_off_in_mid_shift_leaves_no_valve_driven(state: State) 
     loop.run(last_us + EXPIRY_US + 25_000)
     assert loop.valves_driven == ()
     assert loop.last(ValveStatus).expired_count == 1
+    assert loop.violations == 0
+
+
+@pytest.mark.parametrize(
+    "from_gear, to_gear, changing",
+    [
+        (8, 9, State.STEPS_CHANGING),
+        (9, 8, State.STEPS_CHANGING),
+        (10, 9, State.SPLITTER_CHANGING),
+    ],
+)
+def test_a_range_or_splitter_left_between_its_steps_is_brought_in_by_the_next_shift(
+    from_gear: int, to_gear: int, changing: State
+) -> None:
+    """The valve side loses a change that is under way, and hears nothing for 1.5 s: the shift is
+    given up, its sleeve stands at the cones. In neutral, the layshaft has come to rest behind an
+    open splitter: one request turns it again, the next has its gear."""
+    loop = Loop(
+        [(300_000, to_gear), (4_000_000, to_gear), (7_000_000, to_gear)],
+        preset=Preset.TRUCK,
+        sheet=load_sheet("truck12"),
+        start_gear=from_gear,
+        toward=to_gear,
+        as_built={"synchro.range_nm": 10.0, "synchro.splitter_nm": 40.0},
+    )
+    loop.run_to_state(changing, END_US)
+    assert loop.until(lambda: loop.valves_driven != (), END_US), loop.events
+    loop.run(loop.time.now_us + 30_000)
+    loop.lose_valves()
+    loop.controller.silent = True
+    loop.run(loop.time.now_us + 1_500_000)
+    loop.controller.silent = False
+    aux = loop.last(SleevesAux)
+    at_cones_m = loop.sheet.sleeve.to_contact_m + 0.5e-3
+    assert min(abs(aux.sleeve_splitter_m[0]), abs(aux.sleeve_range_m[0])) < at_cones_m
+    loop.run(9_500_000)
+    assert loop.outcomes[-1].result is ShiftResult.ENGAGED, loop.events
+    assert loop.status.current_gear == to_gear
     assert loop.violations == 0
 
 

@@ -25,7 +25,7 @@ from meshpoint.dbc.messages import (
     FaultCode,
     ValveCommand,
 )
-from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox import MainGear, load_sheet
 
 STATUS = CODECS[ControllerStatus.__name__]
 
@@ -63,7 +63,7 @@ def test_a_step_that_was_made_because_a_frame_came_is_not_late() -> None:
 def test_positions_are_used_up_to_an_age(age_us: int, fault: FaultCode) -> None:
     core: Any = a_core()
     everything = SimpleNamespace(all_valid=lambda _: True, valid=lambda _: True)
-    view = SimpleNamespace(complete=True, oldest_us=1_000_000)
+    view = SimpleNamespace(complete=True, oldest_us=1_000_000, main_gear=MainGear.FIRST)
     core._receiver = everything
     core._observer = SimpleNamespace(view=view, layshaft=SimpleNamespace(free=False))
     core._speeds = SimpleNamespace(layshaft=100.0, main=80.0)

@@ -30,7 +30,7 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.dbc.node import Node
-from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox import MainGear, Range, Split, load_sheet
 from meshpoint.units import RPM
 
 SHEET = load_sheet("truck12")
@@ -267,20 +267,43 @@ ALL = POSITIONS | SPEEDS | {ValveStatus}
         ({"valid": ALL - {ValveStatus}}, FaultCode.VALVE_LINK_LOST),
         ({"valid": ALL - {ValveStatus}, "main": None}, FaultCode.SPEED_STALE),
         ({"valid": SPEEDS, "main": None}, FaultCode.POSITION_STALE),
+        ({"propeller": None}, FaultCode.NONE),
+        ({"layshaft": None, "gear": MainGear.NEUTRAL}, FaultCode.SPEED_STALE),
+        ({"layshaft": None, "gear": MainGear.NEUTRAL, "split": None}, FaultCode.NONE),
+        ({"main": None, "gear": MainGear.NEUTRAL, "range": None}, FaultCode.NONE),
+        ({"layshaft": None, "gear": MainGear.FIRST, "split": None}, FaultCode.SPEED_STALE),
+        (
+            {"propeller": None, "gear": MainGear.NEUTRAL, "split": None},
+            FaultCode.SPEED_STALE,
+        ),
+        (
+            {"valid": ALL - {EdgesMainRise}, "gear": MainGear.NEUTRAL, "split": None},
+            FaultCode.SPEED_STALE,
+        ),
     ],
 )
 def test_of_what_is_missing_the_most_serious_is_said(
     changed: dict[str, Any], fault: FaultCode
 ) -> None:
     core, has = a_core(), {"valid": ALL, "complete": True, "oldest_us": 999_000, "layshaft": 90.0,
-                           "main": 80.0, "free": False, "is_finite": True} | changed  # fmt: skip
+                           "main": 80.0, "propeller": 70.0, "free": False, "is_finite": True,
+                           "gear": MainGear.FIRST, "split": Split.LOW,
+                           "range": Range.LOW} | changed  # fmt: skip
     valid: set[type] = has["valid"]
     core._receiver = SimpleNamespace(
         all_valid=lambda kinds: set(kinds) <= valid, valid=lambda kind: kind in valid
     )
-    view = SimpleNamespace(complete=has["complete"], oldest_us=has["oldest_us"])
+    view = SimpleNamespace(
+        complete=has["complete"],
+        oldest_us=has["oldest_us"],
+        main_gear=has["gear"],
+        split=has["split"],
+        range_=has["range"],
+    )
     state = SimpleNamespace(is_finite=has["is_finite"])
     tracker = SimpleNamespace(free=has["free"], latest=lambda: state)
     core._observer = SimpleNamespace(view=view, layshaft=tracker)
-    core._speeds = SimpleNamespace(layshaft=has["layshaft"], main=has["main"])
+    core._speeds = SimpleNamespace(
+        layshaft=has["layshaft"], main=has["main"], propeller=has["propeller"]
+    )
     assert core._lost(1_000_000) is fault

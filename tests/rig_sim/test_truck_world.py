@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -246,6 +247,65 @@ def test_a_splitter_sleeve_is_baulked_until_its_cones_hold() -> None:
             assert position_m >= -SHEET.sleeve.to_contact_m
     assert differed > 10
     assert truck.script.splitter.position_m(800_000) == -SHEET.sleeve.stroke_m
+
+
+def splitter_driven(*spans_ms: tuple[Valve, float, float]) -> TruckWorld:
+    """Clutch closed in neutral; the splitter's valves are driven for these spans alone."""
+    truck = opened({"clutch.kiss": 1.0, "synchro.splitter_nm": 40.0})
+    for valve, from_ms, to_ms in spans_ms:
+        truck._at(1e3 * from_ms, partial(truck.switch, valve, True))
+        truck._at(1e3 * to_ms, partial(truck.switch, valve, False))
+    return truck
+
+
+def test_a_sleeve_whose_valve_goes_off_at_its_cones_stays_there_and_they_rub_no_longer() -> None:
+    """A cylinder without air presses on nothing: the speeds stay apart, and the step stays out."""
+    truck, cut = splitter_driven((Valve.SPLIT_LOW, 1.0, 50.0)), []
+    for now_us in range(0, 1_000_000, 5_000):
+        run(truck, now_us)
+        if now_us in (200_000, 995_000):
+            speed, low = truck.plant.y.speed_rad_s, SHEET.splitter.low.ratio
+            cut.append((truck.plant.energy.rubbing, truck.script.splitter.position_m(now_us)))
+            assert abs(low * speed[at.INPUT] - speed[at.LAYSHAFT]) > 10.0 * RPM
+    assert cut[0] == cut[1]
+    assert cut[0][0] > 0.0
+    assert 0.0 > cut[0][1] >= -SHEET.sleeve.to_contact_m
+
+
+def test_a_sleeve_left_at_its_cones_goes_in_when_its_valve_is_driven_again() -> None:
+    truck = splitter_driven((Valve.SPLIT_LOW, 1.0, 50.0), (Valve.SPLIT_LOW, 400.0, 1400.0))
+    run(truck, 1_500_000)
+    speed = truck.plant.y.speed_rad_s
+    assert truck.script.splitter.position_m(1_500_000) == -SHEET.sleeve.stroke_m
+    assert speed[at.LAYSHAFT] / speed[at.INPUT] == pytest.approx(SHEET.splitter.low.ratio, rel=1e-9)
+
+
+def test_a_sleeve_left_at_its_cones_goes_back_by_the_other_valve() -> None:
+    truck = splitter_driven((Valve.SPLIT_LOW, 1.0, 50.0), (Valve.SPLIT_HIGH, 400.0, 1400.0))
+    run(truck, 1_500_000)
+    speed = truck.plant.y.speed_rad_s
+    assert truck.script.splitter.position_m(1_500_000) == SHEET.sleeve.stroke_m
+    high = SHEET.splitter.high.ratio
+    assert speed[at.LAYSHAFT] / speed[at.INPUT] == pytest.approx(high, rel=1e-9)
+
+
+def test_a_step_valve_driven_for_too_short_a_time_leaves_the_step_as_it_was() -> None:
+    """The detent draws the sleeve back before its teeth have left their old side."""
+    truck = splitter_driven((Valve.SPLIT_LOW, 1.0, 6.0))
+    run(truck, 300_000)
+    speed = truck.plant.y.speed_rad_s
+    assert truck.script.splitter.position_m(300_000) == SHEET.sleeve.stroke_m
+    high = SHEET.splitter.high.ratio
+    assert speed[at.LAYSHAFT] / speed[at.INPUT] == pytest.approx(high, rel=1e-9)
+
+
+def test_the_bench_takes_a_sleeve_along_that_was_left_at_its_cones() -> None:
+    truck = splitter_driven((Valve.SPLIT_LOW, 1.0, 50.0))
+    run(truck, 300_000)
+    truck.return_to_gear(9, 644.0 * RPM, 300_000)
+    run(truck, 1_200_000)
+    assert truck.script.splitter.position_m(1_200_000) == -SHEET.sleeve.stroke_m
+    assert truck.truth.locked_gear is MainGear.SECOND
 
 
 def test_a_loaded_sleeve_stays_until_the_torque_goes() -> None:

@@ -214,6 +214,11 @@ FOUND: Final = {
         (Event(1_917, "node_stalled", 0, 0.0, 2_803), Event(4_434, "node_restart", 0, 0.0, 314)),
         6_067,
     ),
+    "a range changed in gear, denied too late, lets its cones go": World(
+        6_001_141, 8, 1_400.0, {},
+        (Event(348, "mad_range", 0, 0.0, 2_188), Event(976, "position_offset", 0, 10.78, 1_104)),
+        2_286,
+    ),
 }  # fmt: skip
 
 
