@@ -133,11 +133,13 @@ class Channel:
         return good
 
     def note(self, good: bool) -> None:
-        """What a frame came to, its values included."""
+        """What a frame came to, its values included. A lost channel is believed again only when the
+        bad frames that came since have left the window."""
         self._bad = (self._bad << 1 | (not good)) & WINDOW_MASK
         self._good_in_a_row = self._good_in_a_row + 1 if good else 0
         if self._bad.bit_count() > MOST_BAD:
-            self._forget()
+            if self.is_valid:
+                self._forget()
         elif self._good_in_a_row >= GOOD_TO_BEGIN:
             self.is_valid = True
 

@@ -244,12 +244,21 @@ class ShiftContext:
     def ask_engine(self, gear: DriveGear, slip_rad_s: float, snapshot: StepSnapshot) -> None:
         """Asks the engine for the speed at which the gear has this slip (rad/s); asks for nothing
         if that speed is outside the engine's range, or the main shaft's speed is unknown."""
-        main = snapshot.speeds.main
-        if main is None:
+        wanted = self.engine_speed(gear, slip_rad_s, snapshot)
+        if wanted is None:
             self.engine_rad_s = None
             return
-        layshaft = (main + slip_rad_s) / self.sheet.main_mesh(gear.main).ratio
-        wanted = layshaft / self.sheet.split_mesh(gear.split).ratio
         limits = self.settings.engine
         usable = limits.least_rad_s <= wanted <= self.sheet.limits.input_max_rad_s
         self.engine_rad_s = wanted if usable else None
+
+    def engine_speed(
+        self, gear: DriveGear, slip_rad_s: float, snapshot: StepSnapshot
+    ) -> float | None:
+        """The engine's speed (rad/s) at which the gear has this slip (rad/s), the clutch closed;
+        None where the main shaft's speed is unknown."""
+        main = snapshot.speeds.main
+        if main is None:
+            return None
+        layshaft = (main + slip_rad_s) / self.sheet.main_mesh(gear.main).ratio
+        return layshaft / self.sheet.split_mesh(gear.split).ratio

@@ -21,6 +21,9 @@ from meshpoint.dbc.messages import ClutchAction, FaultCode
 
 SHORT_RAD_S: Final = 1.0
 """The slip may be this much less than asked for (10 rpm),"""
+BEYOND_US: Final = 300 * MS_IN_US
+"""For this long the speed that a gear needs may be above the input shaft's limit: a main shaft that
+swings comes back, a vehicle that rolls downhill does not."""
 OVER_RAD_S: Final = 3.0
 """or this much more: the brake removes the surplus."""
 
@@ -47,11 +50,25 @@ def raise_speed(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None
     closed = (snapshot.view.clutch_closed or 0.0) >= SEQUENCE_CLUTCH_CLOSED_SHARE
     if closed and slip is not None and -SHORT_RAD_S <= slip - wanted <= OVER_RAD_S:
         return Trigger.RAISED
+    if _stays_beyond(context, wanted, snapshot):
+        return context.give_up(snapshot, FaultCode.INPUT_OVERSPEED)
     if context.late(snapshot, context.settings.limits.raise_ms):
         return context.give_up(
             snapshot, FaultCode.ENGINE_FAILED if closed else FaultCode.CLUTCH_STUCK
         )
     return None
+
+
+def _stays_beyond(context: ShiftContext, slip_rad_s: float, snapshot: StepSnapshot) -> bool:
+    """Whether the gear has been too fast for the input shaft for as long as a swing may last."""
+    shift = context.running
+    speed = context.engine_speed(shift.target, slip_rad_s, snapshot)
+    if speed is None or speed <= context.sheet.limits.input_max_rad_s:
+        shift.beyond_us = None
+        return False
+    if shift.beyond_us is None:
+        shift.beyond_us = snapshot.now_us
+    return snapshot.now_us - shift.beyond_us >= BEYOND_US
 
 
 def part_clutch(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:

@@ -120,6 +120,8 @@ class ShiftRecord:
     """How often a sleeve was called back before it had moved."""
     raises: int = 0
     """How often the engine was asked to bring the layshaft up."""
+    beyond_us: int | None = None
+    """Since when the new gear would turn the input shaft faster than it may."""
     pulses: int = 0
     """How often the brake was used."""
     steps_before: tuple[Split | None, Range | None] | None = None

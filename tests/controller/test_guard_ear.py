@@ -91,6 +91,15 @@ def test_three_good_frames_in_a_row_begin_a_channel_and_three_bad_ones_of_ten_en
     assert again[6:] == [False, False, True, True, True, True]
 
 
+def test_bad_frames_while_a_channel_is_lost_are_held_against_it() -> None:
+    """As in the state machine of AUTOSAR E2E: with over two bad ones of the newest ten it stays
+    lost, however many good ones came last."""
+    lost = [True] * 3 + [False] * 3
+    found = valid_after([*lost, *[False] * 4, *[True] * 9])
+    assert found[len(lost) :] == [False] * 4 + [False] * 7 + [True] * 2
+    assert valid_after([*lost, False, False, True, True, True])[-3:] == [False, False, True]
+
+
 @pytest.mark.parametrize(("silent_us", "is_valid"), [(39_999, True), (40_000, False)])
 def test_a_channel_is_lost_after_40_ms(silent_us: int, is_valid: bool) -> None:
     channel = Channel(16, DATA_IDS[SENSORS])

@@ -107,6 +107,47 @@ def test_an_input_that_is_lost_ends_the_shift_in_the_same_step(
         assert box.sequence.clutch is ClutchAction.CLOSE
 
 
+def rolls_too_fast(box: Box, number: int) -> None:
+    """The vehicle has got faster than the gear asked for allows the input shaft to turn."""
+    top = SHEET.limits.input_max_rad_s
+    box.propeller = 1.01 * top / SHEET.overall_ratio(DRIVE_GEARS[number])
+
+
+def test_a_vehicle_that_rolls_too_fast_for_its_gear_ends_the_raise_after_300_ms() -> None:
+    """Not after the two seconds that an engine has to come to its speed."""
+    box = aimed(*DOWN[:2])
+    box.ask(DOWN[2])
+    box.until(State.SPEED_RAISING)
+    rolls_too_fast(box, DOWN[2])
+    begun_us = box.now_us
+    while box.running():
+        box.step()
+    record = box.records[0]
+    assert (record.fault, record.result) == (
+        FaultCode.INPUT_OVERSPEED,
+        ShiftResult.ENDED_IN_NEUTRAL,
+    )
+    assert (box.now_us - begun_us) * 1e-6 == pytest.approx(0.31, abs=0.011)
+    assert box.sequence.engine_rad_s is None
+
+
+def test_a_main_shaft_that_swings_above_the_limit_for_a_moment_ends_no_raise() -> None:
+    box = aimed(*DOWN[:2])
+    box.ask(DOWN[2])
+    box.until(State.SPEED_RAISING)
+    calm = box.propeller
+    for _ in range(2):
+        rolls_too_fast(box, DOWN[2])
+        for _ in range(25):
+            box.step()
+        box.propeller = calm
+        box.step()
+        box.step()
+    while box.running():
+        box.step()
+    assert box.records[0].result is ShiftResult.ENGAGED
+
+
 WANTS_NEUTRAL: Final = [
     (UP, State.SYNCHRONISING), (UP, State.COASTING), (DOWN, State.SPEED_RAISING),
     (DOWN, State.CLUTCH_PARTING), (DOWN, State.COASTING),

@@ -219,6 +219,11 @@ FOUND: Final = {
         (Event(348, "mad_range", 0, 0.0, 2_188), Event(976, "position_offset", 0, 10.78, 1_104)),
         2_286,
     ),
+    "valve frames that overtake each other are no channel, for the guard as well": World(
+        8_000_425, 8, 1_400.0, {},
+        (Event(0, "mad_from_the_start", 0, 0.0, 1_398), Event(783, "bus_delay", 3, 45.203, 281)),
+        1_395,
+    ),
 }  # fmt: skip
 
 
