@@ -166,8 +166,8 @@ def guard_limits(sheet: GearboxSheet, settings: ControllerSettings) -> GuardLimi
         clutch_open_share=sheet.clutch.surely_open_share,
         sleeve_scatter_us=sleeve.delay_limit_s * 1e6,
         brake_delay_us=(
-            (1.0 - brake.valve_delay_tolerance) * brake.valve_delay_s * 1e6,
-            (1.0 + brake.valve_delay_tolerance) * brake.valve_delay_s * 1e6,
+            brake.least_valve_delay_s * 1e6,
+            brake.greatest_valve_delay_s * 1e6,
         ),
         brake_lag_us=brake.time_constant_s * 1e6,
         brake_nm_per_pa=sheet.brake_nm_per_pa,

@@ -43,8 +43,7 @@ def brake_ahead(context: ShiftContext, snapshot: StepSnapshot) -> None:
             _take_back(context, snapshot)
         return
     # No air sooner than by the least delay that the sheet allows: the guard goes by it too.
-    brake = context.sheet.brake
-    least_us = round((1.0 - brake.valve_delay_tolerance) * brake.valve_delay_s * SECOND_US)
+    least_us = round(context.sheet.brake.least_valve_delay_s * SECOND_US)
     on_us = max(snapshot.earliest_us, round(out_us) - min(context.brake.on_delay_us, least_us))
     if on_us >= snapshot.earliest_us + context.tick_us:
         return  # the next step knows better

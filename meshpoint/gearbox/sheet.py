@@ -216,6 +216,16 @@ class Brake:
     )
     """By how much the pressure may rise and fall faster or slower, from pipe to pipe."""
 
+    @property
+    def least_valve_delay_s(self) -> float:
+        """No valve of the tolerance is quicker."""
+        return (1.0 - self.valve_delay_tolerance) * self.valve_delay_s
+
+    @property
+    def greatest_valve_delay_s(self) -> float:
+        """No valve of the tolerance is slower."""
+        return (1.0 + self.valve_delay_tolerance) * self.valve_delay_s
+
 
 @dataclass(frozen=True)
 class Air:

@@ -60,6 +60,8 @@ def test_attributes_are_si() -> None:
     assert sheet.sleeve.stroke_m == pytest.approx(0.012)
     assert sheet.limits.input_max_rad_s == pytest.approx(2600 * math.pi / 30)
     assert sheet.wheels.layshaft.duty_share == pytest.approx(0.5)
+    assert sheet.brake.least_valve_delay_s == pytest.approx(0.0102)
+    assert sheet.brake.greatest_valve_delay_s == pytest.approx(0.0138)
     assert sheet.brake_nm_per_pa * sheet.air.supply_gauge_pa == pytest.approx(100.0)
 
 
