@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.identification.brake_course import (
+    BIN_S,
     BrakeCourses,
     Course,
     P,
@@ -123,9 +124,11 @@ def _courses(
 
 
 def _reference(courses: list[Course]) -> float:
-    """The mean speed of the runs, in whole tens of rpm."""
+    """The mean speed of the runs, in whole tens of rpm: from the middle of the first bin to that of
+    the last."""
     speeds = [
-        (course.angle[-1] - course.angle[0]) / (5e-3 * course.angle.size) for course in courses
+        (course.angle[-1] - course.angle[0]) / (BIN_S * (course.angle.size - 1))
+        for course in courses
     ]
     return float(round(np.median(speeds) / RPM / 10.0) * 10.0 * RPM)
 

@@ -143,8 +143,11 @@ def _sleeves(
     kept_out, of_sheet = [], []
     for gear, (name, unit, by_sheet) in zip(MAIN_GEARS, names, strict=True):
         delays = fitted.delays_s.get(gear)
-        if delays is None or fitted.freedom < 2:
+        if delays is None:
             untold(found, "the log has no stroke into this gear", (name, unit, by_sheet))
+            continue
+        if fitted.freedom < 2:
+            untold(found, "too few strokes into one gear", (name, unit, by_sheet))
             continue
         mean = float(delays.mean())
         half = student(fitted.freedom) * fitted.spread_s * wider / math.sqrt(delays.size)

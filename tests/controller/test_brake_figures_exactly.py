@@ -209,7 +209,7 @@ def told_of(
                              "GearboxSensors"])  # fmt: skip
     found.teeth["layshaft"] = errors = SimpleNamespace(error_rad="errors")  # type: ignore[assignment]
     given: list[Any] = [errors]
-    courses = [SimpleNamespace(angle=np.linspace(0.0, 913.0 * RPM * 0.2, 40), number=k)
+    courses = [SimpleNamespace(angle=np.linspace(0.0, 913.0 * RPM * 0.195, 40), number=k)
                for k in range(runs)]  # fmt: skip
     monkeypatch.setattr(module, "_courses", lambda *_: courses)
 

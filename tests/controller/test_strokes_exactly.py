@@ -224,6 +224,8 @@ def test_two_strokes_tell_nothing_and_three_of_one_gear_do() -> None:
     few = told(fit_of({MainGear.FIRST: [0.045, 0.046]}))
     assert few.figure("sleeve delay spread").why == "too few strokes into one gear"
     assert few.value("sleeve delay first") is None
+    assert few.figure("sleeve delay first").why == "too few strokes into one gear"
+    assert few.figure("sleeve delay third").why == "the log has no stroke into this gear"
     assert not few.held_out
     three = told(fit_of({MainGear.FIRST: [0.045, 0.046, 0.044]}))
     assert three.value("sleeve delay first") == pytest.approx(45.0)
