@@ -16,6 +16,7 @@ from truck_bench import SHEET, run, world
 
 from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement
 from meshpoint.gearbox.gears import MainGear
+from meshpoint.gearbox.sheet import Mesh
 from meshpoint.rig_sim import RigSettings
 from meshpoint.rig_sim.orders import EngineRequest
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Profile, SettingsError
@@ -41,6 +42,7 @@ import json, sys
 from truck_bench import world, run
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.gearbox.gears import MainGear
+from meshpoint.gearbox.sheet import Mesh
 BRAKE, SECOND = Valve.BRAKE, Valve.MAIN_SECOND
 truck = world({"vehicle.slope_percent": 0.0}, seed=11)
 truth, now_us = truck.truth, 0
@@ -272,21 +274,18 @@ def test_a_sleeve_whose_valve_goes_off_at_its_cones_stays_there_and_they_rub_no_
     assert 0.0 > cut[0][1] >= -SHEET.sleeve.to_contact_m
 
 
-def test_a_sleeve_left_at_its_cones_goes_in_when_its_valve_is_driven_again() -> None:
-    truck = splitter_driven((Valve.SPLIT_LOW, 1.0, 50.0), (Valve.SPLIT_LOW, 400.0, 1400.0))
+@pytest.mark.parametrize(
+    ("valve", "side", "mesh"),
+    [(Valve.SPLIT_LOW, -1, SHEET.splitter.low), (Valve.SPLIT_HIGH, 1, SHEET.splitter.high)],
+)
+def test_a_sleeve_left_at_its_cones_goes_on_or_back_by_the_valve_that_is_driven_next(
+    valve: Valve, side: int, mesh: Mesh
+) -> None:
+    truck = splitter_driven((Valve.SPLIT_LOW, 1.0, 50.0), (valve, 400.0, 1400.0))
     run(truck, 1_500_000)
     speed = truck.plant.y.speed_rad_s
-    assert truck.script.splitter.position_m(1_500_000) == -SHEET.sleeve.stroke_m
-    assert speed[at.LAYSHAFT] / speed[at.INPUT] == pytest.approx(SHEET.splitter.low.ratio, rel=1e-9)
-
-
-def test_a_sleeve_left_at_its_cones_goes_back_by_the_other_valve() -> None:
-    truck = splitter_driven((Valve.SPLIT_LOW, 1.0, 50.0), (Valve.SPLIT_HIGH, 400.0, 1400.0))
-    run(truck, 1_500_000)
-    speed = truck.plant.y.speed_rad_s
-    assert truck.script.splitter.position_m(1_500_000) == SHEET.sleeve.stroke_m
-    high = SHEET.splitter.high.ratio
-    assert speed[at.LAYSHAFT] / speed[at.INPUT] == pytest.approx(high, rel=1e-9)
+    assert truck.script.splitter.position_m(1_500_000) == side * SHEET.sleeve.stroke_m
+    assert speed[at.LAYSHAFT] / speed[at.INPUT] == pytest.approx(mesh.ratio, rel=1e-9)
 
 
 def test_a_step_valve_driven_for_too_short_a_time_leaves_the_step_as_it_was() -> None:
