@@ -108,7 +108,7 @@ def test_friction_enters_by_the_exponential_series_to_the_last_digits(slowed: fl
 
 
 @pytest.mark.parametrize("b", [2.0, 500.0])
-@pytest.mark.parametrize("apart", [0.0, 3e-7, -3e-7, 1e-5, -1e-5])
+@pytest.mark.parametrize("apart", [0.0, 1e-11, 3e-7, -3e-7, 1e-5, -1e-5])
 def test_a_shaft_that_slows_as_fast_as_its_brake_empties_does_so_by_t_e_to_the_minus_bt(
     b: float, apart: float
 ) -> None:
@@ -184,18 +184,21 @@ def test_what_is_not_known_goes_on_with_the_shaft_and_grows_by_the_noise(
 
 
 @pytest.mark.parametrize("cut", [1, 2, 5])
-def test_the_filter_takes_edges_and_switches_in_their_order(cut: int) -> None:
+@pytest.mark.parametrize("switched", [(-2e3, 1e3, 9e3, 14e3, 15e3), (7e3, 9e3, 14e3)])
+def test_the_filter_takes_edges_and_switches_in_their_order(
+    switched: tuple[float, ...], cut: int
+) -> None:
     """A switch before the first edge, one at an edge, two between edges; edges of before the state
     and those that were taken already count no more. In one batch or in two."""
     model, r = np.array([0.4, 20.0, 4e-4, FULL]), 1e-6
     edges = np.array([[5e3, 6e3, 9e3, 13e3, 20e3], [0.05, 0.1, 0.9, 1.6, 2.1]])
-    switches = on_from(-2e3, 1e3, 9e3, 14e3, 15e3)
+    switches = on_from(*switched)
     x, p, at = np.array([0.0, 140.0, 3e5]), P.copy(), 5e3
     memory = thesis(model, x, p, W, r, at)
     for edge, angle in edges.T[1:]:
         for stop in (*[t for t in switches[0] if at < t < edge], edge):
             past = switches[1][switches[0] <= at]
-            x = held(x, 1e-6 * (stop - at), past[-1], model)
+            x = held(x, 1e-6 * (stop - at), past[-1] if past.size else 0.0, model)
             p = covariance_after(p, 1e-6 * (stop - at), W, model)
             at = stop
         gain = p[:, 0] / (p[0, 0] + r)
@@ -263,21 +266,21 @@ def test_at_constant_speed_only_angle_and_time_go_on() -> None:
 def test_euler_s_steps_by_hand() -> None:
     """Two of half a second and what is left: each from angle, speed, pressure of the one before.
 
-    8 - (4 + 2) / 2 = 5, 5 - (2.5 + 4) / 2 = 1.75, 1.75 - (0.875 + 5) / 4 = 0.28125."""
-    model = np.array([0.5, 1.0, 2.0, 3.0])
+    8 - (4 + 2) / 2 = 5, 5 - (2.5 + 3) / 2 = 2.25, 2.25 - (1.125 + 3.75) / 4 = 1.03125."""
+    model = np.array([0.5, 0.5, 2.0, 3.0])
     later = predict_euler(STATE._replace(theta_rad=0.0), 3.25e6, 1.0, model, 0.5)
-    assert later[:4] == pytest.approx((3.25e6, 4.0 + 2.5 + 0.4375, 0.28125, 2.625))
+    assert later[:4] == pytest.approx((3.25e6, 4.0 + 2.5 + 0.5625, 1.03125, 2.015625))
     assert later[4:] == STATE[4:]
     off = predict_euler(STATE._replace(theta_rad=0.0), 2.5e6, 0.0, model, 0.5)
-    assert off[1:4] == pytest.approx((4.0, 5.0, 0.5))
+    assert off[1:4] == pytest.approx((4.0, 5.0, 0.75))
     assert predict_euler(STATE, 2e6, 1.0, model, 0.5) == STATE, "no time, no step"
 
 
 def test_the_hold_goes_through_every_switch_and_keeps_what_is_not_known() -> None:
     model = np.array([0.3, 20.0, 4e-4, FULL])
-    state = LayshaftState(1e6, 0.5, 140.0, 1e5, 0.1, 0.2, 0.3)
+    state = LayshaftState(1e6, 0.5, 140.0, 1e5, 0.1, 0.2, 0.3, 7.0, 1.1, -2.0)
     later = predict_hold(state, 1.03e6, on_from(0.0, 1.01e6), model)
     half = held(np.array([0.5, 140.0, 1e5]), 0.01, 1.0, model)
     assert later[1:4] == pytest.approx(held(half, 0.02, 0.0, model))
     assert later[0] == 1.03e6
-    assert later[4:7] == (0.1, 0.2, 0.3)
+    assert later[4:] == (0.1, 0.2, 0.3, 0.0, 1.0, 0.0, None, 0.0), "three states alone"
