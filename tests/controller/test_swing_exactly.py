@@ -83,7 +83,7 @@ def test_state_goes_on_and_back_by_the_matrix_exponential(seconds: float) -> Non
     assert swing.ahead(seconds) == pytest.approx(tuple(expected[:2]), rel=1e-12)
 
 
-@pytest.mark.parametrize("seconds", STEPS_S)
+@pytest.mark.parametrize("seconds", [0.0, *STEPS_S])
 def test_what_is_not_known_goes_on_with_the_shaft(seconds: float) -> None:
     """One state after the other unknown, then all; the lower half of the covariance is made of the
     upper one."""

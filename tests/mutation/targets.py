@@ -57,7 +57,7 @@ _KERNEL_TESTS: Final = tuple(
         "edge_gate_foreign", "edge_speed", "sensor_count", "fused_wheels", "predictor", "strategy",
         "estimation_exactly", "fusion_exactly", "lash_exactly",
         "lash_start_exactly", "aiming_exactly", "motion_kernels_exactly",
-        "linear_kernels_exactly", "swing_exactly", "lash_course_exactly",
+        "linear_kernels_exactly", "swing_exactly", "lash_motion_exactly",
     )
 )  # fmt: skip
 _NEAR: Final = ("tests/controller", "tests/testbench/test_reference.py")
