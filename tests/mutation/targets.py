@@ -55,10 +55,9 @@ _KERNEL_TESTS: Final = tuple(
     for name in (
         "kernels", "motion", "crossing", "swing", "lash", "lash_course", "edges", "edge_gate",
         "edge_gate_foreign", "edge_speed", "sensor_count", "fused_wheels", "predictor", "strategy",
-        "estimation_exactly", "fusion_exactly", "lash_exactly",
-        "lash_start_exactly", "aiming_exactly", "motion_kernels_exactly",
-        "linear_kernels_exactly", "swing_exactly", "lash_motion_exactly",
-        "lash_course_exactly",
+        "estimation_exactly", "fusion_exactly", "lash_exactly", "lash_start_exactly",
+        "aiming_exactly", "motion_kernels_exactly", "linear_kernels_exactly", "swing_exactly",
+        "lash_motion_exactly", "lash_course_exactly", "crossing_exactly", "swing_filter_exactly",
     )
 )  # fmt: skip
 _NEAR: Final = ("tests/controller", "tests/testbench/test_reference.py")
