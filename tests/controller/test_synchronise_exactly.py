@@ -72,8 +72,8 @@ class Chosen:
         assert (now_us, earliest_us) == (NOW_US, EARLIEST_US)
         return self.contact_at
 
-    def acting(self, known: bool) -> Chosen:
-        self.known.add(known)
+    def acting(self, reference_known: bool) -> Chosen:
+        self.known.add(reference_known)
         return self
 
     def wire(self, _acting: object) -> Strategy:
