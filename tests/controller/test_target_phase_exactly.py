@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from meshpoint.controller.planning.gear_predictor import LastLook, Trajectory
+from meshpoint.controller.planning.plan_kernels import TERMS
 from meshpoint.controller.planning.strategies.base import ReleasePlan
 from meshpoint.controller.planning.strategies.target_phase import TargetPhase
 from meshpoint.controller.records import Vector
@@ -245,6 +246,27 @@ def test_of_four_coasts_the_cheapest_is_looked_at_more_closely(
     assert close == range(max(EARLIEST_US, release_us - 1_000), release_us + 1_001, step_us)
 
 
+def test_where_a_pitch_is_soon_passed_a_close_step_is_15_per_cent_of_a_gap() -> None:
+    laid, case = Laid(), Release([1.0, 2.0, 3.0, 4.0])
+    laid.roots = list(ROOTS)
+    case.made._reach_us = lambda *_: 3_000.0
+    case.made.release(laid, NOW_US, EARLIEST_US)
+    assert case.asked[-1].step == round(0.15 * SHEET.dog.backlash_rad / PITCH * 3_000.0) < 200
+
+
+def test_the_flanks_take_the_energy_of_the_layshaft_at_the_slip() -> None:
+    """J (slip / i)^2 / 2, where J is what the brake's torque over its deceleration tells."""
+    terms = aiming()._terms(Laid()).view(TERMS)[0]
+    inertia = SHEET.brake_nm_per_pa / 2e-3
+    energy_j = 0.5 * inertia * (3.0 / 0.8) ** 2
+    paid_s = SETTINGS.prices.energy_s_per_j * energy_j
+    assert terms.energy_s3_rad2 * 3.0**2 == pytest.approx(paid_s)
+    assert terms.overlap_s * SHEET.sleeve.contact_speed_m_s == pytest.approx(
+        SHEET.dog.most_overlap_m
+    )
+    assert aiming().fire_slip_rad_s == WINDOW.contact_high_rad_s
+
+
 def test_around_a_release_nothing_is_sooner_than_the_earliest_nor_steps_of_nothing() -> None:
     laid, case = Laid(), Release([1.0, 2.0, 2.0, 2.0])
     laid.roots = [32_500, 40_000, 40_000, 40_000]
@@ -281,6 +303,9 @@ def test_a_sleeve_meets_its_gear_ten_milliseconds_after_a_release_or_as_it_can()
     assert (step_us, count) == (pytest.approx(STEP_US), pytest.approx(300, abs=1))
     assert plan == ReleasePlan(80_000, round(90_000.0 + 4 * STEP_US))
     assert laid.of("steady")[0] == (pytest.approx(60_000 + SETTLE_US), 60_000)
+    before = round((75_000.0 - NOW_US - DELAY_US + CALLED_US) / step_us)
+    assert laid.of("variances") == [(NOW_US + DELAY_US, step_us, before + count, 60_000)]
+    assert laid.of("estimate") == [(75_000.0,)]
 
 
 def test_of_releases_that_all_hit_the_soonest_contact_costs_its_time() -> None:
@@ -329,7 +354,8 @@ def test_the_first_of_what_was_settled_is_of_the_first_contact() -> None:
 @pytest.mark.parametrize(
     ("contact_us", "on_way", "again", "goes_back"),
     [(int(FIRST_US), 0, 0, False), (int(FIRST_US) + 1, 0, 0, True),
-     (int(FIRST_US) - 1, 0, 0, False), (int(FIRST_US) + 3_001, 0, 3, True)],
+     (int(FIRST_US) - 1, 0, 0, False), (int(FIRST_US) + 3_001, 0, 3, True),
+     (int(FIRST_US) + 2_999, 0, 3, False)],
 )  # fmt: skip
 def test_a_sleeve_goes_back_for_a_hit_that_is_sooner_and_only_then(
     contact_us: int, on_way: int, again: int, goes_back: bool
@@ -338,8 +364,8 @@ def test_a_sleeve_goes_back_for_a_hit_that_is_sooner_and_only_then(
     laid = Laid(on_way, again)
     assert aiming().is_to_go_back(laid, NOW_US, contact_us, EARLIEST_US) is goes_back
     own, later = laid.of("trajectory")
-    assert own == (float(contact_us), 1.0, 1, None)
-    assert laid.of("variances") == [(float(contact_us), 1.0, 1, None)]
+    ((known_us, _, *one),) = laid.of("variances")
+    assert (own[0], *own[2:]) == (known_us, *one) == (contact_us, 1, None)
     assert later == (FIRST_US, pytest.approx(STEP_US), pytest.approx(600, abs=1), None)
 
 
