@@ -116,6 +116,18 @@ def test_splitter_and_range_move_once_the_plates_have_surely_parted() -> None:
     assert context.unloaded_us(step(view=unknown)) is None
 
 
+def test_a_gear_is_pulled_as_the_plates_part_where_the_clutch_is_quick() -> None:
+    """Its sleeve moves a valve's delay after that; here it needs no longer to be out."""
+    context, clutch = made(), Falling()
+    context.kiss.share, context.kiss.sd = 0.3, 0.02
+    sleeve: Any = SimpleNamespace(valve_delay_s=0.015, least_pull_s=0.5)
+    sheet: Any = SimpleNamespace(clutch=SHEET.clutch, sleeve=sleeve)
+    context.sheet = sheet
+    parted_us = NOW_US + 200_000.0 * (1.0 - context.kiss.parted_share)
+    seen_at = step(view=SimpleNamespace(clutch=clutch))
+    assert context.unloaded_us(seen_at) == round(parted_us - 15_000.0)
+
+
 def test_plates_that_surely_part_only_when_the_clutch_is_open_do_so_then() -> None:
     context, clutch = made(), Falling()
     sheet: Any = SimpleNamespace(

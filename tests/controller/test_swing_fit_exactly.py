@@ -197,6 +197,14 @@ def test_no_vehicle_is_so_heavy_or_light_that_nothing_could_be_said_of_it(
     assert found.known.vehicle_inverse == pytest.approx(kept / (1.0 - kept) / ENGINE)
 
 
+def test_speeds_that_no_frequency_explains_weigh_each_by_what_sets_it_apart(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """However large all misfits are."""
+    found = Laid({7: 5_000.0}).fit(monkeypatch)
+    assert found == Laid({7: 0.0}).fit(monkeypatch)
+
+
 def test_a_vehicle_is_never_known_worse_than_before(monkeypatch: pytest.MonkeyPatch) -> None:
     found = Laid({12: 0.0}, y_sd=1.0).fit(monkeypatch)
     assert found.known.vehicle_sd == KNOWN.vehicle_sd
