@@ -181,6 +181,7 @@ def test_of_the_ramps_that_are_over_in_time_the_calmest_is_taken(
     step = Step()
     begun(step, monkeypatch, *overs)
     assert step.unloading.settle_us == chosen
+    assert step.context.engine_share == pytest.approx(0.1), "asked for at once"
 
 
 @pytest.mark.parametrize("layshaft", [150.0, None])
@@ -247,7 +248,7 @@ def test_what_rounding_leaves_out_is_asked_for_with_the_next_frame(
     [(0.3, 0.0, 0.4, 0.305), (0.3, 0.0, 0.2, 0.2), (0.3, 0.0, -0.1, -0.005),
      (-0.2, 0.0, -0.3, -0.205), (-0.2, 0.0, 0.1, 0.005), (-0.2, 0.0, -0.1, -0.1),
      (0.0, -0.1, -0.08, -0.08), (0.0, -0.1, -0.2, -0.105), (0.0, 0.1, 0.2, 0.105),
-     (None, 0.0, 0.1, 0.005)],
+     (None, 0.0, 0.1, 0.005), (0.3, 0.1, -0.1, -0.005)],
 )  # fmt: skip
 def test_no_torque_goes_further_than_the_engines_own_or_what_its_speed_needs(
     own: float | None, accelerates: float, wanted: float, given: float

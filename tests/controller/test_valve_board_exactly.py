@@ -66,6 +66,7 @@ def test_a_valve_that_was_never_on_is_off_without_a_time_from_the_clocks_first_m
     assert board.message(now_us) == ValveCommand()
     assert not any(board.driven(valve, now_us) for valve in ValveName)
     assert {board.command(valve) for valve in ValveName} == {OFF}
+    assert (OFF.on, OFF.before) == (False, False)
 
 
 def test_a_command_is_what_was_scheduled_and_what_was_before_until_it_is_taken_off() -> None:
