@@ -50,7 +50,8 @@ PROOF_STEPS: Final = 3
 """All inputs must have been valid in this many consecutive steps before a valve may be driven."""
 SETTLED_US: Final = 2_000
 """In each of these the guard's clock may have gained so much. A controller that starts while a bus
-still delivers old frames cannot tell their age, but that they come faster than they were sent."""
+still delivers old frames cannot tell their age, but that they come faster than they were sent. In a
+step in which none comes it cannot tell that either: such a step proves nothing."""
 CLOCK_ERROR_US: Final = 12_000
 """A tick and the bus: what one of two clocks may not have seen of the least delay."""
 INPUT, LAYSHAFT, MAIN, PROPELLER = range(4)
@@ -352,7 +353,10 @@ class Guard:
             state.proofs = 0
         if state.proofs < PROOF_STEPS:
             proven = seen.valid and self._is_sound and seen.clock_gained_us <= SETTLED_US
-            state.proofs = state.proofs + 1 if proven else 0
+            if not proven:
+                state.proofs = 0
+            elif seen.has_heard:
+                state.proofs += 1
         layshaft = seen.speeds[LAYSHAFT]
         if state.judged_us is not None and layshaft is not None:
             gauge_pa = max(0.0, seen.brake_pa - self._limits.atmosphere_pa)

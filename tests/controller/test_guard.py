@@ -427,6 +427,22 @@ def test_row_12_a_start_on_a_bus_that_still_delivers_old_frames(
     assert guard.passes(payload(ValveName.SPLIT_HIGH), NEUTRAL._replace(clock_gained_us=90_000))
 
 
+def test_row_12_a_step_without_frames_proves_nothing() -> None:
+    """Silence may be a node that hangs, whose old frames are still to come; it takes nothing of
+    what was proven before, either."""
+    silent = NEUTRAL._replace(has_heard=False)
+    guard = Guard(LIMITS, armed=True)
+    for seen in (NEUTRAL, NEUTRAL, silent, silent, silent):
+        guard.passes(payload(), seen)
+        assert not guard.is_proven
+    guard.passes(payload(), NEUTRAL)
+    assert guard.is_proven
+    guard = Guard(LIMITS, armed=True)
+    for seen in (NEUTRAL, NEUTRAL, silent._replace(valid=False), NEUTRAL):
+        guard.passes(payload(), seen)
+        assert not guard.is_proven
+
+
 @pytest.mark.parametrize("error_us", [12_000, 12_001])
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_row_19_commands_timed_by_another_clock_than_the_sensors(error_us: int, sign: int) -> None:

@@ -98,14 +98,25 @@ def test_a_clutch_that_was_not_heard_for_long_has_no_speed() -> None:
 
 def test_the_clock_goes_by_the_frame_that_came_least_late() -> None:
     """Of frames 5 ms late it does not become slower, and in a step without frames it goes on; what
-    it gains by one that comes 3 ms earlier is told."""
+    the next one is less late, coming 3 ms earlier than the first, is told."""
     guard_view, found = view(), []
     for step, late_us in enumerate((0, 5_000, None, -3_000, 0)):
         sent_us = 100_000 + CYCLE_US * step - (late_us or 0)
         frames = [] if late_us is None else [frame(each, step, sent_us) for each in SLOW]
         seen = guard_view.take(frames, 500_000 + CYCLE_US * step, 0)
         found.append((seen.now_us, seen.clock_gained_us))
-    assert found == [(100_000, 0), (110_000, 0), (120_000, 0), (133_000, 3_000), (143_000, 0)]
+        assert seen.has_heard is bool(frames)
+    assert found == [(100_000, 0), (110_000, 0), (120_000, 0), (133_000, 8_000), (143_000, 0)]
+
+
+def test_frames_that_catch_up_from_far_behind_tell_so_before_the_clock_gains() -> None:
+    """Each is 10 ms less late than the one before; the clock knows that frames can come sooner."""
+    guard_view, found = view(), []
+    for step, late_us in enumerate((0, *(None,) * 6, 60_000, 50_000, None, 40_000, 40_000)):
+        sent_us = 100_000 + CYCLE_US * step - (late_us or 0)
+        frames = [] if late_us is None else [frame(each, step, sent_us) for each in SLOW]
+        found.append(guard_view.take(frames, 500_000 + CYCLE_US * step, 0).clock_gained_us)
+    assert found == [0] * 8 + [10_000, 0, 10_000, 0]
 
 
 @pytest.mark.parametrize("begun_us", [100_000, (1 << 30) - 70_000, (1 << 32) - 100_000])

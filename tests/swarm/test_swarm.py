@@ -224,6 +224,12 @@ FOUND: Final = {
         (Event(0, "mad_from_the_start", 0, 0.0, 1_398), Event(783, "bus_delay", 3, 45.203, 281)),
         1_395,
     ),
+    "silence between two hangs of the sensors is no settled clock": World(
+        9_001_158, 8, 1_405.5143391541435, {"limits.blocks": 1.0},
+        (Event(2_869, "clock_step", 0, 1_584_152.549, 871),
+         Event(3_495, "node_stalled", 0, 0.0, 448), Event(4_025, "node_stalled", 0, 0.0, 837)),
+        5_726,
+    ),
 }  # fmt: skip
 
 
