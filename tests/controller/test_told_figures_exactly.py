@@ -214,9 +214,9 @@ def test_who_waits_is_told_of_each_step_and_what_no_log_can_tell_is_said() -> No
 
 
 def test_torque_and_drag_are_told_at_the_runs_median_speed_in_whole_tens_of_rpm() -> None:
-    """Bins are 5 ms long: 40 of them, 0.2 s."""
+    """Bins are 5 ms long: 0.195 s from the middle of the first of 40 to that of the last."""
     runs: list[Any] = [
-        SimpleNamespace(angle=3.0 + np.linspace(0.0, rpm * RPM * 0.2, 40))
+        SimpleNamespace(angle=3.0 + np.linspace(0.0, rpm * RPM * 0.195, 40))
         for rpm in (700, 913, 2000)
     ]
     assert _reference(runs) == pytest.approx(910.0 * RPM)
