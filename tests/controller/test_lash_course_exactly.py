@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -198,3 +199,51 @@ def test_what_will_be_known_is_worked_out_by_sixty_of_many_drivelines() -> None:
     course = course_of(turning(speeds), np.diag((2e-5, 0.0, 0.0)))
     found = course.outlook(0.045, 5e-3, 8)
     assert found.tolist() == pytest.approx([course.theta_sd_ahead(0.045) ** 2] * 8)
+
+
+@pytest.mark.parametrize(
+    ("many", "each", "asked"), [(119, 2, False), (120, 2, True), (179, 2, True), (179, 3, False),
+                                (180, 3, True), (239, 4, False)],
+)  # fmt: skip
+def test_at_least_sixty_drivelines_are_asked_evenly(many: int, each: int, asked: bool) -> None:
+    """Whether only each second, third or fourth is asked shows where all of these are alike."""
+    speeds = [60.0 if k % each == 0 else 61.2 for k in range(many)]
+    found = course_of(turning(speeds), np.diag((2e-5, 0.0, 0.0))).outlook(0.045, 5e-3, 8)
+    assert bool(found[7] == pytest.approx(found[0])) is asked
+
+
+def test_the_first_eight_ticks_tell_ever_more_and_those_after_them_no_more() -> None:
+    course = course_of(turning([60.0, 60.6]), np.diag((2e-4, 0.0, 0.0)))
+    found = course.outlook(0.06, 5e-3, 11)
+    assert (np.diff(found[:8]) < 0.0).all()
+    assert found[8:].tolist() == [found[7]] * 3
+    assert math.degrees(LEAST_SD_RAD) == pytest.approx(0.1)
+
+
+Fullest = Callable[[Vector, Vector, float], Any]
+BOTH: list[Fullest] = [lash_course._fullest_at_once, lash_course._fullest_by_kernel]
+
+
+@pytest.mark.parametrize("fullest", BOTH)
+def test_of_drivelines_that_are_all_alone_the_one_in_the_middle_is_taken(fullest: Fullest) -> None:
+    """In the order of their angles."""
+    angle = np.array([[4.0, 0.0, 2.0], [6.0, 2.0, 4.0]])
+    order, first, most = fullest(angle, np.array([[0.0], [9.0]]), 1.0)
+    assert order.tolist() == [[1, 2, 0]] * 2
+    assert (first.tolist(), most.tolist()) == ([1, 1], [1, 1])
+
+
+@pytest.mark.parametrize("fullest", BOTH)
+def test_a_span_holds_what_lies_at_its_very_end(fullest: Fullest) -> None:
+    angle = np.array([[0.0, 0.25, 0.5, 2.0], [2.0, 0.25, 0.5, 0.0]])
+    order, first, most = fullest(angle, np.array([[0.0], [8.0]]), 0.5)
+    assert order.tolist() == [[0, 1, 2, 3], [3, 1, 2, 0]]
+    assert (first.tolist(), most.tolist()) == ([0, 0], [3, 3])
+
+
+@pytest.mark.parametrize("fullest", BOTH)
+def test_of_equal_angles_the_first_driveline_comes_first(fullest: Fullest) -> None:
+    """Also where they came the other way round at the step before."""
+    angle = np.array([[2.0, 1.0, 0.0], [1.0, 1.0, 0.0], [1.0, 1.0, 1.0], [0.0, 1.0, 2.0]])
+    order, _, _ = fullest(angle, 9.0 * np.arange(4.0)[:, np.newaxis], 0.5)
+    assert order.tolist() == [[2, 1, 0], [2, 0, 1], [0, 1, 2], [0, 1, 2]]
