@@ -121,3 +121,8 @@ def test_an_engagement_that_contradicts_all_leaves_nothing() -> None:
     turns = narrowed(turns, MainGear.SECOND, lambda turn: turn == 3)
     assert not turns.empty
     assert narrowed(turns, MainGear.FIRST, lambda turn: turn == 4).empty
+
+
+def test_a_gear_to_which_turns_do_not_matter_has_none_to_choose_from() -> None:
+    assert all_turns({MainGear.FIRST: 25}).candidates(MainGear.SECOND) == frozenset()
+    assert all_turns({}).candidates(MainGear.FIRST) == frozenset()
