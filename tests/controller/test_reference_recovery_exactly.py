@@ -333,3 +333,121 @@ def test_a_wheel_that_was_exchanged_leaves_nothing_to_wait_for() -> None:
     bench.lose(None, 4)
     bench.find()
     assert bench.known() == {SECOND}
+
+
+OTHER_WAY = replace(THESIS, main=replace(THESIS.main, third=Mesh(280, 151)))
+"""A turn moves third by 89 pitches and a 151st."""
+
+
+@pytest.mark.parametrize(("sheet", "gear"), [(NEARLY, CRAWL), (OTHER_WAY, THIRD)])
+def test_of_turns_either_side_of_the_true_one_the_middle_is_right(
+    sheet: GearboxSheet, gear: MainGear
+) -> None:
+    """Whether a turn moves the gear a 151st of a pitch back or forth."""
+    bench = all_known(sheet)
+    bench.lose(4, None, 2)
+    bench.sensor_says(45, 45)
+    bench.find()
+    assert bench.recovery.candidates(FIRST) == 3
+    assert bench.known() == {gear}
+    assert set(bench.recovery.saved().offsets_rad) == {gear}, "the others go with one turn alone"
+
+
+def test_a_gear_that_was_measured_before_the_teeth_were_found_tells_the_others_then() -> None:
+    bench = Bench(TIED)
+    bench.restore(*MAIN_GEARS)
+    bench.count_from(3, 4, 11)
+    bench.learn(FIRST)
+    assert bench.known() == {FIRST}
+    bench.find()
+    assert bench.known() == {CRAWL, FIRST, SECOND}
+    assert bench.recovery.candidates(THIRD) == 5
+
+
+def test_a_second_loss_is_counted_from_the_first() -> None:
+    bench = all_known(TRUCK12)
+    for teeth, turns in ((4, 3), (7, 2), (40, 9)):
+        bench.lose(teeth, 5, turns)
+        bench.sensor_says(0, 0)
+        bench.find()
+        assert bench.known() == set(MAIN_GEARS)
+
+
+def test_where_all_turns_were_counted_a_gear_in_mesh_is_compared_with_none_missed() -> None:
+    bench = all_known(THESIS)
+    bench.lose(None, 5)
+    assert {bench.recovery.candidates(gear) for gear in MAIN_GEARS} == {0}, "while it is sought"
+    bench.find()
+    bench.learn(FIRST)
+    assert bench.known() == set(MAIN_GEARS)
+    assert not any("do not agree" in line for line in bench.events)
+
+
+def test_what_was_dropped_is_remembered_no_more() -> None:
+    bench = restored(WHOLE, CRAWL, FIRST, SECOND)
+    bench.learn(SECOND, 1.0 * DEG)
+    assert set(bench.references.offsets_rad) == {SECOND}
+    assert bench.recovery.candidates(CRAWL) == 0
+    bench.lose(None, 3)
+    bench.find()
+    assert set(bench.references.offsets_rad) == {SECOND}
+
+
+def test_a_gear_that_still_waits_for_turns_is_kept_for_one_that_is_possible() -> None:
+    """Third has five phases left; whichever of them is kept, the next run counts from there."""
+    bench = restored(TIED)
+    bench.learn(FIRST)
+    saved = bench.recovery.saved()
+    assert set(saved.offsets_rad) == set(MAIN_GEARS)
+    pitch = TIED.dog.pitch_rad
+    off = (saved.offsets_rad[THIRD] - bench.box.offset(THIRD)) / pitch * 5
+    assert off == pytest.approx(round(off), abs=1e-6)
+
+
+def test_a_gear_that_waits_for_turns_waits_for_the_same_after_the_main_shaft_stood() -> None:
+    """Turns go on being counted; what is measured then is not taken for a contradiction."""
+    bench = Bench(TIED)
+    bench.restore(*MAIN_GEARS)
+    bench.count_from(3, 4, 11)
+    bench.find()
+    bench.learn(FIRST)
+    bench.lose(None, 17)
+    bench.find()
+    assert bench.recovery.candidates(THIRD) == 5
+    bench.learn(THIRD)
+    assert bench.known() == set(MAIN_GEARS)
+    assert not any("do not agree" in line for line in bench.events)
+
+
+def test_a_pattern_whose_place_in_the_old_numbering_was_never_found_leads_nowhere() -> None:
+    """Learned anew and lost, before the remembered one was recognised in it."""
+    bench = Bench(WHOLE)
+    bench.restore(*MAIN_GEARS)
+    bench.count_from(0, 7)
+    bench.find(main=False)
+    bench.main.error_rad, bench.main.learned = turned(bench.patterns[1], 7), True
+    bench.lose(None, 5)
+    bench.find()
+    assert bench.known() == set()
+
+
+def test_what_is_restored_later_is_not_bounded_by_what_was_counted_before() -> None:
+    bench = all_known(TRUCK12)
+    bench.lose(0, None, 0)
+    bench.restore(*MAIN_GEARS)
+    bench.layshaft.learned = bench.main.learned = False
+    bench.count_from(0, 0, 3)
+    bench.find()
+    assert bench.recovery.candidates(THIRD) == 35
+
+
+def test_a_pattern_that_was_not_found_yet_is_kept_where_the_other_wheel_is_another() -> None:
+    bench = Bench(WHOLE)
+    bench.restore(*MAIN_GEARS)
+    bench.main.forget()
+    bench.recovery.look(bench.events, bench.renumbered)
+    saved = bench.recovery.saved()
+    assert saved.layshaft is not None
+    assert saved.layshaft.error_rad.tolist() == bench.patterns[0].tolist()
+    assert saved.main is None
+    assert saved.offsets_rad == {}
