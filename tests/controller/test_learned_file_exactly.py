@@ -8,7 +8,6 @@ from dataclasses import fields, replace
 from typing import Any, Final
 
 import pytest
-from test_calibration import SHEET, TEXT, example
 
 from meshpoint.controller.calibration.learned import (
     BrakeRecord,
@@ -29,10 +28,11 @@ from meshpoint.controller.calibration.learned import (
     check,
     read_calibration,
 )
-from meshpoint.gearbox import MainGear
+from meshpoint.gearbox import MainGear, load_sheet
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.tables import TableError, read_group
 
+SHEET = load_sheet("thesis")
 DEG, RPM, TURN, BAR, MS, US = math.pi / 180.0, math.pi / 30.0, 2.0 * math.pi, 1e5, 1e-3, 1e-6
 Range = tuple[float, float, float]
 """Least and most in the key's unit, and that unit in SI."""
@@ -194,6 +194,29 @@ def test_references_belong_to_the_teeth_of_both_wheels(missing: str) -> None:
         replace(known, wheels=less)
     without = replace(known, wheels=less, references=ReferenceRecords())
     assert getattr(without.wheels, missing) is None
+
+
+def example() -> Calibration:
+    """One with everything in it, of a sheet whose wheels have 45 teeth."""
+    pattern = tuple(0.05 * DEG * math.sin(7.0 * k) for k in range(90))
+    made: dict[type, Any] = {k: read_group(k, table(k), "file") for k in FORMAT}
+    wheel = WheelRecord(45, 6_895, 1e-4, pattern)
+    origin: Provenance = made[Provenance]
+    return Calibration(
+        format_=1,
+        provenance=replace(origin, sheet=SHEET.name, sheet_sha256=SHEET.sha256),
+        wheels=WheelRecords(wheel, replace(wheel, edges=5_466)),
+        references=ReferenceRecords(second_rad=0.05, third_rad=-0.03),
+        brake=made[BrakeRecord],
+        noise=made[NoiseRecord],
+        swings=SwingRecords(high=made[SwingRecord]),
+        sleeves=SleeveRecords(second=SleeveRecord(0.045, 6.5, 0.0012, 10.0)),
+        drifts=DriftRecords(first=made[DriftRecord]),
+        end=End(True),
+    )
+
+
+TEXT: Final = example().to_text()
 
 
 def read(changed: Calibration) -> Calibration:
