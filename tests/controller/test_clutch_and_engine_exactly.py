@@ -157,6 +157,12 @@ def test_a_clutch_that_stands_or_opens_shows_no_touch() -> None:
     assert not kiss._seen
 
 
+def test_a_clutch_that_closes_slowly_shows_its_touch_too() -> None:
+    """By 0.8 in a second: 1.7 intervals after the first sample."""
+    kiss = fed(KissPoint(SHEET), [0.34 + 0.008 * k for k in range(5)], [20.0, 20.0, 60.0, 110.0])
+    assert learned(kiss) == pytest.approx(0.34 + 1.7 * 0.008, abs=1e-6)
+
+
 def test_past_touches_weigh_as_ten() -> None:
     """sd / sqrt 10 at least: linings wear."""
     kiss = KissPoint(SHEET)
