@@ -166,6 +166,19 @@ def test_a_frame_without_an_edge_says_nothing() -> None:
     assert sensor.take(31, every_ms(31, 27), 1_000) == 1
 
 
+def test_slow_teeth_are_chained_by_all_sixteen_bits() -> None:
+    """20,001 us each; and numbers by all of theirs: a jump of 16,386 is no two edges."""
+    sensor = Sensor()
+    times = [-20_001 * k for k in range(27)]
+    assert sensor.take(30, times, 100) == 27
+    assert list(sensor.edges().values()) == times[::-1]
+    later = [40_002 - 20_001 * k for k in range(27)]
+    assert sensor.take(32, later, 40_100) == 2
+    assert list(sensor.edges().values())[-2:] == [20_001, 40_002]
+    assert sensor.take(32 + 16_386, [each + 40_002 for each in later], 80_100) == BROKEN
+    assert BROKEN < 0, "no count is"
+
+
 def low_bits(intervals: list[int]) -> Integers:
     """Newest first, by the time from each to the one before; over the end of the 16 bits."""
     times = 1_000 - np.concatenate(([0], np.cumsum(intervals)))
@@ -188,6 +201,8 @@ def low_bits(intervals: list[int]) -> Integers:
         ([9_000, 9_000, 16_000], (0, 0)),
         ([1000, 1000, 2000, 1000], (0, 0)),
         ([0], (0, 0)),
+        ([1], (1, 1)),
+        ([20_001, 20_001], (20_001, 1)),
     ],
 )
 def test_a_speed_is_over_15_ms_or_all_there_is_of_even_intervals(
