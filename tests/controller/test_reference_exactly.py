@@ -435,3 +435,35 @@ def test_looks_are_taken_at_the_tooth_that_was_looked_at_first() -> None:
     assert look(references, *[1.0] * 5, pitches=-6) == 5
     raw = math.remainder(references.offsets_rad[GEAR] - 0.5 * GAP, PITCH)
     assert raw == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_tooth_seen_twice_at_the_other_flank_has_crossed_seen_once_it_may_have_been_astray() -> (
+    None
+):
+    assert look(locked(), *[0.0] * 2, *[1.0] * 30) == 7
+    assert look(locked(), 0.0, *[1.0] * 30) is None
+
+
+def test_a_gear_that_was_in_mesh_too_shortly_has_not_shown_that_teeth_stay() -> None:
+    """Nor is what it lay at likely."""
+    references = locked(1.0, straight=False)
+    look(references, *[0.3] * 19)
+    references.released()
+    references.locked(OTHER, 1.0, straight=False)
+    assert look(references, *[0.0] * 40, gear=OTHER) is None
+    references.lose_all()
+    references = locked(1.0)
+    look(references, *[0.3] * 19)
+    references.released()
+    references.locked(OTHER, 1.0)
+    assert look(references, *[0.0] * 20, gear=OTHER) == 20
+    assert set(references.offsets_rad) == {OTHER}
+
+
+def test_a_gear_is_looked_at_sixty_times() -> None:
+    references = locked()
+    look(references, *[0.0, 0.5] * 29, 0.0)
+    assert references.watches(GEAR)
+    assert not references.watches(OTHER)
+    look(references, 0.5)
+    assert not references.watches(GEAR)
