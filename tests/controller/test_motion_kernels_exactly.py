@@ -330,6 +330,7 @@ def test_a_step_ends_where_the_pressure_leaves_its_segment() -> None:
     leak = law_of([(-math.inf, 5.0, 0.0), (1e5, 5.0, 2e5)], [])
     down = whole_in_segment(leak, 0, 1.5e5, 1.0)
     assert down == pytest.approx(math.log(1.1e5 / 6e4) / 5.0, rel=1e-6), "from 1.5 towards 0.4e5"
+    assert whole_in_segment(leak, 0, 1.5e5, 1.05 * down) == down
     on_knot = whole_in_segment(LAW, 1, 2e5, 1.0)
     assert on_knot == pytest.approx(time_through(RISING[2], 2e5, 3e5), rel=1e-12)
     for u, pressure in ((0, 1.5e5), (1, 1.5e5), (0, 0.5e5), (1, 5.5e5)):
