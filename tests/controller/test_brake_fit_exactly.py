@@ -238,6 +238,6 @@ def test_a_bin_s_angle_is_as_sure_as_its_edges_are_many_and_never_surer_than_a_t
     """0.6 mrad an edge; its time is that of its weights. Chance moves the shaft by 0.25 rad2/s3."""
     assert module.CHANCE_RAD2_S3 == 0.25
     course = course_of(3)
-    seconds = 1e-3 * (3.0 * np.arange(BINS) + 0.75)
-    expected = whitening(seconds, np.asarray(3.6e-7 / course.edges + 1e-8))
+    seconds: Vector = (1e-3 * (3.0 * np.arange(BINS) + 0.75)).astype(np.float64)
+    expected = whitening(seconds, 3.6e-7 / course.edges + 1e-8)
     assert module._whitening(course) == pytest.approx(expected)
