@@ -134,7 +134,7 @@ def test_by_the_model_runs_are_left_out_in_twenty_groups_and_an_edge_must_be_see
     model: Any = Motion()
     rng = np.random.default_rng(8)
     whole = vars(course_of(1, rng)) | {"first_node": LEAD}
-    course = SimpleNamespace(
+    course: Any = SimpleNamespace(
         **{name: part[:48] if name != "first_node" else part for name, part in whole.items()}
     )
     model.angles, model.speeds, model.felts = (
@@ -146,5 +146,7 @@ def test_by_the_model_runs_are_left_out_in_twenty_groups_and_an_edge_must_be_see
     found = teeth_by_model(first, [course] * 22, model, best)
     assert found is not None
     assert found.without.shape == (20, EDGES)
-    blind = SimpleNamespace(**(vars(course) | {"place": np.minimum(course.place, EDGES - 2.0)}))
+    blind: Any = SimpleNamespace(
+        **(vars(course) | {"place": np.minimum(course.place, EDGES - 2.0)})
+    )
     assert teeth_by_model(first, [blind] * 22, model, best) is None
