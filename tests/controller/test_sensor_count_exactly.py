@@ -220,3 +220,20 @@ def test_an_array_that_gets_emptier_is_that_of_a_sensor_that_has_begun_anew() ->
 
 def test_renumbered_begins_with_nothing() -> None:
     assert Renumbered() == (0, 0, 0)
+
+
+def test_a_wheel_that_turned_on_by_many_teeth_is_counted_by_all_sixteen_bits() -> None:
+    """However late it is: a stop takes a second, and here is none."""
+    wheel = Wheel()
+    wheel.read(90_000_000, 1002)
+    wheel.count.counting(40, 2, 90_000_000, LEAST)
+    wheel.count.lost()
+    wheel.read(90_020_000, 20_000)
+    wheel.count.counting(20_040, 2, 90_500_000, LEAST)
+    assert wheel.told() == (-3, 3, 0)
+
+
+def test_a_sensor_that_has_seen_no_edge_yet_has_not_begun_anew() -> None:
+    wheel = Wheel()
+    wheel.read(0, 0, stamps=0)
+    assert not wheel.count.anew
