@@ -55,19 +55,27 @@ def test_edges_come_once_each_in_order_with_their_teeth() -> None:
     first = read.at(45)
     assert first.time_us[-1] == BEGIN + 45_000
     assert first.tooth[-1] == 145
-    assert read.edges.newest == (BEGIN + 45_000, pytest.approx(145 * 2.0 * math.pi / 45))
+    newest = read.edges.newest
+    assert newest is not None
+    assert newest.time_us == BEGIN + 45_000
+    assert newest.theta_rad == pytest.approx(145 * 2.0 * math.pi / 45)
     second = read.at(48)
     assert (second.time_us - BEGIN).tolist() == [45_400, 46_000, 46_400, 47_000, 47_400, 48_000]
     assert second.falling.tolist() == [1, 0, 1, 0, 1, 0]
     assert second.theta_rad * 45 / (2.0 * math.pi) == pytest.approx(
         [145.4, 146.0, 146.4, 147.0, 147.4, 148.0]
     )
-    assert read.edges.newest is not None
-    assert read.edges.newest.time_us == BEGIN + 48_000
+    assert last_us(read) == BEGIN + 48_000
     assert tuple(read.edges.health) == (0, 0, 0, 0, True)
     none = read.at(48)
     assert none.time_us.size == 0
-    assert read.edges.newest.time_us == BEGIN + 48_000
+    assert last_us(read) == BEGIN + 48_000
+
+
+def last_us(read: Read) -> int:
+    newest = read.edges.newest
+    assert newest is not None
+    return newest.time_us
 
 
 def test_a_wheel_of_the_sheet_is_that_wheel() -> None:
@@ -171,10 +179,10 @@ def test_falling_edges_alone_are_a_wheel_that_begins_with_them() -> None:
     """After ten of them. Teeth are numbered by them then; a tooth's rising edge is a duty on."""
     read = Read()
     assert read.at(9, rise=False).time_us.size == 0
-    assert not read.edges.begins_falling
+    begins_falling = [read.edges.begins_falling]
     for ms in (19, 29, 39, 49, 59):
         batch = read.at(ms, rise=False)
-    assert read.edges.begins_falling
+    assert [*begins_falling, read.edges.begins_falling] == [False, True]
     assert set(batch.falling.tolist()) == {1}
     assert np.diff(batch.time_us) == pytest.approx(1000.0)
     assert np.diff(batch.theta_rad) == pytest.approx(2.0 * math.pi / 45)
