@@ -32,8 +32,8 @@ class Read:
         self.clock = SensorClockEstimate()
         self.wheel = wheel or steady(900)
 
-    def at(self, ms: int, rise: bool = True, fall: bool = True) -> EdgeBatch:
-        read_us = BEGIN + 1000 * ms
+    def at(self, ms: float, rise: bool = True, fall: bool = True) -> EdgeBatch:
+        read_us = BEGIN + round(1000 * ms)
         rises = [self.wheel.rise(read_us)] if rise else []
         falls = [self.wheel.fall(read_us)] if fall else []
         return self.edges.read(rises, falls, self.clock, read_us)
@@ -46,7 +46,7 @@ def test_a_new_wheel_has_seen_nothing() -> None:
     assert (edges.broken, edges.newest, edges.begins_falling) == (0, None, False)
     assert edges.extra_us.tolist() == []
     batch = edges.read([], [], SensorClockEstimate(), 5)
-    assert batch.time_us.size == batch.tooth.size == batch.falling.size == 0
+    assert [each.size for each in batch] == [0] * 4
     assert edges.extra_us.tolist() == []
 
 
@@ -235,3 +235,104 @@ def test_a_polarity_whose_chain_is_broken_says_so_and_keeps_what_it_has() -> Non
     assert polarity.count == 27
     fall: EdgesMainFall = wheel.fall(late)
     assert fall.valid_stamps == 27
+
+
+@pytest.mark.parametrize(("ms", "stands"), [(110.935, False), (110.936, True)])
+def test_frames_of_one_polarity_show_that_a_wheel_stands(ms: float, stands: bool) -> None:
+    """Its last edge was at 45.4 ms."""
+    read = Read(wheel=steady(46))
+    read.at(46)
+    read.at(ms, fall=False)
+    assert (read.edges.broken == 1) is stands
+
+
+def test_a_loss_at_speed_is_not_bounded_by_the_sensor_s_count() -> None:
+    """All frames came, and the wheel was quick."""
+    read = Read(wheel=steady(46))
+    for ms in range(46, 120, 10):
+        read.at(ms)
+    assert read.edges.broken == 1
+    assert read.edges.sensor.renumbered.uncounted == 1
+
+
+def test_a_wheel_s_teeth_are_told_to_its_sensor_s_count() -> None:
+    """The first frame's rising edge is number none of the count, and tooth 145."""
+    read = Read()
+    for ms in (45, 55):
+        read.at(ms)
+        known = read.edges.sensor._last
+        assert known is not None
+        assert known.ahead == 145
+        assert known.rises == ms - 45
+        assert known.time_us == BEGIN + 1000 * ms
+        assert known.rate == pytest.approx(1e-3)
+
+
+def test_only_a_whole_wheel_s_count_is_bounded() -> None:
+    assert WheelEdges(TEETH, 0.4).sensor._whole
+    assert not WheelEdges(TEETH, 0.4, (3,)).sensor._whole
+
+
+def test_a_shaft_that_is_not_dragged_is_not_said_to_have_been() -> None:
+    edges = WheelEdges(TEETH, 0.4)
+    edges.set_dragged(False)
+    assert not edges.sensor._dragged
+
+
+def test_a_read_without_an_edge_has_no_extra_one() -> None:
+    """Nor has one at which the sensor turns out to have begun anew."""
+    rises = [BEGIN + TOOTH_US * k for k in range(60)]
+    wheel = Wheel(100, sorted([*rises, BEGIN + 47_650]), [each + FALL_US for each in rises])
+    for again in (False, True):
+        read = Read(wheel=wheel)
+        read.at(45)
+        read.at(55)
+        assert read.edges.extra_us.size == 1
+        if again:
+            young = Wheel(7, [BEGIN + 65_000 + TOOTH_US * k for k in range(3)], [])
+            at_us = BEGIN + 68_000
+            read.edges.read([young.rise(at_us)], [], read.clock, at_us)
+        else:
+            read.at(55)
+        assert read.edges.extra_us.size == 0
+
+
+def test_falling_edges_are_not_alone_while_a_rising_one_waits_for_others() -> None:
+    """Six, then a rising one, then twenty. The first nine of either polarity are not believed."""
+    rises = [BEGIN + 5_000 + 10 * k for k in range(9)] + [BEGIN + 20_500]
+    read = Read(wheel=Wheel(100, rises, [BEGIN + TOOTH_US * k for k in range(99)]))
+    read.at(14, rise=False)
+    read.at(21)
+    for ms in (30, 41):
+        read.at(ms, rise=False)
+        assert not read.edges.begins_falling
+
+
+def test_gaps_that_end_with_falling_edges_turn_a_wheel_after_two_of_them() -> None:
+    """A sensor the wrong way round: its falling edges are the teeth's beginnings."""
+    own = [k for k in range(400) if k % TEETH not in (7, 8)]
+    falls = [BEGIN + TOOTH_US * k for k in own]
+    wheel = Wheel(100, [each + FALL_US for each in falls], falls)
+    read, turned = Read((7, 8), wheel), []
+    for ms in range(40, 260, 10):
+        read.at(ms)
+        turned.append(read.edges.begins_falling)
+    first = 40 + 10 * turned.index(True)
+    assert 2 * TEETH - 10 < first < 4 * TEETH
+    assert turned == sorted(turned)
+    assert max(read.edges._fall.count, read.edges._rise.count) < 5
+
+
+def test_used_edges_leave_their_room_and_it_grows_for_more_than_four_frames_alone() -> None:
+    """27 edges a frame: 81 and another frame's fill it, 82 would not leave room enough."""
+    polarity, wheel = Polarity(), steady(400)
+    assert polarity.rows.shape == (2, 108)
+    for k in range(3):
+        read_us = BEGIN + 40_000 + 27_000 * k
+        assert polarity.take(wheel.rise(read_us), read_us)
+    assert (polarity.count, polarity.rows.shape[1]) == (81, 108)
+    read_us = BEGIN + 40_000 + 27_000 * 2 + 1_000
+    assert polarity.take(wheel.rise(read_us), read_us)
+    assert (polarity.count, polarity.rows.shape[1]) == (82, 108)
+    assert polarity.take(wheel.rise(read_us + 1_000), read_us + 1_000)
+    assert (polarity.count, polarity.rows.shape[1]) == (83, 216)
