@@ -185,6 +185,46 @@ def test_what_was_seen_is_the_sum_of_all_windows_until_the_teeth_are_forgotten()
     assert not teeth._normal.any() and not teeth._right.any() and not teeth.error_rad.any()
     left = teeth.memory, teeth.found, teeth.learned, teeth.learner.running
     assert [bool(each) for each in left] == [False] * 4
+    assert teeth.sd_rad == UNLEARNED
+
+
+@pytest.mark.parametrize(("misfit", "strange"), [(2.9, False), (3.1, True)])
+def test_teeth_are_another_wheel_s_where_they_leave_three_times_the_expected_residuals(
+    misfit: float, strange: bool
+) -> None:
+    """And explain a window no better than no errors would."""
+    teeth = WheelTeeth(2, TUNING)
+    teeth.error_rad = np.array((1.0, -1.0, 0.0, 0.0)) * 0.1
+    # e' N e is 2 * 0.01 * 500 = 10.
+    seen = window(500.0, NONE, misfit * 50.0 - 10.0, 50.0)
+    assert teeth._is_a_stranger_s(seen) is strange
+    helped = window(500.0, np.array((51.0, -51.0, 0.0, 0.0)), misfit * 50.0 + 10.4, 50.0)
+    assert teeth._misfit(helped) == pytest.approx(misfit)
+    assert not teeth._is_a_stranger_s(helped)
+
+
+def test_errors_have_no_mean_and_are_half_as_sure_as_unlearned_ones_at_least() -> None:
+    """With a prior of ten unlearned teeth's error: here the edges' own mean is seen as well."""
+    teeth, errors = WheelTeeth(2, TUNING), UNLEARNED * np.array((1.0, 0.2, -0.4, 0.6))
+    line = teeth.take(window(SURE, SURE * errors, SURE * float(errors @ errors), 60.0))
+    shrunk = SURE / (SURE + 0.01 / UNLEARNED**2)
+    assert teeth.error_rad == pytest.approx(shrunk * (errors - errors.mean()))
+    sd = math.sqrt(0.75 / (SURE + 0.01 / UNLEARNED**2))
+    assert teeth.sd_rad == pytest.approx(max(math.radians(0.003), sd))
+    assert line == f"teeth learned to {math.degrees(teeth.sd_rad):.3f} deg"
+    for weight, learned in ((2.98, False), (3.02, True)):
+        # Less the mean, four edges have three quarters of their variance.
+        teeth = WheelTeeth(2, TUNING)
+        teeth.take(window((weight - 0.01) / UNLEARNED**2, NONE, 1.0, 60.0))
+        assert teeth.learned is learned
+
+
+def test_equations_that_have_no_solution_make_the_teeth_be_forgotten() -> None:
+    teeth = WheelTeeth(2, TUNING)
+    teeth._normal[:] = math.nan
+    assert teeth.take(window(SURE, NONE, 1.0, 60.0)) == (
+        "teeth forgotten: their equations have no solution"
+    )
     assert not teeth._normal.any()
     assert teeth.edges_seen == 0
 
