@@ -93,3 +93,11 @@ def test_speeds_are_kept_for_a_read_and_stale_soon() -> None:
     assert seen(given, 10_000).layshaft == pytest.approx(141.0, rel=1e-3)
     stale = seen(given, 100_000)
     assert (stale.layshaft, stale.main) == (None, None)
+
+
+def test_a_slip_is_how_much_faster_the_gear_is_than_its_sleeve() -> None:
+    speeds = seen({EdgesLayshaftRise: 141.0, EdgesMainRise: 88.0})
+    layshaft, main = speeds.layshaft, speeds.main
+    assert layshaft is not None and main is not None
+    ratio = SHEET.main_mesh(MainGear.SECOND).ratio
+    assert speeds.slip_rad_s(MainGear.SECOND) == pytest.approx(ratio * layshaft - main)
