@@ -235,10 +235,10 @@ class LoadedDriveline:
         x, p, model = self._x.copy(), self._p.copy(), self._model
         loaded_ahead(x, p, ahead_s, model)
         shared = DOUBTED * p[np.ix_(BEHIND, BEHIND)]
-        values, vectors = np.linalg.eigh(shared)
         mean = x[list(BEHIND)]
-        if not (np.isfinite(values).all() and np.isfinite(mean).all()):
-            return None
+        if not (np.isfinite(shared).all() and np.isfinite(mean).all()):
+            return None  # eigh would raise
+        values, vectors = np.linalg.eigh(shared)
         half, tooth = (model.view(LOADED_MODEL)[name][0] for name in ("half_lash_rad", "tooth_rad"))
         mean[0] += tooth
         return BehindState(mean, vectors * np.sqrt(np.maximum(values, 0.0)), float(half))

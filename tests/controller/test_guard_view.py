@@ -120,6 +120,17 @@ def test_frames_that_catch_up_from_far_behind_tell_so_before_the_clock_gains() -
     assert found == [0] * 8 + [10_000, 0, 10_000, 0]
 
 
+def test_a_step_that_hears_two_reads_is_as_late_as_the_newer() -> None:
+    guard_view, counter, found = view(), 0, []
+    for step, reads in enumerate(((0,), (), (1, 2), (3,))):
+        frames = []
+        for read in reads:
+            frames += [frame(each, counter, 100_000 + CYCLE_US * read) for each in SLOW]
+            counter += 1
+        found.append(guard_view.take(frames, 500_000 + CYCLE_US * step, 0).clock_gained_us)
+    assert found == [0, 0, 0, 0]
+
+
 @pytest.mark.parametrize("begun_us", [100_000, (1 << 30) - 70_000, (1 << 32) - 100_000])
 def test_after_a_hang_frames_come_message_by_message_and_the_clock_stays(begun_us: int) -> None:
     """None of them is younger than 90 ms: the least delay of before holds."""

@@ -405,6 +405,13 @@ def long_followed(began_us: float = 29_500.0) -> LoadedDriveline:
     return loaded
 
 
+@pytest.mark.parametrize("what", ["_x", "_p"])
+def test_a_driveline_whose_figures_are_no_numbers_is_not_told(what: str) -> None:
+    loaded = long_followed()
+    getattr(loaded, what)[HILL] = math.nan
+    assert loaded.behind(NEWEST_US + 20e3) is None
+
+
 @pytest.mark.parametrize(("wait_us", "began_us", "told"), [
     (0.0, 29_500.0, True), (99_900.0, 29_500.0, True), (100_100.0, 29_500.0, False),
     (-1.0, 29_500.0, False), (5e3, 29_600.0, False),
