@@ -171,8 +171,8 @@ class GuardEar:
         """Whether the sensors' clock is another since this step: an array of edges has got emptier,
         or a message's time has gone back while its counter went on."""
         self._held = dict.fromkeys(EDGES, 0)
-        self._stamps: dict[int, int] = {}
-        """The newest of each message."""
+        self.newest: dict[int, int] = {}
+        """The newest stamp of each message."""
 
     def take(self, frames: Iterable[Frame], now_us: int) -> list[int]:
         """One step's frames at `now_us` of the controller's clock. Returns the 32-bit times (us) of
@@ -194,12 +194,12 @@ class GuardEar:
             channel.note(good)
             if good:
                 (stamp,) = _stamp(frame.data, STAMP_AT)
-                if signed_us(stamp - self._stamps.get(can_id, stamp)) < 0:
+                if signed_us(stamp - self.newest.get(can_id, stamp)) < 0:
                     self.has_restarted = True
                     stamps.clear()  # those of this step from before it
                     if can_id in self.edges:
                         del self.edges[can_id][:-1]
-                self._stamps[can_id] = stamp
+                self.newest[can_id] = stamp
                 stamps.append(stamp)
         for channel in self.channels.values():
             channel.tick(now_us)

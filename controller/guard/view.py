@@ -81,8 +81,8 @@ class GuardInputs(NamedTuple):
     """How fast the clutch closes; negative: opens."""
     clock_gained_us: int = 0
     """How much the guard's sensor clock has gained on the controller's in this step, or by how much
-    the newest frame is less late than the one before it, whichever is more: frames that come faster
-    than they were sent have waited, and those to come are younger still."""
+    a message is less late than the one before it, whichever is more: frames that come faster than
+    they were sent have waited, and those to come are younger still."""
     clock_is_new: bool = False
     """Whether the sensors' clock is another since this step."""
     has_heard: bool = True
@@ -104,8 +104,9 @@ class GuardView:
         self._clock = GuardClock()
         self._engine: tuple[int, Engine] = (0, NO_ENGINE)
         self._ahead_us: int | None = None
-        self._newest_late: int | None = None
-        """Of the newest stamp, by the controller's clock (32 bits, signed)."""
+        self._late: dict[int, tuple[int, int]] = {}
+        """Newest stamp of each message, and how late it was by the controller's clock (32 bits,
+        signed)."""
         self._clutch: tuple[int, float] | None = None
         self._clutch_per_s = 0.0
         self._turns: deque[BothCounted] = deque()
@@ -124,8 +125,7 @@ class GuardView:
             is_new = self._clock.hear(stamp, step_us) or is_new
         own_us = self._clock.now_us(step_us)
         now_us = 0 if own_us is None else own_us
-        newest = in_order[-1] if in_order else None
-        gained_us = max(self._gained_us(own_us, step_us), self._less_late_us(newest, step_us))
+        gained_us = max(self._gained_us(own_us, step_us), self._less_late_us(step_us))
         a, b, c, d = self._speeds(now_us)
         engine = self._engine_now(step_us)
         for clutch_stamp, closed in ear.clutch:
@@ -176,13 +176,19 @@ class GuardView:
             return 0
         return self._ahead_us - before
 
-    def _less_late_us(self, newest: int | None, step_us: int) -> int:
-        """By how much the newest stamp of a step is less late than that of the last step that had
-        one. It may be later than the clock knows a frame can come, and still catch up."""
-        if newest is None:
-            return 0
-        before, self._newest_late = self._newest_late, signed_us(step_us - newest)
-        return 0 if before is None else signed_us(before - self._newest_late)
+    def _less_late_us(self, step_us: int) -> int:
+        """By how much a message of this step is less late than the last one of its kind, the most
+        of all. It may be later than the clock knows a frame can come, and still catch up."""
+        gained = []
+        for can_id, stamp in self._ear.newest.items():
+            before = self._late.get(can_id)
+            if before is not None and before[0] == stamp:
+                continue
+            late_us = signed_us(step_us - stamp)
+            self._late[can_id] = (stamp, late_us)
+            if before is not None:
+                gained.append(signed_us(before[1] - late_us))
+        return max(gained, default=0)
 
     def _see_clutch(self, stamp: int, closed: float) -> None:
         before, self._clutch = self._clutch, (stamp, closed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -41,6 +42,15 @@ State = ControllerState
 
 def engagements(loop: Loop, *events: EngagementEvent) -> list[ReferenceEngagement]:
     return [message for message in loop.of(ReferenceEngagement) if message.event in events]
+
+
+@pytest.mark.parametrize("tick_ms", [5, 20])
+def test_a_gear_is_reached_with_another_tick(tick_ms: int) -> None:
+    """Of a quick one a step hears some of a read's messages."""
+    settings = ControllerSettings()
+    settings = replace(settings, timing=replace(settings.timing, tick_ms=tick_ms))
+    loop = Loop([(300_000, 10)], settings=settings).run(1_600_000)
+    assert [outcome.result for outcome in loop.outcomes] == [ShiftResult.ENGAGED], loop.events
 
 
 def test_a_requested_gear_is_reached(one_shift: Loop) -> None:

@@ -120,6 +120,17 @@ def test_frames_that_catch_up_from_far_behind_tell_so_before_the_clock_gains() -
     assert found == [0] * 8 + [10_000, 0, 10_000, 0]
 
 
+def test_messages_that_come_in_turn_are_each_as_late_as_the_last_of_their_kind() -> None:
+    """With a tick of 5 ms, half of them in every second step: their stamps are 4 ms apart."""
+    guard_view, found = view(), []
+    for step in range(12):
+        sent_us = 100_000 + 5_000 * step - (4_000 if step % 2 else 0)
+        kinds = SLOW[:2] if step % 2 else SLOW[2:]
+        frames = [frame(each, step // 2, sent_us) for each in kinds]
+        found.append(guard_view.take(frames, 500_000 + 5_000 * step, 0).clock_gained_us)
+    assert found == [0] * 12
+
+
 def test_a_step_that_hears_two_reads_is_as_late_as_the_newer() -> None:
     guard_view, counter, found = view(), 0, []
     for step, reads in enumerate(((0,), (), (1, 2), (3,))):
