@@ -245,11 +245,8 @@ class ShiftContext:
         """Asks the engine for the speed at which the gear has this slip (rad/s); asks for nothing
         if that speed is outside the engine's range, or the main shaft's speed is unknown."""
         wanted = self.engine_speed(gear, slip_rad_s, snapshot)
-        if wanted is None:
-            self.engine_rad_s = None
-            return
-        limits = self.settings.engine
-        usable = limits.least_rad_s <= wanted <= self.sheet.limits.input_max_rad_s
+        least, most = self.settings.engine.least_rad_s, self.sheet.limits.input_max_rad_s
+        usable = wanted is not None and least <= wanted <= most
         self.engine_rad_s = wanted if usable else None
 
     def engine_speed(

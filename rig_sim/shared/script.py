@@ -72,6 +72,7 @@ class BenchScript:
         self.phase = ScriptPhase.IDLE
         self.splitter = ShiftingSleeve(sheet.sleeve, 1 if gear.split is Split.HIGH else -1)
         self.range_ = ShiftingSleeve(sheet.sleeve, 1 if gear.range_ is Range.HIGH else -1)
+        self.steps = {Sleeve.SPLITTER: self.splitter, Sleeve.RANGE: self.range_}
 
     @property
     def next_us(self) -> float:
@@ -80,9 +81,7 @@ class BenchScript:
 
     def step_sleeve(self, name: Sleeve) -> ShiftingSleeve | None:
         """The splitter's or the range's sleeve, of which there is one each; None: a main sleeve."""
-        if name is Sleeve.SPLITTER:
-            return self.splitter
-        return self.range_ if name is Sleeve.RANGE else None
+        return self.steps.get(name)
 
     def start(self, gear_number: int, main_rad_s: float) -> None:
         """Go to this drive gear, 0 for neutral, at this main shaft speed."""
@@ -158,7 +157,7 @@ class BenchScript:
         self._engagement.ready(self._main_gear, number)
 
     def _change_steps(self, time_us: float) -> None:
-        for sleeve in (self.splitter, self.range_):
+        for sleeve in self.steps.values():
             if sleeve.arrival_us <= time_us:
                 sleeve.arrive()
         shafts = self._plant.shafts
@@ -167,9 +166,5 @@ class BenchScript:
             split = Split.HIGH if self.splitter.side > 0 else Split.LOW
         if not self.range_.under_way:
             range_ = Range.HIGH if self.range_.side > 0 else Range.LOW
-        moving = frozenset(
-            name
-            for name, sleeve in ((Sleeve.SPLITTER, self.splitter), (Sleeve.RANGE, self.range_))
-            if sleeve.under_way
-        )
+        moving = frozenset(name for name, sleeve in self.steps.items() if sleeve.under_way)
         self._plant.set_steps(split, range_, moving)

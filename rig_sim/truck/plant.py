@@ -334,11 +334,6 @@ class TruckPlant:
         self.y.work_j += self.chain.kinetic_j() - before
         self._take_wheels_along()
 
-    def cone_lets_go(self, slot: int) -> None:
-        """Nothing presses on a synchroniser any more."""
-        if self.rubs(slot):
-            self.smooth(slot)
-
     def cone_holds(self, slot: int) -> None:
         """A synchroniser has brought both sides to one speed: the sleeve goes in."""
         self.smooth(slot)

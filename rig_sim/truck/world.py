@@ -281,9 +281,8 @@ class TruckWorld:
             self.clutch.grips()
         elif slot in (at.CONE_SPLITTER, at.CONE_RANGE):
             self.plant.cone_holds(slot)
-            splits = slot == at.CONE_SPLITTER
-            sleeve = self.script.splitter if splits else self.script.range_
-            sleeve.go_in(self.plant.time_us)
+            name = Sleeve.SPLITTER if slot == at.CONE_SPLITTER else Sleeve.RANGE
+            self.script.steps[name].go_in(self.plant.time_us)
         else:
             self.engagement.no_slip(slot)
 
@@ -343,7 +342,7 @@ class TruckWorld:
 
     def _change_over(self, name: Sleeve, side: int) -> None:
         """Splitter or range by its valve: out of the old step, then the cones, then in."""
-        sleeve = self.script.splitter if name is Sleeve.SPLITTER else self.script.range_
+        sleeve = self.script.steps[name]
         if (sleeve.side == side and not sleeve.loose) or self.engagement.scripted:
             return
         if sleeve.jammed:
@@ -359,9 +358,9 @@ class TruckWorld:
         """A valve of splitter or range is off and its cylinder empty, unless it was driven anew:
         what still stands before its cones or rubs on them lets go."""
         name, side = STEP_VALVES[valve]
-        sleeve = self.script.splitter if name is Sleeve.SPLITTER else self.script.range_
+        sleeve = self.script.steps[name]
         if self._steps_driven[valve] or sleeve.side != side or self.engagement.scripted:
             return
         if sleeve.baulked and not sleeve.loose:
             sleeve.let_go(self.plant.time_us)
-            self.plant.cone_lets_go(CONE_OF[name])
+            self.plant.smooth(CONE_OF[name])
