@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from calibration_example import SHEET, TEXT, example
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -23,13 +24,10 @@ from meshpoint.controller.calibration.learned import (
     Calibration,
     CalibrationError,
     End,
-    NoiseRecord,
     Provenance,
     ReferenceRecords,
     SleeveRecord,
     SleeveRecords,
-    SwingRecord,
-    SwingRecords,
     WheelRecord,
     WheelRecords,
     check,
@@ -39,12 +37,10 @@ from meshpoint.controller.calibration_keeper import CalibrationWriter
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES, TableError
 from meshpoint.testbench.results.tooth_parts import take_apart
 from meshpoint.units import DEG
 
-SHEET = load_sheet("thesis")
 ERROR = st.floats(-1.0 * DEG, 1.0 * DEG)
 SLEEVE = st.builds(
     SleeveRecord,
@@ -103,33 +99,6 @@ CALIBRATIONS = st.builds(
     sleeves=st.builds(SleeveRecords, *[st.one_of(st.none(), SLEEVE)] * 4),
     end=st.just(End(True)),
 )
-
-
-def example() -> Calibration:
-    """One with everything in it."""
-    sleeve = SleeveRecord(0.045, 6.5, 0.0012, 10.0)
-    four = (1.1, 0.9, 1.0, 1.2)
-    sds = (0.1,) * 4
-    pattern = tuple(0.05 * DEG * math.sin(7.0 * k) for k in range(90))
-    return Calibration(
-        format_=1,
-        provenance=Provenance("0.1.0", SHEET.name, SHEET.sha256, "one evening", 12),
-        wheels=WheelRecords(
-            WheelRecord(45, 6895, 1e-4, pattern), WheelRecord(45, 5466, 1e-4, pattern)
-        ),
-        references=ReferenceRecords(second_rad=0.05, third_rad=-0.03),
-        brake=BrakeRecord(12, 0.96, 0.01, -6.0, 0.5, 8e3, 5e3, 3.2e-3, 1e-3, four, sds, four,
-                          sds, 0.0098, 1e-4, 0.0083, 2e-4),
-        noise=NoiseRecord(12, 8e-6, 0.1, 9e-6, 0.1, 1.2, 0.2, 0.03, 0.2, 0.09, 0.3),
-        swings=SwingRecords(high=SwingRecord(5, (120.0, 25.0), (0.01, 0.2), (0.05, 0.1),
-                            (0.1, 0.3), (1.0, 0.2), (0.3, 0.3), (0.1, 0.2, 0.1), (0.2,) * 3,
-                            2.0, 0.3, True, 0.01, 0.05)),
-        sleeves=SleeveRecords(second=sleeve),
-        end=End(True),
-    )  # fmt: skip
-
-
-TEXT = example().to_text()
 
 
 @settings(max_examples=40, deadline=None)

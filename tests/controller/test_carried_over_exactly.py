@@ -8,7 +8,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from test_calibration import SHEET, example
+from calibration_example import SHEET, example
 
 from meshpoint.bus.core import Step
 from meshpoint.controller.calibration.learned import (

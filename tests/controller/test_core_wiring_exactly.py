@@ -7,8 +7,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from test_calibration import SHEET as THESIS
-from test_calibration import example
+from calibration_example import SHEET as THESIS
+from calibration_example import example
 from test_core_parts_exactly import SHEET, T0, a_core, immediate, sent
 from test_observer_exactly import Noted
 

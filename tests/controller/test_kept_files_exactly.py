@@ -10,7 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from test_calibration import SHEET, TEXT, example
+from calibration_example import SHEET, TEXT, example
 
 from meshpoint.bus.core import Step
 from meshpoint.controller import calibration_keeper

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from test_calibration import example
+from calibration_example import example
 from test_observer_exactly import SHEET, T0, Noted, an_observer
 
 from meshpoint.controller.calibration.learned import SwingRecords

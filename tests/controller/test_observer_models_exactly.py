@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from test_calibration import example
+from calibration_example import example
 from test_observer_exactly import SHEET, T0, Main, Noted, an_observer
 
 from meshpoint.controller.motion.models import first_order_law, free_motion
