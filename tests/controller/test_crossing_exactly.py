@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from free_layshaft import law_array
+from late_batches import EVERYTHING, after, refuses_what_was_before_its_state
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
@@ -261,34 +262,11 @@ def test_a_tooth_that_the_gate_refuses_teaches_nothing() -> None:
     assert not teeth.right.any()
 
 
-def after(memory: FilterMemory, *fields: str) -> list[list[float]]:
-    return [memory.part(name).ravel().tolist() for name in fields]
-
-
-EVERYTHING = ("time_us", "x", "p", "offset_rad", "offset_rad2", "offset_by", "restless", "nis",
-              "log_variance", "held", "next")  # fmt: skip
-
-
 @pytest.mark.parametrize("wheel", ["own", "geared"])
 def test_a_batch_of_before_the_state_is_refused_while_there_is_a_snapshot(wheel: str) -> None:
     """Nothing is taken then; without one its late edges are left out. At the state's own time an
     edge is not late, and has been seen."""
-    for first_us, refused in ((999.0, True), (1000.0, False)):
-        early, fine = np.array([[first_us], [7.0]]), np.array([[5000.0], [0.68]])
-        edges = np.concatenate((early, fine) if wheel == "own" else (fine, early), axis=1)
-        for held in (0, 1):
-            memory, other = a_memory(knows_offset=True), a_memory(knows_offset=True)
-            memory.geared[0] = 0 if wheel == "own" else 1
-            memory.held[0] = other.held[0] = held
-            before = after(memory, *EVERYTHING)
-            answer = run(memory, edges)
-            assert answer == (LATE if refused and held else DONE)
-            if answer == LATE:
-                assert after(memory, *EVERYTHING) == before
-            else:
-                run(other, fine)
-                assert after(memory, *EVERYTHING) == after(other, *EVERYTHING)
-                assert memory.time_us[0] == 5000.0
+    refuses_what_was_before_its_state(lambda: a_memory(knows_offset=True), run, wheel, 0.68)
     assert (DONE, LATE) == (0, 1)
 
 

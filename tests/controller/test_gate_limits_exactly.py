@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from test_gate_exactly import NOW, cruising, feed, health, mode, sought, value
+from gate_bench import NOW, cruising, feed, health, mode, sought, value
 from test_gate_search_exactly import at, wheel
 
 from meshpoint.controller.sensing.gate_kernels import warm_up

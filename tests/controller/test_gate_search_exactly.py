@@ -5,7 +5,7 @@ Ten teeth of which the eighth, number 7, is missing; a tooth takes a millisecond
 from __future__ import annotations
 
 import pytest
-from test_gate_exactly import NOW, Fed, cruising, feed, health, mode, sought, value
+from gate_bench import NOW, Fed, cruising, feed, health, mode, sought, value
 
 from meshpoint.controller.records import Integers
 from meshpoint.controller.sensing.gate_layout import (

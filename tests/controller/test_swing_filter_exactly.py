@@ -10,11 +10,11 @@ import math
 
 import numpy as np
 import pytest
+from late_batches import after, refuses_what_was_before_its_state
 from scipy.linalg import expm
 
 from meshpoint.controller.estimation.crossing_layout import (
     DONE,
-    LATE,
     FilterMemory,
     TeethArrays,
 )
@@ -227,33 +227,11 @@ def test_the_third_edge_in_a_row_that_is_refused_makes_all_ten_times_as_uncertai
         assert memory.nis.tolist() == [0.0, 0.0]
 
 
-EVERYTHING = ("time_us", "x", "p", "offset_rad", "offset_rad2", "offset_by", "restless", "nis",
-              "log_variance", "held", "next")  # fmt: skip
-
-
-def after(memory: FilterMemory) -> list[list[float]]:
-    return [memory.part(name).ravel().tolist() for name in EVERYTHING]
-
-
 @pytest.mark.parametrize("wheel", ["own", "geared"])
 def test_a_batch_of_before_the_state_is_refused_while_there_is_a_snapshot(wheel: str) -> None:
     """Nothing is taken then; without one its late edges are left out. At the state's own time an
     edge is not late, and has been seen."""
-    for first_us, refused in ((999.0, True), (1000.0, False)):
-        early, fine = np.array([[first_us], [7.0]]), np.array([[5000.0], [0.44]])
-        edges = np.concatenate((early, fine) if wheel == "own" else (fine, early), axis=1)
-        for held in (0, 1):
-            memory, other = a_memory(knows_offset=True), a_memory(knows_offset=True)
-            memory.geared[0] = 0 if wheel == "own" else 1
-            memory.held[0] = other.held[0] = held
-            before = after(memory)
-            answer = run(memory, edges)
-            assert answer == (LATE if refused and held else DONE)
-            if answer == LATE:
-                assert after(memory) == before
-            else:
-                run(other, fine)
-                assert after(memory) == after(other)
+    refuses_what_was_before_its_state(lambda: a_memory(knows_offset=True), run, wheel, 0.44)
 
 
 def test_the_states_before_the_newest_four_batches_can_be_gone_back_to() -> None:
