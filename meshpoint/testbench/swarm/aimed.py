@@ -14,7 +14,6 @@ from meshpoint.testbench.swarm.deeds import DEEDS
 from meshpoint.testbench.swarm.events import REQUEST, Event, Group, World
 
 ASKED_MS: Final = 400
-AGAIN_MS: Final = 2_200
 SAFETY_MS: Final = 5_000
 MAD_MS, MAD_FOR_MS = 300, 3_000
 UP_RPM, DOWN_RPM = 1400.0, 1100.0
@@ -40,15 +39,11 @@ class Aim(NamedTuple):
     strikes: tuple[Strike, ...]
     from_: int = 8
     to: int = 10
-    again: int = 0
-    """A gear that is asked for once more, later; 0 none."""
     settings: tuple[tuple[str, float], ...] = ()
 
     def world(self, seed: int) -> World:
         """The world of it."""
         events = [Event(ASKED_MS, REQUEST, 0, float(self.to))]
-        if self.again:
-            events.append(Event(AGAIN_MS, REQUEST, 0, float(self.again)))
         events += [Event(s.at_ms, s.kind, s.target, s.value, s.for_ms, s.state)
                    for s in self.strikes]  # fmt: skip
         layshaft_rpm = UP_RPM if self.to > self.from_ else DOWN_RPM
@@ -86,12 +81,8 @@ BETWEEN: Final = Strike("engaging", "position_offset", 1, 5.0, 1_600)
 JAMMED: Final = Strike("clutch_opening", "sleeve_jammed", 0, 0.0, 3_000)
 AT_ONCE: Final = (("limits.blocks", 1.0),)
 """The first block of the guard ends the shift."""
-BRAKE_HELD: Final = (
-    Strike("clutch_opening", "brake_fade", 0, 5.0, 4_500),
-    Strike("", "valve_stuck", 0, 0.0, 4_300, at_ms=600),
-)
-"""A faded brake is on for long, and its valve sticks meanwhile: it is still pressed, though hardly
-felt, when the gear is to come out again."""
+PULLED: Final = Strike("", "mad_pull_under_torque", for_ms=1_000, at_ms=300)
+"""The sequence goes mad as a shift begins: it closes the clutch and pulls the gear out."""
 HELD: Final = Strike("clutch_parting", "clutch_stuck", for_ms=2_500)
 
 AIMS: Final = (
@@ -125,7 +116,7 @@ AIMS: Final = (
         (Strike("clutch_closing", "position_offset", 0, -6.0, 1_600),)),
     Aim("faulted+found_in_neutral", _deaf("synchronising")),
     Aim("starting+found_in_neutral", (Strike("synchronising", "controller_restarted"),)),
-    Aim("disengage_refused", BRAKE_HELD, again=8, settings=AT_ONCE),
+    Aim("disengage_refused", (PULLED,), settings=AT_ONCE),
     Aim("brake_limit", (Strike("synchronising", "brake_fade", 0, 0.0, 2_500),),
         settings=(*AT_ONCE, ("guard.brake_on_ms", 150.0))),
     Aim("guard_blocked", (SECOND_STUCK, *_unlinked("engaging")), settings=AT_ONCE),

@@ -104,7 +104,9 @@ DEEDS: Final[dict[str, Deed]] = {
     ),
     "mad_range": Deed(8, _drive(V.RANGE_LOW)),
     "mad_low_split": Deed(9, _drive(V.SPLIT_LOW), layshaft_rpm=2300.0, start_gear=12),
-    "mad_pull_under_torque": Deed(10, _drive(V.MAIN_SECOND, clutch=CLOSE)),
+    "mad_pull_under_torque": Deed(
+        10, _drive(V.MAIN_SECOND, clutch=CLOSE), begins=State.CLUTCH_OPENING
+    ),
     "mad_without_air": Deed(
         11, _drive(V.MAIN_SECOND, after_us=20_000), begins=State.COASTING,
         fault=_fault(RigFault.SUPPLY_DROP, 0, 4.0, 1000),
