@@ -120,6 +120,19 @@ def test_frames_that_catch_up_from_far_behind_tell_so_before_the_clock_gains() -
     assert found == [0] * 8 + [10_000, 0, 10_000, 0]
 
 
+def test_of_messages_that_catch_up_the_one_that_gains_most_tells() -> None:
+    """One is 3 ms less late than the last of its kind, the others are as late as before."""
+    guard_view, late = view(), (60_000,) * len(SLOW)
+    heard = ((0, (0,) * len(SLOW)), (7, late), (8, (57_000, *late[1:])))
+    for counter, (step, lates) in enumerate(heard):
+        frames = [
+            frame(each, counter, 300_000 + CYCLE_US * step - late_us)
+            for each, late_us in zip(SLOW, lates, strict=True)
+        ]
+        seen = guard_view.take(frames, 500_000 + CYCLE_US * step, 0)
+    assert seen.clock_gained_us == 3_000
+
+
 def test_messages_that_come_in_turn_are_each_as_late_as_the_last_of_their_kind() -> None:
     """With a tick of 5 ms, half of them in every second step: their stamps are 4 ms apart."""
     guard_view, found = view(), []
