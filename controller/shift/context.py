@@ -18,7 +18,6 @@ from meshpoint.controller.shift.driveline_look import DrivelineLook
 from meshpoint.controller.shift.kiss_point import KissPoint
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord, Trigger
-from meshpoint.controller.shift.tooth_on_tooth import FaceWatch
 from meshpoint.controller.shift.torque_fall import TorqueFall
 from meshpoint.controller.shift.valve_board import ValveBoard, ValveName
 from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
@@ -79,7 +78,6 @@ class ShiftContext:
         self.delays = SleeveDelays(sheet)
         self.drifts = PhaseDrifts(sheet, settings.crossing_filter.drag_pause_nm)
         self.kiss = KissPoint(sheet)
-        self.face = FaceWatch(sheet)
         self.state = State.STARTING
         self.since_us = 0
         self.clutch = ClutchAction.OPEN

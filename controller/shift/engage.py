@@ -129,17 +129,13 @@ def _look_for_contact(context: ShiftContext, snapshot: StepSnapshot) -> None:
 
 
 def _is_tooth_on_tooth(context: ShiftContext, snapshot: StepSnapshot) -> bool:
-    """Whether the sleeve has not entered its gear within `limits.face_ms` after contact, or sticks
-    to a tooth, so that it will not."""
+    """Whether the sleeve has not entered its gear within `limits.face_ms` after contact."""
     shift = context.running
     if shift.measured_contact_us is None:
         return False
     rested_us = snapshot.now_us - shift.measured_contact_us
-    patience_us = context.settings.limits.face_ms * MS_IN_US
-    context.face.take(snapshot.now_us, snapshot.speeds.slip_rad_s(shift.target.main))
-    if _entered_m(context, snapshot) > 2.0 * ENTERED_M:
-        return False
-    return rested_us > patience_us or context.face.sticks(patience_us / SECOND_US)
+    entered = _entered_m(context, snapshot) > 2.0 * ENTERED_M
+    return not entered and rested_us > context.settings.limits.face_ms * MS_IN_US
 
 
 def _went_straight(context: ShiftContext, seen_us: int | None) -> bool:

@@ -96,7 +96,6 @@ def _fire_if_due(
         return None
     shift.attempts += 1
     shift.measured_contact_us = None
-    context.face.begin()
     context.free_predictor, context.firing_predictor = None, predictor
     context.decision = plan._replace(decision=ShiftDecision.COMMITTED)
     return Trigger.FIRED

@@ -102,12 +102,6 @@ class Engaging(Step):
         context.delays = SimpleNamespace(learn=lambda *given: self.delays.append(given))
         context.drifts = SimpleNamespace(learn=lambda *given: self.drifts.append(given))
         self.seen = self.snapshot.view = Seen()
-        self.slip_rad_s: float | None = 9.0
-        self.snapshot.speeds = SimpleNamespace(slip_rad_s=self._slip_of)
-
-    def _slip_of(self, gear: MainGear) -> float | None:
-        assert gear is GEAR
-        return self.slip_rad_s
 
     def engage(self) -> Trigger | None:
         return engage(self.context, self.snapshot)
@@ -227,23 +221,6 @@ def test_a_sleeve_that_has_not_entered_so_long_after_contact_rests_on_a_tooth(
     assert step.engage() is (Trigger.BLOCKED if blocked else None)
     assert (step.command(VALVE) == OFF) is blocked
     assert (step.shift.attempts, step.shift.calls) == (2, 0)
-
-
-@pytest.mark.parametrize(
-    ("slip_rad_s", "entered_m", "blocked"),
-    [(0.0, 0.0, True), (9.0, 0.0, False), (None, 0.0, False), (0.0, 0.00061, False)],
-)
-def test_a_sleeve_that_sticks_to_a_tooth_goes_back_before_that(
-    slip_rad_s: float | None, entered_m: float, blocked: bool
-) -> None:
-    """50 ms after contact, of 200 that it may rest."""
-    step = Engaging()
-    step.slip_rad_s, step.seen.entered_m = slip_rad_s, entered_m
-    step.shift.measured_contact_us = NOW_US
-    for _ in range(5):
-        assert step.engage() is None
-        step.snapshot.now_us += 10 * MS
-    assert step.engage() is (Trigger.BLOCKED if blocked else None)
 
 
 @pytest.mark.parametrize(("late_us", "blocked"), [(0, False), (1, True)])
