@@ -21,7 +21,7 @@ import numpy as np
 
 from meshpoint.controller.settings import ControllerSettings, Window
 from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
 from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.campaign.spec import SEEDS_APART
@@ -31,7 +31,9 @@ TUNING_SEED: Final = 100
 LEARN, JUDGED = 4, 2
 GIVEN_UP_MS: Final = 2_000.0
 ROUNDS: Final = 3
-VALUES: Final = {
+Candidate = tuple[tuple[str, int], ...]
+Axes = dict[str, tuple[int, ...]]
+VALUES: Final[dict[str, Axes]] = {
     "speed_window": {
         "fire_slip_rad_s": (30, 40, 50),
         "release_slip_rad_s": (15, 25, 35, 45, 60),
@@ -44,7 +46,7 @@ VALUES: Final = {
 """Settings of the window, rpm. Slip at contact is no free choice but what a sleeve may wear at:
 `target_phase` plans none above 25 rpm, the anticipating one meets the gear at 25 at most, and what
 is fired within 50 arrives at 28 on average."""
-ANY_SLIP: Final = {
+ANY_SLIP: Final[dict[str, Axes]] = {
     "speed_window": {
         "fire_slip_rad_s": (50, 60, 70, 85, 100, 115),
         "release_slip_rad_s": (15, 25, 35, 45, 60, 75),
@@ -55,8 +57,6 @@ ANY_SLIP: Final = {
     },
 }
 """For time alone, whatever the wear (`--any-slip`)."""
-Candidate = tuple[tuple[str, int], ...]
-Axes = dict[str, tuple[int, ...]]
 
 
 def settings_of(strategy: str, candidate: Candidate) -> ControllerSettings:
@@ -66,10 +66,12 @@ def settings_of(strategy: str, candidate: Candidate) -> ControllerSettings:
     return ControllerSettings(strategy_name=strategy, window=window)
 
 
-def durations_ms(strategy: str, candidates: list[Candidate], seed: int) -> list[list[float]]:
+def durations_ms(
+    strategy: str, profile: Profile, candidates: list[Candidate], seed: int
+) -> list[list[float]]:
     """One run: learned once, then the judged shifts of every candidate."""
     sheet = load_sheet("truck12")
-    drawn = draw(seed, sheet, Preset.TRUCK, upshifts(), LEARN + JUDGED, {})
+    drawn = draw(seed, sheet, Preset.TRUCK, upshifts(), LEARN + JUDGED, {}, profile)
     learned = ClosedLoop(sheet, ControllerSettings(), Preset.TRUCK, drawn)
     for _ in range(LEARN):
         learned.shift()
@@ -90,7 +92,7 @@ def durations_ms(strategy: str, candidates: list[Candidate], seed: int) -> list[
     return found
 
 
-def tune(strategy: str, axes: Axes, runs: int, jobs: int) -> dict[str, Any]:
+def tune(strategy: str, axes: Axes, profile: Profile, runs: int, jobs: int) -> dict[str, Any]:
     """The best candidate of a strategy, with all that were tried."""
     best = {name: values[len(values) // 2] for name, values in axes.items()}
     tried: dict[Candidate, float] = {}
@@ -99,10 +101,10 @@ def tune(strategy: str, axes: Axes, runs: int, jobs: int) -> dict[str, Any]:
         for _ in range(ROUNDS):
             before = dict(best)
             for name, values in axes.items():
-                line = [tuple((best | {name: value}).items()) for value in values]
+                line: list[Candidate] = [tuple((best | {name: value}).items()) for value in values]
                 new = [candidate for candidate in line if candidate not in tried]
                 if new:
-                    work = partial(durations_ms, strategy, new)
+                    work = partial(durations_ms, strategy, profile, new)
                     means = np.mean(list(pool.map(work, seeds)), axis=(0, 2))
                     tried |= dict(zip(new, means.tolist(), strict=True))
                 best = dict(min(line, key=tried.__getitem__))
@@ -110,6 +112,7 @@ def tune(strategy: str, axes: Axes, runs: int, jobs: int) -> dict[str, Any]:
                 break
     return {
         "strategy": strategy,
+        "as_built": str(profile),
         "best_rpm": best,
         "mean_ms": tried[tuple(best.items())],
         "tried": [{**dict(c), "mean_ms": round(ms, 1)} for c, ms in tried.items()],
@@ -123,10 +126,11 @@ def main(arguments: list[str]) -> int:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--strategy", choices=tuple(VALUES), action="append")
     parser.add_argument("--any-slip", action="store_true")
+    parser.add_argument("--as-built", type=Profile, choices=tuple(Profile), default=DEFAULT_PROFILE)
     chosen = parser.parse_args(arguments)
     values = ANY_SLIP if chosen.any_slip else VALUES
     for strategy in chosen.strategy or values:
-        found = tune(strategy, values[strategy], chosen.runs, chosen.jobs)
+        found = tune(strategy, values[strategy], chosen.as_built, chosen.runs, chosen.jobs)
         sys.stdout.write(json.dumps(found) + "\n")
         sys.stdout.flush()
     return 0
