@@ -96,7 +96,8 @@ def test_a_sleeve_leaves_while_it_moves_or_once_it_is_out(
 @pytest.mark.parametrize(
     ("change", "wanted"),
     [("none", True), ("split", False), ("range", False), ("no slip", False),
-     ("no speed", False), ("used up", False), ("one use left", True), ("slow", False)],
+     ("no speed", False), ("used up", False), ("one use left", True), ("slow", False),
+     ("blocked by the guard", False)],
 )  # fmt: skip
 def test_air_is_wanted_for_a_gear_too_fast_for_drag_alone_and_where_no_other_step_changes(
     change: str, wanted: bool
@@ -107,6 +108,8 @@ def test_air_is_wanted_for_a_gear_too_fast_for_drag_alone_and_where_no_other_ste
         view.split = Split.LOW if TARGET.split is Split.HIGH else Split.HIGH
     if change == "range":
         view.range_ = Range.LOW if TARGET.range_ is Range.HIGH else Range.HIGH
+    if change == "blocked by the guard":
+        step.shift.blocks = 1
     if change == "no slip":
         step.slip = None
     if change == "no speed":
