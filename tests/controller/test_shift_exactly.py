@@ -363,7 +363,7 @@ def test_air_is_put_in_the_brake_early_where_the_drag_as_learned_would_take_too_
     ratio, inertia = SHEET.main_mesh(gear.main).ratio, SHEET.inertia_kgm2(gear.split)
     slip = settings.window.fire_slip_rad_s + ratio * 20.0 / inertia * coast_s
     context: Any = SimpleNamespace(
-        sheet=SHEET, settings=settings, running=SimpleNamespace(target=gear, pulses=0)
+        sheet=SHEET, settings=settings, running=SimpleNamespace(target=gear, pulses=0, blocks=0)
     )
     snapshot: Any = SimpleNamespace(
         view=SimpleNamespace(split=gear.split, range_=gear.range_),
