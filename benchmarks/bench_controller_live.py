@@ -2,7 +2,8 @@
 
     answer  from the last edge frame of a read at a listener to the valve command that follows it:
             hub, listener, the controller's wait for the rest of the read and its step are in it
-    least   the least of these: of a step that was due as the frame came
+    least   the least of these; a command already on its way as the frame came counts too, so it is
+            not the time of a step that is due
     echo    from a frame that the listener sends to the same frame sent back by python-can's own
             recv() and send(), through the same hub, amid the same traffic
     core    processor time of the controller's process over wall time, in gear
@@ -18,18 +19,22 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import can
 
-from benchmarks.bench_rig_live import START_LIMIT_S, processor_s, quantile, rig_process
+from benchmarks.bench_rig_live import (
+    START_LIMIT_S,
+    processor_s,
+    python_process,
+    quantile,
+    rig_process,
+)
 from meshpoint.bus.local.register import register_interface
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ValveCommand
@@ -63,16 +68,6 @@ class Window(NamedTuple):
     echo_p99_ms: float
 
 
-@contextmanager
-def python(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A process of this Python; ended at the end."""
-    with subprocess.Popen([sys.executable, *arguments], stdin=subprocess.DEVNULL) as process:  # noqa: S603 (our own)
-        try:
-            yield process
-        finally:
-            process.terminate()
-
-
 def heard(bus: can.BusABC, can_id: int) -> None:
     """Waits for a frame of this identifier."""
     end = time.monotonic() + START_LIMIT_S
@@ -88,7 +83,7 @@ def answers_ms(bus: can.BusABC, seconds: float) -> list[float]:
     found: list[float] = []
     edge_s: float | None = None
     end = time.perf_counter() + seconds
-    while (now := time.perf_counter()) < end:
+    while time.perf_counter() < end:
         message = bus.recv(0.1)
         now = time.perf_counter()
         if message is None:
@@ -146,8 +141,8 @@ def measured(windows: int, seconds: float) -> dict[str, float]:
         with (
             can.Bus(interface="meshpoint", channel=channel, ignore_config=True) as bus,
             rig_process(channel),
-            python(*controller) as process,
-            python("-c", ECHO, channel),
+            python_process(*controller) as process,
+            python_process("-c", ECHO, channel),
         ):
             heard(bus, COMMAND)
             answers_ms(bus, WARM_S)

@@ -20,7 +20,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -58,14 +58,19 @@ def quantile(values: Sequence[float], share: float) -> float:
 
 
 @contextmanager
-def rig_process(channel: str) -> Iterator[subprocess.Popen[bytes]]:
-    """A rig, truck preset, on this channel; ended at the end."""
-    command = [sys.executable, "-m", "meshpoint", "rig", "--preset", "truck", "-q", "-c", channel]
+def python_process(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A process of this Python with these arguments; ended at the end."""
+    command = [sys.executable, *arguments]
     with subprocess.Popen(command, stdin=subprocess.DEVNULL) as process:  # noqa: S603 (our own)
         try:
             yield process
         finally:
             process.terminate()
+
+
+def rig_process(channel: str) -> AbstractContextManager[subprocess.Popen[bytes]]:
+    """A rig, truck preset, on this channel; ended at the end."""
+    return python_process("-m", "meshpoint", "rig", "--preset", "truck", "-q", "-c", channel)
 
 
 def start_up_s(bus: can.BusABC, channel: str) -> tuple[float, float]:
