@@ -223,11 +223,13 @@ class Observer:
         pressures = self._sensors(inputs.sensors, now_us)
         self.valves = inputs.valve_status or self.valves
         jumped = self._lose_what_broke(events)
-        self._see_whether_free(events)
         if jumped:
             layshaft, main, pressures = NO_EDGES, NO_EDGES, NO_SAMPLES
             self._loaded.lose()
-        else:
+        if self._is_free and not self.layshaft.free:
+            layshaft, main = self._take_in_gear(layshaft, main)
+        self._see_whether_free(events)
+        if not jumped:
             self._read_geared(inputs, now_us)
         self._main.edges(main)
         if self._main_dragged:
@@ -356,6 +358,25 @@ class Observer:
         events.append("tooth numbers lost: phase references unknown again")
         return jumped
 
+    @property
+    def _is_free(self) -> bool:
+        """Whether clutch and main box leave both shafts to themselves."""
+        view = self.view
+        if not view.complete:
+            return False
+        steps_in = view.split is not None and view.range_ is not None and not self._dragged
+        return view.clutch_parted and view.main_box_free and steps_in
+
+    def _take_in_gear(self, layshaft: EdgeBatch, main: EdgeBatch) -> tuple[EdgeBatch, EdgeBatch]:
+        """A gear has come out during this read: the edges from before are of shafts that it still
+        drove. The trackers take those now; returns the rest."""
+        since_us = max(self.view.oldest_us, self.view.clutch.newest_us)
+        driven, layshaft = layshaft.split(since_us)
+        self.layshaft.edges(driven, NO_SAMPLES)
+        driven, main = main.split(since_us)
+        self._main.edges(driven)
+        return layshaft, main
+
     def _see_whether_free(self, events: list[str]) -> None:
         view = self.view
         if not view.complete:
@@ -363,12 +384,10 @@ class Observer:
         if view.split is not None and view.split is not self._split:
             self._split = view.split
             self._model_layshaft()
-        steps_in = view.split is not None and view.range_ is not None and not self._dragged
-        free = view.clutch_parted and view.main_box_free and steps_in
         newest = self._layshaft_wheel.newest
         if newest is None:
             return
-        was_free = self.layshaft.free
+        free, was_free = self._is_free, self.layshaft.free
         self.layshaft.set_free(free, newest.time_us, events)
         if isinstance(self._main, MainTracker):
             self._main.set_free(

@@ -96,6 +96,14 @@ class EdgeBatch(NamedTuple):
     falling: Integers
     """1 for a falling edge, 0 for a rising one."""
 
+    def split(self, time_us: float) -> tuple[EdgeBatch, EdgeBatch]:
+        """The edges up to a time, and those after it."""
+        k = int(np.searchsorted(self.time_us, time_us, side="right"))
+        before, after = (
+            EdgeBatch(*(each[part] for each in self)) for part in (slice(k), slice(k, None))
+        )
+        return before, after
+
 
 class EdgeHealth(NamedTuple):
     """Edges left out as extra, edges that were missing, how often a tooth was in doubt, how often
