@@ -27,8 +27,11 @@ MOST_A_WINDOW: Final = 8.0
 """One window, in which a model lost the driveline, tells no more than this."""
 REJECTED: Final = -4.0
 """where it is this unlikely it is not even tried,"""
-RETRIED: Final = -1.0
-"""until the windows that spoke against it are forgotten so far."""
+RETRIED: Final = -3.0
+"""until the windows that spoke against it are forgotten so far;"""
+LOWEST: Final = -6.0
+"""and however many did, it is tried again after the fourth: a cloud that loses a driveline twice in a row
+speaks as strongly against a backlash as a driveline that has none."""
 
 
 class Prediction(NamedTuple):
@@ -97,7 +100,7 @@ class LashRivals:
         """The window is over. Predictions overlap: those of one horizon count as one."""
         self._windows += 1
         told = min(max(self._window * STEP_SHARE, -MOST_A_WINDOW), MOST_A_WINDOW)
-        self._for_lash = FORGET * self._for_lash + told
+        self._for_lash = max(LOWEST, FORGET * self._for_lash + told)
         self._tried = self._for_lash > (REJECTED if self._tried else RETRIED)
         enough = self._for_lash > (DOUBTED if self._believed else BELIEVED)
         self._believed = self._windows >= LEAST_WINDOWS and enough
