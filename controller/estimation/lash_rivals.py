@@ -30,7 +30,7 @@ REJECTED: Final = -4.0
 RETRIED: Final = -3.0
 """until the windows that spoke against it are forgotten so far;"""
 LOWEST: Final = -6.0
-"""and however many did, it is tried again after the fourth: a cloud that loses a driveline twice in a row
+"""and however many did, it is tried again after the fourth: a cloud that loses its driveline twice
 speaks as strongly against a backlash as a driveline that has none."""
 
 

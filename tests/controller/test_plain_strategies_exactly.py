@@ -82,8 +82,20 @@ def test_in_its_window_a_sleeve_is_fired_at_once(slip_rpm: float, fires: bool) -
     any_predictor: Any = predictor
     contact_us = strategy.contact(any_predictor, 10_000, 28_000)
     assert contact_us == (28_000 + 45_000 if fires else None)
-    assert predictor.asked == [10_000]
+    assert predictor.asked[0] == 10_000
     assert strategy.fire_slip_rad_s == pytest.approx(48.0 * RPM)
+
+
+@pytest.mark.parametrize(("at_contact_rpm", "fires"), [(0.1, False), (0.0, True), (-30.0, True)])
+def test_above_its_window_a_sleeve_is_fired_where_a_later_one_would_come_too_late(
+    at_contact_rpm: float, fires: bool
+) -> None:
+    """Strong drag takes the whole window while a sleeve is on its way."""
+    strategy, predictor = SpeedWindow(SHEET, SETTINGS), Predictor()
+    slips = {10_000: 60.0 * RPM, 73_000: at_contact_rpm * RPM}
+    any_predictor: Any = predictor
+    any_predictor.slip_rad_s = slips.__getitem__
+    assert strategy.contact(any_predictor, 10_000, 28_000) == (73_000 if fires else None)
 
 
 def test_ahead_of_its_slip_a_sleeve_is_fired_up_to_three_tenths_of_a_second_before() -> None:

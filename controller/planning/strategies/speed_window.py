@@ -32,7 +32,8 @@ class SpeedWindow(Unaimed):
         return ReleasePlan(at_us, at_us + round(self._settle_us))
 
     def contact(self, predictor: GearPredictor, now_us: int, earliest_us: int) -> int | None:
-        """At once when the slip is inside the window; None while it is above."""
-        if predictor.slip_rad_s(now_us) > self.fire_slip_rad_s:
-            return None
-        return earliest_us + predictor.delay_us
+        """At once when the slip is inside the window, or when drag is so strong that a sleeve fired
+        later would meet the gear too slow; None while it is above."""
+        contact_us = earliest_us + predictor.delay_us
+        is_inside = predictor.slip_rad_s(now_us) <= self.fire_slip_rad_s
+        return contact_us if is_inside or predictor.slip_rad_s(contact_us) <= 0.0 else None

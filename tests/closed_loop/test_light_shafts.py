@@ -1,0 +1,35 @@
+"""In the closed loop: shafts so light that drag takes the slip window within a sleeve's way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Preset, Profile
+from meshpoint.testbench.campaign.draw import draw, upshifts
+from meshpoint.testbench.campaign.loop import ClosedLoop
+
+SHIFTS = 8
+
+
+@pytest.mark.parametrize("seed", [900_000_001, 900_000_016])
+def test_with_a_quarter_of_the_inertia_no_shift_is_given_up(seed: int) -> None:
+    """Also those without a phase reference: fired only inside 50 rpm, their sleeve would have met
+    the gear at less than its least slip, and the engine's speed was lost again as fast."""
+    whole = load_sheet("truck12")
+    shafts = whole.shafts
+    sheet = replace(
+        whole,
+        shafts=replace(
+            shafts,
+            layshaft_inertia_kgm2=0.25 * shafts.layshaft_inertia_kgm2,
+            input_inertia_kgm2=0.25 * shafts.input_inertia_kgm2,
+        ),
+    )
+    drawn = draw(seed, sheet, Preset.TRUCK, upshifts(), SHIFTS, {}, Profile.CLEAN)
+    loop = ClosedLoop(sheet, ControllerSettings(), Preset.TRUCK, drawn)
+    rows = [loop.shift() for _ in range(SHIFTS)]
+    assert [row and row.result for row in rows] == ["engaged"] * SHIFTS
