@@ -99,10 +99,11 @@ class EdgeBatch(NamedTuple):
     def split(self, time_us: float) -> tuple[EdgeBatch, EdgeBatch]:
         """The edges up to a time, and those after it."""
         k = int(np.searchsorted(self.time_us, time_us, side="right"))
-        before, after = (
-            EdgeBatch(*(each[part] for each in self)) for part in (slice(k), slice(k, None))
+        times, angles, teeth, falling = self
+        return (
+            EdgeBatch(times[:k], angles[:k], teeth[:k], falling[:k]),
+            EdgeBatch(times[k:], angles[k:], teeth[k:], falling[k:]),
         )
-        return before, after
 
 
 class EdgeHealth(NamedTuple):
