@@ -32,9 +32,9 @@ NO_SWITCHES: Final = np.empty((2, 0))
 FORGET: Final = 0.99
 """Weight of older windows relative to each newer one: the errors change as a sensor warms up."""
 LEAST_SD_RAD: Final = math.radians(0.003)
-USABLE_SD: Final = 0.5
-"""The errors are used once the least certain one has at most this share of an unlearned edge's
-sd."""
+USABLE_SD: Final = 0.8
+"""The errors are used once the least certain one has at most this share of an unlearned edge's sd:
+with bad sensors a tooth that is half known is better than one that is not."""
 DISAGREES: Final = 3.0
 """Squared residuals over their expectation at which a window does not fit the teeth."""
 UNLIKE_MODEL: Final = 2.0
@@ -322,8 +322,8 @@ class WheelTeeth:
         return (squares + float(e @ window.normal @ e)) / window.edges
 
     def _solve(self) -> str | None:
-        """Least squares with a weak prior: one pitch share at most, mean zero."""
-        prior = (10.0 * self._unlearned_sd_rad) ** -2
+        """The most probable errors, mean zero."""
+        prior = (LARGEST_SD * self._unlearned_sd_rad) ** -2
         covariance = inverse_of_positive(self._normal + prior * np.eye(self._edges))
         error = covariance @ self._right
         mean = covariance.mean(axis=0)

@@ -52,7 +52,7 @@ def learned_from(*windows: PatternEquations, forget: float = 0.99) -> tuple[Vect
     normal, right = np.zeros((EDGES, EDGES)), np.zeros(EDGES)
     for each in windows:
         normal, right = forget * normal + each.normal, forget * right + each.right
-    covariance = np.linalg.inv(normal + (10.0 * UNLEARNED_RAD) ** -2 * np.eye(EDGES))
+    covariance = np.linalg.inv(normal + (3.0 * UNLEARNED_RAD) ** -2 * np.eye(EDGES))
     centred = np.eye(EDGES) - 1.0 / EDGES
     variances = np.diag(centred @ covariance @ centred)
     return (centred @ covariance @ right, math.sqrt(variances.mean()), math.sqrt(variances.max()))
@@ -78,7 +78,7 @@ def test_teeth_are_those_of_least_squares_over_all_windows_the_old_counting_a_li
     assert teeth.count == TEETH
 
 
-def test_a_prior_of_ten_teeth_s_errors_holds_an_edge_that_was_hardly_seen() -> None:
+def test_a_prior_of_three_teeth_s_errors_holds_an_edge_that_was_hardly_seen() -> None:
     """One look in a hundred windows' prior: then the weak prior shows."""
     faint = PatternEquations(1e-3 * window(pattern(1)).normal, 1e-3 * window(pattern(1)).right,
                              100.0, 100.0)  # fmt: skip
@@ -90,14 +90,14 @@ def test_a_prior_of_ten_teeth_s_errors_holds_an_edge_that_was_hardly_seen() -> N
 
 
 @pytest.mark.parametrize(("share", "used"), [(0.97, False), (1.03, True)])
-def test_teeth_are_used_once_the_least_sure_is_twice_as_sure_as_an_unlearned_one(
+def test_teeth_are_used_once_the_least_sure_is_surer_than_an_unlearned_one_by_a_fifth(
     share: float, used: bool
 ) -> None:
     looks = np.full(EDGES, 40.0)
     looks[5] = 0.04
     for _ in range(60):
         worst = learned_from(window(pattern(1), looks))[2]
-        looks[5] *= (worst / (0.5 * UNLEARNED_RAD)) ** 2
+        looks[5] *= (worst / (0.8 * UNLEARNED_RAD)) ** 2
     looks[5] *= share
     teeth = WheelTeeth(TEETH, TUNING)
     line = teeth.take(window(pattern(1), looks))
@@ -208,7 +208,7 @@ def test_numbers_that_are_lost_leave_the_pattern_and_it_is_found_again() -> None
     assert teeth.found.teeth == 5
     assert teeth.found.margin > 30.0
     assert teeth.edges_seen == edges + int(again.edges)
-    normal = again.normal + (memory.weight + (10.0 * UNLEARNED_RAD) ** -2) * np.eye(EDGES)
+    normal = again.normal + (memory.weight + (3.0 * UNLEARNED_RAD) ** -2) * np.eye(EDGES)
     right = again.right + memory.weight * turned(errors, 5)
     expected = np.linalg.solve(normal, right)
     assert teeth.error_rad == pytest.approx(expected - expected.mean(), abs=1e-9)

@@ -203,19 +203,19 @@ def test_teeth_are_another_wheel_s_where_they_leave_three_times_the_expected_res
     assert not teeth._is_a_stranger_s(helped)
 
 
-def test_errors_have_no_mean_and_are_half_as_sure_as_unlearned_ones_at_least() -> None:
-    """With a prior of ten unlearned teeth's error: here the edges' own mean is seen as well."""
+def test_errors_have_no_mean_and_are_surer_than_unlearned_ones_by_a_fifth_at_least() -> None:
+    """With a prior of three unlearned teeth's error: here the edges' own mean is seen as well."""
     teeth, errors = WheelTeeth(2, TUNING), UNLEARNED * np.array((1.0, 0.2, -0.4, 0.6))
     line = teeth.take(window(SURE, SURE * errors, SURE * float(errors @ errors), 60.0))
-    shrunk = SURE / (SURE + 0.01 / UNLEARNED**2)
+    shrunk = SURE / (SURE + 1.0 / 9.0 / UNLEARNED**2)
     assert teeth.error_rad == pytest.approx(shrunk * (errors - errors.mean()))
-    sd = math.sqrt(0.75 / (SURE + 0.01 / UNLEARNED**2))
+    sd = math.sqrt(0.75 / (SURE + 1.0 / 9.0 / UNLEARNED**2))
     assert teeth.sd_rad == pytest.approx(max(math.radians(0.003), sd))
     assert line == f"teeth learned to {math.degrees(teeth.sd_rad):.3f} deg"
-    for weight, learned in ((2.98, False), (3.02, True)):
+    for weight, learned in ((1.16, False), (1.18, True)):
         # Less the mean, four edges have three quarters of their variance.
         teeth = WheelTeeth(2, TUNING)
-        teeth.take(window((weight - 0.01) / UNLEARNED**2, NONE, 1.0, 60.0))
+        teeth.take(window((weight - 1.0 / 9.0) / UNLEARNED**2, NONE, 1.0, 60.0))
         assert teeth.learned is learned
 
 
