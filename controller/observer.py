@@ -370,7 +370,7 @@ class Observer:
     def _take_in_gear(self, layshaft: EdgeBatch, main: EdgeBatch) -> tuple[EdgeBatch, EdgeBatch]:
         """A gear has come out during this read: the edges from before are of shafts that it still
         drove. The trackers take those now; returns the rest."""
-        since_us = max(self.view.oldest_us, self.view.clutch.newest_us)
+        since_us = self.view.free_since_us
         driven, layshaft = layshaft.split(since_us)
         self.layshaft.edges(driven, NO_SAMPLES)
         driven, main = main.split(since_us)

@@ -18,6 +18,7 @@ ENTERED_M: Final = 0.3e-3
 """A sleeve this far past contact has entered its gear; at contact it may rest on a tooth."""
 SAMPLE_US: Final = 1000
 SLEEVE_COUNT: Final = len(Sleeve)
+MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
 
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 _GEAR_AT: Final = {(side.sleeve, side.direction): g for g, side in SLEEVE_OF_MAIN.items()}
@@ -184,6 +185,30 @@ class GearboxView:
         if main is None or split is None or range_ is None:
             return -1
         return _NUMBER.get((main, split, range_), -1)
+
+    @property
+    def free_since_us(self) -> float:
+        """Since when, in the newest samples of a free main box and a parted clutch, they have been
+        so: as soon as a sleeve had left its gear's teeth."""
+        return max(self._parted_since_us, *map(self._clear_since_us, MAIN_SLEEVES))
+
+    def _clear_since_us(self, sleeve: Sleeve) -> float:
+        """When a sleeve left a gear's teeth; its oldest sample's time where that was before."""
+        track, rest_m = self.tracks[sleeve], self._rest_m[sleeve]
+        limit_m = self._contact_m - SHORT_M
+        for level_m, direction in ((-limit_m - rest_m, -1), (rest_m - limit_m, 1)):
+            left_us = track.crossing_us(level_m, direction)
+            if left_us is not None:
+                return left_us
+        return track.newest_us - (len(track.samples_m) - 1) * SAMPLE_US
+
+    @property
+    def _parted_since_us(self) -> float:
+        """The newest sample of the clutch, or the one before where it was parted already."""
+        before = self.clutch.before
+        if before is not None and before[1] <= self._clutch_open_share:
+            return before[0]
+        return self.clutch.newest_us
 
     @property
     def main_box_free(self) -> bool:

@@ -151,3 +151,29 @@ def test_a_sleeve_is_seen_to_pass_a_level_wherever_between_two_frames_it_does(
         )
     crossed_us = view.tracks[Sleeve.FIRST_SECOND].crossing_us(5e-3, 1)
     assert crossed_us == pytest.approx(newest_us - back_ms * 1000, abs=1.0)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("crawl", [False, True])
+def test_the_box_is_free_since_a_sleeve_left_its_teeth_and_the_plates_had_parted(
+    side: int, crawl: bool
+) -> None:
+    """The sleeve runs 1 mm a millisecond; teeth begin 0.4 mm before contact. A sleeve that stands
+    clear says no more than that it did so through its samples."""
+    view = view_at(0, 0, 1, 1)
+    clear_mm = 1e3 * SHEET.sleeve.to_contact_m - 0.4
+    out = tuple(side * 1e-3 * (clear_mm - 2.25 + i) for i in range(10))
+    still = (0.0,) * 10
+    sleeves = (still, out) if crawl else (out, still)
+    view.clutch.take(190_000, 0.0)
+    view.clutch.take(200_000, 0.0)
+    view.sleeves_main(
+        SleevesMain(sleeve_first_second_m=sleeves[0], sleeve_crawl_third_m=sleeves[1]), 200_000
+    )
+    assert view.main_box_free
+    assert view.free_since_us == pytest.approx(200_000 - 2_250)
+    view.sleeves_main(SleevesMain(sleeve_first_second_m=still, sleeve_crawl_third_m=still), 230_000)
+    assert view.free_since_us == 230_000 - 9_000
+    view.clutch.take(230_000, 1.0)
+    view.clutch.take(240_000, 0.0)
+    assert view.free_since_us == 240_000
