@@ -226,7 +226,7 @@ class Observer:
         if jumped:
             layshaft, main, pressures = NO_EDGES, NO_EDGES, NO_SAMPLES
             self._loaded.lose()
-        if self._is_free and not self.layshaft.free:
+        if not self.layshaft.free and self._is_free:
             layshaft, main = self._take_in_gear(layshaft, main)
         self._see_whether_free(events)
         if not jumped:

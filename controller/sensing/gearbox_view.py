@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 from meshpoint.controller.sensing.clutch_track import ClutchTrack
 from meshpoint.dbc.messages import SleevesAux, SleevesMain
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
-from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN
+from meshpoint.gearbox.gears import DRIVE_GEARS, MAIN_SLEEVES, SLEEVE_OF_MAIN
 
 VIEW_NEUTRAL_M: Final = 1.0e-3
 """A sleeve within this of the middle is in neutral."""
@@ -18,7 +18,6 @@ ENTERED_M: Final = 0.3e-3
 """A sleeve this far past contact has entered its gear; at contact it may rest on a tooth."""
 SAMPLE_US: Final = 1000
 SLEEVE_COUNT: Final = len(Sleeve)
-MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
 
 _new: Final = tuple.__new__  # a NamedTuple without its constructor's argument handling
 _GEAR_AT: Final = {(side.sleeve, side.direction): g for g, side in SLEEVE_OF_MAIN.items()}
@@ -63,7 +62,8 @@ class GearboxView:
 
     def __init__(self, sheet: GearboxSheet) -> None:
         self._stroke_m = sheet.sleeve.stroke_m
-        self._contact_m = sheet.sleeve.to_contact_m
+        self._clear_m = sheet.sleeve.to_contact_m - SHORT_M
+        """Nearer to the middle than this a sleeve is clear of a gear's teeth."""
         self._speed_m_s = sheet.sleeve.speed_m_s
         self._rest_m = dict.fromkeys(Sleeve, 0.0)
         """Offset of each sensor: its reading in neutral (m)."""
@@ -118,7 +118,7 @@ class GearboxView:
     def contact_us(self, sleeve: Sleeve, direction: int) -> float | None:
         """When a sleeve on its way to a gear came to where it meets the gear's teeth; None where it
         did not within the newest samples. The sensor's offset is taken out."""
-        level_m = self._contact_m - SHORT_M + self._rest_m[sleeve] * direction
+        level_m = self._clear_m + self._rest_m[sleeve] * direction
         passed_us = self.tracks[sleeve].crossing_us(level_m, direction)
         return None if passed_us is None else passed_us + SHORT_M / self._speed_m_s * 1e6
 
@@ -168,9 +168,9 @@ class GearboxView:
         self.range_ = _RANGE_AT[self.side(Sleeve.RANGE)]
 
     def _main_gear(self) -> MainGear | None:
-        if self.in_neutral(Sleeve.FIRST_SECOND) and self.in_neutral(Sleeve.CRAWL_THIRD):
+        if all(map(self.in_neutral, MAIN_SLEEVES)):
             return MainGear.NEUTRAL
-        for sleeve in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD):
+        for sleeve in MAIN_SLEEVES:
             gear = _GEAR_AT.get((sleeve, self.side(sleeve)))
             if gear is not None:
                 return gear
@@ -194,8 +194,7 @@ class GearboxView:
 
     def _clear_since_us(self, sleeve: Sleeve) -> float:
         """When a sleeve left a gear's teeth; its oldest sample's time where that was before."""
-        track, rest_m = self.tracks[sleeve], self._rest_m[sleeve]
-        limit_m = self._contact_m - SHORT_M
+        track, rest_m, limit_m = self.tracks[sleeve], self._rest_m[sleeve], self._clear_m
         for level_m, direction in ((-limit_m - rest_m, -1), (rest_m - limit_m, 1)):
             left_us = track.crossing_us(level_m, direction)
             if left_us is not None:
@@ -213,9 +212,5 @@ class GearboxView:
     @property
     def main_box_free(self) -> bool:
         """Whether no main sleeve is at a gear's teeth, where it rubs on them or is in mesh."""
-        limit = self._contact_m - SHORT_M
-        first, third = Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD
-        return (
-            abs(self.position_m(first) - self._rest_m[first]) < limit
-            and abs(self.position_m(third) - self._rest_m[third]) < limit
-        )
+        limit_m = self._clear_m
+        return all(abs(self.position_m(s) - self._rest_m[s]) < limit_m for s in MAIN_SLEEVES)

@@ -16,7 +16,7 @@ from meshpoint.controller.settings import MS_IN_US
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.valve_board import ValveName
-from meshpoint.gearbox import Sleeve
+from meshpoint.gearbox.gears import MAIN_SLEEVES
 from meshpoint.units import SECOND_US
 
 MOVED_M: Final = 0.6e-3
@@ -25,7 +25,6 @@ OVER_SAMPLES: Final = 3
 """The sleeve's speed is taken over so many samples of 1 ms."""
 CLEAR_M: Final = 1.0e-3
 """Air comes in when the teeth are this far from each other, as predicted."""
-MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
 
 
 def brake_ahead(context: ShiftContext, snapshot: StepSnapshot) -> None:

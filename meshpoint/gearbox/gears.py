@@ -52,6 +52,9 @@ class Sleeve(IntEnum):
     RANGE = 3
 
 
+MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
+
+
 @dataclass(frozen=True)
 class SleeveSide:
     """A sleeve and the direction it moves in to engage, -1 or +1 along its axis."""

@@ -231,6 +231,19 @@ def within(off_sd: float, half_sd: float) -> float:
     )
 
 
+def test_a_backlash_doubted_however_often_is_tried_again_after_four_windows() -> None:
+    good, bad = Prediction(0.0, 0.3 * GAP_RAD), Prediction(3.0 * GAP_RAD, 0.3 * GAP_RAD)
+    rivals = LashRivals()
+    for _ in range(3):
+        judged(rivals, good, bad)
+    tried = []
+    for _ in range(4):
+        rivals.begin()
+        rivals.end()
+        tried.append(rivals.tries_lash)
+    assert tried == [False, False, False, True]
+
+
 def test_a_window_weighs_what_each_model_gave_to_what_came() -> None:
     """Twice the logarithm of both probabilities' ratio, a horizon counting as one."""
     swing, lash = Prediction(GAP_RAD, 0.8 * GAP_RAD), Prediction(0.1 * GAP_RAD, 0.5 * GAP_RAD)

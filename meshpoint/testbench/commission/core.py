@@ -25,7 +25,7 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.gearbox.gears import Sleeve
+from meshpoint.gearbox.gears import MAIN_SLEEVES, Sleeve
 from meshpoint.testbench.check.shafts import Shaft, WheelCount, count_edges
 from meshpoint.testbench.commission.hearing import HearingCore
 from meshpoint.testbench.commission.trial import EXPECTED, Trial
@@ -46,7 +46,6 @@ MOST_EDGES: Final = 4
 """Of a wheel within `STILL_US`: creeping is not turning."""
 NEUTRAL_M: Final = 1.5 * MM
 NEEDED: Final = (GearboxSensors, SleevesMain, SleevesAux, ValveStatus)
-MAIN_SLEEVES: Final = (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)
 STATIONARY_US: Final = 30_000_000
 """So long is waited for a box that stands."""
 
