@@ -7,7 +7,6 @@ gives the intra-class correlation asked for.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
@@ -17,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
-from meshpoint.testbench.campaign.sequential import Estimate, looks, paired_estimate, parse_goal
+from meshpoint.testbench.campaign.sequential import (
+    Estimate,
+    against_known,
+    looks,
+    paired_estimate,
+    parse_goal,
+    unknown,
+)
 from meshpoint.testbench.campaign.verdict import Comparison, PairedRun, Verdict
 from meshpoint.testbench.campaign.verdict import looks as paired_looks
 
@@ -164,6 +170,8 @@ class CoverageRun:
     runs: int
     campaigns: int
     seed: int
+    is_integrated: bool = False
+    """The gap rate of the second is integrated over the phase: a number of each gearbox."""
 
     def run(self) -> Coverage:
         """How often the interval held."""
@@ -176,12 +184,14 @@ class CoverageRun:
 
     def _stopped(self, rng: np.random.Generator) -> Estimate:
         goal = parse_goal(self.goal)
-        sums = [self._hits(rng, rate) for rate in self.hits]
+        own, other = self.hits
+        hits = self._hits(rng, own)
+        others = self._shares(rng, other) if self.is_integrated else self._hits(rng, other)
         n = np.full(self.runs, float(self.shifts))
-        found = Estimate(math.nan, math.inf, 0)
+        estimate = against_known if self.is_integrated else paired_estimate
+        found = unknown(0)
         for runs in looks(self.runs):
-            a, b = (each[:runs] for each in sums)
-            found = paired_estimate(goal.kind, a, n[:runs], b, n[:runs])
+            found = estimate(goal.kind, hits[:runs], n[:runs], others[:runs], n[:runs])
             if found.half_width <= goal.half_width:
                 break
         return found
@@ -191,3 +201,7 @@ class CoverageRun:
         of_run = rng.beta(rate * spread, (1.0 - rate) * spread, self.runs)
         drawn: Any = rng.binomial(self.shifts, of_run)
         return np.asarray(drawn, dtype=np.float64)
+
+    def _shares(self, rng: np.random.Generator, rate: float) -> Floats:
+        """Gearboxes differ by a tenth of their mean in how much of a pitch is gap."""
+        return self.shifts * rate * rng.uniform(0.9, 1.1, self.runs)
