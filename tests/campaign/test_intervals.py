@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.stats import beta
 
+from meshpoint.testbench.campaign.clustered_rate import clustered_rate
 from meshpoint.testbench.campaign.intervals import (
     RESAMPLES,
     SEED,
@@ -61,6 +63,31 @@ def test_a_hundred_runs_do_not_say_that_a_rate_is_over_99_percent() -> None:
     assert rate_interval(hits, runs)[0] == pytest.approx(0.963, abs=1e-3)  # as 100 of 100
     hits[5] = False
     assert 0.95 < rate_interval(hits, runs)[0] < 0.98
+
+
+def test_a_rate_of_shifts_that_are_independent_has_the_interval_of_a_binomial_one() -> None:
+    """One shift a run: nothing can go together. Jeffreys' interval of 490 of 500, by the beta
+    distribution's quantiles."""
+    found = clustered_rate(np.repeat([1.0, 0.0], [490, 10]), np.ones(500))
+    assert found.share == 0.98
+    assert (found.low, found.high) == pytest.approx(beta(490.5, 10.5).ppf((0.025, 0.975)), abs=2e-4)
+
+
+def test_misses_of_few_gearboxes_tell_less_than_as_many_that_are_spread() -> None:
+    shifts = np.full(100, 8.0)
+    one, spread = shifts.copy(), shifts.copy()
+    one[0], spread[:8] = 0.0, 7.0
+    together, apart = clustered_rate(one, shifts), clustered_rate(spread, shifts)
+    assert together.share == apart.share == 0.99
+    assert together.high - together.low > 1.25 * (apart.high - apart.low)
+    assert together.low < apart.low < 0.99 < apart.high < together.high
+
+
+def test_a_rate_without_a_miss_ends_at_one_and_with_nothing_but_misses_at_none() -> None:
+    shifts = np.full(60, 6.0)
+    assert 0.98 < clustered_rate(shifts, shifts).low < 0.99
+    assert clustered_rate(shifts, shifts).high == 1.0
+    assert clustered_rate(0.0 * shifts, shifts).low == 0.0
 
 
 def test_a_ratio_of_rates_near_one_is_as_wide_as_its_rates() -> None:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from meshpoint.testbench.campaign.sequential import (
     LEAST_RUNS,
+    against_known,
     looks,
     paired_estimate,
     parse_goal,
@@ -35,6 +36,36 @@ def test_an_interval_that_was_looked_at_until_narrow_holds_the_truth_as_often_as
     assert 0.93 <= found.held <= 0.97
 
 
+@pytest.mark.parametrize("icc", [0.12, 0.31])
+@pytest.mark.parametrize(("own", "half_width"), [(0.95, 2), (0.98, 1), (0.995, 1)])
+def test_an_interval_against_a_rate_that_is_integrated_holds_the_truth_as_often_as_it_says(
+    own: float, half_width: int, icc: float
+) -> None:
+    """What is left of chance is in few gearboxes that miss: the more they differ, the less their
+    own spread tells of it. Where hardly any misses, an interval may hold more than it says."""
+    words = f"first_contact_gap difference +-{half_width}%"
+    found = CoverageRun(words, (own, 0.22), icc, 6, 2048, 500, 7, is_integrated=True).run()
+    assert found.median_runs < 2048
+    assert 0.92 <= found.held <= (0.99 if own > 0.99 else 0.97)
+
+
+def test_a_hundred_runs_without_a_miss_are_enough_for_an_interval_of_one_per_cent() -> None:
+    """By Student's t over runs it took 142, whatever was judged in each."""
+    few, many, hits = np.full(64, 1.0), np.full(64, 6.0), np.full(64, 6.0)
+    found = against_known("difference", hits, many, 0.21 * few, few)
+    assert found.value == pytest.approx(0.79)
+    assert found.half_width < 0.01
+    assert against_known("difference", few, few, 0.21 * few, few).half_width > 0.01
+
+
+def test_a_ratio_to_a_rate_that_may_be_none_is_not_known() -> None:
+    one = np.ones(32)
+    assert against_known("ratio", one, one, 0.0 * one, one).to_json()["ci95"] == [None, None]
+    found = against_known("ratio", one, one, 0.5 * one, one)
+    assert found.value == 2.0
+    assert found.low < 2.0 <= found.high <= 2.0 + 1e-9
+
+
 def test_shifts_that_never_miss_have_no_interval_of_width_zero() -> None:
     n = np.full(40, 2.0)
     found = paired_estimate("difference", n, n, n, n)
@@ -57,7 +88,7 @@ def test_the_difference_is_that_of_all_shifts_and_turns_its_sign_with_the_strate
 
 
 def test_it_looks_at_growing_numbers_of_runs_and_at_the_last_one() -> None:
-    assert list(looks(100)) == [LEAST_RUNS, 45, 64, 91, 100]
+    assert list(looks(100)) == [LEAST_RUNS, 38, 45, 54, 64, 76, 91, 100]
     assert list(looks(5)) == [5]
 
 
@@ -68,7 +99,7 @@ def test_with_a_budget_nothing_is_begun_that_would_end_after_it() -> None:
     for runs in until.looks(10_000):
         made.append(runs)
         now_s = float(runs)  # a run takes a second
-    assert made == [32, 45, 64, 91]
+    assert made == [32, 38, 45, 54, 64, 76, 91]
     assert until.to_json()["until"]["stopped_by"] == "budget"
 
 

@@ -22,7 +22,7 @@ from meshpoint.testbench.campaign.report import write_report
 from meshpoint.testbench.campaign.result import Collected, to_json
 from meshpoint.testbench.campaign.run import RunResult, run_one
 from meshpoint.testbench.campaign.runner import WorkersLostError, run_all, workplace
-from meshpoint.testbench.campaign.sequential import FIGURES, GOAL_FORM, Goal, parse_goal
+from meshpoint.testbench.campaign.sequential import FIGURES, GAP, GOAL_FORM, Goal, parse_goal
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
 from meshpoint.testbench.campaign.stopping import Against, AllRuns, Stopping, Until
 from meshpoint.testbench.campaign.store import Store
@@ -47,6 +47,9 @@ from meshpoint.testbench.results.output import complain_of_strategy, console, wr
 
 MOST_RUNS: Final = 1_000_000
 RUNS: Final = 100
+RUNS_UNTIL: Final = 2_000
+JUDGED: Final = 2
+JUDGED_UNTIL: Final = 6
 RUNS_AGAINST: Final = 500
 """Where a commit is compared with: enough for a verdict on the margin that is the default."""
 _GOAL_HELP: Final = GOAL_FORM.replace("%", "%%")
@@ -68,7 +71,8 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument(
         "--runs", type=arguments.whole(1, MOST_RUNS), metavar="N",
-        help=f"number of draws (default: {RUNS}; with --against those of the baseline, "
+        help=f"number of draws (default: {RUNS}; with --until at most {RUNS_UNTIL}; with --against "
+        "those of the baseline, "
         f"{RUNS_AGAINST} for a commit); each has --judged paired shifts",
     )  # fmt: skip
     parser.add_argument(
@@ -76,19 +80,21 @@ def add_parser(commands: Any) -> None:
         help="shifts of each run in which the controller learns, not judged (default: 6)",
     )  # fmt: skip
     parser.add_argument(
-        "--judged", type=arguments.whole(1, 1000), default=2, metavar="K",
-        help="shifts of each run and strategy that are judged (default: 2)",
+        "--judged", type=arguments.whole(1, 1000), metavar="K",
+        help="shifts of each run and strategy that are judged (default: "
+        f"{JUDGED}; with --until {JUDGED_UNTIL}, which takes the least time to an interval)",
     )  # fmt: skip
     parser.add_argument(
         "--judged-blind", type=arguments.whole(1, 1000), metavar="K",
         help="of those, so many also by strategies that are blind to the phase, beside the "
-        "controller's own (default: all). --until integrates their gap rate, which is then the "
-        "same of one shift of a run as of all",
+        f"controller's own (default: all; with --until {GAP} 1). --until integrates their gap "
+        "rate, which is then the same of one shift of a run as of all",
     )  # fmt: skip
     parser.add_argument(
         "--strategy", dest="strategies", type=_strategies, metavar="A,B,...",
         help=f"strategies to compare, of {', '.join(STRATEGY_NAMES)}, and your own as {FORM} "
-        "(default: all of ours; with --against the controller's own alone, which is judged)",
+        "(default: all of ours; with --until the controller's own and the first other one; with "
+        "--against the controller's own alone, which is judged)",
     )  # fmt: skip
     parser.add_argument(
         "--true-state", "--oracle", dest="true_state", action="store_true",
@@ -159,7 +165,7 @@ def _stopping(namespace: argparse.Namespace, spec: CampaignSpec, stack: ExitStac
     """What ends the campaign, and how many runs it may have; `stack` ends what works for it.
     CommandError where it cannot be judged."""
     if namespace.against is None:
-        namespace.runs = namespace.runs or RUNS
+        namespace.runs = namespace.runs or (RUNS if namespace.until is None else RUNS_UNTIL)
     if namespace.until is None and namespace.against is None:
         if namespace.budget is not None:
             raise CommandError("--budget needs --until: the interval that is waited for")
@@ -212,9 +218,7 @@ def run(namespace: argparse.Namespace) -> int:
         return swarm.run(namespace)
     built = arguments.as_built_of(namespace)
     settings = arguments.settings_of(namespace)
-    strategies = namespace.strategies or tuple(STRATEGY_NAMES)
-    if namespace.against is not None and not namespace.strategies:
-        strategies = (settings.strategy_name,)
+    strategies = namespace.strategies or _compared(namespace, settings.strategy_name)
     spec = CampaignSpec(
         sheet=arguments.sheet_of(namespace),
         settings=settings,
@@ -223,8 +227,8 @@ def run(namespace: argparse.Namespace) -> int:
         true_state=namespace.true_state,
         pairs=namespace.pairs,
         learn=namespace.learn,
-        judged=namespace.judged,
-        judged_blind=namespace.judged_blind,
+        judged=namespace.judged or (JUDGED if namespace.until is None else JUDGED_UNTIL),
+        judged_blind=_judged_blind(namespace),
         seed=namespace.seed,
         profile=built.profile,
         wire=_wire(namespace, settings),
@@ -383,6 +387,20 @@ def _kept(namespace: argparse.Namespace, collected: Collected) -> str:
     elif namespace.json is not None:
         more = " and in the JSON"
     return f"{kept}{more}"
+
+
+def _compared(namespace: argparse.Namespace, own: str) -> tuple[str, ...]:
+    """The strategies that are compared where none are named."""
+    if namespace.against is not None:
+        return (own,)
+    others = [name for name in STRATEGY_NAMES if name != own]
+    return (own, others[0]) if namespace.until is not None else tuple(STRATEGY_NAMES)
+
+
+def _judged_blind(namespace: argparse.Namespace) -> int | None:
+    """More than one tells an integrated rate nothing."""
+    waits_for_gaps = namespace.until is not None and namespace.until.figure == GAP
+    return namespace.judged_blind or (1 if waits_for_gaps else None)
 
 
 def _strategy_files(names: tuple[str, ...]) -> dict[str, StrategyFile]:

@@ -147,7 +147,7 @@ def _coverage_statement(covered: dict[CoverageRun, Coverage]) -> Statement:
         f"{min(held):.1%} to {max(held):.1%} of {next(iter(covered)).campaigns} campaigns of each "
         "goal",
         ThesisVerdict.AGREES if low <= min(held) and max(held) <= high else ThesisVerdict.DIFFERS,
-        "looked at until narrow enough, at fixed numbers of runs that grow by sqrt(2)",
+        "looked at until narrow enough, at fixed numbers of runs that grow by 19 %",
     )
 
 
