@@ -40,7 +40,7 @@ def inlined(function: Kernel) -> Kernel:
     hands over each array as seven words."""
     if DISABLED:
         return function
-    from meshpoint.kernel_cache import piece_of_kernels
+    from meshpoint.kernel_pieces import piece_of_kernels
 
     return cast(Kernel, piece_of_kernels(function, forceinline=True, **BARE))
 

@@ -3,9 +3,9 @@
 numba's own cache looks at the file of the cached function alone, so a change in a piece from
 another file would go unseen, and one damaged index ends every command. Here the name of an entry
 holds a digest of the function, of every piece and constant that it refers to, of its signature, of
-numba and of the processor; the file ends with a digest of its content. What is damaged is compiled
-again, and a folder that cannot be written is passed over for the user's own; each is said in one
-line.
+numba, of LLVM's level and of the processor; the file ends with a digest of its content. What is
+damaged is compiled again, and a folder that cannot be written is passed over for the user's own;
+each is said in one line.
 
 Loads numba: only where kernels are compiled at all.
 """
@@ -34,8 +34,8 @@ from numba.core.caching import (
 )
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
-from numba.core.registry import CPUDispatcher
 
+from meshpoint.kernel_level import LEVEL
 from meshpoint.kernel_watch import WATCH
 
 DIGEST_BYTES: Final = 32
@@ -59,29 +59,6 @@ def folders(beside: Path) -> tuple[Path, ...]:
     cache = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
     home = Path(cache or "~/.cache").expanduser()
     return beside / "__pycache__", home / "meshpoint" / beside.name
-
-
-def piece_of_kernels(function: Any, **options: Any) -> Any:
-    """A function that kernels call, compiled into them with these options of numba's."""
-    return _Piece(function, None, {"nopython": True, "boundscheck": None, **_INNER, **options})
-
-
-_INNER: Final = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}
-"""Nobody calls a piece from outside compiled code, and the two doors for that take a seventh of the
-time to compile a kernel."""
-
-
-class _Piece(CPUDispatcher):
-    """A piece has no door for Python. Who calls it from there all the same, as tests do, gets the
-    same function compiled once more, with one."""
-
-    _with_door: Any = None
-
-    def __call__(self, *arguments: Any) -> Any:
-        if self._with_door is None:
-            options = {key: value for key, value in self.targetoptions.items() if key not in _INNER}
-            self._with_door = CPUDispatcher(self.py_func, None, options)
-        return self._with_door(*arguments)
 
 
 class KernelCache(FunctionCache):
@@ -142,7 +119,7 @@ class KernelCache(FunctionCache):
             self._digest = digest_of(self._py_func)
         about = (
             self._digest, repr(sig), sorted(self._options.items()), codegen.magic_tuple(),
-            numba.__version__, sys.version_info[:2],
+            numba.__version__, sys.version_info[:2], LEVEL,
         )  # fmt: skip
         return hashlib.sha256(repr(about).encode()).hexdigest()[:24]
 

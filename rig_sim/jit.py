@@ -31,7 +31,7 @@ def part(function: Kernel) -> Kernel:
     """A piece of physics, compiled into the entry points that call it."""
     if DISABLED:
         return function
-    from meshpoint.kernel_cache import piece_of_kernels
+    from meshpoint.kernel_pieces import piece_of_kernels
 
     return cast(Kernel, piece_of_kernels(function, **OPTIONS))
 
@@ -41,7 +41,7 @@ def inlined(function: Kernel) -> Kernel:
     for a small part with many arrays it would cost more than the work."""
     if DISABLED:
         return function
-    from meshpoint.kernel_cache import piece_of_kernels
+    from meshpoint.kernel_pieces import piece_of_kernels
 
     return cast(Kernel, piece_of_kernels(function, forceinline=True, **OPTIONS))
 

@@ -161,7 +161,7 @@ class CrossingFilter:
         extra = 0
         if geared is not None:
             extra = memory.geared[0] = geared.edges.shape[1]
-            edges = np.concatenate((edges, geared.edges), axis=1)
+            edges = _by_rows(edges, geared.edges)
             memory.part("geared_tooth_rad")[0] = geared.sd_rad
         flat = memory.flat
         while self._run(flat, edges, *pressures, switches, NO_TEETH) == LATE:
@@ -181,6 +181,12 @@ class CrossingFilter:
         return ahead(self.x, self.p, self.time_us, time_us, switches, model)
 
 
+def _by_rows(*edges: Vector) -> Vector:
+    """Edges side by side, row by row in memory: where each is a single one numpy makes columns of
+    them, and for those numba would compile the filter once more."""
+    return np.ascontiguousarray(np.concatenate(edges, axis=1))
+
+
 def _merged(early: _Batch, late: _Batch) -> _Batch:
     """Two batches as one, each wheel's edges in order of time."""
     (early_edges, early_extra, early_pressures), (late_edges, late_extra, late_pressures) = (
@@ -189,14 +195,11 @@ def _merged(early: _Batch, late: _Batch) -> _Batch:
     )
     first, then = early_edges.shape[1] - early_extra, late_edges.shape[1] - late_extra
     own, extra = first + then, early_extra + late_extra
-    edges = np.concatenate(
-        (
-            early_edges[:, :first],
-            late_edges[:, :then],
-            early_edges[:, first:],
-            late_edges[:, then:],
-        ),
-        axis=1,
+    edges = _by_rows(
+        early_edges[:, :first],
+        late_edges[:, :then],
+        early_edges[:, first:],
+        late_edges[:, then:],
     )
     time_us = edges[0]
     order = np.concatenate(

@@ -365,7 +365,8 @@ class LashCloud:
         chosen = _drawn(weights, DRIVELINES)
         widths = {row: _sd(x[row], weights) for row in DRAWN}
         widths |= {row: _sd(np.log(x[row]), weights) for row in SHARES}
-        self._x = x = x[:, chosen]
+        # By rows in memory as before: of columns numba would make every kernel once more.
+        self._x = x = np.take(x, chosen, axis=1)
         self._logs[:], self._weights = 0.0, None
         self._drawn += 1
         begin = -self._drawn * PRIMES[-1] ** 2 % DRIVELINES
@@ -381,7 +382,7 @@ class LashCloud:
         """The course from the newest edges on, told to half a gap; None where it is lost."""
         if not self.is_alive:
             return None
-        followed = self._x[:, _drawn(self.weights, FOLLOWED)]
+        followed = np.take(self._x, _drawn(self.weights, FOLLOWED), axis=1)
         doubt = math.sqrt(max(1.0, self._doubt))
         own = (self._p, self._chance)
         return LashCourse(followed, self._model, own, half_gap_rad, doubt)

@@ -332,6 +332,14 @@ def forecast(
     mirror(spread, STATES)
 
 
+@inlined
+def copy_on(source: Vector, target: Vector) -> None:
+    """Copies an array onto one of the same length. To assign it to a slice would compile what
+    numba says of two that differ: two seconds."""
+    for k in range(source.shape[0]):
+        target[k] = source[k]
+
+
 @compiled
 def settling(
     x: Vector, p: Vector, times: Vector, switches: Vector, model: Vector, found: Vector
@@ -344,7 +352,9 @@ def settling(
     time_us, horizon_us, tick_us, heard_rad2 = times[0], times[1], times[2], times[3]
     then, spread, gain = np.empty(STATES), np.empty((STATES, STATES)), np.empty(STATES)
     for tick in range(found.shape[0]):
-        then[:], spread[:] = x, p
+        copy_on(x, then)
+        for j in range(STATES):
+            copy_on(p[j], spread[j])
         forecast(then, spread, time_us, time_us + horizon_us, switches, model)
         found[tick] = spread[THETA, THETA]
         if tick + 1 == found.shape[0]:
@@ -352,7 +362,7 @@ def settling(
         forecast(x, p, time_us, time_us + tick_us, switches, model)
         for j in range(STATES):
             gain[j] = p[THETA, j] / (p[THETA, THETA] + heard_rad2)
-        then[:] = p[THETA]
+        copy_on(p[THETA], then)
         for j in range(STATES):
             for k in range(STATES):
                 p[j, k] -= gain[j] * then[k]

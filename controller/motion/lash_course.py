@@ -241,7 +241,8 @@ def fullest_spans(
     for r in range(rows):
         if r > 0:
             # A step earlier they came in nearly the same order: little is left to be moved.
-            order[r] = order[r - 1]
+            for i in range(count):
+                order[r, i] = order[r - 1, i]
             sort_on(angle[r], order[r])
         for i in range(count):
             line[i] = angle[r, order[r, i]] + apart[r]

@@ -26,7 +26,7 @@ from typing import Annotated, Final
 import numpy as np
 
 from meshpoint.controller.jit import compiled, inlined, new_record, record_on
-from meshpoint.controller.motion.kernels import measure
+from meshpoint.controller.motion.kernels import copy_on, measure
 from meshpoint.controller.records import WORD_BYTES, Over, Records, Vector, layout_of
 
 MODES: Final = 2
@@ -223,7 +223,7 @@ def swing_course(x: Vector, model: Vector, wait_s: float, step_s: float, found: 
     """Angle and speed at equal steps of time, the first after `wait_s`, to the rows of found
     (2, n)."""
     state, motion = new_record(SWING_STATE), record_on(model, SWING_MODEL)
-    state.x[:] = x
+    copy_on(x, state.x)
     step = new_record(SWING_STEP)
     swing_step(wait_s, motion, step)
     for k in range(found.shape[1]):
@@ -242,11 +242,11 @@ def swing_outlook(x: Vector, p: Vector, model: Vector, edges: Vector, found: Vec
     edge to edge (rad2 s); p (7, 7)."""
     motion, step = record_on(model, SWING_MODEL), new_record(SWING_STEP)
     now, then = new_record(SWING_STATE), new_record(SWING_STATE)
-    now.x[:] = x
+    copy_on(x, now.x)
     spread, gain = p.copy(), np.empty(SWING_STATES)
     nothing = np.zeros(SWING_STATES)
     for k in range(found.shape[0]):
-        then.x[:] = now.x
+        copy_on(now.x, then.x)
         wider = spread.copy()
         swing_through(then, wider, edges[0], motion, step)
         found[k] = wider[0, 0]

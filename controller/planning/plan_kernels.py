@@ -19,7 +19,7 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.jit import compiled, inlined, record_on
-from meshpoint.controller.motion.kernels import MODEL, STATE, STATES, travel
+from meshpoint.controller.motion.kernels import MODEL, STATE, STATES, copy_on, travel
 from meshpoint.controller.records import WORD_BYTES, Vector, filled, layout_of
 from meshpoint.units import US
 
@@ -107,7 +107,7 @@ def courses(
     switches = np.empty((2, commands.shape[1] + 1))
     for r in range(releases.shape[1]):
         release(commands, releases[0, r], releases[1, r], switches)
-        ahead[:] = x
+        copy_on(x, ahead)
         meet(ahead, switches, model, mesh, releases[2, r], found[r])
 
 

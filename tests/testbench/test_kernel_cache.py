@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 import subprocess
 import sys
@@ -14,7 +15,8 @@ import numba
 import pytest
 
 from meshpoint import kernel_cache
-from meshpoint.kernel_cache import KernelCache, digest_of
+from meshpoint.kernel_cache import KernelCache, digest_of, keep_compiled
+from meshpoint.kernel_pieces import piece_of_kernels
 from meshpoint.kernel_watch import CacheWatch
 from meshpoint.testbench.loop import compiled_mark, compiling
 
@@ -150,7 +152,7 @@ def test_a_piece_of_kernels_can_be_called_from_python_too() -> None:
     def twice(x: float) -> float:
         return 2.0 * x
 
-    piece = kernel_cache.piece_of_kernels(twice)
+    piece = piece_of_kernels(twice)
 
     @numba.njit  # type: ignore[untyped-decorator,unused-ignore]
     def kernel(x: float) -> float:
@@ -158,6 +160,60 @@ def test_a_piece_of_kernels_can_be_called_from_python_too() -> None:
 
     assert kernel(1.0) == 3.0
     assert piece(1.0) == 2.0
+
+
+def test_pieces_of_pieces_are_whole_in_a_kernel_and_in_what_is_kept_of_it(tmp_path: Path) -> None:
+    """Machine code is made of the kernel alone, and the kernel is loaded without its pieces: two
+    signatures of a piece, one that another piece calls as well."""
+
+    def twice(x: float) -> float:
+        return x + x
+
+    def far(x: float) -> float:
+        return math.hypot(piece(x), float(piece(2)))
+
+    piece, beyond = piece_of_kernels(twice), piece_of_kernels(far, forceinline=True)
+
+    def kernel(x: float) -> float:
+        return float(beyond(x) + piece(x))
+
+    for from_disk in (0, 1):
+        made = numba.njit(kernel)
+        keep_compiled(made, tmp_path)
+        assert made(1.5) == 5.0 + 3.0
+        assert sum(made.stats.cache_hits.values()) == from_disk
+    assert {len(each.signatures) for each in (piece, beyond)} == {1, 2}
+    for made in (piece, beyond):
+        assert not any(callable(each.entry_point) for each in made.overloads.values())
+
+
+def test_a_controller_in_a_run_has_its_kernels_once_each() -> None:
+    """A kernel called with columns where it was made for rows is compiled once more, in a step."""
+    script = """
+import gc
+from numba.core.registry import CPUDispatcher
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.controller.warm_up import warm_up
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Preset, Profile
+from meshpoint.testbench.campaign.draw import draw, upshifts
+from meshpoint.testbench.campaign.loop import ClosedLoop
+
+def made():
+    return {each.py_func.__qualname__: len(each.overloads) for each in gc.get_objects()
+            if type(each) is CPUDispatcher and each.py_func.__module__.startswith(
+                "meshpoint.controller")}
+
+warm_up()
+before, sheet = made(), load_sheet("truck12")
+loop = ClosedLoop(sheet, ControllerSettings(), Preset.TRUCK,
+                  draw(7, sheet, Preset.TRUCK, upshifts(), 3, {}, Profile.TYPICAL))
+for _ in range(3):
+    loop.shift()
+print([name for name, count in made().items() if count > before.get(name, 0)])
+"""
+    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert found.stdout.strip() == "[]", found.stderr
 
 
 SOURCE = """

@@ -15,8 +15,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import betaln
-from scipy.stats import beta
+from scipy.special import betainc, betaln
 
 Floats = NDArray[np.float64]
 MISSES: Final = np.concatenate([np.geomspace(1e-5, 0.02, 160, endpoint=False),
@@ -44,8 +43,8 @@ class _Prior(NamedTuple):
 @cache
 def _prior() -> _Prior:
     ends = np.concatenate([[0.0], (MISSES[1:] + MISSES[:-1]) / 2.0, [1.0]])
-    of_q = np.log(np.diff(beta(0.5, 0.5).cdf(ends)))
-    of_r = np.log(beta(1.0, 3.0).pdf(CORRELATIONS))
+    of_q = np.log(np.diff(betainc(0.5, 0.5, ends)))
+    of_r = 2.0 * np.log(1.0 - CORRELATIONS)
     return _Prior(of_r[:, np.newaxis] + of_q, ends)
 
 
