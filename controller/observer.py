@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections import deque
-
 from meshpoint.controller.calibration.learned import BrakeRecord, NoiseRecord, SwingRecords
 from meshpoint.controller.estimation.baseline_tracker import BaselineTracker
 from meshpoint.controller.estimation.brake_model import BrakeModel
@@ -20,6 +17,7 @@ from meshpoint.controller.motion.kinematics import are_finite
 from meshpoint.controller.motion.linear import layshaft_model
 from meshpoint.controller.motion.models import LayshaftState, first_order_law, free_motion
 from meshpoint.controller.motion.swing import ShaftState
+from meshpoint.controller.phase.locked_gear import LockedGear
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.phase.reference_recovery import ReferenceRecovery
 from meshpoint.controller.sensing.gearbox_view import GearboxView
@@ -55,20 +53,10 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Split
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.units import US
 
 DRAGGED_US = 30_000
 """For this long after a change of splitter or range, edges from during the change still arrive."""
 CLUTCH_BITES_SHARE = 0.2
-PULL_RAD_S2 = 5.0
-"""Deceleration by drag above which it pulls a tooth across a gap of 1.5 deg within 0.1 s."""
-LOOK_US = 10_000
-LOOKS_PULLED = 8
-"""The looks in which the main shaft's acceleration is watched, and the time from each to the
-next."""
-LOOK_SHARE = 0.15
-"""Largest standard deviation of a look at a gear in mesh, in backlashes, for which the two flanks
-can be told apart."""
 
 
 class Observer:
@@ -142,10 +130,7 @@ class Observer:
         self._split_us = self._range_us = -DRAGGED_US
         """When splitter and range were last between their steps."""
         self._dragged = self._main_dragged = False
-        self._main_speeds: deque[tuple[float, float]] = deque(maxlen=LOOKS_PULLED)
-        """Times (us) and speeds (rad/s) of the main shaft at the latest looks."""
-        self._looked_us = 0.0
-        """The newest edge when a gear in mesh was last looked at."""
+        self._locked = LockedGear(sheet, self.references, self.recovery)
 
     def take_brake(self, record: BrakeRecord) -> None:
         """Sets the brake's model as learned in earlier runs."""
@@ -408,57 +393,25 @@ class Observer:
 
     def learn(self, events: list[str]) -> None:
         """Watches a gear that has just locked until its phase reference is known."""
-        if not self.view.complete:
+        view = self.view
+        if not view.complete:
             return
-        gear = self.view.main_gear
+        gear = view.main_gear
         if gear is None or gear is MainGear.NEUTRAL:
-            floated = self.references.released()
-            if floated is not None and self.recovery is not None:
-                self.recovery.floated(floated, events)
+            self._locked.released(events)
             return
         if not self.references.watches(gear):
             return
-        # At the newest edge nothing is extrapolated, so an impact causes the least error.
         newest = [w.newest.time_us for w in (self._layshaft_wheel, self._main_wheel) if w.newest]
-        if len(newest) < 2 or max(newest) == self._looked_us:
-            return  # a step between two reads has nothing new to look at
-        self._looked_us = max(newest)
+        if len(newest) < 2 or not self._locked.is_due(max(newest)):
+            return
         layshaft, main = self.layshaft_at(max(newest)), self.main_at(max(newest))
-        if layshaft is None or main is None:
-            return
-        sd_rad = self._phase_sd_rad(gear, layshaft, main)
-        self.references.see(gear, layshaft.theta_rad, main.theta_rad, sd_rad)
-        if sd_rad >= LOOK_SHARE * self._sheet.dog.backlash_rad:
-            return
-        pulled = self._drag_pulls(gear, main)
-        if self.references.watch(gear, layshaft.theta_rad, main.theta_rad, pulled):
-            events.append(f"phase reference of {gear.name.lower()} learned")
-            if self.recovery is not None:
-                self.recovery.learned(gear, sd_rad, events)
+        if layshaft is not None and main is not None:
+            self._locked.look(gear, layshaft, main, self._coasting_rad_s2, events)
 
-    def _phase_sd_rad(self, gear: MainGear, layshaft: LayshaftState, main: ShaftState) -> float:
-        ratio = self._sheet.main_mesh(gear).ratio
-        return math.hypot(ratio * layshaft.theta_sd_rad, main.theta_sd_rad)
-
-    def _drag_pulls(self, gear: MainGear, main: ShaftState) -> bool:
-        """Whether drag alone turns the layshaft, and holds the gear's tooth at its lower flank."""
-        self._main_speeds.append((main.time_us, main.omega_rad_s))
+    @property
+    def _coasting_rad_s2(self) -> float | None:
+        """The layshaft's acceleration by drag alone; None where the clutch bites."""
         if (self.view.clutch_closed or 0.0) >= CLUTCH_BITES_SHARE:
-            return False
-        drag_rad_s2 = self.brake.drag_nm.value / self._sheet.inertia_kgm2(self._split)
-        ahead = self._sheet.main_mesh(gear).ratio * drag_rad_s2 - self._slowest_rad_s2(main)
-        return ahead < -PULL_RAD_S2
-
-    def _slowest_rad_s2(self, main: ShaftState) -> float:
-        """The lowest acceleration of the main shaft during the latest looks, over two looks each.
-        On a driveline that swings it is far below that of the vehicle: then drag does not hold the
-        tooth at one flank."""
-        looks = [
-            look for look in self._main_speeds if main.time_us - look[0] < LOOKS_PULLED * LOOK_US
-        ]
-        rates = [
-            (after[1] - before[1]) / ((after[0] - before[0]) * US)
-            for before, after in zip(looks, looks[2:], strict=False)
-            if after[0] > before[0]
-        ]
-        return min([main.acceleration_rad_s2, *rates])
+            return None
+        return self.brake.drag_nm.value / self._sheet.inertia_kgm2(self._split)

@@ -30,7 +30,8 @@ from meshpoint.controller.motion.kernels import (
 )
 from meshpoint.controller.motion.swing import ModeRates, ShaftState, Swing, SwingMotion
 from meshpoint.controller.motion.swing_kernels import STEADY
-from meshpoint.controller.observer import CLUTCH_BITES_SHARE, PULL_RAD_S2, Observer
+from meshpoint.controller.observer import CLUTCH_BITES_SHARE, Observer
+from meshpoint.controller.phase.locked_gear import PULL_RAD_S2
 from meshpoint.controller.sensing.pressure_samples import NO_SAMPLES
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
@@ -237,5 +238,5 @@ def test_drag_holds_a_tooth_at_its_lower_flank_where_it_slows_down_more_than_the
     for k in range(12):
         speed = 90.0 + swing_rad_s * math.sin(0.9 * k)
         main = ShaftState(1e4 * k, 0.0, speed, 1e-3, 0.05)
-        found.append(observer._drag_pulls(gear, main))
+        found.append(observer._locked._drag_pulls(gear, main, observer._coasting_rad_s2))
     assert found[-1] is pulls

@@ -12,6 +12,7 @@ from test_observer_exactly import SHEET, T0, Noted, an_observer
 
 from meshpoint.controller.calibration.learned import SwingRecords
 from meshpoint.controller.motion.swing import ShaftState
+from meshpoint.controller.phase.locked_gear import LockedGear
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.sensing.wheel_edges import NO_EDGES
 from meshpoint.dbc.messages import Estimator, ValveStatus
@@ -75,6 +76,7 @@ def in_mesh(sd_rad: float = 1e-4, learns: bool = False) -> Any:
     references.released = lambda: None
     references.watch = lambda *args: references.calls.append(("watch", *args)) or learns
     observer.recovery = Noted()
+    observer._locked = LockedGear(SHEET, references, observer.recovery)
     newest = SimpleNamespace(time_us=40_000.0)
     observer._layshaft_wheel = SimpleNamespace(newest=newest)
     observer._main_wheel = SimpleNamespace(newest=SimpleNamespace(time_us=39_000.0))
@@ -112,7 +114,7 @@ def test_a_reference_that_was_learned_is_said_and_remembered() -> None:
     assert (gear, told) == (MainGear.SECOND, events)
     assert sd_rad == pytest.approx(SHEET.main_mesh(MainGear.SECOND).ratio * 1e-4)
     without = in_mesh(learns=True)
-    without.recovery = None
+    without._locked = LockedGear(SHEET, without.references, None)
     without.learn(events)
     assert len(events) == 2
 
@@ -160,7 +162,7 @@ def test_a_gear_that_comes_out_tells_how_far_it_floated(main_gear: MainGear | No
     observer.references.released = lambda: "floated"
     observer.learn(events)
     assert observer.recovery.named("floated") == [("floated", events)]
-    observer.recovery = None
+    observer._locked = LockedGear(SHEET, observer.references, None)
     observer.learn(events)
 
 
@@ -168,16 +170,16 @@ def test_the_phase_s_deviation_is_that_of_both_shafts_at_the_gear() -> None:
     ratio = SHEET.main_mesh(MainGear.THIRD).ratio
     layshaft: Any = SimpleNamespace(theta_sd_rad=3e-3 / ratio)
     main = ShaftState(0.0, 0.0, 0.0, 4e-3, 0.0)
-    found = an_observer()._phase_sd_rad(MainGear.THIRD, layshaft, main)
+    found = an_observer()._locked._phase_sd_rad(MainGear.THIRD, layshaft, main)
     assert found == pytest.approx(5e-3)
 
 
 def slowest(speeds: list[float], acceleration: float = 0.0, step_us: float = 10_000.0) -> float:
-    observer, main = an_observer(), None
+    locked, main = an_observer()._locked, None
     for k, speed in enumerate(speeds):
         main = ShaftState(step_us * k, 0.0, speed, 0.0, 0.0, acceleration)
-        observer._main_speeds.append((main.time_us, main.omega_rad_s))
-    return float(observer._slowest_rad_s2(main))
+        locked._main_speeds.append((main.time_us, main.omega_rad_s))
+    return float(locked._slowest_rad_s2(main))
 
 
 def test_the_lowest_acceleration_of_the_latest_looks_is_over_two_of_them_each() -> None:
@@ -218,8 +220,9 @@ def test_drag_pulls_by_five_radians_a_second_squared_at_the_gear(
     ratio = SHEET.main_mesh(MainGear.THIRD).ratio / SHEET.inertia_kgm2(split)
     edge_nm = 5.0 / ratio
     observer.brake.drag_nm = SimpleNamespace(value=drag_nm / 2.8 * edge_nm)
-    assert observer._drag_pulls(MainGear.THIRD, main) is pulls
-    assert list(observer._main_speeds) == [(0.0, 60.0)]
+    locked, coasting = observer._locked, observer._coasting_rad_s2
+    assert locked._drag_pulls(MainGear.THIRD, main, coasting) is pulls
+    assert list(locked._main_speeds) == [(0.0, 60.0)]
 
 
 def test_what_was_learned_of_noise_and_swing_goes_in_and_out_as_it_was() -> None:

@@ -137,7 +137,8 @@ def pulls(drag_rad_s2: float, acceleration: float, closed: float | None = None) 
     ratio = SHEET.main_mesh(MainGear.THIRD).ratio / SHEET.inertia_kgm2(Split.HIGH)
     observer.brake.drag_nm = SimpleNamespace(value=drag_rad_s2 / ratio)
     main = ShaftState(5e6, 0.0, 60.0, 0.0, 0.0, acceleration)
-    return bool(observer._drag_pulls(MainGear.THIRD, main))
+    coasting = observer._coasting_rad_s2
+    return bool(observer._locked._drag_pulls(MainGear.THIRD, main, coasting))
 
 
 @pytest.mark.parametrize(
@@ -160,19 +161,19 @@ def test_a_clutch_that_is_a_fifth_closed_may_turn_the_layshaft(closed: float, do
 
 def test_a_look_is_forgotten_when_it_is_exactly_80_ms_old() -> None:
     """Looks 20 ms apart; the first step of the speed is over the first two of them."""
-    observer, main = an_observer(), None
+    locked, main = an_observer()._locked, None
     for k, speed in enumerate((62.0, 60.0, 60.0, 60.0, 60.0)):
         main = ShaftState(5e6 + 20_000.0 * k, 0.0, speed, 0.0, 0.0)
-        observer._main_speeds.append((main.time_us, main.omega_rad_s))
+        locked._main_speeds.append((main.time_us, main.omega_rad_s))
         if k == 3:
-            assert observer._slowest_rad_s2(main) == pytest.approx(-2.0 / 40e-3)
-    assert observer._slowest_rad_s2(main) == 0.0
+            assert locked._slowest_rad_s2(main) == pytest.approx(-2.0 / 40e-3)
+    assert locked._slowest_rad_s2(main) == 0.0
 
 
 def test_looks_at_one_and_the_same_time_tell_no_acceleration() -> None:
-    observer, main = an_observer(), ShaftState(5e6, 0.0, 58.0, 0.0, 0.0, -1.5)
-    observer._main_speeds.extend([(5e6, 60.0), (5e6, 59.0), (5e6, 58.0)])
-    assert observer._slowest_rad_s2(main) == -1.5
+    locked, main = an_observer()._locked, ShaftState(5e6, 0.0, 58.0, 0.0, 0.0, -1.5)
+    locked._main_speeds.extend([(5e6, 60.0), (5e6, 59.0), (5e6, 58.0)])
+    assert locked._slowest_rad_s2(main) == -1.5
 
 
 def test_a_clock_that_jumped_as_often_as_a_wheel_broke_has_jumped_all_the_same() -> None:
