@@ -29,8 +29,6 @@ NATURAL, DAMPING, SPEED, NOISE = range(4)
 """Figures of a mode: natural frequency (rad/s), damping over critical damping, standard deviation
 of its speed when a gear comes out (rad/s), density of the noise that drives it (rad2/s3)."""
 OF_A_MODE: Final = 4
-NEAR: Final = 0
-"""The mode of the main shaft against the wheels."""
 WHITE: Final = OF_A_MODE * MODES
 HILL: Final = WHITE + 1
 EDGE_TIME: Final = HILL + 1

@@ -214,7 +214,10 @@ def _fits(value: Any, rule: Rule) -> bool:
 
 
 def _short(value: Any) -> str:
-    """What was found, as long as a line may be; a number of thousands of digits has no text."""
+    """What was found as TOML has it, as long as a line may be; a number of thousands of digits has
+    no text."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
     try:
         text = repr(value)
     except (ValueError, RecursionError):
@@ -230,10 +233,10 @@ def _is_inside(value: Any, rule: Rule) -> bool:
 
 def _read_list(value: Any, rule: Rule, where: str) -> tuple[float, ...]:
     if not isinstance(value, list):
-        raise TableError(f"{where} = {value!r}, allowed is {rule.allowed()}")
+        raise TableError(f"{where} = {_short(value)}, allowed is {rule.allowed()}")
     for index, item in enumerate(value):
         if not _is_inside(item, rule):
-            found = f"{where}[{index}] = {item!r}"
+            found = f"{where}[{index}] = {_short(item)}"
             raise TableError(f"{found}, allowed is a number from {rule.low:g} to {rule.high:g}")
     return tuple(item * rule.si for item in value)
 

@@ -135,7 +135,7 @@ def line(old: str, new: str) -> Callable[[str], str]:
         (line("teeth_driving = 23", "teeth_driving = 23.5"), ("main", "first", "teeth_driving")),
         (line("teeth_driving = 23", "teeth_driving = 7"), ("teeth_driving", "7", "8", "200")),
         (line("teeth_driving = 23", "teeth_driving = 201"), ("teeth_driving", "201", "200")),
-        (line("teeth_driving = 23", "teeth_driving = true"), ("teeth_driving", "True")),
+        (line("teeth_driving = 23", "teeth_driving = true"), ("teeth_driving = true,",)),
         (line("teeth_driving = 23", "ratio = 0.46"), ("ratio", "teeth_driving")),
         (line("friction_nms = 0.10", "friction_nms = nan"), ("friction_nms", "nan")),
         (line("friction_nms = 0.10", "friction_nms = -inf"), ("friction_nms", "inf")),
