@@ -47,7 +47,7 @@ def test_without_a_file_the_defaults_hold_and_given_values_win(tmp_path: Path) -
         ("[timing]\ntick_us = 5", ("tick_us", "tick_ms")),
         ("[timing]\ntick_ms = 0", ("tick_ms", "0", "1", "100")),
         ("[timing]\ntick_ms = 10.0", ("tick_ms", "10.0", "whole")),
-        ("[timing]\ntick_ms = true", ("tick_ms", "True")),
+        ("[timing]\ntick_ms = true", ("tick_ms", "true")),
         ("[timing]\ntick_ms = nan", ("tick_ms", "nan")),
         ("[window]\nfire_slip_rpm = nan", ("fire_slip_rpm", "nan", "1", "200")),
         ("[window]\nfire_slip_rpm = inf", ("fire_slip_rpm", "inf")),
