@@ -47,7 +47,7 @@ REASONS: Final = {
     "gear_predictor.py: MOST_TICKS": COUNT,
     "step_snapshot.py: engine_torque_step": "wire contract: a per cent, J1939",
     "models.py: gain": "physical: as the data sheet says",
-    "observer.py: LOOK_SHARE": SHARES,
+    "locked_gear.py: LOOK_SHARE": SHARES,
     "gap_posterior.py: INDEPENDENT": SHARES,
     "gap_posterior.py: LOOK_SHARES": SHARES,
     "gap_posterior.py: BEYOND_SD": "chance: standard deviations; the rig's is a ratio of frictions",
