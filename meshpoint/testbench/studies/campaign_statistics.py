@@ -39,7 +39,10 @@ GOALS: Final = (
 """What is waited for, the rates of the two strategies, and whether that of the second is integrated
 over the phase."""
 HELD: Final = (0.93, 0.97)
-"""Three standard deviations of chance around 0.95, over 500 campaigns."""
+"""Two standard deviations of chance around 0.95, over 500 campaigns."""
+MOST_HELD_KNOWN: Final = 0.99
+"""Against an integrated rate an interval may hold more than it says: where hardly a shift misses,
+all that a campaign sees is whether none or one has."""
 MOST_ERRORS: Final = 0.05
 MOST_PAIRS: Final = 150
 VERDICTS: Final = (
@@ -139,14 +142,16 @@ def _row(job: VerdictRun, found: Verdicts) -> tuple[Any, ...]:
 
 
 def _coverage_statement(covered: dict[CoverageRun, Coverage]) -> Statement:
-    held = [found.held for found in covered.values()]
     low, high = HELD
+    counted = [found.held for job, found in covered.items() if not job.is_integrated]
+    known = [found.held for job, found in covered.items() if job.is_integrated]
+    good = low <= min(counted + known) and max(counted) <= high and max(known) <= MOST_HELD_KNOWN
     return Statement(
         "(not in the thesis) intervals of --until with nominal 95 % hold the truth in "
-        f"{low:.0%} to {high:.0%}",
-        f"{min(held):.1%} to {max(held):.1%} of {next(iter(covered)).campaigns} campaigns of each "
-        "goal",
-        ThesisVerdict.AGREES if low <= min(held) and max(held) <= high else ThesisVerdict.DIFFERS,
+        f"{low:.0%} to {high:.0%}, against an integrated rate in up to {MOST_HELD_KNOWN:.0%}",
+        f"{min(counted):.1%} to {max(counted):.1%} of {next(iter(covered)).campaigns} campaigns of "
+        f"each goal, against an integrated rate {min(known):.1%} to {max(known):.1%}",
+        ThesisVerdict.AGREES if good else ThesisVerdict.DIFFERS,
         "looked at until narrow enough, at fixed numbers of runs that grow by 19 %",
     )
 
