@@ -138,8 +138,7 @@ def against_known(kind: str, hits: Floats, n: Floats, known: Floats, known_n: Fl
     number a run."""
     runs, rate = hits.size, clustered_rate(hits, n)
     mean = float(known.sum() / known_n.sum())
-    parts = (known - mean * known_n) * runs / known_n.sum()
-    margin = _t_margin(runs) * math.sqrt(float(parts @ parts) / (runs - 1) / runs)
+    margin = _t_margin(runs) * math.sqrt(_variance(_parts(known, known_n)))
     if kind == "ratio":
         low, high = rate_ratio_interval(rate, (mean, mean - margin, mean + margin))
         if low is None or high is None:
@@ -155,13 +154,11 @@ def against_known(kind: str, hits: Floats, n: Floats, known: Floats, known_n: Fl
 def paired_estimate(kind: str, a: Floats, a_n: Floats, b: Floats, b_n: Floats) -> Estimate:
     """Of sums `a` over `a_n` shifts and `b` over `b_n`, one number a run.
 
-    A run's residual is taken from the whole's mean: runs of unequal length count by their shifts.
     Where no two runs differ, each strategy is given half a shift more that went the other way:
     an interval of width zero would say too much (Agresti and Min 2005)."""
     runs = a.size
     mean_a, mean_b = a.sum() / a_n.sum(), b.sum() / b_n.sum()
-    part_a = (a - mean_a * a_n) * runs / a_n.sum()
-    part_b = (b - mean_b * b_n) * runs / b_n.sum()
+    part_a, part_b = _parts(a, a_n), _parts(b, b_n)
     if kind == "difference":
         value, parts = mean_a - mean_b, part_a - part_b
     elif mean_b == 0.0:
@@ -169,10 +166,22 @@ def paired_estimate(kind: str, a: Floats, a_n: Floats, b: Floats, b_n: Floats) -
     else:
         value = mean_a / mean_b
         parts = (part_a - value * part_b) / mean_b
-    variance = float(parts @ parts) / (runs - 1) / runs
     least = 0.5 / runs**2 / (1.0 if kind == "difference" else mean_b**2)
-    margin = _t_margin(runs) * math.sqrt(max(variance, least))
+    margin = _t_margin(runs) * math.sqrt(max(_variance(parts), least))
     return Estimate(float(value), value - margin, value + margin, runs)
+
+
+def _parts(sums: Floats, n: Floats) -> Floats:
+    """What each run adds to the mean's error. Its residual is taken from the whole's mean: runs of
+    unequal length count by their shifts."""
+    whole: float = n.sum()
+    found: Floats = (sums - sums.sum() / whole * n) * sums.size / whole
+    return found
+
+
+def _variance(parts: Floats) -> float:
+    """Of the mean, from what each run adds to its error."""
+    return float(parts @ parts) / (parts.size - 1) / parts.size
 
 
 def _t_margin(runs: int) -> float:
