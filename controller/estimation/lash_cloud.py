@@ -21,6 +21,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.controller.estimation.cloud_redraw import SHARES, SPREAD, drawn, drawn_anew
 from meshpoint.controller.estimation.edge_looks import grouped_counts
 from meshpoint.controller.estimation.halton import PRIMES, even, normal, normal_twice
 from meshpoint.controller.estimation.loaded_driveline import BehindState, Shafts
@@ -44,7 +45,7 @@ from meshpoint.controller.motion.lash_motion import (
     each,
     move,
 )
-from meshpoint.controller.records import Integers, Vector
+from meshpoint.controller.records import Vector
 from meshpoint.gearbox.driveline import Axle
 from meshpoint.units import US
 
@@ -55,8 +56,6 @@ LOOK_US: Final = 4000.0
 """Edges within this are taken together: one by itself tells little, and a shaft swings slowly."""
 LEAST_SHARE: Final = 0.25
 """The cloud is drawn anew when fewer than this share of it carries the weight."""
-KERNEL: Final = 0.2
-"""What is added then, in standard deviations of the cloud."""
 MOST_OFF: Final = 4.0
 """An angle that is further off, in standard deviations, counts as so far off."""
 PRESSED: Final = 0.6
@@ -88,9 +87,6 @@ SEEN_SDS: Final = (0.2, 0.5, 0.5, 0.5)
 their logarithms: a shaft that met no flank tells little, and its cloud does not know how little."""
 LEAST_SHARE_SD: Final = 0.5
 """They are never known better than by this share of what the sheet leaves open."""
-DRAWN: Final = (WAY, WHEELS, TYRE, VEHICLE, HILL)
-"""What a cloud drawn anew gets its kernel in; beside the shares that follow."""
-SHARES: Final = (STIFF, LOSS, HALF, TYRE_STIFF)
 
 
 class LashStart(NamedTuple):
@@ -348,7 +344,7 @@ class LashCloud:
         self._weights = None
         self._p = p - np.outer(gain, p[0])
         weights = self.weights
-        if 1.0 / float(weights @ weights) < LEAST_SHARE * DRIVELINES:
+        if 1.0 / float(weights @ weights) < LEAST_SHARE * DRIVELINES and self.is_alive:
             self._draw(weights)
 
     def _look_back(self, off: Vector, variance: float) -> None:
@@ -361,28 +357,17 @@ class LashCloud:
 
     def _draw(self, weights: Vector) -> None:
         """Draws the cloud anew, each driveline as often as its weight says."""
-        x = self._x
-        chosen = _drawn(weights, DRIVELINES)
-        widths = {row: _sd(x[row], weights) for row in DRAWN}
-        widths |= {row: _sd(np.log(x[row]), weights) for row in SHARES}
-        # By rows in memory as before: of columns numba would make every kernel once more.
-        self._x = x = np.take(x, chosen, axis=1)
-        self._logs[:], self._weights = 0.0, None
         self._drawn += 1
         begin = -self._drawn * PRIMES[-1] ** 2 % DRIVELINES
-        turned = normal_twice(DRIVELINES)[:, begin : begin + DRIVELINES]
-        for numbers, (row, width) in zip(turned, widths.items(), strict=False):
-            added = KERNEL * width * numbers
-            if row in SHARES:
-                x[row] *= np.exp(added)
-            else:
-                x[row] += added
+        turned = normal_twice(DRIVELINES)[: len(SPREAD) + len(SHARES), begin : begin + DRIVELINES]
+        self._x = drawn_anew(self._x, weights, turned)
+        self._logs[:], self._weights = 0.0, None
 
     def course(self, half_gap_rad: float) -> LashCourse | None:
         """The course from the newest edges on, told to half a gap; None where it is lost."""
         if not self.is_alive:
             return None
-        followed = np.take(self._x, _drawn(self.weights, FOLLOWED), axis=1)
+        followed = np.take(self._x, drawn(self.weights, FOLLOWED), axis=1)
         doubt = math.sqrt(max(1.0, self._doubt))
         own = (self._p, self._chance)
         return LashCourse(followed, self._model, own, half_gap_rad, doubt)
@@ -412,13 +397,3 @@ def spread(p: Vector, seconds: float, chance_rad2_s3: float) -> Vector:
     found[1, 1] += chance_rad2_s3 * seconds
     found[2, 2] += DRAG_CHANGE * seconds
     return np.asarray(found)
-
-
-def _drawn(weights: Vector, count: int) -> Integers:
-    """So many indices, each as often as its weight says, by one row of even steps."""
-    places = (np.arange(count) + 0.5) / count
-    return np.minimum(np.searchsorted(np.cumsum(weights), places), weights.size - 1)
-
-
-def _sd(values: Vector, weights: Vector) -> float:
-    return math.sqrt(float(weights @ (values - weights @ values) ** 2))

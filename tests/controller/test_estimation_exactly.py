@@ -14,7 +14,6 @@ from meshpoint.controller.estimation.brake_model import Carried
 from meshpoint.controller.estimation.crossing_tracker import STRUCK_RAD_S, CrossingTracker
 from meshpoint.controller.estimation.cruise import CruiseTracker
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
-from meshpoint.controller.estimation.lash_cloud import _drawn
 from meshpoint.controller.estimation.lash_start import StartWatch
 from meshpoint.controller.estimation.likelihood import Learned, _step, learn
 from meshpoint.controller.estimation.main_tracker import MainTracker
@@ -66,12 +65,6 @@ def test_an_acceleration_that_is_not_known_moves_an_angle_by_half_its_square_of_
     assert ahead.omega_sd_rad_s**2 - now.omega_sd_rad_s**2 == pytest.approx(
         (most_rad_s2 * seconds) ** 2
     )
-
-
-@pytest.mark.parametrize(("weight", "times"), [(0.24, 2), (0.26, 3), (0.34, 3), (0.36, 4)])
-def test_a_point_is_drawn_as_often_as_its_weight_rounded(weight: float, times: int) -> None:
-    drawn = _drawn(np.array([weight, 1.0 - weight]), 10)
-    assert np.count_nonzero(drawn == 0) == times
 
 
 def test_a_misfit_that_is_a_parabola_is_at_its_minimum_after_a_step() -> None:
