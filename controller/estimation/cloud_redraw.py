@@ -88,5 +88,7 @@ def _mean_and_root(quantities: Vector, weights: Vector) -> tuple[Vector, Vector]
     sd = np.sqrt(np.diag(covariance))
     apart = np.where(sd > 0.0, sd, 1.0)
     related = covariance / np.outer(apart, apart)
+    if not np.isfinite(related).all():
+        return mean, np.zeros_like(related)  # squares of numbers beyond all sense
     np.fill_diagonal(related, 1.0 + LEAST_APART)
     return mean, sd[:, np.newaxis] * np.linalg.cholesky(related)

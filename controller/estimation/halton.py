@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from statistics import NormalDist
 from typing import Final
@@ -35,6 +36,13 @@ def normal(count: int) -> Vector:
 
 
 @cache
-def normal_twice(count: int) -> Vector:
-    """The same, each row twice over: from any place on they are there in another order."""
-    return np.concatenate((normal(count), normal(count)), axis=1)
+def scattered_twice(count: int) -> Vector:
+    """Numbers of the normal law that go with no others, neither those above nor those of another
+    row nor their own from another place on; each row twice over, (len(PRIMES), 2 count).
+
+    Fractions of i^2 times the root of a prime are spread evenly, and so are their differences
+    between any two rows and any two places (Weyl 1916)."""
+    law, squares = NormalDist(), np.arange(1.0, count + 1.0) ** 2
+    rows = [(squares * math.sqrt(base) % 1.0).tolist() for base in PRIMES]
+    found = np.array([[law.inv_cdf(value) for value in row] for row in rows])
+    return np.concatenate((found, found), axis=1)

@@ -10,7 +10,7 @@ estimated in each driveline by a Kalman filter, whose gain is the same for all (
 Doucet et al. 2000).
 
 There is no randomness in it: the first cloud is a low-discrepancy sequence (Halton 1960), and what
-is added to a cloud drawn anew are its numbers in another order.
+is added to a cloud drawn anew are numbers that only look drawn (`halton.scattered_twice`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ import numpy as np
 
 from meshpoint.controller.estimation.cloud_redraw import SHARES, SPREAD, drawn, drawn_anew
 from meshpoint.controller.estimation.edge_looks import grouped_counts
-from meshpoint.controller.estimation.halton import PRIMES, even, normal, normal_twice
+from meshpoint.controller.estimation.halton import PRIMES, even, normal, scattered_twice
 from meshpoint.controller.estimation.loaded_driveline import BehindState, Shafts
 from meshpoint.controller.jit import bare
 from meshpoint.controller.motion.lash_course import Chance, LashCourse
@@ -82,7 +82,7 @@ DRAG_CHANGE: Final = 4.0
 """and density of its change (rad2/s5)."""
 LEAST_DRAG: Final = 0.5
 """Drag is never less (rad/s2): it always slows a shaft down."""
-SEEN_SDS: Final = (0.2, 0.5, 0.5, 0.5)
+SEEN_SDS: Final = (0.2, 0.5, 0.25, 0.5)
 """What one window tells of stiffness, loss, backlash and drag counts as no surer than this, in
 their logarithms: a shaft that met no flank tells little, and its cloud does not know how little."""
 LEAST_SHARE_SD: Final = 0.5
@@ -105,6 +105,23 @@ class LashStart(NamedTuple):
     below at that of coast, 0 unknown."""
     behind: BehindState | None = None
     """What the driveline was found to be while the gear was in mesh; None: it was not followed."""
+
+
+class VehicleCourse(NamedTuple):
+    """What was known of the vehicle at a time, at the main shaft."""
+
+    time_us: float
+    speed_rad_s: float
+    hill_rad_s2: float
+    covariance: Vector
+    """(2, 2)."""
+
+    def at(self, time_us: float) -> VehicleCourse:
+        """The same at a later time."""
+        wait_s = (time_us - self.time_us) * US
+        moves = np.array(((1.0, wait_s), (0.0, 1.0)))
+        speed, hill = self.speed_rad_s + wait_s * self.hill_rad_s2, self.hill_rad_s2
+        return VehicleCourse(time_us, speed, hill, moves @ self.covariance @ moves.T)
 
 
 class LashFigures(NamedTuple):
@@ -280,12 +297,16 @@ class LashCloud:
         waits_s = (looks[:, 0] - self.time_us) * US
         speed, angle = np.polyfit(waits_s, looks[:, 1], 1).tolist()
         since_s = (self.time_us - start.time_us) * US
+        vehicle = start.vehicle_rad_s + start.hill_rad_s2 * since_s
+        # Either the shaft swings so fast, or the vehicle's speed was wrong.
+        speed_sd, hill_sd = self._lash.vehicle_sds
         self._begin(
             start._replace(
                 time_us=self.time_us,
                 angle_rad=angle,
                 speed_rad_s=speed,
-                vehicle_rad_s=start.vehicle_rad_s + start.hill_rad_s2 * since_s,
+                vehicle_rad_s=vehicle,
+                vehicle_root=np.diag((math.hypot(speed_sd, speed - vehicle), hill_sd)),
                 pressed_nm=0.0,
                 behind=None,
             )
@@ -307,6 +328,14 @@ class LashCloud:
     def mean(self, row: int) -> float:
         """Mean of a quantity."""
         return float(self.weights @ self._x[row])
+
+    @property
+    def vehicle(self) -> VehicleCourse:
+        """The vehicle as far as it is known, as unsure as the cloud is doubted."""
+        rows = self._x[[VEHICLE, HILL]]
+        speed, hill = (rows @ self.weights).tolist()
+        spread = np.cov(rows, aweights=self.weights, ddof=0)
+        return VehicleCourse(self.time_us, speed, hill, max(1.0, self._doubt) * spread)
 
     def log_figure(self, row: int) -> tuple[float, float]:
         """Mean and standard deviation of a quantity's logarithm; not numbers where it has none."""
@@ -359,8 +388,8 @@ class LashCloud:
         """Draws the cloud anew, each driveline as often as its weight says."""
         self._drawn += 1
         begin = -self._drawn * PRIMES[-1] ** 2 % DRIVELINES
-        turned = normal_twice(DRIVELINES)[: len(SPREAD) + len(SHARES), begin : begin + DRIVELINES]
-        self._x = drawn_anew(self._x, weights, turned)
+        numbers = scattered_twice(DRIVELINES)[: len(SPREAD) + len(SHARES)]
+        self._x = drawn_anew(self._x, weights, numbers[:, begin : begin + DRIVELINES])
         self._logs[:], self._weights = 0.0, None
 
     def course(self, half_gap_rad: float) -> LashCourse | None:

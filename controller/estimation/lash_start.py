@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.estimation.lash_cloud import LashStart
+from meshpoint.controller.estimation.lash_cloud import LashStart, VehicleCourse
 from meshpoint.controller.estimation.loaded_driveline import BehindState
 from meshpoint.controller.records import Vector
 from meshpoint.units import US
@@ -29,7 +29,9 @@ EDGE_RAD: Final = 2.5e-3
 BROAD: Final = 10.0
 """Speeds may be so many times as far off as swings leave them."""
 KEPT_US: Final = 400_000.0
-"""What a window in neutral has told of the vehicle holds so long."""
+"""What a window in neutral has told of the vehicle holds so long,"""
+HILL_SHARE: Final = 0.1
+"""and its acceleration no closer than to this share of what hills may make of it."""
 FIRST_EDGES: Final = 12
 """A line through so many edges in neutral gives angle and speed at its start."""
 
@@ -43,7 +45,7 @@ class StartWatch:
         self._since_us = 0.0
         self._pressed_nm = 0.0
         self._behind: BehindState | None = None
-        self._vehicle: tuple[float, float] | None = None
+        self._vehicle: VehicleCourse | None = None
         self.waiting: Vector = np.empty((2, 0))
         """Edges since the gear came out, until they were enough."""
 
@@ -59,9 +61,9 @@ class StartWatch:
         while seen[-1][0] - seen[0][0] > FIT_US:
             seen.popleft()
 
-    def take_vehicle(self, time_us: float, speed_rad_s: float) -> None:
-        """A window in neutral has told the vehicle's speed, at the main shaft."""
-        self._vehicle = (time_us, speed_rad_s)
+    def take_vehicle(self, vehicle: VehicleCourse) -> None:
+        """A window in neutral has told how the vehicle goes."""
+        self._vehicle = vehicle
 
     def released(
         self, since_us: float, pressed_nm: float = 0.0, behind: BehindState | None = None
@@ -86,14 +88,29 @@ class StartWatch:
         start = LashStart(
             self._since_us, angle, speed, speed, pressed_nm=self._pressed_nm, behind=self._behind
         )
-        if kept is not None and self._since_us - kept[0] < KEPT_US:
-            return start._replace(vehicle_rad_s=kept[1])
+        if kept is not None and self._since_us - kept.time_us < KEPT_US:
+            return _kept(start, kept, vehicle_sds)
         if before.shape[1] < 2 or before[0, -1] - before[0, 0] < LEAST_FIT_US:
             return start
         waits = (before[0] - self._since_us) * US
-        (mean, hill), covariance = vehicle_course(waits, before[1], vehicle_sds)
-        root = np.asarray(np.linalg.cholesky(covariance), np.float64)
-        return start._replace(vehicle_rad_s=mean, hill_rad_s2=hill, vehicle_root=root)
+        (speed, hill), covariance = vehicle_course(waits, before[1], vehicle_sds)
+        return _with_vehicle(start, speed, hill, covariance)
+
+
+def _kept(start: LashStart, vehicle: VehicleCourse, sds: tuple[float, float]) -> LashStart:
+    """The start with the vehicle as a window in neutral has told it."""
+    if not (np.isfinite(vehicle[1:3]).all() and np.isfinite(vehicle.covariance).all()):
+        return start
+    vehicle = vehicle.at(start.time_us)
+    covariance = vehicle.covariance + np.diag((sds[0], HILL_SHARE * sds[1])) ** 2
+    return _with_vehicle(start, vehicle.speed_rad_s, vehicle.hill_rad_s2, covariance)
+
+
+def _with_vehicle(
+    start: LashStart, speed_rad_s: float, hill_rad_s2: float, covariance: Vector
+) -> LashStart:
+    root = np.asarray(np.linalg.cholesky(covariance), np.float64)
+    return start._replace(vehicle_rad_s=speed_rad_s, hill_rad_s2=hill_rad_s2, vehicle_root=root)
 
 
 def vehicle_course(

@@ -26,7 +26,6 @@ from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.estimation.wheel_tracker import HEED, STRUCK_RAD_S, WheelTracker
 from meshpoint.controller.motion.kernels import OMEGA, THETA
 from meshpoint.controller.motion.lash_course import LashCourse
-from meshpoint.controller.motion.lash_motion import VEHICLE
 from meshpoint.controller.motion.swing import ModeRates, ShaftState, Swing, SwingMotion
 from meshpoint.controller.motion.swing_kernels import MODES, STEADY, SWING_STATES
 from meshpoint.controller.records import RecordMemory, Vector
@@ -233,7 +232,7 @@ class MainTracker(WheelTracker):
         self._let_cloud_go()
         if cloud is not None and cloud.is_alive and rivals.believes_lash:
             self._lashes[self._range].learn(cloud)
-            self._before.take_vehicle(cloud.time_us, cloud.mean(VEHICLE))
+            self._before.take_vehicle(cloud.vehicle)
 
     def _let_cloud_go(self) -> None:
         self._cloud, self._course = None, (0.0, None)

@@ -16,6 +16,7 @@ from meshpoint.controller.estimation.lash_cloud import (
     Lash,
     LashCloud,
     LashStart,
+    VehicleCourse,
     spread,
 )
 from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Prediction
@@ -333,10 +334,10 @@ def test_the_vehicle_s_course_is_what_the_shaft_swings_about_in_gear() -> None:
     assert start.hill_rad_s2 == pytest.approx(-5.0, abs=2.0)
     assert start.pressed_nm == -80.0
     assert (start.angle_rad, start.speed_rad_s) == pytest.approx((24.0, 61.0))
-    watch.take_vehicle(500e3, 59.0)
+    watch.take_vehicle(VehicleCourse(500e3, 59.0, -4.0, np.diag((0.01, 1.0))))
     watch.released(600e3)
     start = watch.take_out(out + np.array([[200e3], [12.0]]), VEHICLE_SDS)
-    assert start is not None and start.vehicle_rad_s == 59.0
+    assert start is not None and start.vehicle_rad_s == pytest.approx(58.6)
 
 
 def test_the_vehicle_s_course_is_as_sure_as_it_says() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from meshpoint.controller.estimation.cloud_redraw import drawn_anew
-from meshpoint.controller.estimation.halton import normal
+from meshpoint.controller.estimation.halton import normal, scattered_twice
 from meshpoint.controller.estimation.lash_cloud import (
     Lash,
     LashCloud,
@@ -179,7 +179,7 @@ def test_what_a_cloud_drawn_anew_is_spread_by_are_its_numbers_from_another_place
     for times in (1, 2, 3):
         before = cloud._x.copy()
         cloud._draw(even)
-        numbers = np.roll(normal(COUNT), 841 * times, axis=1)[:9]
+        numbers = np.roll(scattered_twice(COUNT)[:9, :COUNT], 841 * times, axis=1)
         assert cloud._x == pytest.approx(drawn_anew(before, even, numbers))
         assert not cloud._logs.any()
 
@@ -243,13 +243,34 @@ def test_a_cloud_begins_anew_where_it_is_doubted_by_three_deviations_and_has_fou
         assert begun[0].angle_rad == pytest.approx(slope[1])
         assert begun[0].speed_rad_s == pytest.approx(1e6 * slope[0])
         assert (begun[0].pressed_nm, begun[0].behind) == (0.0, None)
+        # Either the shaft swings by 1.92 rad/s, or that is how wrong the vehicle's speed was.
+        speed_sd, hill_sd = a_lash().vehicle_sds
+        off = 1e6 * slope[0] - begun[0].vehicle_rad_s
+        assert begun[0].vehicle_root == pytest.approx(np.diag((math.hypot(speed_sd, off), hill_sd)))
+
+
+@pytest.mark.parametrize(("doubt", "wider"), [(0.5, 1.0), (4.0, 4.0)])
+def test_a_cloud_tells_how_the_vehicle_goes_by_weight_and_as_unsure_as_it_is_doubted(
+    doubt: float, wider: float
+) -> None:
+    cloud = a_cloud(START._replace(time_us=3e6))
+    cloud._doubt = doubt
+    cloud._logs = cloud._x[VEHICLE] - 60.0
+    weights = np.exp(cloud._logs) / np.exp(cloud._logs).sum()
+    vehicle = cloud.vehicle
+    rows = cloud._x[[VEHICLE, HILL]]
+    mean = rows @ weights
+    off = rows - mean[:, None]
+    assert vehicle.time_us == 3e6
+    assert vehicle[1:3] == pytest.approx(mean)
+    assert vehicle.covariance == pytest.approx(wider * (off * weights) @ off.T)
 
 
 def test_a_window_s_figures_count_as_no_surer_than_these(monkeypatch: pytest.MonkeyPatch) -> None:
-    """0.2 for stiffness, 0.5 for loss, backlash and drag: a half of each comes from the window
-    where the sheet leaves open as much. And a figure without a number teaches nothing."""
+    """0.2 for stiffness, 0.25 for backlash, 0.5 for loss and drag: a half of each comes from the
+    window where the sheet leaves open as much. And a figure without a number teaches nothing."""
     cloud, rows = a_cloud(), (STIFF, LOSS, HALF, DRAG)
-    for k, seen_sd in enumerate((0.2, 0.5, 0.5, 0.5)):
+    for k, seen_sd in enumerate((0.2, 0.5, 0.25, 0.5)):
         lash = a_lash()
         lash.known = lash.known._replace(**{lash.known._fields[2 * k + 1]: seen_sd})
         logs = dict(zip(rows, lash.prior[::2], strict=True))

@@ -19,7 +19,6 @@ from meshpoint.controller.estimation.lash_cloud import (
     DRIVELINES,
     FIRST_DRAG,
     FIRST_OMEGA,
-    KERNEL,
     LEAST_DRAG,
     LEAST_SHARE_SD,
     LOOK_US,
@@ -190,14 +189,14 @@ def a_cloud(lash: Lash | None = None) -> LashCloud:
     return LashCloud(lash or a_lash(), LashStart(0.0, 0.0, 60.0, 60.0), 1e-6)
 
 
-def test_a_cloud_drawn_anew_has_the_means_of_the_weighed_one_and_a_little_more_spread() -> None:
-    """Drawing by weight keeps mean and variance; the kernel adds its share of the deviation. What a
-    filter estimates in each driveline gets no kernel."""
+def test_a_cloud_drawn_anew_has_the_means_and_the_spread_of_the_weighed_one() -> None:
+    """Drawing by weight keeps mean and variance, and what the kernel adds was taken away before.
+    What a filter estimates in each driveline gets no kernel."""
     cloud = a_cloud()
     x = cloud._x
     lean = np.exp(-0.5 * ((np.log(x[HALF]) - cloud._lash.prior.half_log) / 0.2 - 0.5) ** 2)
     weights = lean / lean.sum()
-    before, widened = x.copy(), math.sqrt(1.0 + KERNEL**2)
+    before = x.copy()
     cloud._draw(weights)
     assert (cloud._logs == 0.0).all()
     assert cloud.weights == pytest.approx(1.0 / DRIVELINES)
@@ -209,11 +208,12 @@ def test_a_cloud_drawn_anew_has_the_means_of_the_weighed_one_and_a_little_more_s
         mean = weights @ old
         sd = math.sqrt(weights @ (old - mean) ** 2)
         assert new.mean() == pytest.approx(mean, abs=0.05 * sd)
-        assert new.std() == pytest.approx(widened * sd, rel=0.05)
+        assert new.std() == pytest.approx(sd, rel=0.05)
         assert np.unique(new).size == DRIVELINES, "two of one driveline part"
     assert set(cloud._x[DRAG]) <= set(before[DRAG])
     shown = np.corrcoef([cloud._x[row] for row in (WAY, WHEELS, TYRE, VEHICLE, HILL)])
-    parts = np.corrcoef([before[row] for row in (WAY, WHEELS, TYRE, VEHICLE, HILL)])
+    whole = np.cov([before[row] for row in (WAY, WHEELS, TYRE, VEHICLE, HILL)], aweights=weights)
+    parts = whole / np.sqrt(np.outer(np.diag(whole), np.diag(whole)))
     assert shown == pytest.approx(parts, abs=0.12)
 
 
@@ -225,8 +225,7 @@ def test_what_is_added_to_a_cloud_is_another_each_time_it_is_drawn() -> None:
         before = cloud._x[HILL].copy()
         cloud._draw(even)
         added.append((cloud._x[HILL] - before) / before.std())
-    assert added[0].std() == pytest.approx(KERNEL, rel=0.05)
-    assert KERNEL == 0.2
+    assert added[0].std() == pytest.approx(math.hypot(0.4, 1.0 - math.sqrt(1.0 - 0.4**2)), rel=0.1)
     for one, other in ((0, 1), (1, 2), (0, 2)):
         assert abs(np.corrcoef(added[one], added[other])[0, 1]) < 0.3
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from meshpoint.controller.estimation.lash_cloud import VehicleCourse
 from meshpoint.controller.estimation.lash_start import (
     BROAD,
     CHANGE_S,
@@ -101,7 +102,7 @@ def test_a_vehicle_s_speed_from_the_last_window_holds_for_a_while(
     told_us: float, used: bool
 ) -> None:
     watch = StartWatch()
-    watch.take_vehicle(1e6 - told_us, 55.0)
+    watch.take_vehicle(VehicleCourse(1e6 - told_us, 55.0, 0.0, np.diag((0.04, 1.0))))
     watch.released(1e6)
     start = watch.take_out(out(1e6), SDS)
     assert start is not None
@@ -110,6 +111,49 @@ def test_a_vehicle_s_speed_from_the_last_window_holds_for_a_while(
     again = watch.take_out(out(1e6), SDS)
     assert again is not None
     assert again.vehicle_rad_s == pytest.approx(61.0), "it is told once"
+
+
+@pytest.mark.parametrize("hill_rad_s2", [-5.0, 0.0, 6.0])
+def test_a_vehicle_goes_on_uphill_or_down_between_two_windows(hill_rad_s2: float) -> None:
+    """As the first window has told, and less surely: of the speed what the acceleration leaves
+    open, and what shafts never tell; of the acceleration a tenth of what hills may make of it."""
+    watch = StartWatch()
+    told = np.array(((0.04, 0.01), (0.01, 1.0)))
+    watch.take_vehicle(VehicleCourse(0.7e6, 55.0, hill_rad_s2, told))
+    watch.released(1e6)
+    start = watch.take_out(out(1e6), SDS)
+    assert start is not None
+    assert start.vehicle_rad_s == pytest.approx(55.0 + 0.3 * hill_rad_s2)
+    assert start.hill_rad_s2 == hill_rad_s2
+    expected = np.array(((0.04 + 0.6 * 0.01 + 0.09 + 0.3**2, 0.01 + 0.3), (0.31, 1.0 + 0.8**2)))
+    assert start.vehicle_root is not None
+    assert start.vehicle_root @ start.vehicle_root.T == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("spread", [np.zeros((2, 2)), np.full((2, 2), 0.5)])
+def test_a_vehicle_that_all_drivelines_agree_on_is_taken_over(spread: Vector) -> None:
+    watch = StartWatch()
+    watch.take_vehicle(VehicleCourse(0.9e6, 55.0, 1.0, spread))
+    watch.released(1e6)
+    start = watch.take_out(out(1e6), SDS)
+    assert start is not None and start.vehicle_rad_s == pytest.approx(55.1)
+
+
+@pytest.mark.parametrize(
+    "vehicle",
+    [
+        VehicleCourse(0.9e6, math.inf, 0.0, np.eye(2)),
+        VehicleCourse(0.9e6, 55.0, math.nan, np.eye(2)),
+        VehicleCourse(0.9e6, 55.0, 0.0, np.full((2, 2), math.inf)),
+    ],
+)
+def test_a_vehicle_that_is_no_number_is_not_taken_over(vehicle: VehicleCourse) -> None:
+    watch = StartWatch()
+    watch.take_vehicle(vehicle)
+    watch.released(1e6)
+    start = watch.take_out(out(1e6), SDS)
+    assert start is not None
+    assert (start.vehicle_rad_s, start.vehicle_root) == (start.speed_rad_s, None)
 
 
 @pytest.mark.parametrize(("since_us", "told"), [(LEAST_FIT_US, True), (LEAST_FIT_US - 10e3, False)])
@@ -137,7 +181,7 @@ def test_only_the_newest_time_in_gear_counts_and_none_before_edges_were_lost() -
     in_gear(watch, 710e3, 1_010e3)
     assert len(watch._in_gear) == round(FIT_US / 10e3) + 1
     assert watch._in_gear[0][0] == 710e3
-    watch.take_vehicle(1_000e3, 50.0)
+    watch.take_vehicle(VehicleCourse(1_000e3, 50.0, 0.0, np.eye(2)))
     watch.lose()
     watch.released(1_010e3)
     start = watch.take_out(out(1_010e3), SDS)
