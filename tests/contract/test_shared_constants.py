@@ -41,6 +41,7 @@ REASONS: Final = {
     "lash_cloud.py: FIRST_DRAG": "chance: where learning begins; the rig's is an area",
     "lash_cloud.py: LEAST_DRAG": "chance: an acceleration; the rig's is an area",
     "lash_cloud.py: LEAST_SHARE": SHARES,
+    "lash_cloud.py: SEEN_SDS": "chance: deviations of logarithms; the rig's is a correlation",
     "lash_course.py: STEP_S": SPAN,
     "lash_motion.py: ROWS": COUNT,
     "lash_start.py: FIRST_EDGES": COUNT,
