@@ -74,7 +74,9 @@ def _quantities(x: Vector) -> Vector:
 
 def _contacts(x: Vector) -> Integers:
     """Where each driveline lies in its backlash, 0 to 2 (n,)."""
-    return (x[WAY] >= 0.0).astype(np.int64) + (x[WAY] > 2.0 * x[HALF])
+    contacts: Integers = (x[WAY] >= 0.0).astype(np.int64)
+    contacts += x[WAY] > 2.0 * x[HALF]
+    return contacts
 
 
 def _mean_and_root(quantities: Vector, weights: Vector) -> tuple[Vector, Vector]:

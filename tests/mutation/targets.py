@@ -60,6 +60,7 @@ _KERNEL_TESTS: Final = tuple(
         "lash_motion_exactly", "lash_course_exactly", "crossing_exactly", "swing_filter_exactly",
         "loaded_exactly", "lash_cloud_exactly", "plan_kernels_exactly", "gate_exactly",
         "gate_found_exactly", "gate_search_exactly", "chain_exactly", "gate_limits_exactly",
+        "cloud_redraw", "halton",
     )
 )  # fmt: skip
 _NEAR: Final = ("tests/controller", "tests/testbench/test_reference.py")
