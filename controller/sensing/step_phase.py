@@ -38,7 +38,9 @@ class StepPhase:
         self._read_us: int | None = None
         """When the newest read was made of which a frame has come (sensor time),"""
         self._ticks = 0
-        """and how many ticks ago that was taken."""
+        """how many ticks ago that was taken,"""
+        self._whole_us: int | None = None
+        """and when the newest was made of which all have."""
         self._is_kept = False
         """Whether reads follow each other as ticks do."""
         self.sooner_us = 0
@@ -46,6 +48,7 @@ class StepPhase:
 
     def between(self, inputs: StepInputs, sensor_us: int) -> None:
         """The frames of a step between two ticks."""
+        self._see_last(inputs, sensor_us)
         first = _reads(inputs, sensor_us)
         if first:
             self._read_us, self._ticks = first[-1], -1
@@ -54,22 +57,29 @@ class StepPhase:
         """The frames of a tick's step, made at this time of the sensor clock."""
         self.sooner_us = 0
         self._ticks += 1
+        self._see_last(inputs, sensor_us)
         first = _reads(inputs, sensor_us)
         if first:
             self._follow(len(first), first[-1])
         if not self._is_kept or self._read_us is None:
             return
-        age_us, last = sensor_us - self._read_us, inputs.sleeves_aux
-        is_whole = bool(last) and unwrap(last[-1].sample_time_us, sensor_us) >= self._read_us
+        age_us = sensor_us - self._read_us
+        is_whole = self._whole_us is not None and self._whole_us >= self._read_us
         if age_us > self._tick_us - LONGER_US:
             # Nothing has come yet of the read that is due.
             age_us, is_whole = age_us - self._tick_us, False
         if is_whole:
             self._waits_us = max(0, self._waits_us - SHORTER_US)
         else:
-            longer_us = max(self._waits_us, age_us + LONGER_US)
-            self._waits_us = min(longer_us, round(MOST_SHARE * self._tick_us))
+            # By no more for a step that was itself held up: it tells of the machine, not of a read.
+            longer_us = min(self._waits_us, age_us) + LONGER_US
+            self._waits_us = min(max(self._waits_us, longer_us), round(MOST_SHARE * self._tick_us))
         self._move(age_us)
+
+    def _see_last(self, inputs: StepInputs, sensor_us: int) -> None:
+        """The last frame of a read."""
+        if inputs.sleeves_aux:
+            self._whole_us = unwrap(inputs.sleeves_aux[-1].sample_time_us, sensor_us)
 
     def _follow(self, frames: int, read_us: int) -> None:
         """The first frames of so many reads have come, the newest of this one."""

@@ -16,6 +16,7 @@ from meshpoint.bus.clock import NodeClock
 from meshpoint.bus.core import Core
 from meshpoint.bus.frames import frame_of, message_of
 from meshpoint.bus.kernel_drops import lost_frames
+from meshpoint.bus.local.plugin import MeshpointBus
 from meshpoint.bus.reception import Reception, receive_from
 from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.dbc.frame import Frame
@@ -254,23 +255,34 @@ class _Node:
         return group_of(message.arbitration_id) != ADDRESS_CLAIM
 
     def _send(self, frames: list[Frame], timeout_s: float = 0.0) -> None:
+        if isinstance(self._bus, MeshpointBus):
+            self._send_part(frames, timeout_s)
+        else:
+            for frame in frames:
+                self._send_part([frame], timeout_s)
+
+    def _send_part(self, frames: list[Frame], timeout_s: float) -> None:
+        """What the bus takes or refuses in one call."""
         counts = self.statistics
-        for index, frame in enumerate(frames):
-            if self._bus is None:
-                counts.frames_discarded += len(frames) - index
-                return
-            try:
-                self._bus.send(message_of(frame), timeout_s)
-            except (can.CanError, OSError) as error:
-                if not _only_this_frame(error):
-                    counts.frames_discarded += 1
-                    self._lose_bus(error)
-                    continue
-                counts.frames_refused += 1
-                self._refuse(frame, error)
+        if self._bus is None or not frames:
+            counts.frames_discarded += len(frames)
+            return
+        messages = [message_of(frame) for frame in frames]
+        try:
+            if isinstance(self._bus, MeshpointBus):
+                self._bus.send_together(messages, timeout_s)
             else:
-                counts.frames_sent += 1
-                self._bus_works()
+                self._bus.send(messages[0], timeout_s)
+        except (can.CanError, OSError) as error:
+            if not _only_this_frame(error):
+                counts.frames_discarded += len(frames)
+                self._lose_bus(error)
+                return
+            counts.frames_refused += len(frames)
+            self._refuse(frames[0], error)
+        else:
+            counts.frames_sent += len(frames)
+            self._bus_works()
 
     def _refuse(self, frame: Frame, error: Exception) -> None:
         hint = ""

@@ -13,6 +13,7 @@ from typing import Any, Final
 
 import can
 
+from meshpoint.bus.local.plugin import MeshpointBus
 from meshpoint.dbc.j1939 import CONTROLLER, PDU1_TOP, checksum, group_of
 from meshpoint.dbc.layout import CODECS
 
@@ -58,7 +59,6 @@ def use_address(bus: can.BusABC, address: int) -> None:
         return
     inner: Any = bus
     send, receive = inner.send, inner.recv
-    drain = getattr(inner, "drain", None)
 
     def send_moved(message: can.Message, timeout: float | None = None) -> None:
         send(_moved(message, address), timeout)
@@ -68,8 +68,12 @@ def use_address(bus: can.BusABC, address: int) -> None:
         return None if message is None else _moved(message, address)
 
     inner.send, inner.recv = send_moved, receive_moved
-    if drain is not None:
+    if isinstance(bus, MeshpointBus):
+        drain, send_together = inner.drain, inner.send_together
         inner.drain = lambda: [_moved(message, address) for message in drain()]
+        inner.send_together = lambda messages, timeout=None: send_together(
+            [_moved(message, address) for message in messages], timeout
+        )
 
 
 def _moved(message: can.Message, address: int) -> can.Message:

@@ -181,7 +181,8 @@ def test_a_trc_of_a_peak_adapter(tmp_path: Path) -> None:
 def test_a_log_of_two_buses(tmp_path: Path, ending: str) -> None:
     frames = bus_frames()[::2]
     path = tmp_path / f"a{ending}"
-    with can.Logger(path) as log:
+    writer = mf4_module().MF4Writer if ending == ".mf4" else can.Logger
+    with writer(path) as log:
         for time_s, frame in frames:
             for bus in (0, 1):
                 message = message_of(time_s, frame._replace(can_id=frame.can_id ^ bus))

@@ -162,6 +162,45 @@ def test_what_a_stopped_hub_does_not_take_is_kept_until_the_buffer_is_full(
     assert sent > 10_000
 
 
+def test_frames_sent_together_arrive_in_their_order_and_one_behind_them(join: Join) -> None:
+    sender, receiver = join(), join()
+    sender.send_together([can.Message(arbitration_id=number) for number in range(5)])
+    sender.send(can.Message(arbitration_id=5))
+    received = [receiver.recv(HANG_S) for _ in range(6)]
+    assert [each.arbitration_id for each in received if each is not None] == list(range(6))
+
+
+def test_frames_sent_together_are_all_refused_where_one_can_be_none(join: Join) -> None:
+    sender, receiver = join(), join()
+    broken = can.Message(arbitration_id=2)
+    broken.dlc = 9
+    with pytest.raises(ValueError, match="length 9"):
+        sender.send_together([can.Message(arbitration_id=1), broken])
+    sender.send(can.Message(arbitration_id=3))
+    message = receiver.recv(HANG_S)
+    assert message is not None and message.arbitration_id == 3
+
+
+def test_frames_sent_together_that_find_no_place_are_none_of_them_sent(
+    hub: tuple[str, subprocess.Popen[str]], join: Join
+) -> None:
+    sender, receiver = join(hub[0]), join(hub[0])
+    hub[1].send_signal(signal.SIGSTOP)
+    step = [can.Message(arbitration_id=each, data=bytes(64), is_fd=True) for each in range(100)]
+    sent = 0
+    with pytest.raises(can.CanTimeoutError, match="takes no frames"):
+        while sent < 200_000:
+            sender.send_together(step, timeout=0.0)
+            sent += len(step)
+    hub[1].send_signal(signal.SIGCONT)
+    received: list[int] = []
+    while len(received) < sent:
+        assert sender.recv(0.0) is None
+        select.select([receiver], [], [], 1.0)
+        received += [message.arbitration_id for message in receiver.drain()]
+    assert received == [each.arbitration_id for each in step] * (sent // len(step))
+
+
 def test_the_default_bus_is_private_to_the_user(
     place: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import new_header
 from meshpoint.controller.sensing.step_inputs import StepInputs
-from meshpoint.controller.sensing.step_phase import MOST_MOVED_US, StepPhase
+from meshpoint.controller.sensing.step_phase import LONGER_US, MOST_MOVED_US, StepPhase
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import EdgesInputRise
 from meshpoint.gearbox import load_sheet
@@ -75,6 +75,57 @@ def test_steps_come_soon_after_the_last_frame_of_a_read(
     slack_us = 800 + 2 * jitter_us
     assert np.mean(ages < last_us + slack_us) > 0.94
     assert np.median(ages) <= last_us + slack_us / 2
+
+
+def inputs_of(*read_us: int) -> Any:
+    """The frames of these reads, all of them."""
+    inputs: Any = StepInputs()
+    for each in read_us:
+        inputs.edges[EdgesInputRise].append(SimpleNamespace(read_time_us=each & 0xFFFFFFFF))
+        inputs.sleeves_aux.append(SimpleNamespace(sample_time_us=each & 0xFFFFFFFF))
+    return inputs
+
+
+def steps_after(late: tuple[int, ...], between_every: int, count: int) -> list[int]:
+    """Ages of the newest read at so many steps. A read's frames come after 800 us; the first reads
+    come as late as told, and every so many steps one between two ticks takes the frames of a read
+    before the tick does."""
+    phase, now_us, read, ages = StepPhase(TICK_US), START_US + 900, 0, []
+    for k in range(count):
+        came = []
+        while now_us >= START_US + read * TICK_US + (late[read] if read < len(late) else 800):
+            came.append(START_US + read * TICK_US)
+            read += 1
+        if between_every and k % between_every == 0:
+            phase.between(inputs_of(*came), now_us - 50)
+            came = []
+        phase.take(inputs_of(*came), now_us)
+        ages.append(now_us - (START_US + (read - 1) * TICK_US))
+        now_us += TICK_US - phase.sooner_us
+    return ages
+
+
+@pytest.mark.parametrize("between_every", [0, 101, 20])
+def test_after_a_time_of_late_frames_steps_come_soon_again(between_every: int) -> None:
+    """Whatever steps between two ticks have taken: red before, where there was one a second steps
+    came as late as they had once been for ever."""
+    ages = steps_after((6_500,) * 300, between_every, 4_000)
+    assert np.median(ages[250:300]) > 6_000
+    assert np.median(ages[-200:]) < 1_300
+
+
+def test_a_machine_that_stood_still_does_not_make_steps_wait() -> None:
+    """What lay waiting then tells of the machine, not of the bus: red before."""
+    phase, now_us, read, ages = StepPhase(TICK_US), START_US + 900, 0, []
+    for k in range(400):
+        came = []
+        while not 200 <= k < 203 and now_us >= START_US + read * TICK_US + 800:
+            came.append(START_US + read * TICK_US)
+            read += 1
+        phase.take(inputs_of(*came), now_us)
+        ages.append(now_us - (START_US + (read - 1) * TICK_US))
+        now_us += TICK_US - phase.sooner_us
+    assert max(ages[220:]) < 900 + 4 * LONGER_US
 
 
 @pytest.mark.parametrize("cycle_us", [5_000, 7_300, 13_000])

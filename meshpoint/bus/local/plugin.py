@@ -5,6 +5,7 @@ import socket
 import sys
 import threading
 import time
+from collections.abc import Sequence
 from typing import Any
 
 import can
@@ -98,14 +99,12 @@ class MeshpointBus(can.BusABC):
         Raises CanTimeoutError when that buffer is full (the frame is not sent then),
         CanOperationError when the hub is gone, ValueError for a frame no CAN bus could carry.
         """
-        record = _pack(msg)
-        with self._send_lock:
-            if len(self._unsent) + len(record) > _MAX_UNSENT_BYTES:
-                self._flush(timeout)
-                if len(self._unsent) + len(record) > _MAX_UNSENT_BYTES:
-                    raise can.CanTimeoutError(f"meshpoint: {self._place}: the hub takes no frames")
-            self._unsent += record
-            self._flush(timeout)
+        self._send(_pack(msg), timeout)
+
+    def send_together(self, messages: Sequence[can.Message], timeout: float | None = None) -> None:
+        """As `send`, in this order, with one system call for all: they cost more than the rest of
+        a frame. Either all are sent or, where the buffer has no place for them, none."""
+        self._send(b"".join([_pack(message) for message in messages]), timeout)
 
     def drain(self) -> list[can.Message]:
         """All messages that have arrived (up to 256 KiB of them), in few reads; never waits.
@@ -135,6 +134,15 @@ class MeshpointBus(can.BusABC):
             self._say_goodbye()
         self._lost = True
         self._socket.close()
+
+    def _send(self, records: bytes, timeout: float | None) -> None:
+        with self._send_lock:
+            if len(self._unsent) + len(records) > _MAX_UNSENT_BYTES:
+                self._flush(timeout)
+                if len(self._unsent) + len(records) > _MAX_UNSENT_BYTES:
+                    raise can.CanTimeoutError(f"meshpoint: {self._place}: the hub takes no frames")
+            self._unsent += records
+            self._flush(timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         deadline = None if timeout is None else time.monotonic() + timeout
