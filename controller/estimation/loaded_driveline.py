@@ -222,7 +222,7 @@ class LoadedDriveline:
             return
         gain = p[:, GEAR] / (variance * max(1.0, square / MOST_OFF**2))
         x += gain * off
-        p -= np.outer(gain, p[GEAR])
+        p -= gain[:, np.newaxis] * p[GEAR]
         p[:] = 0.5 * (p + p.T)
         x[VEHICLE_INVERSE] = min(max(x[VEHICLE_INVERSE], self._inverses[0]), self._inverses[1])
 
@@ -246,8 +246,10 @@ class LoadedDriveline:
 
 def _tooth_rad(edges: Vector, times_us: Vector, angles: Vector) -> float:
     """How far the mean of some angles lies from the line through the edges (2, n)."""
-    middle_us, middle = edges.mean(axis=1)
+    # Sums over a count: numpy's `mean` takes five times as long for so few.
+    middle_us, middle = np.add.reduce(edges, axis=1) / edges.shape[1]
     waits = edges[0] - middle_us
     slope = float(waits @ (edges[1] - middle)) / float(waits @ waits)
-    along: float = middle + slope * (times_us.mean() - middle_us)
-    return float(angles.mean()) - along
+    time_us = float(np.add.reduce(times_us)) / times_us.size
+    along = float(middle) + slope * (time_us - float(middle_us))
+    return float(np.add.reduce(angles)) / angles.size - along
