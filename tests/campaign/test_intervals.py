@@ -15,6 +15,7 @@ from meshpoint.testbench.campaign.intervals import (
     SEED,
     Mean,
     Quantile,
+    Rate,
     interval,
     quantile,
     rate_interval,
@@ -92,11 +93,11 @@ def test_a_rate_without_a_miss_ends_at_one_and_with_nothing_but_misses_at_none()
 
 def test_a_ratio_of_rates_near_one_is_as_wide_as_its_rates() -> None:
     """100 of 100 against 100 of 100: resampling would say 1.00 to 1.00."""
-    low, high = rate_ratio_interval((1.0, 0.963, 1.0), (1.0, 0.963, 1.0))
+    low, high = rate_ratio_interval(Rate(1.0, 0.963, 1.0), Rate(1.0, 0.963, 1.0))
     assert (low, high) == (pytest.approx(0.963, abs=1e-3), pytest.approx(1.038, abs=1e-3))
-    low, high = rate_ratio_interval((0.5, 0.4, 0.6), (0.8, 0.8, 0.8))  # the other is known
+    low, high = rate_ratio_interval(Rate(0.5, 0.4, 0.6), Rate(0.8, 0.8, 0.8))  # the other is known
     assert (low, high) == (pytest.approx(0.5), pytest.approx(0.75))
-    assert rate_ratio_interval((0.5, 0.4, 0.6), (0.1, 0.0, 0.3)) == [None, None]
+    assert rate_ratio_interval(Rate(0.5, 0.4, 0.6), Rate(0.1, 0.0, 0.3)) == [None, None]
 
 
 def test_a_ratio_of_paired_strategies_keeps_the_pairing() -> None:

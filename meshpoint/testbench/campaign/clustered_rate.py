@@ -14,23 +14,15 @@ from functools import cache, lru_cache
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betainc, betaln
 
-Floats = NDArray[np.float64]
+from meshpoint.testbench.campaign.intervals import Floats, Rate
+
 MISSES: Final = np.concatenate([np.geomspace(1e-5, 0.02, 160, endpoint=False),
                                 np.linspace(0.02, 1.0 - 1e-5, 240)])  # fmt: skip
 """The shares of misses q that are looked at: close together where they are few."""
 CORRELATIONS: Final = np.linspace(0.025, 0.975, 39)
 NOMINAL: Final = 0.95
-
-
-class Rate(NamedTuple):
-    """A share of shifts and the ends of its interval."""
-
-    share: float
-    low: float
-    high: float
 
 
 class _Prior(NamedTuple):

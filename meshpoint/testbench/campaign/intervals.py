@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,14 @@ Integers = NDArray[np.int64]
 Weights = NDArray[np.uint8]
 """How often each run is in a resample: a line a resample, a column a run."""
 Interval = tuple[float, float]
-Rate = tuple[float, float, float]
-"""A share of shifts and the ends of its interval."""
+
+
+class Rate(NamedTuple):
+    """A share of shifts and the ends of its interval."""
+
+    share: float
+    low: float
+    high: float
 
 
 def rate_interval(hits: NDArray[np.bool_], clusters: Integers) -> Interval:

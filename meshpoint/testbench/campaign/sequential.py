@@ -25,7 +25,7 @@ from scipy.special import stdtrit
 
 from meshpoint.testbench.campaign.clustered_rate import NOMINAL, clustered_rate
 from meshpoint.testbench.campaign.columns import Shifts
-from meshpoint.testbench.campaign.intervals import rate_ratio_interval
+from meshpoint.testbench.campaign.intervals import Rate, rate_ratio_interval
 from meshpoint.testbench.campaign.spec import is_blind
 
 LEAST_RUNS: Final = 32
@@ -140,7 +140,7 @@ def against_known(kind: str, hits: Floats, n: Floats, known: Floats, known_n: Fl
     mean = float(known.sum() / known_n.sum())
     margin = _t_margin(runs) * math.sqrt(_variance(_parts(known, known_n)))
     if kind == "ratio":
-        low, high = rate_ratio_interval(rate, (mean, mean - margin, mean + margin))
+        low, high = rate_ratio_interval(rate, Rate(mean, mean - margin, mean + margin))
         if low is None or high is None:
             return unknown(runs)
         return Estimate(rate.share / mean, low, high, runs)

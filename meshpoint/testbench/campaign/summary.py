@@ -49,7 +49,7 @@ class Shots:
     def gap_rate(self) -> Rate:
         """Share of first contacts in a gap, with its interval; NaN where there was no shift."""
         rate = float(self.is_gap.mean()) if self.is_gap.size else math.nan
-        return (rate, *rate_interval(self.is_gap, self.cluster))
+        return Rate(rate, *rate_interval(self.is_gap, self.cluster))
 
     def impacts(self) -> tuple[Floats, Integers]:
         """Loss in flank impacts, J, and the runs."""
@@ -102,12 +102,12 @@ def strategy_figures(name: str, shots: Shots, resamples: Resamples) -> dict[str,
     after_ramp = shots.after_ramp_ms()
     after_ramp = after_ramp[~np.isnan(after_ramp)]
     errors = shifts.known("phase_error_deg")
-    low, high = rate_interval(shots.is_gap, shots.cluster)
+    rate = shots.gap_rate()
     return {
         "shifts": len(shifts),
         "first_contact_gap": {
-            "rate": _mean(shots.is_gap),
-            "ci95": [finite(low), finite(high)],
+            "rate": finite(rate.share),
+            "ci95": [finite(rate.low), finite(rate.high)],
         },
         "duration_ms": {
             "mean": _mean(durations),
