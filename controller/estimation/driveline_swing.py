@@ -16,7 +16,7 @@ import numpy as np
 
 from meshpoint.controller.calibration.learned import SwingRecord
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
-from meshpoint.controller.estimation.lash_cloud import LashFigures
+from meshpoint.controller.estimation.lash import LashFigures
 from meshpoint.controller.estimation.likelihood import Learned, learn, prior, restored
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.swing import ModeRates, SwingMotion

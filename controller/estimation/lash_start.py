@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.estimation.lash_cloud import LashStart, VehicleCourse
+from meshpoint.controller.estimation.lash import LashStart, VehicleCourse
 from meshpoint.controller.estimation.loaded_driveline import BehindState
 from meshpoint.controller.records import Vector
 from meshpoint.units import US

@@ -17,7 +17,8 @@ from meshpoint.controller.calibration.learned import SwingRecord
 from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
 from meshpoint.controller.estimation.driveline_swing import DrivelineSwing, EdgeRun, MainWindow
 from meshpoint.controller.estimation.geared_wheel import GearedWheel
-from meshpoint.controller.estimation.lash_cloud import Lash, LashCloud
+from meshpoint.controller.estimation.lash import Lash
+from meshpoint.controller.estimation.lash_cloud import LashCloud
 from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Prediction
 from meshpoint.controller.estimation.lash_start import StartWatch
 from meshpoint.controller.estimation.likelihood import prior, restored
@@ -231,7 +232,7 @@ class MainTracker(WheelTracker):
         rivals.end()
         self._let_cloud_go()
         if cloud is not None and cloud.is_alive and rivals.believes_lash:
-            self._lashes[self._range].learn(cloud)
+            self._lashes[self._range].learn(cloud.log_figure)
             self._before.take_vehicle(cloud.vehicle)
 
     def _let_cloud_go(self) -> None:

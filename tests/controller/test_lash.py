@@ -10,13 +10,15 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from meshpoint.controller.calibration.learned import SwingRecord
-from meshpoint.controller.estimation.lash_cloud import (
-    LOST,
+from meshpoint.controller.estimation.lash import (
     SEEN_SDS,
     Lash,
-    LashCloud,
     LashStart,
     VehicleCourse,
+)
+from meshpoint.controller.estimation.lash_cloud import (
+    LOST,
+    LashCloud,
     spread,
 )
 from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Prediction
@@ -221,7 +223,7 @@ def test_what_a_window_tells_of_the_backlash_is_taken_over_in_part() -> None:
         edges = np.array((np.interp(passed, angle, 1e3 * np.arange(300)), passed))
         cloud = LashCloud(lash, LashStart(0.0, 0.0, float(x[SPEED, 0]), 60.0), 1e-6)
         cloud.take(edges, 1e-3)
-        lash.learn(cloud)
+        lash.learn(cloud.log_figure)
     told = (lash.known.half_log - lash.prior.half_log) / math.log(1.6)
     assert 0.2 < told < 1.6
     assert 0.3 * lash.prior.half_sd < lash.known.half_sd < lash.prior.half_sd
@@ -234,7 +236,7 @@ def test_what_is_not_a_number_leaves_no_course() -> None:
     cloud.take(np.array([[1e3], [math.nan]]), 1e-3)
     assert not cloud.is_alive and cloud.course(HALF_GAP_RAD) is None
     known = lash.known
-    lash.learn(cloud)
+    lash.learn(cloud.log_figure)
     assert lash.known == known
 
 

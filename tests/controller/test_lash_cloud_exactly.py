@@ -10,10 +10,12 @@ import pytest
 
 from meshpoint.controller.estimation.cloud_redraw import drawn_anew
 from meshpoint.controller.estimation.halton import normal, scattered_twice
-from meshpoint.controller.estimation.lash_cloud import (
+from meshpoint.controller.estimation.lash import (
     Lash,
-    LashCloud,
     LashStart,
+)
+from meshpoint.controller.estimation.lash_cloud import (
+    LashCloud,
     correct,
     spread,
 )
@@ -277,13 +279,13 @@ def test_a_window_s_figures_count_as_no_surer_than_these(monkeypatch: pytest.Mon
         logs[rows[k]] += 0.02
         told = {row: (log, 1e-3) for row, log in logs.items()}
         monkeypatch.setattr(cloud, "log_figure", told.get)
-        lash.learn(cloud)
+        lash.learn(cloud.log_figure)
         assert lash.known[2 * k] - lash.prior[2 * k] == pytest.approx(0.01)
     for figures in ((math.nan, 0.1), (1.0, math.nan), (math.inf, 0.1)):
         lash = a_lash()
         before = lash.known
         monkeypatch.setattr(cloud, "log_figure", dict.fromkeys(rows, figures).get)
-        lash.learn(cloud)
+        lash.learn(cloud.log_figure)
         assert lash.known == before
 
 

@@ -13,21 +13,23 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from meshpoint.controller.estimation.halton import normal
+from meshpoint.controller.estimation.lash import (
+    DRIVELINES,
+    LEAST_DRAG,
+    LEAST_SHARE_SD,
+    SEEN_SDS,
+    Lash,
+    LashStart,
+)
 from meshpoint.controller.estimation.lash_cloud import (
     DOUBT_KEPT,
     DRAG_CHANGE,
-    DRIVELINES,
     FIRST_DRAG,
     FIRST_OMEGA,
-    LEAST_DRAG,
-    LEAST_SHARE_SD,
     LOOK_US,
     MOST_OFF,
     RECENT,
-    SEEN_SDS,
-    Lash,
     LashCloud,
-    LashStart,
     correct,
     spread,
 )
@@ -312,7 +314,7 @@ def test_figures_are_learned_as_bayes_has_it_and_stay_in_what_the_sheet_leaves_o
 ) -> None:
     lash, rows = a_lash(), (STIFF, LOSS, HALF, DRAG)
     logs = {row: lash.prior[2 * j] + (by if j == k else 0.0) for j, row in enumerate(rows)}
-    lash.learn(figures_at(logs, dict.fromkeys(rows, sd)))
+    lash.learn(figures_at(logs, dict.fromkeys(rows, sd)).log_figure)
     middle, most = lash.prior[2 * k : 2 * k + 2]
     seen_sd = max(sd, SEEN_SDS[k])
     sure = 1.0 / (most**-2 + seen_sd**-2)
@@ -323,7 +325,7 @@ def test_figures_are_learned_as_bayes_has_it_and_stay_in_what_the_sheet_leaves_o
     for far in (-9.0, 9.0):
         logs[rows[k]] = middle + far
         for _ in range(15):
-            lash.learn(figures_at(logs, dict.fromkeys(rows, sd)))
+            lash.learn(figures_at(logs, dict.fromkeys(rows, sd)).log_figure)
         side = math.copysign(2.0 * most, far)
         assert lash.known[2 * k] == pytest.approx(middle + side)
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from meshpoint.controller.estimation.lash_cloud import VehicleCourse
+from meshpoint.controller.estimation.lash import VehicleCourse
 from meshpoint.controller.estimation.lash_start import (
     BROAD,
     CHANGE_S,

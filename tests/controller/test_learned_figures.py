@@ -17,7 +17,7 @@ from meshpoint.controller.estimation.driveline_swing import (
     DrivelineSwing,
     EdgeRun,
 )
-from meshpoint.controller.estimation.lash_cloud import Lash
+from meshpoint.controller.estimation.lash import Lash
 from meshpoint.controller.estimation.lash_rivals import (
     AHEAD_US,
     BELIEVED,

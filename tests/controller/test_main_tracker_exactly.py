@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from meshpoint.controller.estimation import main_tracker as module
-from meshpoint.controller.estimation.lash_cloud import Lash, LashStart
+from meshpoint.controller.estimation.lash import Lash, LashStart
 from meshpoint.controller.estimation.lash_rivals import AHEAD_US, Prediction
 from meshpoint.controller.estimation.main_tracker import Behind, MainTracker
 from meshpoint.controller.estimation.tooth_match import PatternEquations
@@ -201,7 +201,7 @@ class Cloud:
         assert half_gap_rad == GAP_RAD
         return self.next
 
-    vehicle = "as it goes"
+    log_figure, vehicle = "as it was told", "as it goes"
 
 
 class Course:
@@ -388,7 +388,7 @@ def test_a_window_s_cloud_is_learned_from_where_it_lives_and_backlash_is_believe
     tracker._end_lash()
     assert rivals.ended == 1
     assert (tracker._cloud, tracker._course) == (None, (0.0, None))
-    assert learned == ([cloud] if lack == "none" else [])
+    assert learned == ([cloud.log_figure] if lack == "none" else [])
     assert vehicles == ([("as it goes",)] if lack == "none" else [])
 
 

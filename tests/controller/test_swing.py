@@ -16,7 +16,7 @@ from meshpoint.controller.estimation.driveline_swing import (
     DrivelineSwing,
     MainWindow,
 )
-from meshpoint.controller.estimation.lash_cloud import LashFigures
+from meshpoint.controller.estimation.lash import LashFigures
 from meshpoint.controller.estimation.likelihood import prior
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.estimation.teeth import WheelTeeth

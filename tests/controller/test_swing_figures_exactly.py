@@ -13,7 +13,7 @@ from meshpoint.controller.estimation import driveline_swing as module
 from meshpoint.controller.estimation import lash_start
 from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES, CrossingFilter
 from meshpoint.controller.estimation.driveline_swing import DrivelineSwing, EdgeRun, MainWindow
-from meshpoint.controller.estimation.lash_cloud import Lash
+from meshpoint.controller.estimation.lash import Lash
 from meshpoint.controller.estimation.lash_start import StartWatch
 from meshpoint.controller.estimation.likelihood import Found, prior
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER

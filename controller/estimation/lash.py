@@ -1,0 +1,233 @@
+"""A driveline behind the gearbox: its figures by data sheet and as learned, and its first cloud.
+
+What the data sheet leaves open of a driveline is learned from window to window in neutral: each
+begins with a cloud of drivelines (`lash_cloud`) that are spread as far as that is not known yet.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.controller.estimation.halton import even, normal
+from meshpoint.controller.estimation.loaded_driveline import BehindState, Shafts
+from meshpoint.controller.motion.lash_course import Chance
+from meshpoint.controller.motion.lash_motion import (
+    ANGLE,
+    DRAG,
+    HALF,
+    HILL,
+    LOSS,
+    ROWS,
+    SPEED,
+    STIFF,
+    TYRE,
+    TYRE_STIFF,
+    VEHICLE,
+    WAY,
+    WHEELS,
+    LashModel,
+)
+from meshpoint.controller.records import Vector
+from meshpoint.gearbox.driveline import Axle
+from meshpoint.units import US
+
+DRIVELINES: Final = 2500
+"""In a cloud."""
+PRESSED: Final = 0.6
+"""Share of the first cloud that is still pressed to the flank that the shafts' torque held;"""
+AROUND: Final = 1.15
+"""the rest lies within the backlash and this much of its half beyond: flanks give way."""
+TOLD_SDS: Final = 2.0
+"""In gear a flank was pressed on, where the twist was beyond it by so many standard deviations;"""
+PRESSED_TOLD: Final = 0.9
+PRESSED_UNTOLD: Final = 0.5
+"""so much of the first cloud lies where it was found in gear, with a flank pressed on, and else."""
+GOLDEN: Final = 0.5 * (math.sqrt(5.0) - 1.0)
+LEAST_DRAG: Final = 0.5
+"""Drag is never less (rad/s2): it always slows a shaft down."""
+SEEN_SDS: Final = (0.2, 0.5, 0.25, 0.5)
+"""What one window tells of stiffness, loss, backlash and drag counts as no surer than this, in
+their logarithms: a shaft that met no flank tells little, and its cloud does not know how little."""
+LEAST_SHARE_SD: Final = 0.5
+"""They are never known better than by this share of what the sheet leaves open."""
+
+
+class LashStart(NamedTuple):
+    """What is known when a gear has come out."""
+
+    time_us: float
+    angle_rad: float
+    speed_rad_s: float
+    vehicle_rad_s: float
+    """The vehicle's speed at the main shaft, and its acceleration,"""
+    hill_rad_s2: float = 0.0
+    vehicle_root: Vector | None = None
+    """with a root of their covariance, (2, 2); None: as the sheet says."""
+    pressed_nm: float = 0.0
+    """About what was left in the shafts, at the propeller shaft: above 0 at the flank of drive,
+    below at that of coast, 0 unknown."""
+    behind: BehindState | None = None
+    """What the driveline was found to be while the gear was in mesh; None: it was not followed."""
+
+
+class VehicleCourse(NamedTuple):
+    """What was known of the vehicle at a time, at the main shaft."""
+
+    time_us: float
+    speed_rad_s: float
+    hill_rad_s2: float
+    covariance: Vector
+    """(2, 2)."""
+
+    def at(self, time_us: float) -> VehicleCourse:
+        """The same at a later time."""
+        wait_s = (time_us - self.time_us) * US
+        moves = np.array(((1.0, wait_s), (0.0, 1.0)))
+        speed, hill = self.speed_rad_s + wait_s * self.hill_rad_s2, self.hill_rad_s2
+        return VehicleCourse(time_us, speed, hill, moves @ self.covariance @ moves.T)
+
+
+class LashFigures(NamedTuple):
+    """What is known of a driveline in one step of the range, at the main shaft: logarithms with
+    their standard deviations."""
+
+    stiff_log: float
+    stiff_sd: float
+    """Of the shafts' stiffness over the main shaft's inertia (1/s2),"""
+    loss_log: float
+    loss_sd: float
+    """of the loss at a flank (s/rad),"""
+    half_log: float
+    half_sd: float
+    """of half of the backlash (rad),"""
+    drag_log: float
+    drag_sd: float
+    """and of the drag's acceleration (rad/s2)."""
+
+
+class Lash:
+    """The figures of a driveline in one step of the range, from the data sheet, and as learned."""
+
+    def __init__(self, axle: Axle, backlash_rad: float, factor: float, ratio: float) -> None:
+        """ratio: the range's, i_range; factor: most backlash over the sheet's."""
+        self.axle, self.ratio = axle, ratio
+        turned = axle.main_kgm2 + axle.propeller_kgm2 * ratio * ratio
+        self._turned_kgm2 = turned
+        drag = (axle.pinion_nm * ratio + axle.loose_nm) / turned
+        self.prior = LashFigures(
+            math.log(axle.shaft_nm_rad * ratio * ratio / turned),
+            axle.shaft_tolerance,
+            math.log(axle.flank_loss_s_rad * ratio),
+            math.log(axle.flank_loss_factor),
+            math.log(0.5 * backlash_rad / ratio),
+            math.log(factor) / math.sqrt(3.0),
+            math.log(drag),
+            axle.pinion_tolerance / math.sqrt(3.0),
+        )
+        self.known = self.prior
+
+    def restore(self, half_rad: float, half_sd: float) -> None:
+        """Starts from the half backlash that an earlier run learned."""
+        sd = min(self.prior.half_sd, max(LEAST_SHARE_SD * self.prior.half_sd, half_sd))
+        self.known = self.known._replace(half_log=math.log(half_rad), half_sd=sd)
+
+    def model(self, speed_rad_s: float) -> LashModel:
+        """What is taken as known, at a speed of the main shaft."""
+        axle, ratio = self.axle, self.ratio
+        return LashModel(
+            self._share,
+            axle.tyre_nms / axle.wheels_kgm2,
+            abs(speed_rad_s) * ratio / axle.relaxation_rad,
+        )
+
+    @property
+    def shafts(self) -> Shafts:
+        """Stiffness and backlash as known, at the propeller shaft."""
+        stiff = math.exp(self.known.stiff_log) * self._turned_kgm2 / (self.ratio * self.ratio)
+        return Shafts(stiff, math.exp(self.known.half_log) * self.ratio)
+
+    @property
+    def chance(self) -> Chance:
+        """How torques of chance accelerate the shaft."""
+        axle = self.axle
+        nm = math.hypot(axle.main_chance_nm, self.ratio * axle.propeller_chance_nm)
+        return Chance(2.0 * (nm / self._turned_kgm2) ** 2 * axle.chance_s, axle.chance_s)
+
+    def cloud(self, start: LashStart) -> Vector:
+        """The first cloud, (ROWS, DRIVELINES)."""
+        known, axle, sure = self.known, self.axle, normal(DRIVELINES)
+        x = np.empty((ROWS, DRIVELINES))
+        x[ANGLE], x[SPEED] = start.angle_rad, start.speed_rad_s
+        x[HALF] = np.exp(known.half_log + known.half_sd * sure[0])
+        root = np.diag(self.vehicle_sds) if start.vehicle_root is None else start.vehicle_root
+        off_speed, off_hill = root @ sure[2:4]
+        x[VEHICLE], x[HILL] = start.vehicle_rad_s + off_speed, start.hill_rad_s2 + off_hill
+        x[WHEELS] = x[VEHICLE] + axle.wheels_start_rad_s * sure[4]
+        x[TYRE] = axle.wheels_start_rad_s / math.sqrt(self._tyre_per_s2) * sure[5]
+        x[STIFF] = np.exp(known.stiff_log + known.stiff_sd * sure[6])
+        x[LOSS] = np.exp(known.loss_log + known.loss_sd * sure[7])
+        x[DRAG] = np.maximum(np.exp(known.drag_log + known.drag_sd * sure[8]), LEAST_DRAG)
+        x[TYRE_STIFF] = self._tyre_per_s2 * np.exp(axle.tyre_tolerance * sure[9])
+        self._press(x, start.pressed_nm)
+        if start.behind is not None:
+            self._follow_on(x, start.behind)
+        return x
+
+    def _follow_on(self, x: Vector, behind: BehindState) -> None:
+        """Starts from what the driveline was found to be in gear. Where it lies in its backlash is
+        not believed of all: half of them lie as the ramp says where no flank is pressed on."""
+        mean, root, half = behind
+        found = mean[:, np.newaxis] + root @ normal(DRIVELINES)[1:6]
+        twist, ratio = found[0], self.ratio
+        beyond = twist - np.clip(twist, -half, half)
+        way = x[HALF] * (1.0 + (twist - beyond) / half) + beyond / ratio
+        told = abs(mean[0]) - half > TOLD_SDS * math.sqrt(float(root[0] @ root[0]))
+        share = PRESSED_TOLD if told else PRESSED_UNTOLD
+        x[WAY] = np.where(GOLDEN * np.arange(DRIVELINES) % 1.0 < share, way, x[WAY])
+        x[WHEELS], x[TYRE], x[VEHICLE], x[HILL] = found[1:] / ratio
+
+    def _press(self, x: Vector, pressed_nm: float) -> None:
+        """Places the drivelines between their flanks, and at the one that was pressed on."""
+        pressed = float(np.sign(pressed_nm))
+        places, share = even(DRIVELINES)[1], PRESSED * abs(pressed)
+        on, rest = places < share, (places - share) / (1.0 - share)
+        # The law of what a ramp leaves has a mean and is no less than none: exponential.
+        left_nm = -abs(pressed_nm) * np.log1p(-np.where(on, places / PRESSED, 0.0))
+        twist = left_nm * self.ratio / (self._turned_kgm2 * x[STIFF])
+        flank = (1 + pressed) * x[HALF] + pressed * twist
+        x[WAY] = np.where(on, flank, (1.0 - AROUND + 2.0 * AROUND * rest) * x[HALF])
+        x[TYRE] += pressed * left_nm * self.ratio / self._turned_kgm2 * self._share / x[TYRE_STIFF]
+
+    @property
+    def vehicle_sds(self) -> tuple[float, float]:
+        """What is not known of the vehicle's speed and acceleration, at the main shaft."""
+        return self.axle.vehicle_start_rad_s, self.axle.vehicle_rad_s2 / self.ratio
+
+    @property
+    def _share(self) -> float:
+        """The inertia of what turns with the main shaft over that of the wheels."""
+        return self._turned_kgm2 / (self.axle.wheels_kgm2 * self.ratio * self.ratio)
+
+    @property
+    def _tyre_per_s2(self) -> float:
+        return self.axle.tyre_nm_rad / self.axle.wheels_kgm2
+
+    def learn(self, told: Callable[[int], tuple[float, float]]) -> None:
+        """Takes over what a window has shown: mean and standard deviation of the logarithm of a row
+        of its cloud."""
+        learned: list[float] = []
+        for k, row in enumerate((STIFF, LOSS, HALF, DRAG)):
+            log, sd = told(row)
+            if not (math.isfinite(log) and math.isfinite(sd)):
+                return
+            middle, most = self.prior[2 * k : 2 * k + 2]
+            before, before_sd = self.known[2 * k : 2 * k + 2]
+            gain = before_sd**2 / (before_sd**2 + max(sd, SEEN_SDS[k]) ** 2)
+            after = before + gain * (log - before)
+            after_sd = max(before_sd * math.sqrt(1.0 - gain), LEAST_SHARE_SD * most)
+            learned += [min(max(after, middle - 2.0 * most), middle + 2.0 * most), after_sd]
+        self.known = LashFigures(*learned)
