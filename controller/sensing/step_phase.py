@@ -18,8 +18,11 @@ from meshpoint.dbc.messages import EdgesInputRise
 
 LONGER_US: Final = 300
 """Frames that had not all come are awaited for so much longer,"""
-SHORTER_US: Final = 3
-"""and after each step that had them all for so much less: one step in a hundred comes too soon."""
+SHORTER_US: Final = 1
+"""and after each step that had them all for so much less,"""
+SOONER_AFTER: Final = 300
+"""and by so much again after each so many of these in a row. So one step in some two hundred comes
+too soon, and a time in which frames came late is forgotten within seconds."""
 MOST_MOVED_US: Final = 500
 """A step is moved by no more than this against the one before."""
 MOST_SHARE: Final = 0.8
@@ -34,7 +37,9 @@ class StepPhase:
     def __init__(self, tick_us: int) -> None:
         self._tick_us = tick_us
         self._waits_us = 0
-        """How long after a read its frames are awaited."""
+        """How long after a read its frames are awaited,"""
+        self._had_all = 0
+        """and how many steps in a row have had them all."""
         self._read_us: int | None = None
         """When the newest read was made of which a frame has come (sensor time),"""
         self._ticks = 0
@@ -69,8 +74,11 @@ class StepPhase:
             # Nothing has come yet of the read that is due.
             age_us, is_whole = age_us - self._tick_us, False
         if is_whole:
-            self._waits_us = max(0, self._waits_us - SHORTER_US)
+            self._had_all += 1
+            shorter_us = SHORTER_US * (1 + self._had_all // SOONER_AFTER)
+            self._waits_us = max(0, self._waits_us - shorter_us)
         else:
+            self._had_all = 0
             # By no more for a step that was itself held up: it tells of the machine, not of a read.
             longer_us = min(self._waits_us, age_us) + LONGER_US
             self._waits_us = min(max(self._waits_us, longer_us), round(MOST_SHARE * self._tick_us))
