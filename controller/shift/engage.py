@@ -49,9 +49,9 @@ def engage(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     if predictor is not None:
         context.free_predictor, context.free_us = predictor, snapshot.now_us
         if _is_to_go_back(context, predictor, snapshot):
-            return _call_back(context)
+            return call_back(context)
     if _is_refused(context, snapshot):
-        return _call_back(context)
+        return call_back(context)
     if shift.measured_contact_us is None:
         _look_for_contact(context, snapshot)
     if snapshot.view.main_gear is gear:
@@ -101,8 +101,8 @@ def _is_refused(context: ShiftContext, snapshot: StepSnapshot) -> bool:
     return not driven and snapshot.now_us - plan.fire_us > DRIVEN_LATE_US
 
 
-def _call_back(context: ShiftContext) -> Trigger:
-    """The firing is taken back, and does not count as an attempt."""
+def call_back(context: ShiftContext) -> Trigger:
+    """The firing is taken back, and does not count as an attempt: nothing has touched."""
     shift = context.running
     shift.attempts -= 1
     shift.calls += 1

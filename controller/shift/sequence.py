@@ -21,7 +21,7 @@ from meshpoint.controller.shift.between_shifts import (
 )
 from meshpoint.controller.shift.context import ShiftContext
 from meshpoint.controller.shift.disengage import disengage, open_clutch
-from meshpoint.controller.shift.engage import engage, retract
+from meshpoint.controller.shift.engage import CALLS, call_back, engage, retract
 from meshpoint.controller.shift.group_change import change_splitter, change_steps
 from meshpoint.controller.shift.speed_up import part_clutch, raise_speed, too_slow
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
@@ -134,7 +134,9 @@ class ShiftSequence(ShiftContext):
             fault = FAULT_OF_ROW.get(row, FaultCode.GUARD_BLOCKED)
             self._go(self.give_up(snapshot, fault), snapshot)
         elif self.state is State.ENGAGING:
-            self._go(Trigger.BLOCKED, snapshot)
+            touched = self.shift.measured_contact_us is not None
+            taken_back = not touched and self.shift.calls < CALLS
+            self._go(call_back(self) if taken_back else Trigger.BLOCKED, snapshot)
 
     def request(self, number: int, snapshot: StepSnapshot) -> str | None:
         """A drive gear is requested. Returns a line for the log if the request is refused."""

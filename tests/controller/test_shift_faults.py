@@ -321,7 +321,30 @@ def test_a_firing_that_the_guard_blocks_is_taken_back_and_tried_again() -> None:
     assert box.state is State.RETRACTING
     box.until(State.IN_GEAR)
     record = box.records[-1]
-    assert (record.result, record.attempts, record.blocks) == (ShiftResult.ENGAGED, 2, 1)
+    assert (record.result, record.attempts, record.blocks) == (ShiftResult.ENGAGED, 1, 1)
+
+
+def test_firings_that_the_guard_blocks_before_they_touch_do_not_use_up_the_attempts() -> None:
+    """Red before: a main shaft that swings had three of them forbidden for its slip, and the shift
+    ended in neutral though no tooth had been met."""
+    box = aimed(*UP[:2])
+    box.ask(UP[2])
+    for _ in range(box.settings.limits.attempts + 1):
+        box.until(State.ENGAGING)
+        box.sequence.blocked(3, box.snapshot())
+        assert box.state is State.RETRACTING
+    box.until(State.IN_GEAR)
+    assert (box.records[-1].result, box.records[-1].attempts) == (ShiftResult.ENGAGED, 1)
+
+
+def test_a_firing_that_is_blocked_after_it_touched_was_an_attempt() -> None:
+    box = aimed(*UP[:2])
+    box.ask(UP[2])
+    box.until(State.ENGAGING)
+    box.sequence.running.measured_contact_us = 0
+    box.sequence.blocked(3, box.snapshot())
+    box.until(State.IN_GEAR)
+    assert box.records[-1].attempts == 2
 
 
 def test_a_sleeve_between_two_gears_keeps_the_clutch_open_until_it_is_known_again() -> None:
