@@ -123,7 +123,7 @@ class ShiftSequence(ShiftContext):
         if self.shift is None:
             return
         self.shift.blocks += 1
-        self.shift.plan = self.shift.release_us = None
+        plan, self.shift.plan, self.shift.release_us = self.shift.plan, None, None
         if self.state is State.SYNCHRONISING:
             self.shift.pulses = max(0, self.shift.pulses - 1)
         if self.shift.blocks >= self.settings.limits.blocks:
@@ -134,8 +134,9 @@ class ShiftSequence(ShiftContext):
             fault = FAULT_OF_ROW.get(row, FaultCode.GUARD_BLOCKED)
             self._go(self.give_up(snapshot, fault), snapshot)
         elif self.state is State.ENGAGING:
-            touched = self.shift.measured_contact_us is not None
-            taken_back = not touched and self.shift.calls < CALLS
+            # One that should have touched by now was an attempt: its sleeve may not move at all.
+            is_early = plan is not None and snapshot.now_us < plan.contact_us
+            taken_back = is_early and self.shift.calls < CALLS
             self._go(call_back(self) if taken_back else Trigger.BLOCKED, snapshot)
 
     def request(self, number: int, snapshot: StepSnapshot) -> str | None:
