@@ -38,7 +38,7 @@ def compared(tmp_path_factory: pytest.TempPathFactory) -> Pairs:
     """Each recorded shift as judged, and what the same bench did with the other strategy."""
     settings = ControllerSettings(strategy_name=RECORDED)
     spec = small_spec(Preset.THESIS, settings=settings)
-    drawn = draw(11, spec.sheet, spec.preset, spec.pairs, SHIFTS + 1, {})
+    drawn = draw(15, spec.sheet, spec.preset, spec.pairs, SHIFTS + 1, {})
     loop = ClosedLoop(spec.sheet, settings, spec.preset, drawn, log=[])
     truth = []
     for _ in range(SHIFTS):
