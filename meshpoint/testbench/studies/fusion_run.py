@@ -147,15 +147,17 @@ class _Listener:
         self._predicted.append(_Predicted(time_us, ahead, main, _switched(brake, time_us)))
 
     def _add_layshaft_ahead(self, truth: ReferenceEncoder) -> None:
-        """The samples of a frame are 2 ms apart: between them the angle goes on at its speed."""
+        """The samples of a frame are 2 ms apart: between them, and for as long before the first, the
+        angle goes on at its speed."""
         newest_us = unwrap(truth.sample_time_us, self._observer.clock.latest_us)
         due = [each for each in self._predicted if each.time_us <= newest_us]
         self._predicted = [each for each in self._predicted if each.time_us > newest_us]
         for each in due:
             k = round((newest_us - each.time_us) / ENCODER_STEP_US)
             unforeseen = each.switched != _switched(self._score.brake, each.time_us)
-            if unforeseen or k >= len(truth.angle_rad) or self._score.is_after_contact(newest_us):
+            if unforeseen or k > len(truth.angle_rad) or self._score.is_after_contact(newest_us):
                 continue
+            k = min(k, len(truth.angle_rad) - 1)
             since_s = (each.time_us - newest_us + k * ENCODER_STEP_US) * US
             omega = truth.speed_rad_s[k]
             theta = truth.angle_rad[k] + omega * since_s
