@@ -147,8 +147,8 @@ class _Listener:
         self._predicted.append(_Predicted(time_us, ahead, main, _switched(brake, time_us)))
 
     def _add_layshaft_ahead(self, truth: ReferenceEncoder) -> None:
-        """The samples of a frame are 2 ms apart: between them, and for as long before the first, the
-        angle goes on at its speed."""
+        """The samples of a frame are 2 ms apart: between them, and before the first for as long,
+        the angle goes on at its speed."""
         newest_us = unwrap(truth.sample_time_us, self._observer.clock.latest_us)
         due = [each for each in self._predicted if each.time_us <= newest_us]
         self._predicted = [each for each in self._predicted if each.time_us > newest_us]
