@@ -13,6 +13,7 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.testbench.studies.fusion_run import (
+    AHEAD_SUFFIX,
     LAYSHAFT,
     MAIN,
     WITH_INPUT,
@@ -26,6 +27,14 @@ def spread_rad(squares: ShiftErrors) -> float:
     """RMS about the mean, which no wheel can see."""
     mean = squares.angle_rad / squares.samples
     return math.sqrt(squares.angle_rad2 / squares.samples - mean * mean)
+
+
+def test_what_is_predicted_is_scored_wherever_steps_lie_between_two_encoder_frames() -> None:
+    """Red before: of what was foretold for the 2 ms before a frame's first sample nothing was, and
+    steps keep their place, so that in some gearboxes none was scored at all."""
+    truck12 = load_sheet("truck12")
+    found = FusionRun(truck12, 1, 1, 3, as_built=(), profile=Profile.TYPICAL).run()
+    assert found[LAYSHAFT + AHEAD_SUFFIX].samples > 0.5 * found[LAYSHAFT].samples / 5
 
 
 @pytest.mark.long
