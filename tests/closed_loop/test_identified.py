@@ -17,9 +17,10 @@ MOST_HALF = {
     "sleeve delay first": 6.0, "sleeve delay second": 5.0, "sleeve delay third": 5.0,
     "sleeve delay spread": 3.0,
 }  # fmt: skip
-"""Half the interval of each figure is less than this, in the figure's unit. A driveline that swings
-near its shaft's own frequency hides the main wheel's eccentricity. It is of the gearbox with seed
-1: those with seeds 1 to 8 tell theirs to 0.06 to 0.21 mm, and the brake's torque to 5 to 20 Nm."""
+"""Half the interval of each figure is less than this for the gearbox with seed 1, in the figure's
+unit. Gearboxes differ: with seeds 1 to 8 half the interval of the main wheel's eccentricity, which
+a driveline hides that swings near its shaft's own frequency, is 0.06 to 0.21 mm, and that of the
+brake's torque 5 to 20 Nm."""
 
 
 def test_a_log_of_eight_shifts_tells_what_gearbox_it_is_of() -> None:
