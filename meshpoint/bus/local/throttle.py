@@ -27,9 +27,9 @@ class Allowance:
     def spend(self, sent_bytes: int, now_s: float) -> bool:
         """It has sent this; whether that is within its share."""
         earned = (now_s - self._at_s) * FAIR_BYTES_S
+        left = min(self._left_bytes + earned, float(BURST_BYTES)) - sent_bytes
         # What it owes is bounded, so that after a flood it is soon heard like any other.
-        left = max(self._left_bytes + earned - sent_bytes, -float(BURST_BYTES))
-        self._left_bytes, self._at_s = min(left, float(BURST_BYTES)), now_s
+        self._left_bytes, self._at_s = max(left, -float(BURST_BYTES)), now_s
         return left >= 0.0
 
 
