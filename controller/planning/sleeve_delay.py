@@ -27,6 +27,8 @@ MOST_SAMPLES: Final = 60.0
 PRESSURE_EXPONENT: Final = 0.5
 FAR_S: Final = 0.02
 """A sample this far from the mean is not learned: the sleeve was held up by something else."""
+LONGEST_S: Final = 0.5
+"""No sleeve takes longer; a calibration file holds no more."""
 
 
 @dataclass
@@ -78,7 +80,10 @@ class SleeveDelays:
         return round(self._learned[gear].samples - PRIOR_SAMPLES)
 
     def learn(self, gear: MainGear, delay_us: float) -> None:
-        """One contact was seen `delay_us` after activation."""
+        """One contact was seen `delay_us` after activation. Before its valve can have opened a sleeve
+        touches nothing: such a sample is not learned."""
+        if not self._valve_s <= delay_us * 1e-6 <= LONGEST_S:
+            return
         learned = self._learned[gear]
         travel_s = (delay_us * 1e-6 - self._valve_s) * self._faster()
         error = self._valve_s + travel_s - learned.mean_s
