@@ -80,8 +80,8 @@ class SleeveDelays:
         return round(self._learned[gear].samples - PRIOR_SAMPLES)
 
     def learn(self, gear: MainGear, delay_us: float) -> None:
-        """One contact was seen `delay_us` after activation. Before its valve can have opened a sleeve
-        touches nothing: such a sample is not learned."""
+        """One contact was seen `delay_us` after activation. A sleeve touches nothing before its
+        valve can have opened: such a sample is not learned."""
         if not self._valve_s <= delay_us * 1e-6 <= LONGEST_S:
             return
         learned = self._learned[gear]
