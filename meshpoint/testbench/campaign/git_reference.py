@@ -88,7 +88,6 @@ def export(commit: Commit, folder: Path) -> bool:
         return False
     for name in BESIDE:
         (folder / name).rename(folder / "meshpoint" / name)
-    _take_kernels(folder / "meshpoint")
     return True
 
 
@@ -178,18 +177,6 @@ class GitBaseline:
 def _package() -> Path:
     """The folder of the package that is running."""
     return Path(__file__).resolve().parents[2]
-
-
-def _take_kernels(package: Path) -> None:
-    """Kernels compiled here hold for all code that is alike: their names say of which they are."""
-    from meshpoint.controller import core as controller
-    from meshpoint.rig_sim import core as rig_sim
-
-    for name, core in {"controller": controller, "rig_sim": rig_sim}.items():
-        cache = package / name / "__pycache__"
-        for kernel in (Path(str(core.__file__)).parent / "__pycache__").glob("*.nbc"):
-            cache.mkdir(parents=True, exist_ok=True)
-            shutil.copy2(kernel, cache)
 
 
 def _top(where: Path) -> Path | None:
