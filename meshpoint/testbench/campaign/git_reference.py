@@ -83,12 +83,20 @@ def export(commit: Commit, folder: Path) -> bool:
     if archive is None:
         raise RunError(f"--against {commit}: git archive failed")
     with tarfile.open(fileobj=io.BytesIO(archive)) as files:
-        files.extractall(folder, filter="data")
+        files.extractall(folder, filter=_within)
     if not all((folder / path).is_file() for path in PRODUCT):
         return False
     for name in BESIDE:
         (folder / name).rename(folder / "meshpoint" / name)
     return True
+
+
+def _within(member: tarfile.TarInfo, folder: str) -> tarfile.TarInfo | None:
+    """A file of a commit; links out of the checkout are left out, the product has none."""
+    try:
+        return tarfile.data_filter(member, folder)
+    except tarfile.FilterError:
+        return None
 
 
 def as_of(commit: Commit, exported: Path, path: str) -> str:
