@@ -4,21 +4,27 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: long swarm faults planted mutants demo docs test installed acceptance vcan vcan-alone controllers test-containers lint types reference contracts stubs bench clean
+.PHONY: long swarm faults planted mutants demo docs test installed acceptance vcan vcan-alone controllers test-containers lint types reference contracts locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
 unexport PYTHONDONTWRITEBYTECODE
 
-# --no-compile: of some 100 MB of Python a run imports a tenth, and compiles that as it does.
-$(VENV)/run.stamp: pyproject.toml setup.py constraints.txt
+# Packages by the digests of locks/ (tools/lock-packages). --no-compile: of some 100 MB of Python a run
+# imports a tenth, and compiles that as it does.
+INSTALL := $(BIN)/python -m pip install --quiet --no-compile --no-deps
+ITSELF := --no-build-isolation -e .
+
+$(VENV)/run.stamp: pyproject.toml setup.py locks/build.txt locks/run.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile -c constraints.txt -e .
+	$(INSTALL) --require-hashes -r locks/build.txt -r locks/run.txt
+	$(INSTALL) $(ITSELF)
 	touch $@
 
-$(VENV)/test.stamp: pyproject.toml setup.py constraints.txt
+$(VENV)/test.stamp: pyproject.toml setup.py locks/build.txt locks/run.txt locks/test.txt
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile -c constraints.txt -e ".[test]"
+	$(INSTALL) --require-hashes -r locks/build.txt -r locks/run.txt -r locks/test.txt
+	$(INSTALL) $(ITSELF)
 	touch $@ $(VENV)/run.stamp
 
 demo:
@@ -107,9 +113,12 @@ reference: $(VENV)/test.stamp
 	$(BIN)/python -m meshpoint.testbench.commands.reference docs/reference
 	$(BIN)/python -m meshpoint.api.reference docs/reference/api.md
 
-$(VENV)/docs.stamp: pyproject.toml constraints.txt
-	test -d $(VENV) || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --no-compile -c constraints.txt -e ".[docs]"
+# locks/, after a change to constraints.txt or to the dependencies
+locks:
+	tools/lock-packages
+
+$(VENV)/docs.stamp: $(VENV)/test.stamp locks/docs.txt
+	$(INSTALL) --require-hashes -r locks/docs.txt
 	touch $@
 
 # The documentation as a site in build/site. A link that leads nowhere is an error.

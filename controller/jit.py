@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
 from meshpoint.controller.records import WORD_BYTES, Layout, Vector
@@ -17,8 +16,6 @@ from meshpoint.controller.records import WORD_BYTES, Layout, Vector
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
 
 DISABLED: Final = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
-FOLDER: Final = Path(__file__).parent
-
 
 BARE: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
 """Without numba's runtime, whose atomic counting of references takes longer than a small piece of
@@ -54,7 +51,7 @@ def _entry(function: Kernel, options: dict[str, Any]) -> Kernel:
     from meshpoint.kernel_cache import keep_compiled
 
     kernel = njit(**options)(function)
-    keep_compiled(kernel, FOLDER)
+    keep_compiled(kernel)
     return cast(Kernel, kernel)
 
 

@@ -1,11 +1,10 @@
-"""Where compiled kernels are kept: one file each, named by all that its machine code depends on.
+"""Compiled kernels are kept on disk, once for all copies of meshpoint that a user has.
 
 numba's own cache looks at the file of the cached function alone, so a change in a piece from
 another file would go unseen, and one damaged index ends every command. Here the name of an entry
-holds a digest of the function, of every piece and constant that it refers to, of its signature, of
-numba, of LLVM's level and of the processor; the file ends with a digest of its content. What is
-damaged is compiled again, and a folder that cannot be written is passed over for the user's own;
-each is said in one line.
+holds a digest of the function, of every piece and constant that it refers to, of its signature and
+of what else decides on machine code (`MACHINE_CODE`). Where entries lie, and which are taken:
+`meshpoint.kernel_folder`. What is not taken is compiled again, and said in one line.
 
 Loads numba: only where kernels are compiled at all.
 """
@@ -17,63 +16,64 @@ from __future__ import annotations
 
 import enum
 import hashlib
-import os
-import sys
+import pickle
+import sysconfig
 import types
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
 
+import llvmlite
 import numba
 import numpy as np
-from numba.core.caching import (
-    CompileResultCacheImpl,
-    FunctionCache,
-    IndexDataCacheFile,
-    _CacheLocator,
-)
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
+from numba.core.registry import cpu_target
+from numba.core.serialize import dumps
 
+from meshpoint.kernel_folder import ENTRY, KernelFolder, UnusableEntryError, kernel_folders
 from meshpoint.kernel_level import LEVEL
 from meshpoint.kernel_watch import WATCH
 
-DIGEST_BYTES: Final = 32
 STABLE_MODULES: Final = frozenset({"math", "cmath", "operator", "numpy", "numba"})
 """Modules that change with their version alone."""
-numba_config: Any = numba.core.config
 PLAIN: Final = (bool, int, float, complex, str, bytes, type(None), type(...), np.generic, np.dtype)
 
+_config: Any = numba.core.config
+MACHINE_CODE: Final = (
+    numba.__version__, llvmlite.__version__, np.__version__,
+    sysconfig.get_config_var("EXT_SUFFIX"),
+    LEVEL, _config.BOUNDSCHECK, _config.DEBUGINFO_DEFAULT,
+    _config.LOOP_VECTORIZE, _config.SLP_VECTORIZE,
+)  # fmt: skip
+"""What decides on machine code beside the kernel and the processor: the compiler, numpy, whose
+arrays it works on, the Python it is called from, and NUMBA_... variables."""
 
-def keep_compiled(kernel: Any, beside: Path) -> None:
-    """Gives a dispatcher of numba this cache; `beside` is the folder of its package."""
-    kernel._cache = KernelCache(kernel, folders(beside))  # noqa: SLF001  # numba has no other way
+
+def machine() -> tuple[Any, ...]:
+    """All that decides on machine code beside the kernel."""
+    return (*cpu_target.target_context.codegen().magic_tuple(), *MACHINE_CODE)
 
 
-def folders(beside: Path) -> tuple[Path, ...]:
-    """Where kernels may be kept, the best first: in NUMBA_CACHE_DIR where that is set, else beside
-    the sources, else in the user's cache folder."""
-    given = numba_config.CACHE_DIR
-    if given:
-        return (Path(given) / beside.name,)
-    cache = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
-    home = Path(cache or "~/.cache").expanduser()
-    return beside / "__pycache__", home / "meshpoint" / beside.name
+def keep_compiled(kernel: Any) -> None:
+    """Gives a dispatcher of numba this cache."""
+    kernel._cache = KernelCache(kernel, kernel_folders())  # noqa: SLF001  # numba has no other way
 
 
 class KernelCache(FunctionCache):
     """What numba asks for compiled code and hands it to."""
 
-    def __init__(self, kernel: Any, places: tuple[Path, ...]) -> None:
+    def __init__(self, kernel: Any, folders: Sequence[KernelFolder]) -> None:
         function = kernel.py_func
-        module = function.__module__.rsplit(".", 1)[-1]
+        path = function.__module__.removeprefix("meshpoint.")
         self._py_func = function
         self._options = kernel.targetoptions
-        self._package = function.__module__.removeprefix("meshpoint.").split(".")[0]
-        self._title = f"{module}.{function.__name__}"
+        self._package = path.split(".")[0]
+        self._title = f"{path}.{function.__name__}"
         self._impl = _Result(function)
-        self._files = [_Files(place, self._title) for place in places]
-        self._name, self._cache_path = repr(function), str(places[0])
+        self._folders = folders
+        self._name, self._cache_path = repr(function), str(folders[0].path)
         self._digest: str | None = None
         self.enable()
 
@@ -85,11 +85,22 @@ class KernelCache(FunctionCache):
         target_context.refresh()
         if not self._enabled:
             return None
-        key = self._index_key(sig, target_context.codegen())
-        for files in self._files:
-            data = files.load(key)
-            if data is not None:
-                return self._impl.rebuild(target_context, data)
+        entry = self._entry(sig)
+        refused = ""
+        for folder in self._folders:
+            try:
+                content = folder.read(entry)
+            except OSError as error:
+                refused = refused or _refusal(folder, error)
+                continue
+            except UnusableEntryError as reason:
+                WATCH.once(f"compiled kernels in {folder.path} are {reason} and compiled again")
+                folder.remove(entry)
+                continue
+            if content is not None:
+                _say_where(folder, refused)
+                # Ours: KernelFolder gives out nothing that another user could have written.
+                return self._impl.rebuild(target_context, pickle.loads(content))  # noqa: S301
         WATCH.compiling(self._package)
         return None
 
@@ -97,31 +108,38 @@ class KernelCache(FunctionCache):
         """Keeps it in the first folder that takes it."""
         if not self._enabled or not self._impl.check_cachable(data):
             return
-        key, reduced = self._index_key(sig, data.codegen), self._impl.reduce(data)
+        entry, content = self._entry(sig), dumps(self._impl.reduce(data))
         refused = ""
-        for files in self._files:
+        for folder in self._folders:
             try:
-                files.save(key, reduced)
+                folder.write(entry, content)
             except OSError as error:
-                refused = refused or f"{files.of_all}: {error.strerror or error}"
+                refused = refused or _refusal(folder, error)
                 continue
-            if refused:
-                WATCH.once(f"compiled kernels are kept in {files.of_all} ({refused})")
+            _say_where(folder, refused)
             return
         WATCH.once(
             f"compiled kernels cannot be kept, every start compiles them again ({refused}); "
             "NUMBA_CACHE_DIR may name a folder that can be written"
         )
 
-    def _index_key(self, sig: Any, codegen: Any) -> str:
+    def _entry(self, sig: Any) -> str:
+        """The name of the file."""
         if self._digest is None:
             # Not before the first call: then everything that the function refers to exists.
             self._digest = digest_of(self._py_func)
-        about = (
-            self._digest, repr(sig), sorted(self._options.items()), codegen.magic_tuple(),
-            numba.__version__, sys.version_info[:2], LEVEL,
-        )  # fmt: skip
-        return hashlib.sha256(repr(about).encode()).hexdigest()[:24]
+        about = (self._digest, repr(sig), sorted(self._options.items()), machine())
+        return f"{self._title}-{hashlib.sha256(repr(about).encode()).hexdigest()[:24]}{ENTRY}"
+
+
+def _refusal(folder: KernelFolder, error: OSError) -> str:
+    return f"{folder.path}: {error.strerror or error}"
+
+
+def _say_where(folder: KernelFolder, refused: str) -> None:
+    """Once in a process, where kernels are not kept where they should be."""
+    if refused:
+        WATCH.once(f"compiled kernels are kept in {folder.path} ({refused})")
 
 
 class _Place(_CacheLocator):
@@ -149,42 +167,6 @@ class _Result(CompileResultCacheImpl):
     """How a compiled function becomes bytes, and back: as numba does it."""
 
     _locator_classes: list[Any] = [_Place]  # noqa: RUF012 (numba's own)
-
-
-class _Files(IndexDataCacheFile):
-    """The files of one kernel in one folder, without an index. Numba's data has its end in itself,
-    so that the digest behind it does not disturb."""
-
-    def __init__(self, folder: Path, title: str) -> None:
-        super().__init__(str(folder), title, "")
-        self.folder = folder
-        # The folder above those of the packages: messages name it, the same for every kernel.
-        self.of_all = folder.parent.parent if folder.name == "__pycache__" else folder.parent
-        self._title = title
-
-    def load(self, key: str) -> Any:
-        """The entry, or None where there is none, it cannot be read, or it is damaged."""
-        path = self.folder / self._name(key)
-        try:
-            raw = path.read_bytes()
-        except OSError:
-            return None
-        if hashlib.sha256(raw[:-DIGEST_BYTES]).digest() != raw[-DIGEST_BYTES:]:
-            WATCH.once(f"compiled kernels in {self.of_all} are damaged and compiled again")
-            return None
-        return self._load_data(path.name)
-
-    def save(self, key: str, data: Any) -> None:
-        """Writes it beside and renames it: an entry is there whole or not at all."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self._save_data(self._name(key), data)
-
-    def _name(self, key: str) -> str:
-        return f"{self._title}-{key}.nbc"
-
-    def _dump(self, obj: Any) -> bytes:
-        raw: bytes = super()._dump(obj)
-        return raw + hashlib.sha256(raw).digest()
 
 
 def digest_of(function: Any) -> str:

@@ -18,7 +18,7 @@ class CacheWatch:
     """What a command may set to show it."""
 
     say: Callable[[str], None] = staticmethod(_say)
-    """A line for people: where kernels are kept when not beside their sources, what was damaged."""
+    """A line for people: kernels are kept elsewhere than usual, or are damaged."""
     compiling: Callable[[str], None] = staticmethod(lambda _package: None)
     """A kernel of this package is about to be compiled, which takes a second or many."""
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, Final, TypeVar, cast
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])
@@ -22,9 +21,6 @@ DISABLED: Final = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
 OPTIONS: Final[dict[str, Any]] = {"error_model": "numpy", "_nrt": False}
 """Without numba's runtime, which counts references to arrays: kernels neither make nor keep one,
 and the counting, atomic as it is, took half of their time."""
-
-
-FOLDER: Final = Path(__file__).parent
 
 
 def part(function: Kernel) -> Kernel:
@@ -55,5 +51,5 @@ def entry(function: Kernel, options: dict[str, Any] | None = None) -> Kernel:
     from meshpoint.kernel_cache import keep_compiled
 
     kernel = numba.njit(**(OPTIONS if options is None else options))(function)
-    keep_compiled(kernel, FOLDER)
+    keep_compiled(kernel)
     return cast(Kernel, kernel)

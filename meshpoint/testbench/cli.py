@@ -51,7 +51,8 @@ def _run(namespace: argparse.Namespace) -> int:
     try:
         for target in ("json", "report", "junit", "markdown"):
             path = getattr(namespace, target, None)
-            check_writable(None if path is None else str(path))
+            made = getattr(namespace, "out", None)
+            check_writable(None if path is None else str(path), made)
         code: int = namespace.run(namespace)
     except _user_errors() as error:
         if namespace.debug:

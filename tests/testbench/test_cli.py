@@ -170,6 +170,16 @@ def test_json_that_cannot_be_written_leaves_no_file_behind(tmp_path: Path) -> No
     assert path.read_text() == "kept"
 
 
+def test_results_may_go_into_the_folder_that_the_command_makes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    small = "campaign --runs 1 --learn 1 --judged 1 --as-built clean --preset thesis"
+    assert main(f"{small} --out made --json made/run.json".split()) == 0
+    assert (tmp_path / "made" / "shifts.parquet").exists()
+    assert json.loads((tmp_path / "made" / "run.json").read_text())
+
+
 def test_a_bad_setting_is_named_with_its_file(
     capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:

@@ -16,6 +16,7 @@ import pytest
 
 from meshpoint import kernel_cache
 from meshpoint.kernel_cache import KernelCache, digest_of, keep_compiled
+from meshpoint.kernel_folder import KernelFolder
 from meshpoint.kernel_pieces import piece_of_kernels
 from meshpoint.kernel_watch import CacheWatch
 from meshpoint.testbench.loop import compiled_mark, compiling
@@ -66,26 +67,27 @@ def said(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return lines
 
 
-def doubled(places: tuple[Path, ...], factor: float = 2.0) -> Any:
+def doubled(*places: Path, factor: float = 2.0) -> Any:
     @numba.njit  # type: ignore[untyped-decorator,unused-ignore]
     def double(x: float) -> float:
         return factor * x
 
-    double._cache = KernelCache(double, places)
+    double._cache = KernelCache(double, [KernelFolder(place) for place in places])
     return double
 
 
-def test_all_kernels_of_both_sides_share_one_line_on_where_they_are_kept(
-    tmp_path: Path, said: list[str]
-) -> None:
-    site, home = tmp_path / "site", tmp_path / "home"
-    site.write_text("not a folder")
-    for side in ("controller", "rig_sim"):
-        for factor in (2.0, 3.0):
-            doubled((site / side / "__pycache__", home / side), factor)(1.0)
-    assert len(list(home.rglob("*.nbc"))) == 4
+def hits(kernel: Any) -> int:
+    return sum(kernel.stats.cache_hits.values())
+
+
+def test_all_kernels_share_one_line_on_where_they_are_kept(tmp_path: Path, said: list[str]) -> None:
+    cache, other = tmp_path / "cache", tmp_path / "other"
+    cache.write_text("not a folder")
+    for factor in (2.0, 3.0):
+        doubled(cache / "kernels", other, factor=factor)(1.0)
+    assert len(list(other.iterdir())) == 2
     [line] = said
-    assert str(home) in line and str(site) in line and ".nbc" not in line
+    assert str(other) in line and str(cache) in line and ".nbc" not in line
 
 
 def test_what_the_rigs_side_says_while_it_compiles_is_said_once(
@@ -103,19 +105,19 @@ def test_what_the_rigs_side_says_while_it_compiles_is_said_once(
 def test_a_folder_that_cannot_be_written_is_passed_over(tmp_path: Path, said: list[str]) -> None:
     in_the_way, own = tmp_path / "file", tmp_path / "own"
     in_the_way.write_text("not a folder")
-    assert doubled((in_the_way / "cache", own))(2.0) == 4.0
+    assert doubled(in_the_way / "cache", own)(2.0) == 4.0
     assert len(list(own.iterdir())) == 1
-    assert len(said) == 1 and str(own.parent) in said[0]
-    again = doubled((in_the_way / "cache", own))
+    assert len(said) == 1 and str(own) in said[0]
+    again = doubled(in_the_way / "cache", own)
     assert again(3.0) == 6.0
-    assert sum(again.stats.cache_hits.values()) == 1 and len(said) == 1
+    assert hits(again) == 1 and len(said) == 1
 
 
 def test_with_nowhere_to_keep_kernels_it_goes_on_and_says_so(
     tmp_path: Path, said: list[str]
 ) -> None:
     (tmp_path / "file").write_text("not a folder")
-    kernel = doubled((tmp_path / "file" / "a", tmp_path / "file" / "b"))
+    kernel = doubled(tmp_path / "file" / "a", tmp_path / "file" / "b")
     assert kernel(2.0) == 4.0 and kernel(2) == 4.0
     assert len(said) == 1 and "NUMBA_CACHE_DIR" in said[0]
 
@@ -123,27 +125,27 @@ def test_with_nowhere_to_keep_kernels_it_goes_on_and_says_so(
 def test_a_read_only_folder_that_holds_the_kernels_is_enough(
     tmp_path: Path, said: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    doubled((tmp_path,))(2.0)
+    doubled(tmp_path)(2.0)
 
     def refuse(*_arguments: Any) -> None:
         raise PermissionError(13, "read-only")
 
-    monkeypatch.setattr(kernel_cache._Files, "save", refuse)
-    kernel = doubled((tmp_path,))
+    monkeypatch.setattr(KernelFolder, "write", refuse)
+    kernel = doubled(tmp_path)
     assert kernel(2.0) == 4.0
-    assert sum(kernel.stats.cache_hits.values()) == 1 and said == []
+    assert hits(kernel) == 1 and said == []
 
 
 def test_a_flipped_bit_is_found_before_the_code_is_run(tmp_path: Path, said: list[str]) -> None:
-    doubled((tmp_path,))(2.0)
+    doubled(tmp_path)(2.0)
     (entry,) = tmp_path.iterdir()
     raw = bytearray(entry.read_bytes())
     raw[len(raw) // 2] ^= 4
     entry.write_bytes(raw)
-    kernel = doubled((tmp_path,))
+    kernel = doubled(tmp_path)
     assert kernel(2.0) == 4.0
-    assert sum(kernel.stats.cache_misses.values()) == 1
-    assert said == [f"compiled kernels in {tmp_path.parent} are damaged and compiled again"]
+    assert hits(kernel) == 0
+    assert said == [f"compiled kernels in {tmp_path} are damaged and compiled again"]
 
 
 def test_a_piece_of_kernels_can_be_called_from_python_too() -> None:
@@ -162,9 +164,12 @@ def test_a_piece_of_kernels_can_be_called_from_python_too() -> None:
     assert piece(1.0) == 2.0
 
 
-def test_pieces_of_pieces_are_whole_in_a_kernel_and_in_what_is_kept_of_it(tmp_path: Path) -> None:
+def test_pieces_of_pieces_are_whole_in_a_kernel_and_in_what_is_kept_of_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Machine code is made of the kernel alone, and the kernel is loaded without its pieces: two
     signatures of a piece, one that another piece calls as well."""
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
 
     def twice(x: float) -> float:
         return x + x
@@ -179,9 +184,9 @@ def test_pieces_of_pieces_are_whole_in_a_kernel_and_in_what_is_kept_of_it(tmp_pa
 
     for from_disk in (0, 1):
         made = numba.njit(kernel)
-        keep_compiled(made, tmp_path)
+        keep_compiled(made)
         assert made(1.5) == 5.0 + 3.0
-        assert sum(made.stats.cache_hits.values()) == from_disk
+        assert hits(made) == from_disk
     assert {len(each.signatures) for each in (piece, beyond)} == {1, 2}
     for made in (piece, beyond):
         assert not any(callable(each.entry_point) for each in made.overloads.values())
@@ -293,8 +298,7 @@ def test_the_rigs_kernels_are_looked_for_once_and_again_when_its_source_changes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A process of its own to find them all on disk took each command more than a second."""
-    monkeypatch.setattr(kernel_cache.numba_config, "CACHE_DIR", str(tmp_path))
-    (tmp_path / "rig_sim").mkdir()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     asked: list[bool] = []
 
     def both_sides(_progress: object, thesis: bool, _baselines: bool) -> int:
@@ -314,8 +318,7 @@ def test_the_rigs_kernels_are_looked_for_once_and_again_when_its_source_changes(
 def test_kernels_that_could_not_be_compiled_leave_no_mark(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kernel_cache.numba_config, "CACHE_DIR", str(tmp_path))
-    (tmp_path / "rig_sim").mkdir()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
     monkeypatch.setattr(compiling, "_both_sides", lambda *_given: 1)
     compiling.prepare()
-    assert list((tmp_path / "rig_sim").iterdir()) == []
+    assert list(tmp_path.iterdir()) == []

@@ -8,19 +8,16 @@ are missing or damaged in spite of it, the cache compiles them at their first ca
 from __future__ import annotations
 
 import hashlib
-import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-import numba
-from numba.core.registry import cpu_target
-
 from meshpoint import rig_sim, units
-from meshpoint.kernel_cache import folders
+from meshpoint.kernel_cache import machine
+from meshpoint.kernel_folder import MARK, UnusableEntryError, kernel_folders
 
-SHARED: Final = ("units.py", "kernel_cache.py", "gearbox")
+SHARED: Final = ("units.py", "kernel_cache.py", "kernel_pieces.py", "gearbox")
 """What the rig's kernels use of the product beside its own source."""
 
 
@@ -29,28 +26,28 @@ class CompiledMark:
 
     def __init__(self, kernels: str) -> None:
         """kernels: the name of the set."""
-        package = Path(rig_sim.__file__).parent
-        digest = _digest(package)
-        self._paths = [folder / f"{kernels}-{digest}.compiled" for folder in folders(package)]
+        self._name = f"{kernels}-{_digest(Path(rig_sim.__file__).parent)}{MARK}"
+        self._folders = kernel_folders()
 
     def is_there(self) -> bool:
         """Whether they were compiled before."""
-        return any(path.exists() for path in self._paths)
+        for folder in self._folders:
+            with suppress(OSError, UnusableEntryError):
+                if folder.read(self._name) is not None:
+                    return True
+        return False
 
     def set(self) -> None:
         """They have been compiled. Where nothing can be written they are looked for again at the
         next start."""
-        for path in self._paths:
+        for folder in self._folders:
             with suppress(OSError):
-                path.touch()
+                folder.write(self._name, b"")
                 return
 
 
 def _digest(package: Path) -> str:
-    codegen = cpu_target.target_context.codegen()
-    hashed = hashlib.sha256(
-        repr((codegen.magic_tuple(), numba.__version__, sys.version_info[:2])).encode()
-    )
+    hashed = hashlib.sha256(repr(machine()).encode())
     for path in sorted(_sources(package)):
         hashed.update(path.name.encode() + path.read_bytes())
     return hashed.hexdigest()[:24]

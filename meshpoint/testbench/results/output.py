@@ -94,12 +94,16 @@ def folder_for(path: Path) -> Path:
     return path
 
 
-def check_writable(target: str | None) -> None:
-    """Finds out before a long run whether its results can be written; leaves no file behind."""
+def check_writable(target: str | None, made: Path | None = None) -> None:
+    """Finds out before a long run whether its results can be written; leaves no file behind.
+
+    made: a folder that the command makes itself."""
     if target is None or target == "-":
         return
     path = Path(target)
     if not path.parent.is_dir():
+        if path.parent == made:
+            return
         raise CommandError(f"{path}: there is no folder {path.parent}; make it first")
     was_there = path.exists()
     try:
