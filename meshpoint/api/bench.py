@@ -82,7 +82,7 @@ class Bench(Watching):
     ) -> None:
         chosen = load_settings(settings, strategy=strategy, estimator=estimator)
         setup = setup_of(gearbox, preset, seed, as_built, faults, chosen)
-        super().__init__(setup.sheet, setup.settings, setup.preset, gear)
+        super().__init__(setup, gear)
         header = setup.header
         self.as_built: dict[str, Any] | None = None
         """What was drawn for the rig, by group and name; None in the preset thesis."""

@@ -7,10 +7,8 @@ made once, and each strategy then goes on from a copy (docs/decisions/0008-campa
 from __future__ import annotations
 
 import copy
-import math
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Any, Final
 
 from meshpoint.bus.core import Core
@@ -32,32 +30,19 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.rig_sim.core import RigCore
-from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
+from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.campaign.draw import Draw
 from meshpoint.testbench.campaign.scorer import NO_STEP_US, SCORED_IDS, Scorer
 from meshpoint.testbench.campaign.true_state import TrueState
-from meshpoint.testbench.loop.bench import BenchCore, Pauses
+from meshpoint.testbench.loop.bench import BenchCore
+from meshpoint.testbench.loop.pauses import pauses_of
 from meshpoint.testbench.loop.simulate import LIMIT_US_PER_SHIFT, not_addressed_to, tick_phases
 from meshpoint.testbench.loop.virtual_time import VirtualTime
 from meshpoint.testbench.results.monitor import identifiers
 from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.testbench.version import product_version
 
-PAUSES: Final = Pauses(settle_us=0, locked_us=100_000, learn_us=300_000, learned_us=100_000)
-"""No pause is longer than what it is for. Before a request the filters settle in the old gear:
-0.1 s after its lock phases are known as well as after 0.2 s (40 runs of each; 20 ms are too few).
-The truck's clutch takes longer than that to close, and once it has nothing is left to wait for. A
-new gear is left when its phase is known, but not before a tenth of a second: its reference gains by
-every look, and the clutch closes meanwhile, which it would else do in the old gear."""
-SETTLED_US: Final = 400_000
-SETTLED_US_A_RATIO: Final = 160_000
-"""On a driveline that twists the lock makes engine and vehicle swing against each other, by up to
-4 kNm in the propeller shaft a tenth of a second after it. A truck has been in its gear for seconds
-when it is left; here it has for this long, and so much more for each whole of the gear's overall
-ratio, with which the period of the swing grows (0.1 s to 1.1 s). Some 100 Nm are left then, as the
-road makes of itself."""
 FAST_RETURN_RAMP_S: Final = 0.05
 """From the new gear's speeds to the old one's. As fast as this the wheels' teeth are still counted
 without a loss; it is the bench's doing and no part of a shift."""
@@ -70,17 +55,6 @@ UNREAD: Final = frozenset((ControllerEstimates, ETC1, ReferenceEncoder, Referenc
 says."""
 SHARED: Final = tuple(CODECS.values())
 """What a copy shares with its original: it never changes."""
-
-
-def pauses_of(sheet: GearboxSheet, profile: Profile) -> Pauses:
-    """How long the bench rests, on a driveline that twists or on a rigid one."""
-    if profile is Profile.CLEAN:
-        return PAUSES
-    settled_us = {
-        number: round(SETTLED_US + SETTLED_US_A_RATIO * sheet.overall_ratio(gear))
-        for number, gear in DRIVE_GEARS.items()
-    }
-    return replace(PAUSES, settled_us=settled_us)
 
 
 class ClosedLoop:
@@ -107,7 +81,7 @@ class ClosedLoop:
                 preset=preset,
                 seed=drawn.seed,
                 start_gear=first.from_,
-                main_speed_rpm=first.main_rad_s * 30.0 / math.pi,
+                main_speed_rpm=first.main_rpm,
                 profile=drawn.profile,
                 as_built=drawn.as_built,
                 return_ramp_s=FAST_RETURN_RAMP_S,
@@ -119,7 +93,7 @@ class ClosedLoop:
         self._controller = ControllerCore(
             new_header(product_version(), believed, settings, calibration)
         )
-        self._bench = BenchCore(list(drawn.plan), pauses_of(sheet, drawn.profile))
+        self._bench = BenchCore(drawn.plan, pauses_of(sheet, drawn.profile))
         self._scorer = Scorer(sheet, settings.aim.target_rad(sheet.dog.backlash_rad))
         cores: list[Core] = [self._controller, self._rig, self._bench, self._scorer]
         if wire is WireProfile.CLASSIC:

@@ -33,6 +33,7 @@ from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile, RigSett
 from meshpoint.testbench.loop.adapter import AdapterCore, AdapterProfile
 from meshpoint.testbench.loop.bench import TICK_US, BenchCore, PlannedShift, plan_shifts
 from meshpoint.testbench.loop.loaded_bus import LoadedBus
+from meshpoint.testbench.loop.pauses import pauses_of
 from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs
 from meshpoint.testbench.loop.virtual_time import VirtualTime
 from meshpoint.testbench.provenance import provenance
@@ -183,7 +184,7 @@ def simulate(
     by."""
     monitor = monitor or Monitor(setup.sheet, setup.settings)
     plan = plan_shifts(setup.sheet, list(setup.pairs), setup.shifts, LAYSHAFT_RAD_S)
-    bench = BenchCore(plan)
+    bench = BenchCore(plan, pauses_of(setup.sheet, setup.profile))
     rig_settings = RigSettings(
         preset=setup.preset,
         seed=setup.seed,
