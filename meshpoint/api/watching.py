@@ -24,7 +24,8 @@ from meshpoint.testbench.errors import RunError
 from meshpoint.testbench.loop.bench import BenchCore, PlannedShift, plan_shifts
 from meshpoint.testbench.loop.pauses import pauses_of
 from meshpoint.testbench.loop.schedules import check_preset
-from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S, Setup
+from meshpoint.testbench.loop.setup import Setup
+from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S
 from meshpoint.testbench.results.faults import explain
 from meshpoint.testbench.results.monitor import RowMonitor
 from meshpoint.testbench.results.output import folder_for

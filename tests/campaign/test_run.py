@@ -16,12 +16,11 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.columns import Shifts
 from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import UNREAD, ClosedLoop
+from meshpoint.testbench.campaign.loop import LOCKED_US, UNREAD, ClosedLoop
 from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.run import run_one
 from meshpoint.testbench.campaign.sequential import estimate, parse_goal
 from meshpoint.testbench.campaign.spec import Job
-from meshpoint.testbench.loop.pauses import LOCKED_US
 
 TICK_US = 10_000
 

@@ -212,7 +212,9 @@ class BenchCore:
                 return seen.ready_in == shift.from_ and in_old_gear
             case Phase.SETTLING:
                 locked_us = now_us - (seen.ready_us or 0)
-                return locked_us >= self._pauses.before_request_us(shift.from_)
+                pauses = self._pauses
+                least_us = pauses.locked_least_us(shift.from_)
+                return waited_us >= pauses.settle_us and locked_us >= least_us
             case Phase.REQUESTING:
                 return seen.outcome or (status is not None and status.state in MOVING)
             case Phase.SHIFTING:

@@ -1,4 +1,4 @@
-"""How long a bench rests between two shifts: the same in simulations, campaigns and live."""
+"""How long a bench rests between two shifts, in virtual time and live."""
 
 from __future__ import annotations
 
@@ -10,15 +10,10 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.rig_sim.settings import Profile
 
-LOCKED_US: Final = 100_000
-"""Before a request the filters settle in the old gear: 0.1 s after its lock phases are known as
-well as after 0.2 s (40 runs of each; 20 ms are too few). The truck's clutch takes longer than that
-to close, and once it has nothing is left to wait for."""
+SETTLE_US: Final = 200_000
+"""In the old gear before the request: speeds settle as they would in driving."""
 LEARN_US: Final = 300_000
 """In the new gear before it is left: time to learn its phase."""
-LEARNED_US: Final = 100_000
-"""The same where the phase is known: its reference gains by every look, and the clutch closes
-meanwhile, which it would else do in the old gear."""
 SETTLED_US: Final = 400_000
 SETTLED_US_A_RATIO: Final = 160_000
 """On a driveline that twists the lock makes engine and vehicle swing against each other, by up to
@@ -31,21 +26,20 @@ where it is when the gear comes out."""
 
 @dataclass(frozen=True)
 class Pauses:
-    """How long a bench rests in the old gear before a request, and in the new one after it.
+    """How long a bench rests in the old gear before a request, and in the new one after it."""
 
-    No pause is longer than what it is for."""
-
-    locked_us: int = LOCKED_US
-    """From when the rig says that the old gear is locked, at least; the controller must say besides
-    that it is in that gear with its clutch closed."""
+    settle_us: int = SETTLE_US
+    """From when the controller says that it is in the old gear with its clutch closed."""
+    locked_us: int = 0
+    """From when the rig says that the old gear is locked, at least."""
     settled_us: Mapping[int, int] = field(default_factory=dict)
     """The same, by the number of the old gear, where it takes longer."""
     learn_us: int = LEARN_US
     """In the new gear, from the shift's outcome."""
-    learned_us: int = LEARNED_US
+    learned_us: int = LEARN_US
     """The same, at least, where the gear's phase reference is known before `learn_us`."""
 
-    def before_request_us(self, gear: int) -> int:
+    def locked_least_us(self, gear: int) -> int:
         """From the lock of the old gear to the request, at least."""
         return max(self.locked_us, self.settled_us.get(gear, 0))
 
