@@ -52,7 +52,8 @@ class Watching(ABC):
         self._preset = setup.preset
         self._gear = gear
         self._monitor = RowMonitor(setup.sheet, setup.settings)
-        self._operator = BenchCore([], pauses_of(setup.sheet, setup.profile))
+        pauses = pauses_of(setup.sheet, setup.profile, setup.preset)
+        self._operator = BenchCore([], pauses)
         self._planned: list[PlannedShift] = []
         self._latest: dict[int, Frame] = {}
 

@@ -120,7 +120,7 @@ class Loop:
 
     def __post_init__(self) -> None:
         plan = plan_shifts(self.sheet, list(self.pairs), self.shifts, self.layshaft_rad_s)
-        pauses = pauses_of(self.sheet, self.profile)
+        pauses = pauses_of(self.sheet, self.profile, self.preset)
         self.operator = BenchCore(plan, pauses) if plan else self.new_operator()
         self.controller = Tapped(ControllerCore(self.header), self.receiving)
         self.rig = Tapped(self.new_rig(self.seed))

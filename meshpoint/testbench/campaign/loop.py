@@ -60,7 +60,8 @@ SHARED: Final = tuple(CODECS.values())
 
 
 def short_pauses(sheet: GearboxSheet, profile: Profile) -> Pauses:
-    """As everywhere on a driveline that twists, and else no longer than what each is for."""
+    """As everywhere on a driveline that twists, which the profile alone says here, whatever the
+    preset; on a rigid one no longer than what each is for."""
     usual = pauses_of(sheet, profile)
     return replace(usual, settle_us=0, locked_us=LOCKED_US, learned_us=LEARNED_US)
 

@@ -187,7 +187,8 @@ class LiveSession:
 
 async def run_live(run: LiveRun) -> LiveResult:
     """Runs the plan; ends the nodes with their valves off. RunError when they do not."""
-    bench = BenchCore(run.plan, pauses_of(run.header.sheet, run.rig.profile))
+    pauses = pauses_of(run.header.sheet, run.rig.profile, run.rig.preset)
+    bench = BenchCore(run.plan, pauses)
     async with live_session(run, bench) as session:
         await _until_done(session)
     return session.result

@@ -8,7 +8,7 @@ from typing import Final
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.rig_sim.settings import Profile
+from meshpoint.rig_sim.settings import Preset, Profile
 
 SETTLE_US: Final = 200_000
 """In the old gear before the request: speeds settle as they would in driving."""
@@ -44,9 +44,10 @@ class Pauses:
         return max(self.locked_us, self.settled_us.get(gear, 0))
 
 
-def pauses_of(sheet: GearboxSheet, profile: Profile) -> Pauses:
-    """How long a bench rests with this gearbox, on a driveline that twists or on a rigid one."""
-    if profile is Profile.CLEAN:
+def pauses_of(sheet: GearboxSheet, profile: Profile, preset: Preset = Preset.TRUCK) -> Pauses:
+    """How long a bench rests with this gearbox: on a driveline that twists, or on a rigid one, as
+    those of the profile clean and of the preset thesis are."""
+    if profile is Profile.CLEAN or preset is Preset.THESIS:
         return Pauses()
     return Pauses(
         settled_us={

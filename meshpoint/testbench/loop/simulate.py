@@ -123,7 +123,7 @@ def simulate(
     by."""
     monitor = monitor or Monitor(setup.sheet, setup.settings)
     plan = plan_shifts(setup.sheet, list(setup.pairs), setup.shifts, LAYSHAFT_RAD_S)
-    operator = BenchCore(plan, pauses_of(setup.sheet, setup.profile))
+    operator = BenchCore(plan, pauses_of(setup.sheet, setup.profile, setup.preset))
     first = plan or plan_shifts(setup.sheet, list(UPSHIFTS), 1, LAYSHAFT_RAD_S)
     rig = RigCore(setup.sheet, setup.rig(first[0]))
     core = ControllerCore(setup.header)
