@@ -20,7 +20,8 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.loop.simulate import Setup, simulate
+from meshpoint.testbench.loop.setup import Setup
+from meshpoint.testbench.loop.simulate import simulate
 
 WARM_SHIFTS, SHIFTS = 1, 6
 SLICE_US = 30_000

@@ -16,22 +16,15 @@ from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import ScheduledFault
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, RigSettings
 from meshpoint.testbench.loop.bench import plan_shifts
-from meshpoint.testbench.loop.simulate import (
-    LAYSHAFT_RAD_S,
-    LIMIT_US_PER_SHIFT,
-    Setup,
-    not_addressed_to,
-    tick_phases,
-)
-from meshpoint.testbench.loop.virtual_time import VirtualTime
+from meshpoint.testbench.loop.bench_builder import virtual_bench
+from meshpoint.testbench.loop.setup import Setup
+from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S, LIMIT_US_PER_SHIFT
 from meshpoint.testbench.results.output import folder_for
-from meshpoint.units import RPM
 
 NODES = ("controller", "rig", "bench")
 LOG_CHANNEL = "virtual"
@@ -82,7 +75,7 @@ class Bench(Watching):
     ) -> None:
         chosen = load_settings(settings, strategy=strategy, estimator=estimator)
         setup = setup_of(gearbox, preset, seed, as_built, faults, chosen)
-        super().__init__(setup.sheet, setup.settings, setup.preset, gear)
+        super().__init__(setup, gear)
         header = setup.header
         self.as_built: dict[str, Any] | None = None
         """What was drawn for the rig, by group and name; None in the preset thesis."""
@@ -95,13 +88,14 @@ class Bench(Watching):
             self._log = open_recording(log, header if controller is None else None)
         self.events: list[Event] = []
         """What the nodes have said, in order."""
-        cores: list[Core] = [self.controller, rig, self._operator]
-        filters = [
-            frozenset[int](),
-            not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
-            not_addressed_to(Node.BENCH),
-        ]
-        self._time = VirtualTime(cores, tick_phases(seed), self._take, self._hear, filters)
+        self._time = virtual_bench(
+            setup,
+            self.controller,
+            rig,
+            self._operator,
+            on_frame=self._take,
+            on_event=self._hear,
+        ).time
         self._is_closed = False
         settle()
 
@@ -214,13 +208,4 @@ def open_recording(log: PathLike, header: RunHeader | None) -> LogWriter | Rotat
 
 def rig_settings(setup: Setup, gear: int) -> RigSettings:
     """The rig of a run that stands in a gear, at the speeds shifts begin at."""
-    start = plan_shifts(setup.sheet, [(gear, gear)], 1, LAYSHAFT_RAD_S)[0]
-    return RigSettings(
-        preset=setup.preset,
-        seed=setup.seed,
-        start_gear=gear,
-        main_speed_rpm=start.main_rad_s / RPM,
-        profile=setup.profile,
-        as_built=setup.as_built,
-        faults=setup.faults,
-    )
+    return setup.rig(plan_shifts(setup.sheet, [(gear, gear)], 1, LAYSHAFT_RAD_S)[0])

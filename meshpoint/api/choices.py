@@ -19,7 +19,7 @@ from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.rig_sim.truck.as_built import read_as_built
 from meshpoint.rig_sim.truck.scenario import load_scenario
 from meshpoint.testbench.loop.schedules import SCHEDULES, Pairs
-from meshpoint.testbench.loop.simulate import Setup
+from meshpoint.testbench.loop.setup import Setup
 
 PathLike = str | Path
 AsBuilt = str | Path | Mapping[str, float]

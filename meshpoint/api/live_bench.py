@@ -82,7 +82,7 @@ class LiveBench(Watching):
             raise ValueError(f"start = {sorted(unknown)}, allowed are {', '.join(NODE_NAMES)}")
         chosen = load_settings(settings, strategy=strategy, estimator=estimator)
         setup = setup_of(gearbox, preset, seed, as_built, faults or (), chosen)
-        super().__init__(setup.sheet, chosen, setup.preset, gear)
+        super().__init__(setup, gear)
         self._folder = tempfile.TemporaryDirectory(prefix="meshpoint-")
         self.log = Path(self._folder.name) / "run.log" if log is None else Path(log)
         """Where the bus is recorded."""

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from meshpoint.api.choices import PathLike
-from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import read_alone
@@ -20,12 +19,12 @@ from meshpoint.dbc.messages import (
     ShiftOutcome,
     ShiftResult,
 )
-from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.errors import RunError
 from meshpoint.testbench.loop.bench import BenchCore, PlannedShift, plan_shifts
+from meshpoint.testbench.loop.pauses import pauses_of
 from meshpoint.testbench.loop.schedules import check_preset
+from meshpoint.testbench.loop.setup import Setup
 from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S
 from meshpoint.testbench.results.faults import explain
 from meshpoint.testbench.results.monitor import RowMonitor
@@ -44,18 +43,17 @@ class ShiftError(RunError):
 class Watching(ABC):
     """The part that `Bench` and `LiveBench` share."""
 
-    def __init__(
-        self, sheet: GearboxSheet, settings: ControllerSettings, preset: Preset, gear: int
-    ) -> None:
+    def __init__(self, setup: Setup, gear: int) -> None:
         _check_gear(gear)
-        self.sheet = sheet
+        self.sheet = setup.sheet
         """The data sheet of controller and rig."""
-        self.settings = settings
+        self.settings = setup.settings
         """The controller's settings."""
-        self._preset = preset
+        self._preset = setup.preset
         self._gear = gear
-        self._monitor = RowMonitor(sheet, settings)
-        self._operator = BenchCore([])
+        self._monitor = RowMonitor(setup.sheet, setup.settings)
+        pauses = pauses_of(setup.sheet, setup.profile, setup.preset)
+        self._operator = BenchCore([], pauses)
         self._planned: list[PlannedShift] = []
         self._latest: dict[int, Frame] = {}
 

@@ -16,7 +16,7 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.columns import Shifts
 from meshpoint.testbench.campaign.draw import draw, upshifts
-from meshpoint.testbench.campaign.loop import PAUSES, UNREAD, ClosedLoop
+from meshpoint.testbench.campaign.loop import LOCKED_US, UNREAD, ClosedLoop
 from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.run import run_one
 from meshpoint.testbench.campaign.sequential import estimate, parse_goal
@@ -71,10 +71,10 @@ def test_a_gear_is_asked_for_when_the_old_one_has_been_locked_for_the_pause(pres
             rested_us.append(time_us - ready_us)
             ready_us = 0
     assert len(rested_us) == 2
-    assert min(rested_us) >= PAUSES.locked_us
+    assert min(rested_us) >= LOCKED_US
     # The thesis's clutch is closed at once: there is nothing more to wait for.
     if preset is Preset.THESIS:
-        assert max(rested_us) <= PAUSES.locked_us + 4 * TICK_US
+        assert max(rested_us) <= LOCKED_US + 4 * TICK_US
 
 
 def test_a_blind_strategy_may_be_judged_once_a_run_and_until_says_the_same() -> None:

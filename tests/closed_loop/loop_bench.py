@@ -30,6 +30,7 @@ from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import FaultOrder, ScheduledFault
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.testbench.loop.bench import BenchCore, plan_shifts
+from meshpoint.testbench.loop.pauses import pauses_of
 from meshpoint.testbench.loop.virtual_time import VirtualTime
 from meshpoint.testbench.version import product_version
 
@@ -119,7 +120,8 @@ class Loop:
 
     def __post_init__(self) -> None:
         plan = plan_shifts(self.sheet, list(self.pairs), self.shifts, self.layshaft_rad_s)
-        self.operator = BenchCore(plan) if plan else self.new_operator()
+        pauses = pauses_of(self.sheet, self.profile, self.preset)
+        self.operator = BenchCore(plan, pauses) if plan else self.new_operator()
         self.controller = Tapped(ControllerCore(self.header), self.receiving)
         self.rig = Tapped(self.new_rig(self.seed))
         self.frames: list[tuple[int, Frame]] = []

@@ -7,13 +7,11 @@ made once, and each strategy then goes on from a copy (docs/decisions/0008-campa
 from __future__ import annotations
 
 import copy
-import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Final
 
-from meshpoint.bus.core import Core
 from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.core import ControllerCore
@@ -24,47 +22,36 @@ from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import (
     ETC1,
     ControllerEstimates,
-    ControllerStatus,
     ReferenceEncoder,
-    ReferenceEngagement,
     ReferencePhase,
-    ShiftOutcome,
 )
-from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.rig_sim.core import RigCore
-from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
+from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import Draw
 from meshpoint.testbench.campaign.scorer import NO_STEP_US, SCORED_IDS, Scorer
 from meshpoint.testbench.campaign.true_state import TrueState
-from meshpoint.testbench.loop.bench import BenchCore, Pauses
-from meshpoint.testbench.loop.simulate import LIMIT_US_PER_SHIFT, not_addressed_to, tick_phases
-from meshpoint.testbench.loop.virtual_time import VirtualTime
-from meshpoint.testbench.results.monitor import identifiers
+from meshpoint.testbench.loop.bench import BenchCore
+from meshpoint.testbench.loop.bench_builder import Onlooker, virtual_bench
+from meshpoint.testbench.loop.pauses import Pauses, pauses_of
+from meshpoint.testbench.loop.setup import Setup
+from meshpoint.testbench.loop.simulate import LIMIT_US_PER_SHIFT
 from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.testbench.version import product_version
 
-PAUSES: Final = Pauses(settle_us=0, locked_us=100_000, learn_us=300_000, learned_us=100_000)
-"""No pause is longer than what it is for. Before a request the filters settle in the old gear:
-0.1 s after its lock phases are known as well as after 0.2 s (40 runs of each; 20 ms are too few).
-The truck's clutch takes longer than that to close, and once it has nothing is left to wait for. A
-new gear is left when its phase is known, but not before a tenth of a second: its reference gains by
-every look, and the clutch closes meanwhile, which it would else do in the old gear."""
-SETTLED_US: Final = 400_000
-SETTLED_US_A_RATIO: Final = 160_000
-"""On a driveline that twists the lock makes engine and vehicle swing against each other, by up to
-4 kNm in the propeller shaft a tenth of a second after it. A truck has been in its gear for seconds
-when it is left; here it has for this long, and so much more for each whole of the gear's overall
-ratio, with which the period of the swing grows (0.1 s to 1.1 s). Some 100 Nm are left then, as the
-road makes of itself."""
+LOCKED_US: Final = 100_000
+"""A campaign rests for no longer than a pause is for. Before a request the filters settle in the
+old gear: 0.1 s after its lock phases are known as well as after 0.2 s (40 runs of each; 20 ms are
+too few). The truck's clutch takes longer than that to close, and once it has nothing is left to
+wait for."""
+LEARNED_US: Final = 100_000
+"""A new gear is left when its phase is known, but not before this: its reference gains by every
+look, and the clutch closes meanwhile, which it would else do in the old gear."""
 FAST_RETURN_RAMP_S: Final = 0.05
 """From the new gear's speeds to the old one's. As fast as this the wheels' teeth are still counted
 without a loss; it is the bench's doing and no part of a shift."""
 CLOSING_US: Final = 400_000
 """The clutch's plates have met this long after a shift's end, or there are none."""
-ALL_IDS: Final = frozenset(codec.spec.can_id for codec in CODECS.values())
-BENCH_READS: Final = (ControllerStatus, ShiftOutcome, ReferenceEngagement)
 UNREAD: Final = frozenset((ControllerEstimates, ETC1, ReferenceEncoder, ReferencePhase))
 """What these say nobody acts on here, they are for logs: the engine listens to ETC1, whatever it
 says."""
@@ -72,15 +59,11 @@ SHARED: Final = tuple(CODECS.values())
 """What a copy shares with its original: it never changes."""
 
 
-def pauses_of(sheet: GearboxSheet, profile: Profile) -> Pauses:
-    """How long the bench rests, on a driveline that twists or on a rigid one."""
-    if profile is Profile.CLEAN:
-        return PAUSES
-    settled_us = {
-        number: round(SETTLED_US + SETTLED_US_A_RATIO * sheet.overall_ratio(gear))
-        for number, gear in DRIVE_GEARS.items()
-    }
-    return replace(PAUSES, settled_us=settled_us)
+def short_pauses(sheet: GearboxSheet, profile: Profile) -> Pauses:
+    """As everywhere on a driveline that twists, which the profile alone says here, whatever the
+    preset; on a rigid one no longer than what each is for."""
+    usual = pauses_of(sheet, profile)
+    return replace(usual, settle_us=0, locked_us=LOCKED_US, learned_us=LEARNED_US)
 
 
 class ClosedLoop:
@@ -100,46 +83,35 @@ class ClosedLoop:
         the data sheet and calibration that the controller has, where they are not the gearbox's."""
         self._sheet = sheet
         self.log = log
-        first = drawn.plan[0]
-        self._rig = RigCore(
+        setup = Setup(
             sheet,
-            RigSettings(
-                preset=preset,
-                seed=drawn.seed,
-                start_gear=first.from_,
-                main_speed_rpm=first.main_rad_s * 30.0 / math.pi,
-                profile=drawn.profile,
-                as_built=drawn.as_built,
-                return_ramp_s=FAST_RETURN_RAMP_S,
-            ),
+            settings,
+            preset,
+            drawn.seed,
+            as_built=drawn.as_built,
+            profile=drawn.profile,
+            wire=wire,
         )
+        self._rig = RigCore(sheet, setup.rig(drawn.plan[0], FAST_RETURN_RAMP_S))
         self._settings = settings
         self._made = 0
         believed, calibration = known or (sheet, None)
         self._controller = ControllerCore(
             new_header(product_version(), believed, settings, calibration)
         )
-        self._bench = BenchCore(list(drawn.plan), pauses_of(sheet, drawn.profile))
+        self._bench = BenchCore(drawn.plan, short_pauses(sheet, drawn.profile))
         self._scorer = Scorer(sheet, settings.aim.target_rad(sheet.dog.backlash_rad))
-        cores: list[Core] = [self._controller, self._rig, self._bench, self._scorer]
-        if wire is WireProfile.CLASSIC:
-            from meshpoint.bus.classic.cores import on_classic_bus
-
-            cores = on_classic_bus(sheet, self._controller, self._rig, self._bench, self._scorer)
-        elif log is None:
+        if log is None and wire is WireProfile.FD:
             self._controller.leave_unread(UNREAD)
             self._rig.leave_unread(UNREAD)
-        self._driver = VirtualTime(
-            cores,
-            [*tick_phases(drawn.seed), NO_STEP_US],
+        self._driver = virtual_bench(
+            setup,
+            self._controller,
+            self._rig,
+            self._bench,
+            Onlooker(self._scorer, SCORED_IDS, NO_STEP_US),
             on_frame=None if log is None else self._write,
-            rejected=[
-                frozenset(),
-                not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
-                ALL_IDS - identifiers(BENCH_READS),
-                ALL_IDS - SCORED_IDS,
-            ],
-        )
+        ).time
 
     @property
     def simulated_s(self) -> float:

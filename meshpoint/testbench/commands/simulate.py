@@ -25,7 +25,8 @@ from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import start_log, written
 from meshpoint.testbench.loop.adapter import AdapterProfile
 from meshpoint.testbench.loop.adapter_profiles import PROFILES, unfit
-from meshpoint.testbench.loop.simulate import Result, Setup, simulate
+from meshpoint.testbench.loop.setup import Setup
+from meshpoint.testbench.loop.simulate import Result, simulate
 from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.comparison import compare, comparison_table, explain
 from meshpoint.testbench.report.run import Report, ReportRun

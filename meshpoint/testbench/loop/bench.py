@@ -6,8 +6,9 @@ in virtual time and live.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import Enum, auto
 from typing import Final
 
@@ -28,15 +29,12 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import DriveGear, GearboxSheet, drive_gear
+from meshpoint.testbench.loop.pauses import Pauses
 
 TICK_US: Final = 10_000
 COMMAND_EVERY: Final = 2
 """BenchCommand goes out every 20 ms."""
 REQUEST_EVERY_US: Final = 50_000
-SETTLE_US: Final = 200_000
-"""In the old gear before the request: speeds settle as they would in driving."""
-LEARN_US: Final = 300_000
-"""In the new gear before it is left: time to learn its phase."""
 PATIENCE_US: Final = 8_000_000
 """A step of the plan that takes longer has failed; the bench goes on with the next shift."""
 BENCH_IDS: Final = frozenset(
@@ -51,27 +49,17 @@ MOVING: Final = frozenset(ControllerState) - {
 
 
 @dataclass(frozen=True)
-class Pauses:
-    """How long the bench rests in the old gear before a request, and in the new one after it."""
-
-    settle_us: int = SETTLE_US
-    """From when the controller says that it is in the old gear with its clutch closed."""
-    locked_us: int = 0
-    """From when the rig says that the old gear is locked, at least."""
-    settled_us: Mapping[int, int] = field(default_factory=dict)
-    """The same, by the number of the old gear, where it takes longer."""
-    learn_us: int = LEARN_US
-    learned_us: int = LEARN_US
-    """In the new gear at least, where its phase reference is known before `learn_us`."""
-
-
-@dataclass(frozen=True)
 class PlannedShift:
     """From a gear to a gear, with the main shaft at a speed."""
 
     from_: int
     to: int
     main_rad_s: float
+
+    @property
+    def main_rpm(self) -> float:
+        """The same in rpm."""
+        return self.main_rad_s * 30.0 / math.pi
 
 
 def plan_shifts(
@@ -122,11 +110,11 @@ class _Seen:
 
 
 class BenchCore:
-    """Runs a plan of shifts, which may grow."""
+    """Runs a plan of shifts, which may grow, with these pauses between them."""
 
-    def __init__(self, plan: list[PlannedShift], pauses: Pauses | None = None) -> None:
+    def __init__(self, plan: Sequence[PlannedShift], pauses: Pauses) -> None:
         self._plan = list(plan)
-        self._pauses = pauses or Pauses()
+        self._pauses = pauses
         self._receiver = Receiver(Node.BENCH)
         self._transmitter = Transmitter(Node.BENCH)
         self._seen = _Seen()
@@ -225,7 +213,7 @@ class BenchCore:
             case Phase.SETTLING:
                 locked_us = now_us - (seen.ready_us or 0)
                 pauses = self._pauses
-                least_us = max(pauses.locked_us, pauses.settled_us.get(shift.from_, 0))
+                least_us = pauses.locked_least_us(shift.from_)
                 return waited_us >= pauses.settle_us and locked_us >= least_us
             case Phase.REQUESTING:
                 return seen.outcome or (status is not None and status.state in MOVING)

@@ -46,6 +46,7 @@ from meshpoint.testbench.loop.node_patience import (
     not_started,
     taken,
 )
+from meshpoint.testbench.loop.pauses import pauses_of
 from meshpoint.testbench.results.monitor import Monitor
 
 BENCH_ADDRESS = 0xF9
@@ -186,7 +187,9 @@ class LiveSession:
 
 async def run_live(run: LiveRun) -> LiveResult:
     """Runs the plan; ends the nodes with their valves off. RunError when they do not."""
-    async with live_session(run, BenchCore(run.plan)) as session:
+    pauses = pauses_of(run.header.sheet, run.rig.profile, run.rig.preset)
+    bench = BenchCore(run.plan, pauses)
+    async with live_session(run, bench) as session:
         await _until_done(session)
     return session.result
 

@@ -31,7 +31,8 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.testbench.loop.simulate import Setup, simulate
+from meshpoint.testbench.loop.setup import Setup
+from meshpoint.testbench.loop.simulate import simulate
 from meshpoint.testbench.results.estimation import EstimationScore, Sample
 from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.testbench.results.traces import ENCODER_STEP_US

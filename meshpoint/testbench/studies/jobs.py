@@ -17,7 +17,8 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
 from meshpoint.rig_sim.truck.as_built import linear, nominal
 from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs
-from meshpoint.testbench.loop.simulate import Setup, simulate
+from meshpoint.testbench.loop.setup import Setup
+from meshpoint.testbench.loop.simulate import simulate
 from meshpoint.testbench.results.estimation import Sample
 from meshpoint.testbench.results.monitor import Monitor
 from meshpoint.testbench.results.road_speed import span_us

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import traceback
 from collections import Counter
 from collections.abc import Callable
@@ -12,8 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from meshpoint.bus.core import Core, Step
-from meshpoint.controller.header import new_header
+from meshpoint.bus.core import Step
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
@@ -31,17 +29,15 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.orders import FaultOrder
-from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
+from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.loop.bench import plan_shifts
-from meshpoint.testbench.loop.simulate import not_addressed_to, tick_phases
-from meshpoint.testbench.loop.virtual_bus import VirtualBus
-from meshpoint.testbench.loop.virtual_time import VirtualTime
+from meshpoint.testbench.loop.bench_builder import Onlooker, virtual_bench
+from meshpoint.testbench.loop.setup import Setup
 from meshpoint.testbench.swarm.deeds import DEEDS
 from meshpoint.testbench.swarm.events import BUS_KINDS, REQUEST, RIG_KINDS, Event, Group, World
 from meshpoint.testbench.swarm.invariants import Broken, Invariants
 from meshpoint.testbench.swarm.nodes import WatchedController, WatchedRig
 from meshpoint.testbench.swarm.wires import BusFault, Stranger, Trouble, Wire
-from meshpoint.testbench.version import product_version
 from meshpoint.units import RPM
 
 TICK_US: Final = 10_000
@@ -102,23 +98,19 @@ class Episode:
 
     def __init__(self, sheet: GearboxSheet, settings: ControllerSettings, world: World) -> None:
         self._sheet, self.world = sheet, world
-        self._settings = settings_with(settings, world.settings)
         self._reached = Reached()
         self.broken: list[Broken] = []
         self._invariants = Invariants(sheet, self.broken)
         rng = np.random.Generator(np.random.PCG64([world.seed, 0x77]))
         self._trouble = Trouble(rng, lambda: self._time.now_us)
-        plan = plan_shifts(sheet, [(world.start_gear,) * 2], 1, world.layshaft_rpm * RPM)[0]
-        self._rig = WatchedRig(
+        self._setup = Setup(
             sheet,
-            RigSettings(
-                preset=Preset.TRUCK,
-                seed=world.seed,
-                start_gear=world.start_gear,
-                main_speed_rpm=plan.main_rad_s * 30.0 / math.pi,
-                profile=Profile.CLEAN,
-            ),
+            settings_with(settings, world.settings),
+            seed=world.seed,
+            profile=Profile.CLEAN,
         )
+        first = plan_shifts(sheet, [(world.start_gear,) * 2], 1, world.layshaft_rpm * RPM)[0]
+        self._rig = WatchedRig(sheet, self._setup.rig(first))
         self._controller = self._new_controller()
         self._wires = (
             Wire(self._controller, self._trouble, self._after_controller),
@@ -126,21 +118,14 @@ class Episode:
         )
         self._stranger = Stranger()
         self._operator = Operator(self)
-        cores: list[Core] = [*self._wires, self._operator, self._stranger]
-        self._bus = VirtualBus()
-        self._time = VirtualTime(
-            cores,
-            [*tick_phases(world.seed), 1],
+        self._time = virtual_bench(
+            self._setup,
+            *self._wires,
+            self._operator,
+            Onlooker(self._stranger, frozenset(), 1),
             on_frame=self._on_frame,
             on_event=self._on_event,
-            rejected=[
-                frozenset(),
-                not_addressed_to(Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE),
-                not_addressed_to(),
-                not_addressed_to(),
-            ],
-            bus=self._bus,
-        )
+        ).time
         self._tell: Callable[[int, int, str], None] | None = None
         self._active: Counter[str] = Counter()
         self._lately: dict[str, int] = {}
@@ -152,8 +137,7 @@ class Episode:
         self.is_back = False
 
     def _new_controller(self) -> WatchedController:
-        header = new_header(product_version(), self._sheet, self._settings)
-        return WatchedController(header, self.world.seed)
+        return WatchedController(self._setup.header, self.world.seed)
 
     def listen(self, tell: Callable[[int, int, str], None]) -> None:
         """From now on the nodes' log lines are told: time (us), node, line."""

@@ -1,0 +1,114 @@
+"""Controller, rig and operator on one virtual bus, put together here for all who run them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from meshpoint.bus.authentication.cores import ProvingCore, VerifyingCore
+from meshpoint.bus.authentication.proof import CHALLENGE_BITS
+from meshpoint.bus.core import Core
+from meshpoint.bus.profile import WireProfile
+from meshpoint.dbc.frame import Frame
+from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.node import Node
+from meshpoint.testbench.loop.adapter import AdapterCore
+from meshpoint.testbench.loop.bench import BENCH_IDS, TICK_US
+from meshpoint.testbench.loop.loaded_bus import LoadedBus
+from meshpoint.testbench.loop.setup import Setup
+from meshpoint.testbench.loop.virtual_time import VirtualTime
+
+RIG_NODES: Final = frozenset((Node.GEARBOX_IO, Node.ENGINE, Node.REFERENCE))
+SPECS: Final = tuple(codec.spec for codec in CODECS.values())
+ALL_IDS: Final = frozenset(spec.can_id for spec in SPECS)
+RIG_IDS: Final = frozenset(spec.can_id for spec in SPECS if spec.receivers & RIG_NODES)
+
+
+class Onlooker(NamedTuple):
+    """One more node on the bus."""
+
+    core: Core
+    reads: frozenset[int]
+    """The identifiers of the DBC that its acceptance filter lets through."""
+    first_us: int
+    """When it steps first, and hears from then on."""
+
+
+@dataclass(frozen=True)
+class VirtualBench:
+    """A bench as it was put together."""
+
+    time: VirtualTime
+    """Lets time go on."""
+    controller: Core
+    """The controller as it is on the bus: its `shutdown` ends a run."""
+    adapter: AdapterCore | None
+    """What lies between it and the bus; None: nothing."""
+    loaded: LoadedBus | None
+    """The bus where other nodes load it; None: it is our own."""
+
+
+def virtual_bench(
+    setup: Setup,
+    controller: Core,
+    rig: Core,
+    operator: Core,
+    *onlookers: Onlooker,
+    on_frame: Callable[[int, Frame], None] | None = None,
+    on_event: Callable[[int, int, str], None] | None = None,
+    record: Path | None = None,
+) -> VirtualBench:
+    """These cores, with what `setup` has between them and their bus, on that bus.
+
+    on_frame, on_event: as in `VirtualTime`. record: the folder of the run header, where a classic
+    run's steps are written to be verified by."""
+    if setup.keys is not None:
+        controller = ProvingCore(controller, setup.keys)
+        rig = VerifyingCore(rig, setup.keys, _challenges(setup.seed))
+    cores = [controller, rig, operator, *(onlooker.core for onlooker in onlookers)]
+    if setup.wire is WireProfile.CLASSIC:
+        cores = _on_classic_bus(setup, cores, record)
+    adapter = None
+    if setup.adapter is not None:
+        cores[0] = adapter = AdapterCore(cores[0], setup.adapter, setup.seed)
+    loaded = None
+    if setup.bus_load is not None:
+        loaded = LoadedBus(setup.bus_load, setup.seed, setup.bus_queue)
+    reads = (ALL_IDS, RIG_IDS, BENCH_IDS, *(onlooker.reads for onlooker in onlookers))
+    time = VirtualTime(
+        cores,
+        [*_tick_phases(setup.seed), *(onlooker.first_us for onlooker in onlookers)],
+        on_frame,
+        on_event,
+        [ALL_IDS - ids for ids in reads],
+        loaded,
+    )
+    if adapter is not None:
+        adapter.now_us = lambda: time.now_us
+    return VirtualBench(time, cores[0], adapter, loaded)
+
+
+def _on_classic_bus(setup: Setup, cores: Sequence[Core], record: Path | None) -> list[Core]:
+    from meshpoint.bus.classic.cores import on_classic_bus
+    from meshpoint.bus.classic.step_record import StepRecord
+
+    classic = on_classic_bus(setup.sheet, *cores)
+    if record is not None:
+        classic[0] = StepRecord(classic[0], record, setup.header.run_hash, diagnosed=False)
+    return classic
+
+
+def _tick_phases(seed: int) -> list[int]:
+    """First step times of controller, rig and operator: real nodes do not tick together."""
+    rng = np.random.Generator(np.random.PCG64([seed, 0x7_1C]))
+    return [int(phase) for phase in rng.integers(0, TICK_US, 3)]
+
+
+def _challenges(seed: int) -> Callable[[], int]:
+    """Challenges of a run that can be repeated; live ones are the operating system's."""
+    rng = np.random.Generator(np.random.PCG64([seed, 0xC4A1]))
+    return lambda: int.from_bytes(rng.bytes(CHALLENGE_BITS // 8), "little")

@@ -1,0 +1,63 @@
+"""How a bench rests before a shift: in a simulation, step by step and in a campaign alike."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+import meshpoint
+from meshpoint.controller.estimation.loaded_driveline import LoadedDriveline
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Preset, Profile
+from meshpoint.testbench.campaign.draw import Draw
+from meshpoint.testbench.campaign.loop import ClosedLoop
+from meshpoint.testbench.loop.bench import plan_shifts
+from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S, Setup, simulate
+
+SHEET = load_sheet("truck12")
+SEED, SHIFTS = 2, 5
+PAIR = (8, 10)
+
+
+def in_a_campaign() -> None:
+    plan = plan_shifts(SHEET, [PAIR], SHIFTS, LAYSHAFT_RAD_S)
+    drawn = Draw(SEED, tuple(plan), profile=Profile.TYPICAL)
+    loop = ClosedLoop(SHEET, ControllerSettings(), Preset.TRUCK, drawn)
+    for _ in range(SHIFTS):
+        loop.shift()
+
+
+def in_a_simulation() -> None:
+    settings = ControllerSettings()
+    simulate(
+        Setup(SHEET, settings, seed=SEED, shifts=SHIFTS, pairs=(PAIR,), profile=Profile.TYPICAL)
+    )
+
+
+def step_by_step() -> None:
+    from_gear, to_gear = PAIR
+    with meshpoint.Bench(gearbox=SHEET, seed=SEED, as_built="typical") as bench:
+        for _ in range(SHIFTS):
+            bench.shift(to_gear, from_gear)
+
+
+@pytest.mark.parametrize("run", [in_a_campaign, in_a_simulation, step_by_step])
+def test_every_shift_but_the_first_begins_with_what_was_seen_of_the_loaded_driveline(
+    run: Callable[[], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The truck has been in its gear for so long that the controller has followed what its shafts
+    carry. In the first shift it may not know of their backlash yet; a tooth that is thrown out of
+    its gear begins another window in neutral, in which nothing is known from before."""
+    told, count = LoadedDriveline.behind, 0
+
+    def behind(driveline: LoadedDriveline, time_us: float) -> object:
+        nonlocal count
+        found = told(driveline, time_us)
+        count += found is not None
+        return found
+
+    monkeypatch.setattr(LoadedDriveline, "behind", behind)
+    run()
+    assert count >= SHIFTS - 1
