@@ -344,11 +344,12 @@ def _show(
     account: Account,
 ) -> None:
     judged, asked = rows.judged if rows.open_loop else None, rows.asked
+    of = "" if rows.header is None else f", sheet {rows.header.sheet.name}"
     if namespace.json != "-" and rows.rows:
         if judged is None:
-            out.print(rows_table(f"{log_name(files)} as recorded", rows.rows))
+            out.print(rows_table(f"{log_name(files)} as recorded{of}", rows.rows))
         else:
-            out.print(judged_table(f"{log_name(files)} as {asked} decides it", judged))
+            out.print(judged_table(f"{log_name(files)} as {asked} decides it{of}", judged))
             out.print(judged_words(judged, asked), markup=False)
     for number, session in enumerate(sessions, 1):
         if namespace.verify or session.verdict is not Verification.IDENTICAL:

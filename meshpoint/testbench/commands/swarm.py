@@ -10,18 +10,18 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.loop.compiling import prepare
+from meshpoint.testbench.provenance import gearbox_words
 from meshpoint.testbench.results.output import complain, console, write_json
 from meshpoint.testbench.swarm.episode import Episode
 from meshpoint.testbench.swarm.events import load_world
 from meshpoint.testbench.swarm.swarm import NAMES, Swarm, SwarmSpec, run_swarm
 
-OWN_GEARBOX: Final = "truck12"
-"""The deeds are made for a gearbox with a splitter and a range."""
 TELL_EVERY_S: Final = 60.0
 WORDS: Final = {
     "faults": "faults",
@@ -36,8 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("worlds in which anything may fail")
     group.add_argument(
         "--faults", action="store_true",
-        help="draw kinds and rates of faults by seed, and hold every step against plant truth "
-        f"(gearbox {OWN_GEARBOX} unless another is named)",
+        help="draw kinds and rates of faults by seed, and hold every step against plant truth",
     )  # fmt: skip
     group.add_argument(
         "--hours", type=_positive, default=1.0, metavar="H",
@@ -51,8 +50,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(namespace: argparse.Namespace) -> int:
     """Runs it."""
-    is_default = namespace.gearbox == "thesis"
-    sheet = load_sheet(OWN_GEARBOX) if is_default else arguments.sheet_of(namespace)
+    sheet = arguments.sheet_of(namespace)
     spec = SwarmSpec(sheet, arguments.settings_of(namespace), namespace.seed)
     if namespace.scenario is not None:
         return _repeat(namespace, spec)
@@ -64,12 +62,12 @@ def run(namespace: argparse.Namespace) -> int:
         spec, namespace.hours, namespace.wall, namespace.jobs, namespace.out, namespace.resume,
         _Teller(),
     )  # fmt: skip
-    values = swarm.to_json(time.monotonic() - begun_s)
+    values = swarm.to_json(time.monotonic() - begun_s) | {"provenance": spec.provenance}
     if namespace.json is not None:
         write_json(namespace.json, values)
     if namespace.json != "-":
         out = console(namespace.json)
-        out.print(reached_table(values))
+        out.print(reached_table(values, sheet))
         for found in values["found"]:
             out.print(f"seed {found['seed']}: {found['what']} at {found['at_ms']} ms, "
                       f"{found['text']}", markup=False)  # fmt: skip
@@ -83,6 +81,7 @@ def _repeat(namespace: argparse.Namespace, spec: SwarmSpec) -> int:
         "simulated_s": result.simulated_s,
         "shifts": result.shifts,
         "broken": [broken._asdict() for broken in result.broken],
+        "provenance": spec.provenance,
     }
     if namespace.json is not None:
         write_json(namespace.json, values)
@@ -106,11 +105,13 @@ class _Teller:
             print(text, file=sys.stderr)
 
 
-def reached_table(values: dict[str, Any]) -> Table:
+def reached_table(values: dict[str, Any], sheet: GearboxSheet) -> Table:
     """How much was simulated, and how much of what there is was reached."""
     hours, shifts = values["simulated_hours"], values["shifts"]
     title = f"{hours:.2f} h, {values['worlds']} worlds, {shifts} shifts"
-    table = Table("reached", "of", "missing", title=f"{title}, {values['violations']} violations")
+    of = gearbox_words(sheet, DEFAULT_PRESET, DEFAULT_PROFILE)
+    title += f", {values['violations']} violations, {of}"
+    table = Table("reached", "of", "missing", title=title)
     for name in NAMES:
         part = values[f"{name}_reached"]
         missing = ", ".join(part["missing"]) or "-"

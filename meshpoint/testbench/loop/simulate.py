@@ -35,7 +35,7 @@ from meshpoint.testbench.loop.bench import TICK_US, BenchCore, PlannedShift, pla
 from meshpoint.testbench.loop.loaded_bus import LoadedBus
 from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs
 from meshpoint.testbench.loop.virtual_time import VirtualTime
-from meshpoint.testbench.provenance import provenance
+from meshpoint.testbench.provenance import gearbox_words, provenance
 from meshpoint.testbench.results.kinematic_bound import kinematic_bound_ms
 from meshpoint.testbench.results.monitor import Monitor
 from meshpoint.testbench.results.rows import ShiftRow, summarise
@@ -71,6 +71,11 @@ class Setup:
     bus_queue: QueueOrder = QueueOrder.FIFO
     """In which order a node's waiting frames leave, where the bus has a load."""
     wire: WireProfile = WireProfile.FD
+
+    @property
+    def gearbox_words(self) -> str:
+        """Which gearbox it is of, as titles say it."""
+        return gearbox_words(self.sheet, self.preset, self.profile, self.as_built)
 
     @property
     def header(self) -> RunHeader:
@@ -246,7 +251,7 @@ def simulate(
     return Result(
         rows=_with_bounds(monitor.rows.rows, plan, setup.sheet, rig.as_built or {}),
         estimation=monitor.estimation.figures(),
-        provenance=provenance(setup.sheet, setup.seed, setup.preset),
+        provenance=provenance(setup.sheet, setup.seed, setup.preset, setup.profile),
         simulated_s=driver.now_us / 1e6,
         bus_load=driver.bus.busy_us / max(1, driver.now_us),
         stuck=bench.gave_up,

@@ -31,7 +31,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.orders import FaultOrder
-from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
+from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.testbench.loop.bench import plan_shifts
 from meshpoint.testbench.loop.simulate import not_addressed_to, tick_phases
 from meshpoint.testbench.loop.virtual_bus import VirtualBus
@@ -112,11 +112,9 @@ class Episode:
         self._rig = WatchedRig(
             sheet,
             RigSettings(
-                preset=Preset.TRUCK,
                 seed=world.seed,
                 start_gear=world.start_gear,
                 main_speed_rpm=plan.main_rad_s * 30.0 / math.pi,
-                profile=Profile.CLEAN,
             ),
         )
         self._controller = self._new_controller()

@@ -17,6 +17,7 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.reading import read_text
+from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE
 from meshpoint.testbench.campaign.runner import executor
 from meshpoint.testbench.campaign.spec import SEEDS_APART
 from meshpoint.testbench.errors import CommandError
@@ -43,9 +44,14 @@ class SwarmSpec:
     seed: int
 
     @property
+    def provenance(self) -> dict[str, Any]:
+        """Which gearboxes the worlds have, and what else they share."""
+        return provenance(self.sheet, self.seed, DEFAULT_PRESET.value, DEFAULT_PROFILE)
+
+    @property
     def sha256(self) -> str:
         """Parts of one hash go together."""
-        values = provenance(self.sheet, self.seed, "truck") | {"settings": self.settings.values()}
+        values = self.provenance | {"settings": self.settings.values()}
         values |= {"dbc": DBC_SHA256, "version": product_version()}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
