@@ -12,8 +12,7 @@ from meshpoint.dbc.messages import ClutchAction, ClutchCommand, ValveAction, Val
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore
-from meshpoint.rig_sim.settings import Preset, RigSettings
-from meshpoint.rig_sim.settings import Profile
+from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.testbench.check.finding import Verdict
 from meshpoint.testbench.check.shafts import Shaft
 from meshpoint.testbench.commission.core import CONSENT_US, PULSE_US, CommissionCore
