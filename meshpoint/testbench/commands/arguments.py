@@ -139,7 +139,7 @@ def add_gearbox(parser: Arguments, has_preset: bool = False) -> None:
     """--gearbox; `has_preset`: beside --preset, whose own data sheet is the default."""
     others = (preset for preset in Preset if has_preset and preset is not DEFAULT_PRESET)
     default = DEFAULT_PRESET.sheet_name + "".join(
-        f", with --preset {preset} {preset.sheet_name}" for preset in others
+        f"; with --preset {preset}: {preset.sheet_name}" for preset in others
     )
     parser.add_argument(
         "--gearbox",
