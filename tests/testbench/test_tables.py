@@ -161,9 +161,7 @@ TABLES: dict[str, Callable[[], Table]] = {
     "campaign.verdict_words.against_table": lambda: against_table(AGAINST, GEARBOX),
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
     "logs.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
-    "commands.swarm.reached_table": lambda: reached_table(
-        Swarm().to_json(1.0), load_sheet("truck12")
-    ),
+    "commands.swarm.reached_table": lambda: reached_table(Swarm().to_json(1.0), GEARBOX),
     "commands.compare.compared_table": lambda: compare_command.compared_table(
         "Shifts that differ", ("field", "A", "B"), [("shifts.0.slip_rpm", "20.1", "25.3")]
     ),

@@ -10,15 +10,11 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from meshpoint.gearbox import GearboxSheet
-from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.loop.compiling import prepare
-from meshpoint.testbench.provenance import gearbox_words
 from meshpoint.testbench.results.output import complain, console, write_json
-from meshpoint.testbench.swarm.episode import Episode
 from meshpoint.testbench.swarm.events import load_world
 from meshpoint.testbench.swarm.swarm import NAMES, Swarm, SwarmSpec, run_swarm
 
@@ -50,8 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(namespace: argparse.Namespace) -> int:
     """Runs it."""
-    sheet = arguments.sheet_of(namespace)
-    spec = SwarmSpec(sheet, arguments.settings_of(namespace), namespace.seed)
+    sheet, built = arguments.sheet_of(namespace), arguments.as_built_of(namespace)
+    settings = arguments.settings_of(namespace)
+    spec = SwarmSpec(sheet, settings, namespace.seed, built.profile, built.fixed)
     if namespace.scenario is not None:
         return _repeat(namespace, spec)
     if namespace.resume and namespace.out is None:
@@ -67,7 +64,7 @@ def run(namespace: argparse.Namespace) -> int:
         write_json(namespace.json, values)
     if namespace.json != "-":
         out = console(namespace.json)
-        out.print(reached_table(values, sheet))
+        out.print(reached_table(values, spec.gearbox_words))
         for found in values["found"]:
             out.print(f"seed {found['seed']}: {found['what']} at {found['at_ms']} ms, "
                       f"{found['text']}", markup=False)  # fmt: skip
@@ -76,7 +73,7 @@ def run(namespace: argparse.Namespace) -> int:
 
 def _repeat(namespace: argparse.Namespace, spec: SwarmSpec) -> int:
     world = load_world(namespace.scenario)
-    result = Episode(spec.sheet, spec.settings, world).run()
+    result = spec.run(world)
     values = {
         "simulated_s": result.simulated_s,
         "shifts": result.shifts,
@@ -105,12 +102,11 @@ class _Teller:
             print(text, file=sys.stderr)
 
 
-def reached_table(values: dict[str, Any], sheet: GearboxSheet) -> Table:
+def reached_table(values: dict[str, Any], gearbox: str) -> Table:
     """How much was simulated, and how much of what there is was reached."""
     hours, shifts = values["simulated_hours"], values["shifts"]
     title = f"{hours:.2f} h, {values['worlds']} worlds, {shifts} shifts"
-    of = gearbox_words(sheet, DEFAULT_PRESET, DEFAULT_PROFILE)
-    title += f", {values['violations']} violations, {of}"
+    title += f", {values['violations']} violations, {gearbox}"
     table = Table("reached", "of", "missing", title=title)
     for name in NAMES:
         part = values[f"{name}_reached"]

@@ -6,7 +6,7 @@ import dataclasses
 import math
 import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -31,7 +31,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.orders import FaultOrder
-from meshpoint.rig_sim.settings import RigSettings
+from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Profile, RigSettings
 from meshpoint.testbench.loop.bench import plan_shifts
 from meshpoint.testbench.loop.simulate import not_addressed_to, tick_phases
 from meshpoint.testbench.loop.virtual_bus import VirtualBus
@@ -100,7 +100,14 @@ def settings_with(base: ControllerSettings, changes: dict[str, float]) -> Contro
 class Episode:
     """Both nodes on one virtual bus, with trouble."""
 
-    def __init__(self, sheet: GearboxSheet, settings: ControllerSettings, world: World) -> None:
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        settings: ControllerSettings,
+        world: World,
+        profile: Profile = DEFAULT_PROFILE,
+        as_built: Mapping[str, float] | None = None,
+    ) -> None:
         self._sheet, self.world = sheet, world
         self._settings = settings_with(settings, world.settings)
         self._reached = Reached()
@@ -115,6 +122,8 @@ class Episode:
                 seed=world.seed,
                 start_gear=world.start_gear,
                 main_speed_rpm=plan.main_rad_s * 30.0 / math.pi,
+                profile=profile,
+                as_built=as_built or {},
             ),
         )
         self._controller = self._new_controller()
