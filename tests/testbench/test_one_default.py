@@ -130,3 +130,20 @@ def test_a_campaign_names_sheet_and_profile_in_all_that_it_gives(
         assert f"1 runs, {OF}" in files[name].read_text()
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert f"preset truck, {OF};" in page
+
+
+def test_a_replay_names_the_sheet_of_its_run_header(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, result = tmp_path / "run.log", tmp_path / "replay.json"
+    made = ["simulate", "--preset", "thesis", "--gearbox", "truck12", "--shifts", "1"]
+    assert main([*made, "--log", str(log)]) == 0
+    assert main(["replay", str(log), "--json", str(result)]) == 0
+    assert "run.log as recorded, sheet truck12" in capsys.readouterr().out
+    assert json.loads(result.read_text())["gearbox"] == "truck12"
+
+
+def test_the_page_to_play_with_names_its_sheet(tmp_path: Path) -> None:
+    page = tmp_path / "play.html"
+    assert main(["play", "--out", str(page)]) == 0
+    assert "those of the data sheet truck12" in page.read_text(encoding="utf-8")

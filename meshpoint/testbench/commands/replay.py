@@ -323,6 +323,7 @@ def _values(
         "log": str(namespace.log[0]),
         "logs": [str(path) for path in files],
         "mode": "as recorded" if judged is None else "open loop",
+        "gearbox": None if rows.header is None else rows.header.sheet.name,
         "sessions": [_session_json(session) for session in sessions],
         "account": log.account.to_json(),
         "interrupted": log.interrupted,
