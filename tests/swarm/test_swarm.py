@@ -42,7 +42,8 @@ IN_THE_SUITE = ("mad_two_sleeves", "mad_slip", "mad_blind")
 
 
 def run(world: World) -> EpisodeResult:
-    return Episode(SHEET, SETTINGS, world).run()
+    """In a gearbox of the profile in which the worlds of this file were found."""
+    return Episode(SHEET, SETTINGS, world, Profile.CLEAN).run()
 
 
 def deed_alone(name: str) -> World:
