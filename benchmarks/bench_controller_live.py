@@ -137,7 +137,8 @@ def measured(windows: int, seconds: float) -> dict[str, float]:
     register_interface()
     with tempfile.TemporaryDirectory(prefix="meshpoint-") as folder:
         channel = f"unix:{folder}/bus.sock"
-        controller = ("-m", "meshpoint", "controller", "-q", "-c", channel)
+        words = ("controller", "--gearbox", "thesis", "-q", "-c", channel)
+        controller = ("-m", "meshpoint", *words)
         with (
             can.Bus(interface="meshpoint", channel=channel, ignore_config=True) as bus,
             rig_process(channel),

@@ -69,8 +69,9 @@ def python_process(*arguments: str) -> Iterator[subprocess.Popen[bytes]]:
 
 
 def rig_process(channel: str) -> AbstractContextManager[subprocess.Popen[bytes]]:
-    """A rig, truck preset, on this channel; ended at the end."""
-    return python_process("-m", "meshpoint", "rig", "--preset", "truck", "-q", "-c", channel)
+    """A rig, truck preset, sheet thesis, on this channel; ended at the end."""
+    rig = ("rig", "--preset", "truck", "--gearbox", "thesis", "-q", "-c", channel)
+    return python_process("-m", "meshpoint", *rig)
 
 
 def start_up_s(bus: can.BusABC, channel: str) -> tuple[float, float]:

@@ -21,7 +21,7 @@ def main(words=None):
     parser.add_argument("-i", "--interface")
     parser.add_argument("-c", "--channel")
     parser.add_argument("--start", nargs="*", default=["rig", "controller"])
-    parser.add_argument("--gearbox", default="thesis")
+    parser.add_argument("--gearbox")
     parser.add_argument("--shifts", type=int, default=4)
     parser.add_argument("--log", default="hardware_loop.log")
     chosen = parser.parse_args(words)

@@ -66,8 +66,8 @@ inside() {
     local bus=(-i socketcan -c vcan0 --fd)
     if [[ $WITH_VCAN == qemu ]]; then
         speed=0.05 patience=1200
-        rig+=(--preset thesis)
-        controller+=(--estimator thesis --strategy speed_window)
+        rig+=(--preset thesis --gearbox thesis)
+        controller+=(--gearbox thesis --estimator thesis --strategy speed_window)
     fi
     trap 'kill $(jobs -p) 2>/dev/null || true' EXIT
     cd "$folder"

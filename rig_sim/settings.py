@@ -29,6 +29,15 @@ class Preset(StrEnum):
     THESIS = "thesis"
     TRUCK = "truck"
 
+    @property
+    def sheet_name(self) -> str:
+        """The data sheet that people get who name none."""
+        return "thesis" if self is Preset.THESIS else "truck12"
+
+
+DEFAULT_PRESET: Final = Preset.TRUCK
+"""What people get who name none."""
+
 
 class Profile(StrEnum):
     """From which ranges the preset truck draws what is as built (docs/gearbox.md, Profiles).
@@ -51,8 +60,8 @@ class RigSettings:
 
     seed            draws every start angle, the sleeve delays, and clock_start_us where it is None
     start_gear      the drive gear the rig stands in at the start, 1..14
-    main_speed_rpm  main shaft speed at the start; the default gives 1,400 rpm at the layshaft in
-                    gear 8 of the sheet `thesis`
+    main_speed_rpm  main shaft speed at the start; the default gives 1,484 rpm at the layshaft in
+                    gear 8 of the sheet `truck12`, 1,400 rpm in that of `thesis`
     clock_start_us  sensor clock at power-up, 0..2^32-1; None draws one 0.5-5 s before the wrap
     profile         ranges of the truck's as-built values
     as_built        values of the truck that are fixed, not drawn, by name (`as_built`)
@@ -60,7 +69,7 @@ class RigSettings:
     faults          what goes wrong with the truck, and when
     """
 
-    preset: Preset = Preset.TRUCK
+    preset: Preset = DEFAULT_PRESET
     seed: int = 1
     start_gear: int = 8
     main_speed_rpm: float = 644.0

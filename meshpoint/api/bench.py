@@ -19,7 +19,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import ScheduledFault
-from meshpoint.rig_sim.settings import DEFAULT_PROFILE, RigSettings
+from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE, RigSettings
 from meshpoint.testbench.loop.bench import plan_shifts
 from meshpoint.testbench.loop.bench_builder import virtual_bench
 from meshpoint.testbench.loop.setup import Setup
@@ -43,11 +43,13 @@ class Bench(Watching):
 
     The same arguments and the same calls give the same bytes on the bus.
 
-    gearbox: the data sheet of both: `thesis`, `truck12`, a TOML file, or a sheet.
+    gearbox: the data sheet of both: `thesis`, `truck12`, a TOML file, or a sheet; None: that of the
+        preset, `truck12` or `thesis`.
     preset: the rig's physics: `truck`, or `thesis`, the thesis's equations alone.
     seed: draws start angles and delays, in the preset `truck` also every part.
     as_built: ranges the truck's parts are drawn from (`clean`, `typical`, `harsh`), a file, or
-        values that are fixed, by name (docs/gearbox.md).
+        values that are fixed, by name (docs/gearbox.md); both may name the profile of the rest,
+        `typical` without it.
     faults: a scenario of faults: a TOML file (docs/faults.md).
     strategy, estimator, settings: of the controller, as in `load_settings`.
     gear: the gear the rig stands in at the start.
@@ -60,8 +62,8 @@ class Bench(Watching):
     def __init__(
         self,
         *,
-        gearbox: PathLike | GearboxSheet = "thesis",
-        preset: str = "truck",
+        gearbox: PathLike | GearboxSheet | None = None,
+        preset: str = DEFAULT_PRESET,
         seed: int = 1,
         as_built: AsBuilt = DEFAULT_PROFILE,
         faults: PathLike | tuple[ScheduledFault, ...] = (),

@@ -15,18 +15,18 @@ from meshpoint.controller.strategy_file import FORM, is_file_name
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.tables import TableError
 from meshpoint.rig_sim.orders import ScheduledFault
-from meshpoint.rig_sim.settings import Preset, Profile
-from meshpoint.rig_sim.truck.as_built import read_as_built
+from meshpoint.rig_sim.settings import DEFAULT_PRESET, Preset
+from meshpoint.rig_sim.truck.as_built import as_built_of, read_as_built
 from meshpoint.rig_sim.truck.scenario import load_scenario
 from meshpoint.testbench.loop.schedules import SCHEDULES, Pairs
 from meshpoint.testbench.loop.setup import Setup
 
 PathLike = str | Path
-AsBuilt = str | Path | Mapping[str, float]
+AsBuilt = str | Path | Mapping[str, float | str]
 Strategy = str | type[Any]
 
 
-def load_gearbox(name: PathLike | GearboxSheet = "thesis") -> GearboxSheet:
+def load_gearbox(name: PathLike | GearboxSheet = DEFAULT_PRESET.sheet_name) -> GearboxSheet:
     """A data sheet: `thesis`, `truck12`, or a TOML file. TableError names file, key and allowed."""
     return name if isinstance(name, GearboxSheet) else load_sheet(str(name))
 
@@ -87,7 +87,7 @@ def pairs_of(pairs: str | Pairs) -> Pairs:
 
 
 def setup_of(
-    gearbox: PathLike | GearboxSheet,
+    gearbox: PathLike | GearboxSheet | None,
     preset: str,
     seed: int,
     as_built: AsBuilt,
@@ -101,18 +101,17 @@ def setup_of(
     if preset not in tuple(Preset):
         raise TableError(f"preset = {preset!r}, allowed are {', '.join(Preset)}")
     if isinstance(as_built, Mapping):
-        profile, fixed = Profile.CLEAN, dict(as_built)
+        built = as_built_of(as_built)
     else:
-        chosen = read_as_built(Path(as_built))
-        profile, fixed = chosen.profile, dict(chosen.fixed)
+        built = read_as_built(Path(as_built))
     return Setup(
-        sheet=load_gearbox(gearbox),
+        sheet=load_gearbox(Preset(preset).sheet_name if gearbox is None else gearbox),
         settings=settings,
         preset=Preset(preset),
         seed=seed,
         shifts=shifts,
         pairs=pairs_of(pairs),
-        profile=profile,
-        as_built=fixed,
+        profile=built.profile,
+        as_built=built.fixed,
         faults=faults if isinstance(faults, tuple) else load_scenario(Path(faults)),
     )

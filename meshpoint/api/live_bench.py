@@ -21,7 +21,7 @@ from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.options import IN_PROCESS, add_bus_arguments, open_bus_from
 from meshpoint.bus.slowness import times_slower
 from meshpoint.dbc.frame import Frame
-from meshpoint.rig_sim.settings import DEFAULT_PROFILE
+from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE
 from meshpoint.testbench.errors import RunError
 from meshpoint.testbench.loop.bench import PATIENCE_US
 from meshpoint.testbench.loop.live import NODE_NAMES, LiveRun, LiveSession, live_session
@@ -63,8 +63,8 @@ class LiveBench(Watching):
         in_process: bool = False,
         start: Sequence[str] = NODE_NAMES,
         speed: float = 1.0,
-        gearbox: PathLike = "thesis",
-        preset: str = "truck",
+        gearbox: PathLike | None = None,
+        preset: str = DEFAULT_PRESET,
         seed: int = 1,
         as_built: PathLike = DEFAULT_PROFILE,
         faults: PathLike | None = None,
@@ -99,7 +99,12 @@ class LiveBench(Watching):
             in_process=in_process or interface in IN_PROCESS,
             paced=set(start) == set(NODE_NAMES),
             start=tuple(start),
-            node_arguments=[*bus, "--gearbox", str(gearbox), *node_arguments],
+            node_arguments=[
+                *bus,
+                "--gearbox",
+                str(gearbox or setup.preset.sheet_name),
+                *node_arguments,
+            ],
             controller_arguments=[
                 "--arm",
                 *_given(settings=settings, strategy=strategy, estimator=estimator),

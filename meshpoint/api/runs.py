@@ -26,7 +26,7 @@ from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.orders import ScheduledFault
-from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset
+from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE, Preset
 from meshpoint.testbench.campaign.draw import upshifts
 from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.result import Collected, to_json
@@ -79,8 +79,8 @@ def simulate(
     *,
     seed: int = 1,
     pairs: str | Pairs = "upshifts",
-    gearbox: PathLike | GearboxSheet = "thesis",
-    preset: str = "truck",
+    gearbox: PathLike | GearboxSheet | None = None,
+    preset: str = DEFAULT_PRESET,
     as_built: AsBuilt = DEFAULT_PROFILE,
     faults: PathLike | tuple[ScheduledFault, ...] = (),
     strategy: Strategy | None = None,
@@ -138,8 +138,8 @@ def campaign(
     judged: int = 2,
     seed: int = 1,
     pairs: str | Pairs | None = None,
-    gearbox: PathLike | GearboxSheet = "thesis",
-    preset: str = "truck",
+    gearbox: PathLike | GearboxSheet | None = None,
+    preset: str = DEFAULT_PRESET,
     as_built: AsBuilt = DEFAULT_PROFILE,
     estimator: str | None = None,
     settings: PathLike | ControllerSettings | None = None,

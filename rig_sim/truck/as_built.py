@@ -163,6 +163,14 @@ def read_as_built(given: Path) -> AsBuiltChoice:
     return load_as_built(given)
 
 
+def as_built_of(values: Mapping[str, float | str]) -> AsBuiltChoice:
+    """The same of values by name, as `clutch.drag_nm`; `profile` names the profile of the rest.
+    AsBuiltError names key and allowed."""
+    given, where = dict(values), Path("as_built")
+    profile = _profile(where, given.pop("profile", None))
+    return AsBuiltChoice(profile, {name: _checked(where, name, given[name]) for name in given})
+
+
 def load_as_built(path: Path) -> AsBuiltChoice:
     """The profile and the values a file fixes, TOML or a run's JSON. AsBuiltError names file, key
     and allowed."""

@@ -191,6 +191,16 @@ def test_identified_figures_agree_where_nine_of_ten_intervals_hold_what_was_buil
     assert finding.figures["edges_covered"] == {"main": pytest.approx(0.9)}
 
 
+@pytest.mark.parametrize(
+    "name",
+    ["commission", "counterfactual", "delay", "fusion", "hardware"],
+)
+def test_gearboxes_are_drawn_from_the_profile_that_the_settings_name(name: str) -> None:
+    start = given(name)
+    harsh = replace(start, common=replace(start.common, profile="harsh"))
+    assert {job.profile for job in load(name).jobs(harsh)} == {"harsh"}
+
+
 @pytest.mark.parametrize("name", ["identify", "commission"])
 def test_gearboxes_of_the_truck_are_drawn_around_a_truck_s_sheet(name: str) -> None:
     """By the thesis's the plates touch at 10 % of the clutch's travel, in the truck at 35 %."""

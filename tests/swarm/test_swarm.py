@@ -15,6 +15,7 @@ import pytest
 from meshpoint.controller.guard.rules import Guard
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Profile
 from meshpoint.rig_sim.shared.engagement import Violation
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.errors import CommandError
@@ -41,7 +42,8 @@ IN_THE_SUITE = ("mad_two_sleeves", "mad_slip", "mad_blind")
 
 
 def run(world: World) -> EpisodeResult:
-    return Episode(SHEET, SETTINGS, world).run()
+    """In a gearbox of the profile in which the worlds of this file were found."""
+    return Episode(SHEET, SETTINGS, world, Profile.CLEAN).run()
 
 
 def deed_alone(name: str) -> World:
@@ -82,6 +84,16 @@ def test_settings_at_their_edge_are_settings() -> None:
     for name, value in TIGHT:
         group, key = name.split(".")
         assert getattr(getattr(settings_with(SETTINGS, {name: value}), group), key) == value
+
+
+def test_the_gearboxes_of_a_swarm_are_drawn_from_its_profile() -> None:
+    """As those of everybody who names none; another profile is another swarm."""
+    assert SPEC.provenance["profile"] == "typical"
+    clean = replace(SPEC, profile=Profile.CLEAN)
+    assert clean.provenance["profile"] == "clean"
+    assert clean.sha256 != SPEC.sha256 != replace(SPEC, as_built={"air.leak": 0.0}).sha256
+    world = draw_world(7)
+    assert clean.run(world) != SPEC.run(world)
 
 
 def test_a_seed_is_a_world_is_a_course() -> None:

@@ -12,7 +12,7 @@ from meshpoint.dbc.messages import ClutchAction, ClutchCommand, ValveAction, Val
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.core import RigCore
-from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
 from meshpoint.testbench.check.finding import Verdict
 from meshpoint.testbench.check.shafts import Shaft
 from meshpoint.testbench.commission.core import CONSENT_US, PULSE_US, CommissionCore
@@ -26,7 +26,7 @@ V = ValveName
 
 @pytest.fixture(scope="module")
 def sound() -> Rehearsed:
-    return rehearse(SHEET, 1, Miswiring())
+    return rehearse(SHEET, 1, Miswiring(), profile=Profile.CLEAN)
 
 
 def test_a_sound_box_is_called_sound_and_every_output_was_driven(sound: Rehearsed) -> None:
@@ -61,7 +61,7 @@ def test_what_is_measured_at_standstill_is_near_what_the_box_is(sound: Rehearsed
     ids=str,
 )
 def test_each_miswiring_is_named_and_nothing_else(wrong: Miswiring) -> None:
-    found = rehearse(SHEET, 3, wrong)
+    found = rehearse(SHEET, 3, wrong, profile=Profile.CLEAN)
     assert found.is_right, [f for f in found.findings if f.verdict is Verdict.BAD]
 
 

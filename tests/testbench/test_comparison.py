@@ -23,6 +23,7 @@ from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.results.rows import ShiftRow
 
 SHEET = load_sheet("truck12")
+GEARBOX = "sheet truck12, profile typical"
 
 
 def row(
@@ -77,7 +78,7 @@ def test_an_own_strategy_that_aims_has_its_error_and_no_folder_in_the_table() ->
     assert own.strategy == name
     console = Console(width=80)
     with console.capture() as captured:
-        console.print(comparison_table([own]))
+        console.print(comparison_table([own], GEARBOX))
     assert "own_strategy.py:NextGap" in captured.get()
     assert "folder" not in captured.get()
 
@@ -87,7 +88,7 @@ def test_contacts_that_nobody_knows_are_no_misses() -> None:
     assert group.contacts == 0
     console = Console(width=80, record=True, file=None)
     with console.capture() as captured:
-        console.print(comparison_table([group]))
+        console.print(comparison_table([group], GEARBOX))
     assert "0 of 2" not in captured.get()
 
 
@@ -97,7 +98,7 @@ def test_the_summary_fits_80_columns_and_says_what_luck_does() -> None:
     )
     console = Console(width=80)
     with console.capture() as captured:
-        console.print(comparison_table(groups))
+        console.print(comparison_table(groups, GEARBOX))
         for line in explain(groups, SHEET):
             console.print(line)
     text = captured.get()

@@ -42,7 +42,7 @@ def test_it_begins_with_the_sheet_of_the_log_s_run_header(
     alone = tmp_path / "alone.log"
     alone.write_bytes(log.read_bytes())
     name, said = told(alone, capsys)
-    assert name == "thesis"
+    assert name == "truck12"
     assert said.endswith("no run header says another (--gearbox)")
     assert main(["identify", str(log), "-o", str(tmp_path / "found.toml")]) == 2
     assert "needs --gearbox" in capsys.readouterr().err

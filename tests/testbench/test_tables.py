@@ -134,7 +134,8 @@ def study_record(name: str) -> StudyRecord:
     said = Statement(
         "so", "ours is 12.3 +- 0.4 deg, where theirs is 12.4", ThesisVerdict.NOT_COMPARABLE, ""
     )
-    return StudyRecord(name, study.title, study.of, Finding((said, said), {}), (), {})
+    settings = {"common": {"gearbox": "truck12", "profile": "typical"}}
+    return StudyRecord(name, study.title, study.of, Finding((said, said), {}), (), settings)
 
 
 def judged(strategy: str) -> JudgedRow:
@@ -146,20 +147,21 @@ def judged(strategy: str) -> JudgedRow:
     return JudgedRow(replace(ROW, strategy=strategy), shift)
 
 
+GEARBOX = "sheet truck12, profile typical, values fixed: 3"
 TABLES: dict[str, Callable[[], Table]] = {
     "results.output.rows_table": lambda: rows_table("title", [ROW]),
     "report.comparison.comparison_table": lambda: comparison_table(
-        compare({name: [ROW] * 1000 for name in STRATEGIES})
+        compare({name: [ROW] * 1000 for name in STRATEGIES}), GEARBOX
     ),
-    "campaign.table._strategies": lambda: campaign_table._strategies(campaign_values()),
-    "campaign.table._phases": lambda: campaign_table._phases(campaign_values()),
+    "campaign.table._strategies": lambda: campaign_table._strategies(campaign_values(), GEARBOX),
+    "campaign.table._phases": lambda: campaign_table._phases(campaign_values(), GEARBOX),
     "campaign.table._ratios": lambda: campaign_table._ratios(
-        campaign_values()["ratios"], STRATEGIES
+        campaign_values()["ratios"], STRATEGIES, GEARBOX
     ),
-    "campaign.verdict_words.against_table": lambda: against_table(AGAINST),
+    "campaign.verdict_words.against_table": lambda: against_table(AGAINST, GEARBOX),
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
     "logs.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
-    "commands.swarm.reached_table": lambda: reached_table(Swarm().to_json(1.0)),
+    "commands.swarm.reached_table": lambda: reached_table(Swarm().to_json(1.0), GEARBOX),
     "commands.compare.compared_table": lambda: compare_command.compared_table(
         "Shifts that differ", ("field", "A", "B"), [("shifts.0.slip_rpm", "20.1", "25.3")]
     ),
@@ -231,6 +233,7 @@ def test_a_ratio_names_both_strategies_each_on_lines_of_its_own() -> None:
     table = campaign_table._ratios(
         {"target_phase/speed_window": ratio, f"{own}/target_phase": ratio},
         ["speed_window", "target_phase", own],
+        GEARBOX,
     )
     assert list(table.columns[0].cells) == [
         "target_phase\n/ speed_window",

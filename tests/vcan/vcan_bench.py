@@ -310,7 +310,7 @@ class Bench:
         assert self._pace.poll() is None, self._pace.said
         self._time = PaceFile(pace)
         self.dump = Candump(folder / "candump.log", wire, self.patience, self.story)
-        common = ["--pace", str(pace), "--speed", str(SPEED)]
+        common = ["--gearbox", "thesis", "--pace", str(pace), "--speed", str(SPEED)]
         # kernels are not compiled in the emulated machine: the truck's take it too long there
         gear = ["--preset", "thesis", "--gear", "14", "--main-speed", "300"]
         self.rig = Command(folder, "rig", *gear, *common, *wire.options(wire.rig))

@@ -85,8 +85,8 @@ def figures(spec: CampaignSpec, collected: Collected) -> dict[str, Any]:
 
 def _subtitle(spec: CampaignSpec) -> str:
     return (
-        f"Simulated in virtual time through encoded frames, preset {spec.preset.value}, gearbox "
-        f"{spec.sheet.name}; {spec.learn} learning and {spec.judged} judged shifts a run and "
+        f"Simulated in virtual time through encoded frames, preset {spec.preset.value}, "
+        f"{spec.gearbox_words}; {spec.learn} learning and {spec.judged} judged shifts a run and "
         "strategy. Intervals are 95 %, with the run as what was drawn."
     )
 

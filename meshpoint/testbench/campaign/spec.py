@@ -17,7 +17,7 @@ from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
 from meshpoint.testbench.campaign.sweep import BASE_POINT, SweepPoint, at_point
-from meshpoint.testbench.provenance import provenance
+from meshpoint.testbench.provenance import gearbox_words, provenance
 from meshpoint.testbench.version import product_version
 
 TRUE_STATE: Final = "true_state"
@@ -69,6 +69,11 @@ class CampaignSpec:
         return (*self.strategies, TRUE_STATE) if self.true_state else self.strategies
 
     @property
+    def gearbox_words(self) -> str:
+        """Which gearboxes it is of, as titles say it."""
+        return gearbox_words(self.sheet, self.preset, self.profile, self.as_built)
+
+    @property
     def own(self) -> str:
         """The strategy that the bench learns by and goes on by from shift to shift."""
         return self.settings.strategy_name
@@ -112,7 +117,7 @@ class CampaignSpec:
                 "profile": self.profile,
                 "as_built": dict(self.as_built),
                 "sweep": [str(point) for point in self.sweep],
-                "provenance": provenance(self.sheet, self.seed, self.preset.value),
+                "provenance": provenance(self.sheet, self.seed, self.preset.value, self.profile),
             }
         )
 

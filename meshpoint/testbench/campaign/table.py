@@ -13,21 +13,22 @@ from meshpoint.testbench.results.output import broken
 from meshpoint.testbench.results.phases import TITLES as PHASE_TITLES
 
 
-def print_tables(out: Console, values: dict[str, Any]) -> None:
-    """Strategies side by side, where their time went, then the ratios between them."""
-    out.print(_strategies(values))
+def print_tables(out: Console, values: dict[str, Any], gearbox: str) -> None:
+    """Strategies side by side, where their time went, then the ratios between them. gearbox: which
+    ones, as the titles say it."""
+    out.print(_strategies(values, gearbox))
     out.print()
-    out.print(_phases(values))
+    out.print(_phases(values, gearbox))
     if values["ratios"]:
         out.print()
-        out.print(_ratios(values["ratios"], list(values["strategies"])))
+        out.print(_ratios(values["ratios"], list(values["strategies"]), gearbox))
 
 
-def _strategies(values: dict[str, Any]) -> Table:
+def _strategies(values: dict[str, Any], gearbox: str) -> Table:
     """A column a strategy, a line a figure: as many fit as are compared."""
     table = Table(
-        title=f"{values['runs']} runs, 95 % intervals", title_justify="left", box=None,
-        pad_edge=False,
+        title=f"{values['runs']} runs, {gearbox}, 95 % intervals", title_justify="left",
+        box=None, pad_edge=False,
     )  # fmt: skip
     strategies: dict[str, dict[str, Any]] = values["strategies"]
     table.add_column("", no_wrap=True)
@@ -38,11 +39,11 @@ def _strategies(values: dict[str, Any]) -> Table:
     return table
 
 
-def _phases(values: dict[str, Any]) -> Table:
+def _phases(values: dict[str, Any], gearbox: str) -> Table:
     """Where the milliseconds go: mean of each phase over the shifts that have it."""
     table = Table(
-        title="mean ms by phase, by the rig's truth", title_justify="left", box=None,
-        pad_edge=False,
+        title=f"mean ms by phase, by the rig's truth,\n{gearbox}", title_justify="left",
+        box=None, pad_edge=False,
     )  # fmt: skip
     strategies: dict[str, dict[str, Any]] = values["strategies"]
     table.add_column("", no_wrap=True)
@@ -55,9 +56,12 @@ def _phases(values: dict[str, Any]) -> Table:
     return table
 
 
-def _ratios(ratios: dict[str, Any], strategies: Sequence[str]) -> Table:
+def _ratios(ratios: dict[str, Any], strategies: Sequence[str], gearbox: str) -> Table:
     """Each ratio has its interval below it: side by side they need more than 80 columns."""
-    table = Table(title="ratios on the same draws", title_justify="left", box=None, pad_edge=False)
+    table = Table(
+        title=f"ratios on the same draws, {gearbox}", title_justify="left", box=None,
+        pad_edge=False,
+    )  # fmt: skip
     table.add_column("of\n/ to", no_wrap=True)
     for column in ("gap\nrate", "mean\nduration", "p99\nduration", "mean\nimpact"):
         table.add_column(column, justify="right", no_wrap=True)

@@ -48,11 +48,10 @@ def stopped_words(values: dict[str, Any]) -> list[str]:
     return lines
 
 
-def against_table(against: dict[str, Any]) -> Table:
-    """The verdict and what it rests on."""
-    table = Table(
-        title="first contact, before and after", title_justify="left", box=None, pad_edge=False
-    )
+def against_table(against: dict[str, Any], gearbox: str) -> Table:
+    """The verdict and what it rests on. gearbox: which ones, as the title says it."""
+    title = f"first contact, before and after, {gearbox}"
+    table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     table.add_column("", no_wrap=True)
     table.add_column("", overflow="fold")
     for title, cell in _lines(against):
@@ -60,11 +59,11 @@ def against_table(against: dict[str, Any]) -> Table:
     return table
 
 
-def markdown(values: dict[str, Any]) -> str:
+def markdown(values: dict[str, Any], gearbox: str) -> str:
     """The result for a pull request or a job's page."""
     against = values.get("against")
     head = "campaign" if against is None else against["verdict"]
-    lines = [f"# meshpoint campaign: {head}", ""]
+    lines = [f"# meshpoint campaign: {head}", "", f"{values['runs']} runs, {gearbox}.", ""]
     if against is not None:
         lines += ["| first contact, before and after | |", "|---|---|"]
         lines += [f"| {title} | {cell} |" for title, cell in _lines(against)]
@@ -84,14 +83,15 @@ def markdown(values: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_junit(path: Path, values: dict[str, Any]) -> None:
+def write_junit(path: Path, values: dict[str, Any], gearbox: str) -> None:
     """One test case a statement. CommandError where it cannot be written."""
     failed = [f"run {run['seed']}: {run['error']}" for run in values["failed"]]
     cases = [("every run came to its end", "; ".join(failed))]
     if "against" in values:
         fine = exit_code(values) is Exit.DONE
         cases.append((NOT_WORSE, "" if fine else stopped_words(values)[-1]))
-    junit.write_junit(path, "campaign", cases, "; ".join(stopped_words(values)))
+    said = [f"{values['runs']} runs, {gearbox}", *stopped_words(values)]
+    junit.write_junit(path, "campaign", cases, "; ".join(said))
 
 
 def _lines(against: dict[str, Any]) -> list[tuple[str, str]]:

@@ -26,7 +26,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.orders import ScheduledFault
-from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile
+from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE, Preset, Profile
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.loop.schedules import SCHEDULES, UPSHIFTS, Pairs, check_preset, pairs
 from meshpoint.testbench.results.output import folder_for
@@ -135,13 +135,16 @@ LOGS_HELP: Final = (
 """What a command that reads logs takes."""
 
 
-def add_gearbox(parser: Arguments) -> None:
-    """--gearbox."""
+def add_gearbox(parser: Arguments, has_preset: bool = False) -> None:
+    """--gearbox; `has_preset`: beside --preset, whose own data sheet is the default."""
+    others = (preset for preset in Preset if has_preset and preset is not DEFAULT_PRESET)
+    default = DEFAULT_PRESET.sheet_name + "".join(
+        f"; with --preset {preset}: {preset.sheet_name}" for preset in others
+    )
     parser.add_argument(
         "--gearbox",
-        default="thesis",
         metavar="NAME|FILE",
-        help=f"data sheet: {', '.join(SHEET_NAMES)}, or a TOML file (default: thesis)",
+        help=f"data sheet: {', '.join(SHEET_NAMES)}, or a TOML file (default: {default})",
     )
 
 
@@ -224,7 +227,7 @@ def add_preset(parser: Arguments) -> None:
     parser.add_argument(
         "--preset",
         choices=tuple(preset.value for preset in Preset),
-        default=Preset.TRUCK.value,
+        default=DEFAULT_PRESET.value,
         help="physics of the rig: truck, a gearbox with friction, backlash and impacts, drawn from "
         "the seed; thesis, the thesis's equations 4.1-4.17 to the letter (default: %(default)s)",
     )
@@ -367,7 +370,13 @@ def add_shifts(parser: Arguments, default: int, least: int) -> None:
 
 def sheet_of(namespace: argparse.Namespace) -> GearboxSheet:
     """The data sheet asked for."""
-    return load_sheet(namespace.gearbox)
+    return load_sheet(gearbox_of(namespace))
+
+
+def gearbox_of(namespace: argparse.Namespace) -> str:
+    """The data sheet asked for, else that of the preset: its name or file."""
+    asked: str | None = namespace.gearbox
+    return asked or Preset(getattr(namespace, "preset", DEFAULT_PRESET)).sheet_name
 
 
 def pairs_of(namespace: argparse.Namespace, sheet: GearboxSheet, preset: Preset) -> Pairs:

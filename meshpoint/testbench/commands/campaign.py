@@ -116,7 +116,7 @@ def add_parser(commands: Any) -> None:
     arguments.add_preset(parser)
     arguments.add_seed(parser)
     arguments.add_as_built(parser)
-    arguments.add_gearbox(parser)
+    arguments.add_gearbox(parser, has_preset=True)
     arguments.add_controller(parser, strategy=False)
     arguments.add_wire(parser)
     arguments.add_json(parser)
@@ -262,7 +262,7 @@ def _only(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> in
     if namespace.json is not None:
         write_json(namespace.json, {"shifts": [record.to_row() for record in result.records]})
     if namespace.json != "-":
-        out.print(records_table(f"run {namespace.only}", result.records))
+        out.print(records_table(f"run {namespace.only}, {spec.gearbox_words}", result.records))
     return Exit.FAILED if result.strategy_errors else Exit.DONE
 
 
@@ -318,7 +318,7 @@ def _write(
     if namespace.json is not None:
         write_json(namespace.json, values)
     if namespace.json != "-":
-        print_tables(out, values)
+        print_tables(out, values, spec.gearbox_words)
     for failed in collected.failed:
         print(
             f"meshpoint campaign: run {failed.job.seed} failed: {failed.reason} "
@@ -328,13 +328,13 @@ def _write(
     complain_of_strategy(collected.strategy_errors)
     if "against" in values and namespace.json != "-":
         out.print()
-        out.print(against_table(values["against"]))
+        out.print(against_table(values["against"], spec.gearbox_words))
     for line in stopped_words(values):
         out.print(line, markup=False)
     if namespace.junit is not None:
-        write_junit(namespace.junit, values)
+        write_junit(namespace.junit, values, spec.gearbox_words)
     if namespace.markdown is not None:
-        write_text(namespace.markdown, markdown(values))
+        write_text(namespace.markdown, markdown(values, spec.gearbox_words))
     went_wrong = bool(collected.failed or collected.strategy_errors)
     return Exit.FAILED if went_wrong else exit_code(values)
 

@@ -18,10 +18,9 @@ from meshpoint.testbench.campaign.git_reference import (
     own_strategy,
 )
 from meshpoint.testbench.campaign.spec import CampaignSpec
+from meshpoint.testbench.commands.arguments import gearbox_of
 from meshpoint.testbench.errors import CommandError
 
-FILES = ("settings", "gearbox", "as_built")
-"""Arguments that name files, which a commit may have otherwise."""
 TABLE_ENDING = ".parquet"
 
 
@@ -69,7 +68,11 @@ def baseline(
 
 def _files(namespace: argparse.Namespace, commit: Commit, exported: Path) -> dict[str, str]:
     """What arguments name, as the commit has it."""
-    given = {name: getattr(namespace, name) for name in FILES}
+    given = {
+        "settings": namespace.settings,
+        "gearbox": gearbox_of(namespace),  # named, since the commit may have another default
+        "as_built": namespace.as_built,
+    }
     return {name: as_of(commit, exported, str(value)) for name, value in given.items() if value}
 
 

@@ -24,6 +24,7 @@ from meshpoint.controller.identification.overlay import Entry
 from meshpoint.controller.node import ADDRESSES
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.keys import groups_of, to_toml
+from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE
 from meshpoint.testbench.check.finding import Finding, answer
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.check import findings_table
@@ -33,6 +34,7 @@ from meshpoint.testbench.commission.rehearsal import draw_miswiring, findings_of
 from meshpoint.testbench.commission.whole import WholeCommission
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.provenance import gearbox_words, provenance
 from meshpoint.testbench.results.output import complain, console, write_json
 from meshpoint.testbench.version import product_version
 
@@ -226,7 +228,8 @@ def _rehearse(namespace: argparse.Namespace, sheet: GearboxSheet) -> int:
         out.print(f"seed {one.seed}: found {_bad(one.findings)}", soft_wrap=True, markup=False)
     named = sum(one.is_right for one in wrong)
     text = (
-        f"{len(found)} boxes: {named} of {len(wrong)} miswirings named; "
+        f"{len(found)} boxes drawn around {gearbox_words(sheet, DEFAULT_PRESET, DEFAULT_PROFILE)}: "
+        f"{named} of {len(wrong)} miswirings named; "
         f"{sum(one.is_right for one in found if not one.wrong.is_any)} of "
         f"{len(found) - len(wrong)} sound boxes called sound"
     )
@@ -237,7 +240,8 @@ def _rehearse(namespace: argparse.Namespace, sheet: GearboxSheet) -> int:
              "findings": [f.to_json() for f in one.findings if f.verdict != "good"]}
             for one in found
         ]  # fmt: skip
-        write_json(namespace.json, {"boxes": boxes, "summary": text})
+        source = provenance(sheet, namespace.seed, DEFAULT_PRESET, DEFAULT_PROFILE)
+        write_json(namespace.json, {"boxes": boxes, "summary": text, "provenance": source})
     return Exit.DONE if not missed else Exit.FAILED
 
 

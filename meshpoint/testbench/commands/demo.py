@@ -23,7 +23,7 @@ from meshpoint.bus.options import add_bus_arguments, open_bus_from
 from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.header import new_header
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
+from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.replay import LogReplay
@@ -49,10 +49,6 @@ AIMING_STRATEGY = "target_phase"
 DEMO_STRATEGIES = ("speed_window", AIMING_STRATEGY)
 SINCE = "MESHPOINT_SINCE"
 """`make demo` says here when its set-up began, in seconds since 1970."""
-RIGID = (
-    "This gearbox is a clean one: its driveline is rigid. With --as-built typical it swings as a "
-    "truck's does, and aiming gains less."
-)
 BUS_ARGUMENTS = (
     ("interface", "-i"), ("channel", "-c"), ("bitrate", "-b"), ("data_bitrate", "--data-bitrate"),
     ("config", "--config"),
@@ -72,7 +68,7 @@ def add_parser(commands: Any) -> None:
     )
     arguments.add_shifts(parser, default=10, least=1)
     arguments.add_rig(parser)
-    arguments.add_gearbox(parser)
+    arguments.add_gearbox(parser, has_preset=True)
     arguments.add_controller(parser, strategy=False)
     arguments.add_keys(parser)
     arguments.add_wire(parser)
@@ -85,7 +81,7 @@ def add_parser(commands: Any) -> None:
     )
     arguments.add_json(parser)
     add_bus_arguments(parser)
-    parser.set_defaults(run=run, as_built=Path(Profile.CLEAN))
+    parser.set_defaults(run=run)
 
 
 def run(namespace: argparse.Namespace) -> int:
@@ -107,18 +103,16 @@ def run(namespace: argparse.Namespace) -> int:
         for strategy in reversed(DEMO_STRATEGIES):  # the one that has the picture first
             live = lives[strategy] = _live_run(namespace, rig, strategy, Path(private))
             result = results[strategy] = _with_progress(namespace, strategy, live)
-            out.print(rows_table(strategy, result.monitor.rows.rows))
+            out.print(rows_table(f"{strategy}, {live.gearbox_words}", result.monitor.rows.rows))
             if strategy == AIMING_STRATEGY:
                 out.print(_picture(namespace.out, live, begun_s), markup=False)
             out.print()
             sessions[strategy] = _verify(live.log)
     lives, results, sessions = _ordered(lives), _ordered(results), _ordered(sessions)
     groups = compare({name: result.monitor.rows.rows for name, result in results.items()})
-    out.print(comparison_table(groups))
+    out.print(comparison_table(groups, live.gearbox_words))
     for line in explain(groups, sheet):
         out.print(line)
-    if rig.preset is Preset.TRUCK and rig.profile is Profile.CLEAN:
-        out.print(RIGID)
     report = namespace.out / "report.html"
     write_demo_report(report, lives, results, sessions)
     values = {
@@ -143,7 +137,7 @@ def run(namespace: argparse.Namespace) -> int:
         },
         "comparison": [group.to_json() for group in groups],
         "gap_over_pitch": sheet.dog.backlash_share,
-        "provenance": provenance(sheet, namespace.seed, namespace.preset),
+        "provenance": provenance(sheet, namespace.seed, namespace.preset, rig.profile),
     }
     write_json(str(namespace.out / "run.json"), values)
     if namespace.json is not None:
@@ -200,7 +194,12 @@ def _live_run(
         speed=namespace.speed,
         in_process=in_process,
         paced=not namespace.wall_clock,
-        node_arguments=[*bus, "--gearbox", namespace.gearbox, *_given(namespace, "keys")],
+        node_arguments=[
+            *bus,
+            "--gearbox",
+            arguments.gearbox_of(namespace),
+            *_given(namespace, "keys"),
+        ],
         keys=arguments.keys_of(namespace),
         wire=wire,
         controller_arguments=controller,
@@ -280,7 +279,7 @@ def _picture(folder: Path, live: LiveRun, begun_s: float) -> str:
     if not shifts:
         return "no shift to draw"
     path = folder / "shift.png"
-    plot_shift(path, (aimed or shifts)[0], live.header.sheet)
+    plot_shift(path, (aimed or shifts)[0], live.header.sheet, live.gearbox_words)
     setup = ", set-up included" if SINCE in os.environ else ""
     return f"picture {path}: {time.time() - begun_s:.0f} s after the start{setup}"
 

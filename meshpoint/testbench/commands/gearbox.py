@@ -13,6 +13,7 @@ from rich.table import Table
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.derived import SheetFigures, sheet_figures
 from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.rig_sim.settings import DEFAULT_PRESET
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.reference import sheet_toml
 from meshpoint.testbench.exits import Exit
@@ -29,8 +30,8 @@ def add_parser(commands: Any) -> None:
         "gearbox",
         metavar="NAME|FILE",
         nargs="?",
-        default="thesis",
-        help=f"{', '.join(SHEET_NAMES)}, or a TOML file (default: thesis)",
+        default=DEFAULT_PRESET.sheet_name,
+        help=f"{', '.join(SHEET_NAMES)}, or a TOML file (default: %(default)s)",
     )
     show.add_argument(
         "--toml",

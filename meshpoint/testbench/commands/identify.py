@@ -22,6 +22,7 @@ from meshpoint.controller.identification.log_reader import LogReader
 from meshpoint.controller.identification.overlay import overlay
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.rig_sim.settings import DEFAULT_PRESET
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.commands.log_progress import complain_of_interrupt, logged_frames
@@ -52,7 +53,7 @@ def add_parser(commands: Any) -> None:
         "--gearbox",
         metavar="NAME|FILE",
         help="the data sheet: tooth counts, and where the search begins (default: that of the run "
-        f"header beside the log, else {SHEET_NAMES[0]})",
+        f"header beside the log, else {DEFAULT_PRESET.sheet_name})",
     )
     parser.add_argument(
         "--bus", metavar="NAME", help="of a log of several buses: can0, or its number"
@@ -120,7 +121,7 @@ def _sheet(
                 )
             name = known or f"{sheet.name} ({header_name(header.run_hash)})"
             return sheet, name, f"data sheet: {name}, by the log's run header"
-    name = SHEET_NAMES[0]
+    name = DEFAULT_PRESET.sheet_name
     return load_sheet(name), name, f"data sheet: {name}; no run header says another (--gearbox)"
 
 

@@ -33,6 +33,7 @@ from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.recording import log_folder, recording, start_log
+from meshpoint.testbench.provenance import gearbox_words
 from meshpoint.testbench.results.output import complain, folder_for
 from meshpoint.testbench.version import product_version
 
@@ -70,7 +71,7 @@ def add_parser(commands: Any) -> None:
         "valves off, exit code 0.",
     )
     arguments.add_rig(rig)
-    arguments.add_gearbox(rig)
+    arguments.add_gearbox(rig, has_preset=True)
     add_rig_start(rig)
     rig.add_argument(
         "--describe",
@@ -149,7 +150,7 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
             async with _recording(namespace, header):
                 await run_controller(
                     header,
-                    _opener(namespace, f"run header {header.run_hash:016x}"),
+                    _opener(namespace, f"sheet {sheet.name}, run header {header.run_hash:016x}"),
                     _clock(namespace),
                     on_event=_printer(namespace),
                     stop=stop,
@@ -207,7 +208,7 @@ def run_shadow(namespace: argparse.Namespace) -> int:
                 warm_up(baselines=False)
                 await run_node(
                     core,
-                    _opener(namespace, "shadow, sends nothing"),
+                    _opener(namespace, f"sheet {sheet.name}, shadow, sends nothing"),
                     _clock(namespace),
                     on_event=show,
                     stop=stop,
@@ -239,6 +240,7 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
         describe_rig(sheet, settings)
         return Exit.DONE
     wire = _wire_of(namespace, sheet)
+    words = gearbox_words(sheet, settings.preset, settings.profile, settings.as_built)
 
     async def run() -> None:
         stop = asyncio.Event()
@@ -247,7 +249,7 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
                 await run_rig(
                     sheet,
                     settings,
-                    _opener(namespace, f"preset {settings.preset}, seed {settings.seed}"),
+                    _opener(namespace, f"preset {settings.preset}, seed {settings.seed}, {words}"),
                     _clock(namespace),
                     on_event=_printer(namespace),
                     stop=stop,

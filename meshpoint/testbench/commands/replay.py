@@ -323,6 +323,7 @@ def _values(
         "log": str(namespace.log[0]),
         "logs": [str(path) for path in files],
         "mode": "as recorded" if judged is None else "open loop",
+        "gearbox": None if rows.header is None else rows.header.sheet.name,
         "sessions": [_session_json(session) for session in sessions],
         "account": log.account.to_json(),
         "interrupted": log.interrupted,
@@ -344,11 +345,12 @@ def _show(
     account: Account,
 ) -> None:
     judged, asked = rows.judged if rows.open_loop else None, rows.asked
+    of = "" if rows.header is None else f", sheet {rows.header.sheet.name}"
     if namespace.json != "-" and rows.rows:
         if judged is None:
-            out.print(rows_table(f"{log_name(files)} as recorded", rows.rows))
+            out.print(rows_table(f"{log_name(files)} as recorded{of}", rows.rows))
         else:
-            out.print(judged_table(f"{log_name(files)} as {asked} decides it", judged))
+            out.print(judged_table(f"{log_name(files)} as {asked} decides it{of}", judged))
             out.print(judged_words(judged, asked), markup=False)
     for number, session in enumerate(sessions, 1):
         if namespace.verify or session.verdict is not Verification.IDENTICAL:

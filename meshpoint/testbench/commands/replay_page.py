@@ -56,6 +56,7 @@ def write_replay_page(
             header.sheet,
             seed=None,
             preset=None,
+            profile=None,
             **{
                 "log": ", ".join(path.name for path in files),
                 "recorded with version": header.version,

@@ -15,6 +15,7 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet, load_sheet
+from meshpoint.rig_sim.settings import DEFAULT_PRESET
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.commands.log_progress import complain_of_interrupt, logged_frames
@@ -58,9 +59,9 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument(
         "--gearbox",
-        default="thesis",
+        default=DEFAULT_PRESET.sheet_name,
         metavar="NAME|FILE",
-        help="data sheet, where no run header says it (default: thesis)",
+        help="data sheet, where no run header says it (default: %(default)s)",
     )
     parser.add_argument("--header-dir", type=Path, metavar="DIR", help="where the run headers are")
     arguments.add_wire(parser)

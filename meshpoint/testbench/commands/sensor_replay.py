@@ -13,7 +13,7 @@ from meshpoint.bus.logs.limits import LogError
 from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import load_settings
 from meshpoint.gearbox import load_sheet
-from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.rig_sim.settings import DEFAULT_PRESET
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.log_progress import complain_of_interrupt, logged_frames
 from meshpoint.testbench.commands.replay_page import log_name
@@ -29,8 +29,6 @@ from meshpoint.testbench.results.output import console
 from meshpoint.testbench.version import product_version
 
 MOST_EVENTS: Final = 10_000
-DEFAULT_SHEET: Final = SHEET_NAMES[0]
-"""Of a log that does not say which gearbox it is of."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -64,7 +62,7 @@ def run(
     """Replays, and shows what the log tells and what it does not. why: it was chosen, if it was not
     asked for. A log that is torn gives all before that, and bad input."""
     check_report(namespace.report)
-    gearbox = namespace.gearbox or DEFAULT_SHEET
+    gearbox = namespace.gearbox or DEFAULT_PRESET.sheet_name
     sheet = load_sheet(gearbox)
     name = namespace.strategy
     file = None if name is None else arguments.strategy_file(name)

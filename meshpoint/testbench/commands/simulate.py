@@ -68,7 +68,7 @@ def add_parser(commands: Any) -> None:
         "it goes. The same seed gives the same bytes.",
     )
     arguments.add_rig(parser)
-    arguments.add_gearbox(parser)
+    arguments.add_gearbox(parser, has_preset=True)
     arguments.add_controller(parser)
     arguments.add_calibration(parser)
     arguments.add_shifts(parser, default=20, least=1)
@@ -269,20 +269,20 @@ def _write_results(
             stuck.append(f"interrupted after {len(result.rows)} of {setup.shifts} shifts")
         cases = [("every shift came to an outcome", "; ".join(stuck))]
         cases += [(f"not {each.gate}", each.words if each.failed else "") for each in judged]
-        said = f"{len(result.rows)} shifts, {name}, seed {setup.seed}"
+        said = f"{len(result.rows)} shifts, {name}, seed {setup.seed}, {setup.gearbox_words}"
         write_junit(namespace.junit, "simulate", cases, said)
     if namespace.markdown is not None:
-        title = f"meshpoint simulate: {name}, seed {setup.seed}"
+        title = f"meshpoint simulate: {name}, seed {setup.seed}, {setup.gearbox_words}"
         write_text(namespace.markdown, markdown(title, summary, result.rows, judged))
 
 
 def _show(out: Console, setup: Setup, result: Result) -> None:
     """Rows, summary and estimators as people read them."""
     name = setup.settings.strategy_name
-    out.print(rows_table(f"{shown(name)}, seed {setup.seed}", result.rows))
+    out.print(rows_table(f"{shown(name)}, seed {setup.seed}, {setup.gearbox_words}", result.rows))
     out.print()
     groups = compare({name: result.rows})
-    out.print(comparison_table(groups))
+    out.print(comparison_table(groups, setup.gearbox_words))
     for line in explain(groups, setup.sheet):
         out.print(line)
     for line in estimator_notes(name, result.estimation):
@@ -313,11 +313,12 @@ def _report(setup: Setup, result: Result, collector: ReportCollector) -> Report:
     notes = estimator_notes(name, result.estimation)
     return Report(
         title=f"meshpoint simulate: {setup.shifts} shifts, {name}",
-        subtitle=f"Simulated in virtual time by the rig's preset {setup.preset.value}.",
+        subtitle="Simulated in virtual time by the rig's preset "
+        f"{setup.preset.value}, {setup.gearbox_words}.",
         sheet=setup.sheet,
         runs=[ReportRun(name, collector.finish(), notes)],
         provenance=report_provenance(
-            setup.sheet, seed=setup.seed, preset=setup.preset.value,
+            setup.sheet, seed=setup.seed, preset=setup.preset.value, profile=setup.profile,
             **{"run header": f"{setup.header.run_hash:016x}"},
         ),
     )  # fmt: skip

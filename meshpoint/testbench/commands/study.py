@@ -12,6 +12,7 @@ from rich.table import Table
 
 from meshpoint.gearbox.reading import read_text
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
+from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
@@ -121,7 +122,10 @@ def _write(
     from meshpoint.testbench.studies.page import write_page
 
     source = provenance(
-        settings.sheet, settings.common.seed, "thesis and truck, as each study says"
+        settings.sheet,
+        settings.common.seed,
+        "thesis and truck, as each study says",
+        Profile(settings.common.profile),
     )
     write_page(namespace.out / PAGE, records, {key: str(value) for key, value in source.items()})
     text = shipped_text()
@@ -138,10 +142,11 @@ def _write(
 
 def _table(records: list[StudyRecord]) -> Table:
     table = Table(box=None, pad_edge=False, show_lines=False)
-    for column in ("study", "of the thesis", "verdict", "ours"):
+    for column in ("study", "of the thesis", "sheet,\nprofile", "verdict", "ours"):
         table.add_column(column, no_wrap=column != "ours")
     for record in records:
         for i, statement in enumerate(record.finding.statements):
-            first = (record.study, ", ".join(record.of) or "beyond it") if i == 0 else ("", "")
+            of = ", ".join(record.of) or "beyond it"
+            first = (record.study, of, ",\n".join(record.gearbox)) if i == 0 else ("", "", "")
             table.add_row(*first, VERDICT_WORDS[statement.verdict], statement.ours)
     return table

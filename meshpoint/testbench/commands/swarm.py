@@ -10,18 +10,14 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.loop.compiling import prepare
 from meshpoint.testbench.results.output import complain, console, write_json
-from meshpoint.testbench.swarm.episode import Episode
 from meshpoint.testbench.swarm.events import load_world
 from meshpoint.testbench.swarm.swarm import NAMES, Swarm, SwarmSpec, run_swarm
 
-OWN_GEARBOX: Final = "truck12"
-"""The deeds are made for a gearbox with a splitter and a range."""
 TELL_EVERY_S: Final = 60.0
 WORDS: Final = {
     "faults": "faults",
@@ -36,8 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("worlds in which anything may fail")
     group.add_argument(
         "--faults", action="store_true",
-        help="draw kinds and rates of faults by seed, and hold every step against plant truth "
-        f"(gearbox {OWN_GEARBOX} unless another is named)",
+        help="draw kinds and rates of faults by seed, and hold every step against plant truth",
     )  # fmt: skip
     group.add_argument(
         "--hours", type=_positive, default=1.0, metavar="H",
@@ -51,9 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(namespace: argparse.Namespace) -> int:
     """Runs it."""
-    is_default = namespace.gearbox == "thesis"
-    sheet = load_sheet(OWN_GEARBOX) if is_default else arguments.sheet_of(namespace)
-    spec = SwarmSpec(sheet, arguments.settings_of(namespace), namespace.seed)
+    sheet, built = arguments.sheet_of(namespace), arguments.as_built_of(namespace)
+    settings = arguments.settings_of(namespace)
+    spec = SwarmSpec(sheet, settings, namespace.seed, built.profile, built.fixed)
     if namespace.scenario is not None:
         return _repeat(namespace, spec)
     if namespace.resume and namespace.out is None:
@@ -64,12 +59,12 @@ def run(namespace: argparse.Namespace) -> int:
         spec, namespace.hours, namespace.wall, namespace.jobs, namespace.out, namespace.resume,
         _Teller(),
     )  # fmt: skip
-    values = swarm.to_json(time.monotonic() - begun_s)
+    values = swarm.to_json(time.monotonic() - begun_s) | {"provenance": spec.provenance}
     if namespace.json is not None:
         write_json(namespace.json, values)
     if namespace.json != "-":
         out = console(namespace.json)
-        out.print(reached_table(values))
+        out.print(reached_table(values, spec.gearbox_words))
         for found in values["found"]:
             out.print(f"seed {found['seed']}: {found['what']} at {found['at_ms']} ms, "
                       f"{found['text']}", markup=False)  # fmt: skip
@@ -78,11 +73,12 @@ def run(namespace: argparse.Namespace) -> int:
 
 def _repeat(namespace: argparse.Namespace, spec: SwarmSpec) -> int:
     world = load_world(namespace.scenario)
-    result = Episode(spec.sheet, spec.settings, world).run()
+    result = spec.run(world)
     values = {
         "simulated_s": result.simulated_s,
         "shifts": result.shifts,
         "broken": [broken._asdict() for broken in result.broken],
+        "provenance": spec.provenance,
     }
     if namespace.json is not None:
         write_json(namespace.json, values)
@@ -106,11 +102,12 @@ class _Teller:
             print(text, file=sys.stderr)
 
 
-def reached_table(values: dict[str, Any]) -> Table:
+def reached_table(values: dict[str, Any], gearbox: str) -> Table:
     """How much was simulated, and how much of what there is was reached."""
     hours, shifts = values["simulated_hours"], values["shifts"]
     title = f"{hours:.2f} h, {values['worlds']} worlds, {shifts} shifts"
-    table = Table("reached", "of", "missing", title=f"{title}, {values['violations']} violations")
+    title += f", {values['violations']} violations, {gearbox}"
+    table = Table("reached", "of", "missing", title=title)
     for name in NAMES:
         part = values[f"{name}_reached"]
         missing = ", ".join(part["missing"]) or "-"

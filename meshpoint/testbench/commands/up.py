@@ -44,7 +44,7 @@ def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser("up", description=DESCRIPTION)
     both = parser.add_argument_group("both nodes")
-    arguments.add_gearbox(both)
+    arguments.add_gearbox(both, has_preset=True)
     arguments.add_keys(both)
     arguments.add_wire(both)
     arguments.add_speed(both)
@@ -76,6 +76,7 @@ def _forwarded(group: argparse._ArgumentGroup, but: str = "") -> list[argparse.A
 
 def run(namespace: argparse.Namespace) -> int:
     """Runs both until a signal."""
+    namespace.gearbox = arguments.gearbox_of(namespace)  # the controller knows no preset
     # Bad settings and keys are found before anything is started.
     arguments.armed_of(namespace)
     arguments.keys_of(namespace)

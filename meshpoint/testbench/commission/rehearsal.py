@@ -25,7 +25,7 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.rig_sim.core import RigCore
-from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
+from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile, RigSettings
 from meshpoint.testbench.check.finding import Finding, Verdict
 from meshpoint.testbench.check.shafts import EDGES, Shaft, ShaftCounts
 from meshpoint.testbench.commission.core import CommissionCore
@@ -296,7 +296,7 @@ def rehearse(
     seed: int,
     wrong: Miswiring,
     preset: Preset = Preset.TRUCK,
-    profile: Profile = Profile.CLEAN,
+    profile: Profile = DEFAULT_PROFILE,
 ) -> Rehearsed:
     """One box: its shafts turn in gear, then it stands and each output is driven."""
     counts = _turn(sheet, seed, wrong, preset, profile)
@@ -312,9 +312,11 @@ def rehearse(
     return Rehearsed(seed, wrong, findings, core, time.now_us / 1e6)
 
 
-def rehearse_turned(sheet: GearboxSheet, seed: int, wrong: Miswiring) -> Turned:
+def rehearse_turned(
+    sheet: GearboxSheet, seed: int, wrong: Miswiring, profile: Profile = DEFAULT_PROFILE
+) -> Turned:
     """One box of this sheet, which commissioning does not know, on a stand: both parts."""
-    settings = RigSettings(seed=seed, main_speed_rpm=0.0, profile=Profile.CLEAN, as_built=STAND)
+    settings = RigSettings(seed=seed, main_speed_rpm=0.0, profile=profile, as_built=STAND)
     rig = RigCore(sheet, settings)
     core = WholeCommission(withheld(sheet), consents=True, turns=True)
     time = VirtualTime([core, MiswiredRig(rig, wrong)], [3_000, 1_000])

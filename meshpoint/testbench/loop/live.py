@@ -47,6 +47,7 @@ from meshpoint.testbench.loop.node_patience import (
     taken,
 )
 from meshpoint.testbench.loop.pauses import pauses_of
+from meshpoint.testbench.provenance import gearbox_words
 from meshpoint.testbench.results.monitor import Monitor
 
 BENCH_ADDRESS = 0xF9
@@ -92,6 +93,12 @@ class LiveRun:
     on_row: Callable[[], None] = lambda: None
     on_event: Callable[[str], None] = lambda _line: None
     on_frame: Callable[[Frame], None] = lambda _frame: None
+
+    @property
+    def gearbox_words(self) -> str:
+        """Which gearbox it is of, as titles say it."""
+        rig = self.rig
+        return gearbox_words(self.header.sheet, rig.preset, rig.profile, rig.as_built)
 
 
 @dataclass

@@ -23,6 +23,7 @@ from meshpoint.rig_sim.settings import (
 from meshpoint.testbench.loop.adapter import AdapterProfile
 from meshpoint.testbench.loop.bench import PlannedShift
 from meshpoint.testbench.loop.schedules import UPSHIFTS, Pairs
+from meshpoint.testbench.provenance import gearbox_words
 from meshpoint.testbench.version import product_version
 
 
@@ -65,6 +66,11 @@ class Setup:
             faults=self.faults,
             return_ramp_s=return_ramp_s,
         )
+
+    @property
+    def gearbox_words(self) -> str:
+        """Which gearbox it is of, as titles say it."""
+        return gearbox_words(self.sheet, self.preset, self.profile, self.as_built)
 
     @property
     def header(self) -> RunHeader:

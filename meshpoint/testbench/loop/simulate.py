@@ -152,7 +152,7 @@ def simulate(
     return Result(
         rows=_with_bounds(monitor.rows.rows, plan, setup.sheet, rig.as_built or {}),
         estimation=monitor.estimation.figures(),
-        provenance=provenance(setup.sheet, setup.seed, setup.preset),
+        provenance=provenance(setup.sheet, setup.seed, setup.preset, setup.profile),
         simulated_s=time.now_us / 1e6,
         bus_load=time.bus.busy_us / max(1, time.now_us),
         stuck=operator.gave_up,

@@ -134,9 +134,9 @@ def cells(group: ShiftGroup) -> list[str]:
     ]
 
 
-def comparison_table(groups: Sequence[ShiftGroup]) -> Table:
-    """Groups under each other, in 80 columns."""
-    table = Table(title="summary", title_justify="left", box=None, pad_edge=False)
+def comparison_table(groups: Sequence[ShiftGroup], gearbox: str) -> Table:
+    """Groups under each other, in 80 columns. gearbox: which one, as the title says it."""
+    table = Table(title=f"summary, {gearbox}", title_justify="left", box=None, pad_edge=False)
     for column in HEADERS:
         left = column in ("shifts", "strategy")
         table.add_column(

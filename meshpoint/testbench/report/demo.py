@@ -37,11 +37,12 @@ def write_demo_report(
     rig: RigSettings = first.rig
     report = Report(
         title="meshpoint demo: today's strategy and phase aiming",
-        subtitle=f"Controller and rig on a CAN bus; the gearbox is simulated, preset {rig.preset}.",
+        subtitle="Controller and rig on a CAN bus; the gearbox is simulated, preset "
+        f"{rig.preset}, {first.gearbox_words}.",
         sheet=first.header.sheet,
         runs=runs,
         provenance=report_provenance(
-            first.header.sheet, seed=rig.seed, preset=rig.preset, **hashes
+            first.header.sheet, seed=rig.seed, preset=rig.preset, profile=rig.profile, **hashes
         ),
     )
     write_report(path, report)

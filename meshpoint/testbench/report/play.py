@@ -43,6 +43,7 @@ def write_play(path: Path, sheet: GearboxSheet) -> None:
         '<th class="number">into the gap</th><th class="number">share</th></tr></thead>'
         "<tbody></tbody></table>",
         f'<div id="dials">{"".join(_dial(dial, own) for dial in DIALS)}</div>',
+        f"<p>Gap, delay and scatter begin at those of the data sheet {escape(sheet.name)}.</p>",
         "<p>The controller here knows slip and phase exactly and aims at the middle of the next "
         "gap that its sleeve can reach; what is left is the scatter of the delay. The real one has "
         "to estimate both from tooth timestamps.</p>",

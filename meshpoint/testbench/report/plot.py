@@ -17,8 +17,8 @@ PITCHES_BEYOND: Final = 1.1
 """How much of the phase's course is drawn on the side it comes from, and on the other."""
 
 
-def plot_shift(path: Path, shift: ReportShift, sheet: GearboxSheet) -> None:
-    """Draws the shift into a PNG."""
+def plot_shift(path: Path, shift: ReportShift, sheet: GearboxSheet, gearbox: str) -> None:
+    """Draws the shift into a PNG. gearbox: which one, as the title says it."""
     from matplotlib.figure import Figure  # loading it takes longer than most commands
 
     row = shift.row
@@ -38,7 +38,7 @@ def plot_shift(path: Path, shift: ReportShift, sheet: GearboxSheet) -> None:
     missed = "" if row.phase_error_deg is None else f", phase error {row.phase_error_deg:+.2f} deg"
     figure.suptitle(
         f"gear {row.from_} to {row.to}, {row.strategy}: {row.contact} at "
-        f"{row.slip_rpm or 0.0:+.0f} rpm slip{missed} (simulated)"
+        f"{row.slip_rpm or 0.0:+.0f} rpm slip{missed}\n(simulated, {gearbox})"
     )
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=110)

@@ -10,6 +10,7 @@ from meshpoint.controller.header import RunHeader
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.report.collect import ReportCollector
 from meshpoint.testbench.report.figures import shift_figure
@@ -33,10 +34,16 @@ def check_report(path: Path | None) -> None:
 
 
 def report_provenance(
-    sheet: GearboxSheet, *, seed: int | None = None, preset: str | None = None, **more: str
+    sheet: GearboxSheet,
+    *,
+    seed: int | None = None,
+    preset: str | None = None,
+    profile: str | None = None,
+    **more: str,
 ) -> dict[str, str]:
-    """What is needed to make the report's figures again."""
-    values = {"seed": seed, "preset": preset}
+    """What is needed to make the report's figures again. profile: of the preset truck."""
+    of_truck = None if preset == Preset.THESIS else profile
+    values = {"seed": seed, "preset": preset, "profile": of_truck}
     known = {key: str(value) for key, value in values.items() if value is not None}
     return {
         **known,

@@ -47,7 +47,12 @@ def _jobs(given: Given[Settings]) -> tuple[CommissionRun, ...]:
     own, sheet = given.own, load_sheet(given.own.gearbox)
     return tuple(
         CommissionRun(
-            sheet, given.common.seed + number, own.miswired, own.learning_shifts, own.shifts
+            sheet,
+            given.common.seed + number,
+            own.miswired,
+            own.learning_shifts,
+            own.shifts,
+            given.profile,
         )
         for number in range(own.gearboxes)
     )

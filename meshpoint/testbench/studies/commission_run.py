@@ -11,7 +11,7 @@ from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import MAIN_GEARS, Range, Split
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.check.finding import Verdict
@@ -53,11 +53,12 @@ class CommissionRun:
     """Of boxes that are miswired."""
     learning: int
     shifts: int
+    profile: Profile
 
     def run(self) -> Box:
         """Draws, commissions and compares."""
         sheet, wrong = draw_sheet(self.sheet, self.seed), draw_miswiring(self.seed, self.share)
-        turned = rehearse_turned(sheet, self.seed, wrong)
+        turned = rehearse_turned(sheet, self.seed, wrong, self.profile)
         bad = [one for one in turned.findings if one.verdict is Verdict.BAD]
         said = tuple(f"{one.subject}: {one.text}" for one in bad)
         told = mistaken = 0
@@ -78,7 +79,7 @@ class CommissionRun:
     ) -> tuple[bool, ...]:
         """The same box, the same shifts: first contacts of those after the learning ones."""
         count = self.learning + self.shifts
-        drawn = draw(self.seed, sheet, Preset.TRUCK, upshifts(), count, {})
+        drawn = draw(self.seed, sheet, Preset.TRUCK, upshifts(), count, {}, self.profile)
         loop = ClosedLoop(sheet, ControllerSettings(), Preset.TRUCK, drawn, known=known)
         met: list[bool] = []
         try:

@@ -61,6 +61,7 @@ def _jobs(given: Given[Settings]) -> tuple[CounterfactualRun, ...]:
             own.learning_shifts,
             min(own.shifts_of_one, own.shifts - first),
             *DIRECTIONS[number % len(DIRECTIONS)],
+            given.profile,
         )
         for number, first in enumerate(range(0, own.shifts, own.shifts_of_one))
     )

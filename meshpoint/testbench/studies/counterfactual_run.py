@@ -16,7 +16,7 @@ from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.logs.decisions import Judged
@@ -60,12 +60,13 @@ class CounterfactualRun:
     shifts: int
     recorded: str
     asked: str
+    profile: Profile
 
     def run(self) -> list[Compared]:
         """Records, branches and replays."""
         settings = replace(ControllerSettings(), strategy_name=self.recorded)
         count = self.learning + self.shifts
-        drawn = draw(self.seed, self.sheet, Preset.TRUCK, upshifts(), count + 1, {})
+        drawn = draw(self.seed, self.sheet, Preset.TRUCK, upshifts(), count + 1, {}, self.profile)
         loop = ClosedLoop(self.sheet, settings, Preset.TRUCK, drawn, log=[])
         truth: dict[int, ShiftRow] = {}
         for number in range(count):

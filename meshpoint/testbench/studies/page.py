@@ -95,6 +95,7 @@ def _section(record: StudyRecord) -> str:
     of = ", ".join(record.of)
     parts = [
         f'<h2 id="{record.study}">{escape(record.title)}{escape(f" ({of})" if of else "")}</h2>',
+        "<p>Data sheet {}, profile {}.</p>".format(*(escape(name) for name in record.gearbox)),
         _statements(record),
     ]
     parts += [f'<div id="{record.study}-{chart.name}"></div>' for chart in finding.charts]

@@ -30,6 +30,12 @@ class StudyRecord:
     files: tuple[str, ...]
     settings: dict[str, Any]
 
+    @property
+    def gearbox(self) -> tuple[str, str]:
+        """Data sheet and profile: the study's own, else those of all studies."""
+        values = {**self.settings["common"], **self.settings}
+        return values["gearbox"], values["profile"]
+
     def to_json(self, provenance: dict[str, Any]) -> dict[str, Any]:
         """As `--json` has it."""
         statements = self.finding.statements

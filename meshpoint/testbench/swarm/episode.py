@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import traceback
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -29,7 +29,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.orders import FaultOrder
-from meshpoint.rig_sim.settings import Profile
+from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Profile
 from meshpoint.testbench.loop.bench import plan_shifts
 from meshpoint.testbench.loop.bench_builder import Onlooker, virtual_bench
 from meshpoint.testbench.loop.setup import Setup
@@ -96,7 +96,14 @@ def settings_with(base: ControllerSettings, changes: dict[str, float]) -> Contro
 class Episode:
     """Both nodes on one virtual bus, with trouble."""
 
-    def __init__(self, sheet: GearboxSheet, settings: ControllerSettings, world: World) -> None:
+    def __init__(
+        self,
+        sheet: GearboxSheet,
+        settings: ControllerSettings,
+        world: World,
+        profile: Profile = DEFAULT_PROFILE,
+        as_built: Mapping[str, float] | None = None,
+    ) -> None:
         self._sheet, self.world = sheet, world
         self._reached = Reached()
         self.broken: list[Broken] = []
@@ -107,7 +114,8 @@ class Episode:
             sheet,
             settings_with(settings, world.settings),
             seed=world.seed,
-            profile=Profile.CLEAN,
+            profile=profile,
+            as_built=as_built or {},
         )
         first = plan_shifts(sheet, [(world.start_gear,) * 2], 1, world.layshaft_rpm * RPM)[0]
         self._rig = WatchedRig(sheet, self._setup.rig(first))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass, field
 from functools import cache
@@ -17,10 +17,11 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc import DBC_SHA256
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.reading import read_text
+from meshpoint.rig_sim.settings import DEFAULT_PRESET, DEFAULT_PROFILE, Profile
 from meshpoint.testbench.campaign.runner import executor
 from meshpoint.testbench.campaign.spec import SEEDS_APART
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.provenance import provenance
+from meshpoint.testbench.provenance import gearbox_words, provenance
 from meshpoint.testbench.results.output import folder_for
 from meshpoint.testbench.swarm.aimed import aimed_world
 from meshpoint.testbench.swarm.draw import draw_world
@@ -41,11 +42,28 @@ class SwarmSpec:
     sheet: GearboxSheet
     settings: ControllerSettings
     seed: int
+    profile: Profile = DEFAULT_PROFILE
+    as_built: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def gearbox_words(self) -> str:
+        """Which gearboxes it is of, as titles say it."""
+        return gearbox_words(self.sheet, DEFAULT_PRESET, self.profile, self.as_built)
+
+    def run(self, world: World) -> EpisodeResult:
+        """One world."""
+        return Episode(self.sheet, self.settings, world, self.profile, self.as_built).run()
+
+    @property
+    def provenance(self) -> dict[str, Any]:
+        """Which gearboxes the worlds have, and what else they share."""
+        return provenance(self.sheet, self.seed, DEFAULT_PRESET.value, self.profile)
 
     @property
     def sha256(self) -> str:
         """Parts of one hash go together."""
-        values = provenance(self.sheet, self.seed, "truck") | {"settings": self.settings.values()}
+        values = self.provenance | {"settings": self.settings.values()}
+        values["as_built"] = dict(self.as_built)
         values |= {"dbc": DBC_SHA256, "version": product_version()}
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
@@ -124,7 +142,7 @@ def run_seed(spec: SwarmSpec, seed: int) -> tuple[EpisodeResult, list[Found]]:
     """One world, and where it broke something the least that does."""
     _settle_once()
     world = world_of(seed)
-    result = Episode(spec.sheet, spec.settings, world).run()
+    result = spec.run(world)
     found = []
     for broken in result.broken:
         small = shrink(world, broken, lambda each, what=broken.what: breaks(spec, each, what))  # type: ignore[misc]
@@ -134,7 +152,7 @@ def run_seed(spec: SwarmSpec, seed: int) -> tuple[EpisodeResult, list[Found]]:
 
 def breaks(spec: SwarmSpec, world: World, what: str) -> Broken | None:
     """Whether a world breaks this invariant."""
-    result = Episode(spec.sheet, spec.settings, world).run()
+    result = spec.run(world)
     return next((broken for broken in result.broken if broken.what == what), None)
 
 
