@@ -128,7 +128,7 @@ def _read(
     files: list[Path], bus: str | None, sheet: GearboxSheet, stop: Any
 ) -> tuple[LogReader, LoggedFrames]:
     reader, time = LogReader(sheet), LogTime()
-    with logged_frames(files, bus, stop, "reading") as log:
+    with logged_frames(files, bus, stop, "reading", in_sensor_time=True) as log:
         for time_s, frame in log:
             reader.take(time.take(time_s), frame)
     if not reader.content.messages:
@@ -156,6 +156,7 @@ def _values(
         "gearbox": gearbox,
         "frames": log.frames,
         "account": log.account.to_json(),
+        "log_clock": log.clock.to_json(),
         "defect": None if log.defect is None else str(log.defect),
         "interrupted": log.interrupted,
         "layshaft_rpm": found.omega_ref_rad_s / RPM,
@@ -174,7 +175,7 @@ def _values(
 
 
 def _show(out: Console, found: Identified, log: LoggedFrames) -> None:
-    for line in log.account.words():
+    for line in log.words():
         out.print(f"log: {line}", markup=False)
     told = [one for one in found.figures if one.value is not None]
     if told:
