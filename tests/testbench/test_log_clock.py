@@ -1,5 +1,5 @@
 """A log whose clock is not the sensors': what is read from it is what the same log by their clock
-says, and each reader tells what it did."""
+says, and each reader tells what it did. What does not fit is refused, with the reason."""
 
 from __future__ import annotations
 
@@ -18,14 +18,17 @@ import pytest
 
 from meshpoint.bus.logs.files import read_logs
 from meshpoint.bus.logs.recorder import LogWriter
+from meshpoint.controller.identification.brake_figures import BRAKE_FIGURES
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.testbench.cli import main
+from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.log_clock import LogClock, LogClockFit
 
 SHIFTS = 6
 Frames = list[tuple[float, Frame]]
 EDGES = {codec.spec.can_id for name, codec in CODECS.items() if name.startswith("Edges")}
+VALVES = CODECS["ValveCommand"].spec.can_id
 STEADY = "the log's clock runs 1.0020 x the sensors'; its stamps are taken in sensor time"
 
 
@@ -243,6 +246,48 @@ def test_a_log_without_edge_frames_is_taken_as_it_is_and_that_is_said(
     assert said in capsys.readouterr().out
     frames = list(read_logs([path]))
     assert list(clock_of(frames).in_sensor_time(frames)) == frames
+
+
+def test_activations_that_came_late_by_the_log_s_clock_are_not_called_missing(
+    log: Path, told: Told
+) -> None:
+    path = rewritten(
+        log,
+        "late.log",
+        lambda frames: [(t, f) for t, f in waited_for(frames) if f.can_id not in EDGES],
+    )
+    figures = {figure["name"]: figure for figure in told("identify", path)[0]["figures"]}
+    assert figures["sleeve delay second"]["value"] is None
+    assert figures["sleeve delay second"]["why"].endswith(
+        "commands came after their activation, by the log's clock"
+    )
+
+
+def test_figures_of_runs_that_no_equations_of_motion_fit_are_refused(
+    log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Half of the valve commands are gone, every other one and a half seconds: the brake acts where
+    none asked for it."""
+    begun_s = next(read_logs([log]))[0]
+    path = rewritten(
+        log,
+        "half.log",
+        lambda frames: [
+            (t, f) for t, f in frames if f.can_id != VALVES or int((t - begun_s) / 1.5) % 2 == 0
+        ],
+    )
+    capsys.readouterr()
+    assert main(["identify", str(path), "--json", "-"]) == Exit.NOT_DECIDED
+    found = json.loads(capsys.readouterr().out)
+    assert "1 is expected and 30 allowed" in found["refused"]
+    for figure in found["figures"]:
+        if figure["name"] in BRAKE_FIGURES:
+            assert figure["value"] is figure["low"] is figure["high"] is None
+            assert figure["why"] == found["refused"]
+    # The teeth's errors come from the edges alone.
+    teeth = [one for one in found["figures"] if "wheel" in one["name"]]
+    assert teeth
+    assert all(one["value"] is not None for one in teeth)
 
 
 def test_one_damaged_edge_frame_does_not_move_the_clock(log: Path) -> None:

@@ -45,7 +45,7 @@ def add_parser(commands: Any) -> None:
         description="Works out from a log what its gearbox is like: brake, valve, "
         "drag, inertia ratio, sleeve delays, kiss point, teeth, each with a 95 % interval; and "
         "says what the log does not tell, and why. Sensor frames and valve commands are used, "
-        "whoever sent them (docs/replay.md).",
+        "whoever sent them; exit code 4 where no equations of motion fit them (docs/replay.md).",
     )
     parser.add_argument("log", type=Path, nargs="+", metavar="LOG", help=arguments.LOGS_HELP)
     parser.add_argument(
@@ -99,7 +99,9 @@ def run(namespace: argparse.Namespace) -> int:
     if log.defect is not None:
         complain(f"the log cannot be read on: {log.defect}")
         return Exit.BAD_INPUT
-    return Exit.INTERRUPTED if log.interrupted else Exit.DONE
+    if log.interrupted:
+        return Exit.INTERRUPTED
+    return Exit.NOT_DECIDED if found.refused else Exit.DONE
 
 
 def _sheet(
@@ -162,6 +164,7 @@ def _values(
         "layshaft_rpm": found.omega_ref_rad_s / RPM,
         "supply_bar": found.supply_pa / 1e5,
         "figures": [dataclasses.asdict(one) for one in found.figures],
+        "refused": found.refused,
         "held_out": [one._asdict() for one in found.held_out],
         "notes": found.notes,
         "teeth": {
