@@ -10,6 +10,7 @@ reads are put between these two by their share of the logged time.
 from __future__ import annotations
 
 import contextlib
+from array import array
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
@@ -141,8 +142,8 @@ class _Points:
     many, the sooner of two is kept."""
 
     def __init__(self) -> None:
-        self.read_s: list[float] = []
-        self.logged_s: list[float] = []
+        self.read_s = array("d")
+        self.logged_s = array("d")
         self.count = 0
 
     def add(self, read_s: float, logged_s: float) -> None:
@@ -153,7 +154,7 @@ class _Points:
             read, logged = np.array(self.read_s), np.array(self.logged_s)
             late = logged - read * (logged[-1] / read[-1])
             sooner = 2 * np.arange(late.size // 2) + (late[1::2] < late[0::2])
-            self.read_s, self.logged_s = read[sooner].tolist(), logged[sooner].tolist()
+            self.read_s, self.logged_s = array("d", read[sooner]), array("d", logged[sooner])
 
 
 def _line_below(read_s: NDArray[np.float64], logged_s: NDArray[np.float64]) -> tuple[float, float]:
