@@ -39,6 +39,9 @@ UNTOLD_SHARE: Final = 0.7
 """A figure that is known no better than this share of what it was before is not told."""
 FIRST_ORDER_FROM: Final = 2.0
 """Misfit of the choked valve from which a first-order one is tried too."""
+MOST_MISFIT: Final = 30.0
+"""Of good logs it was 0.5 to 6.5, of those whose commands and edges do not belong together 1,500
+and more (docs/replay.md)."""
 BRAKE_FIGURES: Final = (
     "brake torque",
     "brake torque by speed",
@@ -80,6 +83,13 @@ def brake_figures(
             fitted = _fitted(courses, sheet, found.omega_ref_rad_s)
         except np.linalg.LinAlgError:
             why = "the runs contradict each other: their equations have no solution"
+    if fitted is not None and fitted[0].misfit > MOST_MISFIT:
+        why = found.refused = (
+            f"the runs do not move as brake, drag and inertias would move them: misfit "
+            f"{fitted[0].misfit:.0f}, 1 is expected and {MOST_MISFIT:.0f} allowed; valve commands "
+            "are missing, or edges and commands are not of one gearbox and one clock"
+        )
+        fitted, found.omega_ref_rad_s = None, 0.0
     if fitted is None:
         untold(found, why, *((name, BRAKE_UNITS[name], of_sheet[name]) for name in BRAKE_FIGURES))
         return

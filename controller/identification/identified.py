@@ -41,6 +41,9 @@ class Identified:
     """Layshaft speed at which torque and drag are told."""
     supply_pa: float = 0.0
     """Mean absolute supply pressure at which the sleeves' delays are told."""
+    refused: str = ""
+    """Why brake, drag and inertias are not told although there are runs enough: no equations of
+    motion fit them. Empty: they fit."""
     teeth: dict[str, ToothFit] = field(default_factory=dict)
 
     def figure(self, name: str) -> Figure:

@@ -135,6 +135,8 @@ def _sleeves(
             why = "no valve commands in the log"
         elif content.inexact:
             why = "its valves were switched at once, not at a commanded time"
+        elif content.late:
+            why = f"{content.late} commands came after their activation, by the log's clock"
         untold(found, why, *names, spread)
         return
     found.supply_pa = fitted.supply_pa

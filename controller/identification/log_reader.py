@@ -121,6 +121,8 @@ class LogContent:
     messages: Counter[str] = field(default_factory=Counter)
     inexact: int = 0
     """Strokes whose valve was switched at no commanded time."""
+    late: int = 0
+    """Commands whose activation had passed by the log's clock when they came."""
     empty_pa: list[float] = field(default_factory=list)
     """Pressures at the brake long after its valve went off."""
 
@@ -203,6 +205,7 @@ class LogReader:
         """The log has ended."""
         if self._next_us is not None:
             self._step(self._next_us)
+        self.content.late = self._valves.late
         return self.content
 
     def _step(self, now_us: int) -> None:

@@ -37,6 +37,7 @@ class _Slot:
     def __init__(self) -> None:
         self.on = False
         self.switches: list[Switch] = []
+        self.late = 0
         self._pending: Switch | None = None
 
     def take(self, action: ValveAction, stamp: int, now_us: int) -> None:
@@ -55,6 +56,8 @@ class _Slot:
                 self._pending = wanted
         elif now_us - at_us <= LATE_US:
             self._switch(wanted)
+        elif all(switch.time_us != at_us for switch in self.switches):
+            self.late += 1
 
     def run(self, now_us: int) -> None:
         """What is due by now."""
@@ -81,6 +84,11 @@ class ValveSwitches:
         for name, slot in self._slots.items():
             action, stamp = getattr(command, f"{name}_action"), getattr(command, f"{name}_time_us")
             slot.take(action, stamp, now_us)
+
+    @property
+    def late(self) -> int:
+        """Commands with an activation that had passed when they came, and none such was there."""
+        return sum(slot.late for slot in self._slots.values())
 
     def of(self, name: str, now_us: int) -> list[Switch]:
         """The switches of a valve up to now, oldest first."""

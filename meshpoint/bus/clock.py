@@ -11,6 +11,9 @@ US_PER_S = 1_000_000
 class NodeClock(Protocol):
     """What the driver needs of a clock: `Clock`, or `meshpoint.bus.pace.PacedClock`."""
 
+    speed: float
+    """Clock seconds per wall second on a machine that keeps up."""
+
     def now_us(self) -> int:
         """Clock time in microseconds."""
 

@@ -11,11 +11,12 @@ from typing import Protocol, TextIO
 
 import can
 
-from meshpoint.bus.clock import US_PER_S, Clock
+from meshpoint.bus.clock import US_PER_S, Clock, NodeClock
 from meshpoint.bus.core import Step
 from meshpoint.bus.driver import OnEvent, OpenBus, run_node
 from meshpoint.bus.frames import message_of
 from meshpoint.bus.local.closing import Closing
+from meshpoint.bus.logs.bus_stamps import BusStamps
 from meshpoint.bus.logs.limits import FORMATS, LogError
 from meshpoint.dbc.frame import Frame
 
@@ -177,8 +178,11 @@ async def record_bus(
     on_event: OnEvent,
     stop: asyncio.Event,
     name: str = "recorder",
+    bus_clock: NodeClock | None = None,
 ) -> None:
     """Writes every message of a bus to `log` until `stop` is set; the caller closes the log.
+
+    bus_clock: of the nodes on the bus, by which the log is stamped; None: by the interface.
 
     A bus that goes away is reported and opened again, as for any node
     (`meshpoint.bus.driver.run_node`).
@@ -190,7 +194,7 @@ async def record_bus(
         on_event=on_event,
         stop=stop,
         name=name,
-        on_message=log.write_message,
+        on_message=BusStamps(bus_clock or Clock(), log.write_message),
     )
 
 

@@ -287,6 +287,16 @@ def unpack_all_of(
     return listener_unpacker(sheet).take
 
 
+def unpacking_of(
+    namespace: argparse.Namespace, sheet: GearboxSheet
+) -> Callable[[], Callable[[Frame], Iterable[Frame]]] | None:
+    """Makes one of `unpack_all_of` for each reading of a log; None where its frames are those of
+    meshpoint.dbc."""
+    if wire_of(namespace) is WireProfile.FD:
+        return None
+    return lambda: unpack_all_of(namespace, sheet)
+
+
 def check_fused(settings: ControllerSettings, wire: WireProfile) -> None:
     """CommandError for settings that want the edges of shafts whose speeds alone are there."""
     tuning = settings.crossing_filter

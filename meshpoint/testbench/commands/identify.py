@@ -46,7 +46,7 @@ def add_parser(commands: Any) -> None:
         description="Works out from a log what its gearbox is like: brake, valve, "
         "drag, inertia ratio, sleeve delays, kiss point, teeth, each with a 95 % interval; and "
         "says what the log does not tell, and why. Sensor frames and valve commands are used, "
-        "whoever sent them (docs/replay.md).",
+        "whoever sent them; exit code 4 where no equations of motion fit them (docs/replay.md).",
     )
     parser.add_argument("log", type=Path, nargs="+", metavar="LOG", help=arguments.LOGS_HELP)
     parser.add_argument(
@@ -100,7 +100,9 @@ def run(namespace: argparse.Namespace) -> int:
     if log.defect is not None:
         complain(f"the log cannot be read on: {log.defect}")
         return Exit.BAD_INPUT
-    return Exit.INTERRUPTED if log.interrupted else Exit.DONE
+    if log.interrupted:
+        return Exit.INTERRUPTED
+    return Exit.NOT_DECIDED if found.refused else Exit.DONE
 
 
 def _sheet(
@@ -129,7 +131,7 @@ def _read(
     files: list[Path], bus: str | None, sheet: GearboxSheet, stop: Any
 ) -> tuple[LogReader, LoggedFrames]:
     reader, time = LogReader(sheet), LogTime()
-    with logged_frames(files, bus, stop, "reading") as log:
+    with logged_frames(files, bus, stop, "reading", in_sensor_time=True) as log:
         for time_s, frame in log:
             reader.take(time.take(time_s), frame)
     if not reader.content.messages:
@@ -157,11 +159,13 @@ def _values(
         "gearbox": gearbox,
         "frames": log.frames,
         "account": log.account.to_json(),
+        "log_clock": log.clock.to_json(),
         "defect": None if log.defect is None else str(log.defect),
         "interrupted": log.interrupted,
         "layshaft_rpm": found.omega_ref_rad_s / RPM,
         "supply_bar": found.supply_pa / 1e5,
         "figures": [dataclasses.asdict(one) for one in found.figures],
+        "refused": found.refused,
         "held_out": [one._asdict() for one in found.held_out],
         "notes": found.notes,
         "teeth": {
@@ -175,7 +179,7 @@ def _values(
 
 
 def _show(out: Console, found: Identified, log: LoggedFrames) -> None:
-    for line in log.account.words():
+    for line in log.words():
         out.print(f"log: {line}", markup=False)
     told = [one for one in found.figures if one.value is not None]
     if told:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,17 +15,27 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
+from meshpoint.bus.logs.files import read_logs
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.logs.log_clock import Entry, Unpack, clock_of
 from meshpoint.testbench.logs.logged_frames import LoggedFrames, expected_frames
 from meshpoint.testbench.results.output import complain, console
 
 
 @contextmanager
 def logged_frames(
-    files: list[Path], bus: str | None, stop: Callable[[], bool], doing: str = "replaying"
+    files: list[Path],
+    bus: str | None,
+    stop: Callable[[], bool],
+    doing: str = "replaying",
+    *,
+    in_sensor_time: bool = False,
+    unpack: Callable[[], Unpack] | None = None,
 ) -> Iterator[LoggedFrames]:
     """The frames of a log, shown on standard error as they are read. How many there are is an
     estimate: once more were read, their number is the total. Of one bus of several it is not known.
-    """
+    in_sensor_time, unpack: as `LoggedFrames` has them."""
     expected = expected_frames(files) if bus is None else None
     shown_on = console("-")
     with Progress(
@@ -43,7 +54,18 @@ def logged_frames(
             total = None if expected is None else max(expected, frames)
             progress.update(task, completed=frames, total=total)
 
-        yield LoggedFrames(files, bus, tell, stop)
+        yield LoggedFrames(files, bus, tell, stop, in_sensor_time=in_sensor_time, unpack=unpack)
+
+
+def read_in_sensor_time(
+    namespace: argparse.Namespace, files: list[Path], sheet: GearboxSheet
+) -> tuple[Unpack, str, Iterator[Entry]]:
+    """A log of the profile that the arguments say: what unpacks its frames, what is to be said of
+    its clock, and its entries in sensor time. LogError where they end early."""
+    unpacking = arguments.unpacking_of(namespace, sheet)
+    clock = clock_of(files, unpack=unpacking)
+    entries = clock.in_sensor_time(read_logs(files), unpacking and unpacking())
+    return arguments.unpack_all_of(namespace, sheet), clock.words, entries
 
 
 def complain_of_interrupt(frames: int) -> None:

@@ -302,7 +302,8 @@ def _recording(
     log = start_log(namespace, header, channel="meshpoint")
     if log is not None:
         _printer(namespace)(f"{namespace.command}: log {log.path}")
-    return recording(log, lambda: open_bus_from(namespace), _printer(namespace))
+    clock = _clock(namespace)
+    return recording(log, lambda: open_bus_from(namespace), _printer(namespace), clock)
 
 
 def _clock(namespace: argparse.Namespace) -> NodeClock:

@@ -27,7 +27,6 @@ from meshpoint.testbench.commands.replay_page import log_name, write_replay_page
 from meshpoint.testbench.commands.replay_rows import ReplayRows
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.logs.account import Account
 from meshpoint.testbench.logs.consumed import NotVerifiableError
 from meshpoint.testbench.logs.judged_rows import commanded, judged_table, judged_words
 from meshpoint.testbench.logs.logged_frames import LoggedFrames
@@ -230,7 +229,7 @@ def _replay(namespace: argparse.Namespace, stop: Callable[[], bool]) -> tuple[in
         _end_early(sessions[-1], f"then the log cannot be read: {log.defect}")
     if log.interrupted:
         _end_early(sessions[-1], f"then it was interrupted, after {log.frames} frames")
-    _show(namespace, out, files, sessions, rows, log.account)
+    _show(namespace, out, files, sessions, rows, log)
     if namespace.report is not None:
         write_replay_page(namespace, out, files, sessions, rows, log.interrupted)
     errors: Counter[str] = Counter()
@@ -326,6 +325,7 @@ def _values(
         "gearbox": None if rows.header is None else rows.header.sheet.name,
         "sessions": [_session_json(session) for session in sessions],
         "account": log.account.to_json(),
+        "log_clock": log.clock.to_json(),
         "interrupted": log.interrupted,
         "shifts": shifts,
         "events": [{"time_us": time_us, "event": line} for time_us, line in events],
@@ -342,7 +342,7 @@ def _show(
     files: list[Path],
     sessions: list[Session],
     rows: ReplayRows,
-    account: Account,
+    log: LoggedFrames,
 ) -> None:
     judged, asked = rows.judged if rows.open_loop else None, rows.asked
     of = "" if rows.header is None else f", sheet {rows.header.sheet.name}"
@@ -360,7 +360,7 @@ def _show(
                 f"run {number} of {len(sessions)}: {session.steps} steps replayed"
                 f"{session.intruders_text}"
             )
-    for line in account.words():
+    for line in log.words():
         out.print(f"log: {line}", markup=False)
 
 

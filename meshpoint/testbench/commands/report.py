@@ -75,14 +75,25 @@ def run(namespace: argparse.Namespace) -> int:
     files = log_files(namespace.log)
     if namespace.settings is not None:
         load_settings(namespace.settings)
-    with interruptible() as stop, logged_frames(files, namespace.bus, stop) as log:
+    unpack = arguments.unpacking_of(namespace, load_sheet(namespace.gearbox))
+    with (
+        interruptible() as stop,
+        logged_frames(files, namespace.bus, stop, unpack=unpack) as log,
+    ):
         answer = _answer(namespace, files, log)
     out = console(namespace.json)
     out.print(answer.sentence, soft_wrap=True, markup=False)
+    for line in log.words():
+        out.print(f"log: {line}", soft_wrap=True, markup=False)
     if log.defect is not None:
         out.print(f"the log cannot be read on: {log.defect}", soft_wrap=True, markup=False)
     if namespace.json is not None:
-        values = {"logs": [str(path) for path in files], "interrupted": log.interrupted}
+        values = {
+            "logs": [str(path) for path in files],
+            "interrupted": log.interrupted,
+            "account": log.account.to_json(),
+            "log_clock": log.clock.to_json(),
+        }
         write_json(namespace.json, values | answer.to_json())
     if log.interrupted:
         complain_of_interrupt(log.frames)

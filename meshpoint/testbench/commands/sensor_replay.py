@@ -9,7 +9,6 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from meshpoint.bus.logs.limits import LogError
 from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import load_settings
 from meshpoint.gearbox import load_sheet
@@ -19,9 +18,9 @@ from meshpoint.testbench.commands.log_progress import complain_of_interrupt, log
 from meshpoint.testbench.commands.replay_page import log_name
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.logs.account import Account
 from meshpoint.testbench.logs.bus_map import BusMap, load_map
 from meshpoint.testbench.logs.gear_track import SeenShift
+from meshpoint.testbench.logs.logged_frames import LoggedFrames
 from meshpoint.testbench.logs.sensor_replay import SensorReplay
 from meshpoint.testbench.report.sensors import SensorPage, SensorTraces
 from meshpoint.testbench.report.write import check_report
@@ -79,7 +78,7 @@ def run(
     drawn = SensorTraces()
     header = new_header(product_version(), sheet, settings)
     replay = SensorReplay(header, bus_map, on_event, drawn.take)
-    with logged_frames(files, namespace.bus, stop) as log:
+    with logged_frames(files, namespace.bus, stop, in_sensor_time=True) as log:
         for time_s, frame in log:
             replay.take(time_s, frame)
     replay.finish()
@@ -91,13 +90,14 @@ def run(
         "frames": log.frames,
         "buses": dict(log.buses),
         "account": log.account.to_json(),
+        "log_clock": log.clock.to_json(),
         "defect": None if log.defect is None else str(log.defect),
         "interrupted": log.interrupted,
         **replay.to_json(),
         "decisions": replay.decided(),
         "events": events,
     }
-    lines = _words(replay, log.account, why, log.defect)
+    lines = _words(replay, log, why)
     if namespace.json != "-":
         _show(console(namespace.json), replay, lines)
     if namespace.report is not None:
@@ -109,7 +109,7 @@ def run(
     return (Exit.DONE if log.defect is None else Exit.BAD_INPUT), values
 
 
-def _words(replay: SensorReplay, account: Account, why: str, defect: LogError | None) -> list[str]:
+def _words(replay: SensorReplay, log: LoggedFrames, why: str) -> list[str]:
     """What was used, what was not, and what cannot be said, a line each."""
     values = replay.to_json()
     lines = [f"open loop on sensor frames alone{': ' + why if why else ''}"]
@@ -129,10 +129,10 @@ def _words(replay: SensorReplay, account: Account, why: str, defect: LogError | 
     if replay.unfinished:
         lines.append(f"requests whose shift had not ended before the next one or the log's end, "
                      f"not judged: {replay.unfinished}")  # fmt: skip
-    lines += [f"log: {line}" for line in account.words()]
+    lines += [f"log: {line}" for line in log.words()]
     lines += [f"cannot be said: {line}" for line in replay.cannot]
-    if defect is not None:
-        lines.append(f"the log cannot be read on: {defect}")
+    if log.defect is not None:
+        lines.append(f"the log cannot be read on: {log.defect}")
     return lines
 
 

@@ -13,9 +13,10 @@ from typing import Any
 from rich.console import Console
 from rich.text import Text
 
-from meshpoint.bus.logs.files import log_files, read_logs
+from meshpoint.bus.logs.files import log_files
 from meshpoint.bus.logs.limits import LogError
 from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.commands.log_progress import read_in_sensor_time
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.watch.story import Line, Story
 
@@ -91,9 +92,11 @@ def run(namespace: argparse.Namespace) -> int:
 
 
 def _lines(namespace: argparse.Namespace) -> Iterator[Line]:
-    story = Story()
-    unpack = arguments.unpack_all_of(namespace, arguments.sheet_of(namespace))
-    for time_s, frame in read_logs(log_files(namespace.log)):
+    story, files, sheet = Story(), log_files(namespace.log), arguments.sheet_of(namespace)
+    unpack, said, entries = read_in_sensor_time(namespace, files, sheet)
+    if said:
+        yield Line(0.0, None, "bus", said)
+    for time_s, frame in entries:
         for inner in unpack(frame):
             yield from story.receive(time_s, inner)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,17 +14,17 @@ from rich.live import Live
 from rich.text import Text
 
 from meshpoint.bus.frames import frame_of
-from meshpoint.bus.logs.files import log_files, read_logs
+from meshpoint.bus.logs.files import log_files
 from meshpoint.bus.options import add_bus_arguments, bus_config, open_bus_from
-from meshpoint.dbc.frame import Frame
 from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.commands.log_progress import read_in_sensor_time
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.logs.log_clock import Entry, Unpack
+from meshpoint.testbench.results.output import complain
 from meshpoint.testbench.watch.panel import HEIGHT, Panel
 
 PICTURES_HZ: Final = 12.0
-Unpack = Callable[[Frame], Iterable[Frame]]
-"""Makes frames of meshpoint.dbc of those on the bus."""
 
 
 def add_parser(commands: Any) -> None:
@@ -72,10 +72,14 @@ def run(namespace: argparse.Namespace) -> int:
     title = namespace.log[0].name if namespace.log else _bus_name(namespace)
     sheet = arguments.sheet_of(namespace)
     panel = Panel(sheet, title)
-    unpack = arguments.unpack_all_of(namespace, sheet)
+    if namespace.log:
+        unpack, said, entries = read_in_sensor_time(namespace, log_files(namespace.log), sheet)
+        if said:
+            complain(f"meshpoint watch: {said}")
+        pictures = _of_log(panel, namespace.speed, unpack, entries)
+    else:
+        pictures = _of_bus(panel, namespace, arguments.unpack_all_of(namespace, sheet))
     end_s = None if namespace.for_s is None else time.monotonic() + namespace.for_s
-    source = _of_log if namespace.log else _of_bus
-    pictures = source(panel, namespace, unpack)
     try:
         if out.is_terminal:
             _play(panel, pictures, out, end_s)
@@ -130,14 +134,14 @@ def _take(panel: Panel, message: can.Message | None, unpack: Unpack) -> bool:
     return True
 
 
-def _of_log(panel: Panel, namespace: argparse.Namespace, unpack: Unpack) -> Iterator[None]:
+def _of_log(panel: Panel, speed: float, unpack: Unpack, entries: Iterable[Entry]) -> Iterator[None]:
     """The log's frames at their times; the time between pictures is wall time."""
     begin_s: float | None = None
     started_s = drawn_s = time.monotonic()
-    for time_s, frame in read_logs(log_files(namespace.log)):
+    for time_s, frame in entries:
         begin_s = time_s if begin_s is None else begin_s
-        if namespace.speed > 0.0:
-            due_s = started_s + (time_s - begin_s) / namespace.speed
+        if speed > 0.0:
+            due_s = started_s + (time_s - begin_s) / speed
             while (now_s := time.monotonic()) < due_s:
                 if now_s - drawn_s >= 1 / PICTURES_HZ:
                     drawn_s = now_s

@@ -11,6 +11,7 @@ from meshpoint.bus.authentication.frames import CHALLENGE, PROOF
 from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
+from meshpoint.testbench.logs.consumption import Consumption
 
 SPECS: Final = {codec.spec.can_id: codec.spec for codec in CODECS.values()}
 COUNTER_BYTE: Final = 2
@@ -49,6 +50,7 @@ class Account:
         self.silent: list[tuple[float, float]] = []
         """Where the log's clock goes back, or nothing comes for over 1 s: since its first frame,
         and for how long, s."""
+        self.consumption = Consumption()
         self._counters: dict[int, int] = {}
         self._last: dict[int, bytes] = {}
         self._first_s: float | None = None
@@ -58,6 +60,7 @@ class Account:
         """A frame of the log."""
         self.frames += 1
         self._take_time(time_s)
+        self.consumption.take(frame)
         spec = SPECS.get(frame.can_id) if frame.is_extended else None
         if spec is None:
             digits = 8 if frame.is_extended else 3
@@ -111,6 +114,8 @@ class Account:
             "doubled": self.doubled,
             "out_of_order": self.out_of_order,
             "lost": self.lost,
+            "consumed_but_missing": self.consumption.missing,
+            "steps_of_changed_frames": self.consumption.changed,
             "counters_restarted": self.restarts,
             "clock_set_back_s": self.set_back,
             "silent_s": self.silent,
@@ -133,6 +138,7 @@ class Account:
         ):
             if count:
                 lines.append(f"{count} frames {title}")
+        lines += self.consumption.words()
         if self.restarts:
             lines.append(f"{self.restarts} messages began to count anew: their node has restarted")
         for since_s, for_s in self.set_back[:MOST_NAMED]:

@@ -54,6 +54,11 @@ class WaitingFrames:
         self._aligned = False
         self._passed: list[Frame] = []
 
+    @property
+    def left(self) -> int:
+        """How many no step has consumed yet."""
+        return len(self._waiting)
+
     def add(self, frame: Frame) -> None:
         """The log's next one."""
         self._waiting.append(frame)

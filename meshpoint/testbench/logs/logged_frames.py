@@ -12,6 +12,7 @@ from meshpoint.bus.logs.files import read_logs
 from meshpoint.bus.logs.limits import LogError
 from meshpoint.dbc.frame import Frame
 from meshpoint.testbench.logs.account import Account
+from meshpoint.testbench.logs.log_clock import LogClock, LogClockFit, Unpack, clock_of
 
 TELL_FRAMES: Final = 500
 SAMPLE_BYTES: Final = 1 << 16
@@ -19,8 +20,8 @@ TEXT_LOGS: Final = (".log", ".asc")
 
 
 class LoggedFrames:
-    """Times in seconds and frames, once; remembers the defect that ended them early. A log of which
-    nothing can be read raises LogError."""
+    """Times in seconds and frames, once; remembers the defect that ended them early, and how the
+    log's clock ran against the sensors'. A log of which nothing can be read raises LogError."""
 
     def __init__(
         self,
@@ -28,13 +29,21 @@ class LoggedFrames:
         bus: str | None,
         tell: Callable[[int], None],
         stop: Callable[[], bool],
+        *,
+        in_sensor_time: bool = False,
+        unpack: Callable[[], Unpack] | None = None,
     ) -> None:
         """bus: the one to read of several. tell: how many frames were read, now and then and at the
-        end. stop: whether it shall end here, as Ctrl-C asks for."""
+        end. stop: whether it shall end here, as Ctrl-C asks for. in_sensor_time: times are those of
+        the sensors' clock, for which the log is read twice. unpack: as `clock_of` has it."""
         self._files = files
         self._bus = bus
         self._tell = tell
         self._stop = stop
+        self._in_sensor_time = in_sensor_time
+        self._unpack = unpack
+        self.clock = LogClock([])
+        """The log's clock against the sensors'; known at the end, in sensor time from the start."""
         self.buses: Counter[str] = Counter()
         """Frames of each bus."""
         self.account = Account()
@@ -43,6 +52,21 @@ class LoggedFrames:
         self.interrupted = False
 
     def __iter__(self) -> Iterator[tuple[float, Frame]]:
+        if self._in_sensor_time:
+            self.clock = clock_of(self._files, self._bus, self._unpack, self._stop)
+            yield from self.clock.in_sensor_time(self._entries(), self._new_unpack())
+            return
+        fit = LogClockFit(self._new_unpack())
+        for time_s, frame in self._entries():
+            fit.take(time_s, frame)
+            yield time_s, frame
+        self.clock = fit.finish()
+
+    def _new_unpack(self) -> Unpack | None:
+        return None if self._unpack is None else self._unpack()
+
+    def _entries(self) -> Iterator[tuple[float, Frame]]:
+        """The log's own."""
         try:
             for time_s, frame in read_logs(self._files, self._bus, self.buses):
                 self.account.take(time_s, frame)
@@ -58,6 +82,11 @@ class LoggedFrames:
                 raise
             self.defect = error
         self._tell(self.frames)
+
+    def words(self) -> list[str]:
+        """What is amiss with the frames and the clock of the log, a line each."""
+        is_said = self._in_sensor_time or self.clock.differs
+        return self.account.words() + ([self.clock.words] if is_said and self.clock.words else [])
 
 
 def expected_frames(files: list[Path]) -> int | None:

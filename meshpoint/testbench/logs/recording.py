@@ -10,6 +10,7 @@ from pathlib import Path
 
 import can
 
+from meshpoint.bus.clock import NodeClock
 from meshpoint.bus.driver import OpenBus
 from meshpoint.bus.logs.files import RotatingLog, open_log
 from meshpoint.bus.logs.limits import LogError
@@ -59,10 +60,14 @@ def written(log: LogWriter | RotatingLog) -> str:
 
 @asynccontextmanager
 async def recording(
-    log: LogWriter | RotatingLog | None, open_bus: OpenBus, on_event: Callable[[str], None]
+    log: LogWriter | RotatingLog | None,
+    open_bus: OpenBus,
+    on_event: Callable[[str], None],
+    bus_clock: NodeClock,
 ) -> AsyncIterator[None]:
     """Records the bus while the block runs, with a connection of its own that is there before the
-    block begins. A log that cannot be written any more is told, and the block goes on."""
+    block begins, stamped by the nodes' clock. A log that cannot be written any more is told, and
+    the block goes on."""
     if log is None:
         yield
         return
@@ -75,7 +80,7 @@ async def recording(
 
     async def record() -> None:
         try:
-            await record_bus(open_and_tell, log, on_event=on_event, stop=stop)
+            await record_bus(open_and_tell, log, on_event=on_event, stop=stop, bus_clock=bus_clock)
         except LogError as error:
             on_event(f"recorder: the log has ended: {error}")
 

@@ -23,6 +23,7 @@ from meshpoint.bus.authentication.keys import CommandKeys
 from meshpoint.bus.clock import Clock, NodeClock
 from meshpoint.bus.core import Core, Step
 from meshpoint.bus.driver import run_node
+from meshpoint.bus.logs.bus_stamps import BusStamps
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.bus.options import IN_PROCESS
 from meshpoint.bus.pace import PacedClock, PaceFile
@@ -222,7 +223,7 @@ async def live_session(
             run_node(
                 _Recorder(result, log, run), run.open_bus, Clock(),
                 on_event=report, stop=stop_listening, name="recorder",
-                on_message=log.write_message,
+                on_message=BusStamps(clocks.of("bench"), log.write_message),
             )
         )  # fmt: skip
         # The log begins before the nodes do, so that their first steps are in it.
