@@ -131,6 +131,7 @@ class RigFault(IntEnum):
     CLOCK_STEP = 16
     NODE_RESTART = 17
     NODE_STALLED = 18
+    WHEEL_FACTOR = 19
 
 class BenchAction(IntEnum):
     IDLE = 0
