@@ -80,7 +80,8 @@ def test_a_wheel_that_reads_wrong_gives_so_many_times_its_edges_on_both_channels
         run(truck, until_us)
         reads.append([channel.count for channel in channels])
     usual, wrong, again = (
-        [late - early for early, late in zip(reads[k], reads[k + 1], strict=True)] for k in (0, 2, 4)
+        [late - early for early, late in zip(reads[k], reads[k + 1], strict=True)]
+        for k in (0, 2, 4)
     )
     for channel in range(8):
         share = factor if channel // 2 == wheel else 1.0

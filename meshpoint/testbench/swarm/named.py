@@ -48,7 +48,14 @@ class Named(NamedTuple):
 _N = Named
 NAMED: Final = (
     _N("hall_dropout", 2), _N("hall_missing_tooth", 2, 3.0), _N("hall_double_edge", 2),
-    _N("hall_noise_burst", 2, 4.0), _N("valve_stuck", 4, state=State.COASTING),
+    _N("hall_noise_burst", 2, 4.0),
+    _N("wheel_factor", 0, 0.8), _N("wheel_factor", 1, 2.0), _N("wheel_factor", 1, 0.5),
+    _N("wheel_factor", 1, 0.8), _N("wheel_factor", 2, 0.8), _N("wheel_factor", 3, 0.8),
+    _N("wheel_factor", 0, 0.8, state=State.IN_GEAR),
+    _N("wheel_factor", 1, 2.0, state=State.IN_GEAR), _N("wheel_factor", 1, 0.5, state=State.IN_GEAR),
+    _N("wheel_factor", 1, 0.8, state=State.IN_GEAR), _N("wheel_factor", 2, 0.8, state=State.IN_GEAR),
+    _N("wheel_factor", 3, 0.8, state=State.IN_GEAR),
+    _N("valve_stuck", 4, state=State.COASTING),
     _N("valve_slow", 4, 40.0, state=State.COASTING), _N("supply_drop", 0, 4.0),
     _N("sleeve_jammed", 0, state=State.COASTING), _N("position_offset", 1, 3.0),
     _N("position_frozen", 0, state=State.COASTING), _N("frozen_payload", 0),
@@ -124,6 +131,8 @@ class _Scene(Episode):
             self._find(time_us, "the gearbox's node: frames lost")
         elif "no valve command" in line:
             self._find(time_us, "the gearbox's node: no command")
+        elif node == 0 and line.startswith("speed wheel reads wrong"):
+            self._find(time_us, line)
         elif node == 0 and ("clock jumped" in line or "late" in line or "lost" in line):
             self._find(time_us, "controller: " + line.split(":")[0])
         elif node == 0 and line.startswith("shift ") and self.back_by_us is None:
