@@ -187,14 +187,14 @@ class ShaftsInMesh:
                 pair.verdict = Verdict.NONE
 
     def _has_to_wait(self) -> bool:
-        """With a gear in, the pairs beside a contradiction tell within a moment which wheel it is,
-        or that none is and the gear's position is wrong; nothing is engaged meanwhile."""
+        """With a gear in, the pairs beside a single contradiction tell within a moment which wheel
+        it is, or that none is and the gear's position is wrong; nothing is engaged meanwhile."""
         pairs = self._pairs
-        return pairs[MAIN_PAIR].in_mesh and any(
-            pairs[other].verdict is Verdict.PENDING
-            for k, pair in enumerate(pairs)
-            if pair.verdict is Verdict.DENIED
-            for other in BESIDE[k]
+        denied = [k for k in range(3) if pairs[k].verdict is Verdict.DENIED]
+        return (
+            pairs[MAIN_PAIR].in_mesh
+            and len(denied) == 1
+            and any(pairs[other].verdict is Verdict.PENDING for other in BESIDE[denied[0]])
         )
 
     def _suspects(self) -> tuple[int, ...]:
