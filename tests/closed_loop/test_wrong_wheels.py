@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 from loop_bench import Loop
 
+from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.messages import (
     ControllerState,
@@ -39,12 +40,15 @@ FIRST_TRIED = 0.8
 """The factor that is hardest to see; the others by `make long`."""
 
 
-def a_loop(wheel: int, factor: float, at_us: int, asked_us: int, for_us: int = 0) -> Loop:
-    """Gear 8, and 10 asked for; the wheel reads wrong from a moment on."""
+def a_loop(
+    wheel: int, factor: float, at_us: int, asked_us: int, for_us: int = 0, again_us: int = 0
+) -> Loop:
+    """Gear 8, and 10 asked for, once more at a time after that; the wheel reads wrong from a moment
+    on."""
     order = FaultOrder(int(RigFault.WHEEL_FACTOR), wheel, factor, for_us)
     return Loop(
-        [(asked_us, 10)], sheet=TRUCK12, preset=Preset.TRUCK, toward=10, seed=3,
-        faults=(ScheduledFault(at_us, order),),
+        [(asked_us, 10), (again_us or 10 * LATE_US, 10)], sheet=TRUCK12, preset=Preset.TRUCK,
+        toward=10, seed=3, faults=(ScheduledFault(at_us, order),),
     )  # fmt: skip
 
 
@@ -113,13 +117,14 @@ def test_a_wheel_that_reads_right_again_is_believed_and_the_shift_is_made(wheel:
 @pytest.mark.parametrize("wheel", [1, 2])
 def test_from_neutral_a_wheel_that_was_always_wrong_leads_to_no_contact(wheel: int) -> None:
     """A shift that was ended in neutral; the controller starts anew there and knows nothing."""
-    loop = a_loop(wheel, 0.8, 500_000, 300_000)
+    loop = a_loop(wheel, 0.8, 500_000, 300_000, again_us=1_500_000)
     assert loop.until(lambda: bool(loop.outcomes), PATIENCE_US)
-    before = len(contact_slips_rad_s(loop))
-    loop.controller.core = type(loop.controller.core)(loop.header)
-    loop.run(loop.time.now_us + 500_000)
-    loop.time.run(lambda: False, loop.time.now_us + LATE_US)
-    assert len(contact_slips_rad_s(loop)) == before
+    assert loop.outcomes[0].result is ShiftResult.ENDED_IN_NEUTRAL
+    before = contact_slips_rad_s(loop)
+    loop.controller.core = ControllerCore(loop.header)
+    refusal = "request for gear 10 refused: wheels_disagree before it began"
+    assert loop.until(lambda: refusal in loop.events[-1], PATIENCE_US)
+    assert contact_slips_rad_s(loop) == before
     assert WHEELS[wheel] in told(loop)[-1]
 
 

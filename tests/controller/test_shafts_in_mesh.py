@@ -4,7 +4,7 @@ when it is believed again."""
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import pytest
 from guard_cases import LIMITS, SHEET
@@ -242,6 +242,23 @@ def test_counts_may_differ_by_two_teeth_and_two_per_cent(more_us: int, is_found:
     late = TeethCounted(3 + round(took_us) + 5 * more_us, 9 + teeth_propeller)
     watch.take(positions, (None, None, TeethCounted(5 + period_us, 7 + teeth_main), late))
     assert watch.in_doubt == ((MAIN, PROPELLER) if is_found else ())
+
+
+@pytest.mark.parametrize(("left_out", "is_found"), [((), True), ((43, 44), False)])
+def test_teeth_that_a_wheel_has_left_out_by_the_sheet_may_be_missing_besides(
+    left_out: tuple[int, ...], is_found: bool
+) -> None:
+    """Of forty teeth of the main shaft's wheel three and a half are not there."""
+    main = replace(SHEET.wheels.main, missing=left_out)
+    sheet = replace(SHEET, wheels=replace(SHEET.wheels, main=main))
+    watch = ShaftsInMesh(sheet, LIMITS)
+    took_us = round(1e6 * 40.0 / 43.5 * WHEELS[MAIN] / WHEELS[PROPELLER])
+    for main_count, propeller_count in (
+        (TeethCounted(0, 0), TeethCounted(0, 0)),
+        (TeethCounted(1_000_000, 40), TeethCounted(took_us, 40)),
+    ):
+        watch.take((0.0, 0.0, 0.0, IN_M), (None, None, main_count, propeller_count))
+    assert bool(watch.in_doubt) is is_found
 
 
 def test_a_wheel_is_found_by_what_a_whole_window_shows_and_not_by_less() -> None:
