@@ -37,7 +37,7 @@ from meshpoint.controller.sensing.step_phase import StepPhase
 from meshpoint.controller.settings import ControllerSettings, ValveTiming
 from meshpoint.controller.shift.context import PredictorSource
 from meshpoint.controller.shift.sequence import ShiftSequence
-from meshpoint.controller.shift.step_snapshot import StepSnapshot
+from meshpoint.controller.shift.step_snapshot import WHEEL_FAULTS, StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.controller.shift.valve_board import ValveBoard, driven_or_pending
 from meshpoint.dbc.frame import Frame
@@ -79,6 +79,7 @@ UNARMED: Final = (
 SPEEDS: Final = (EdgesLayshaftRise, EdgesMainRise)
 POSITIONS: Final = (SleevesMain, SleevesAux, GearboxSensors)
 """Channels without which nothing may be shifted; and the valve side's own status."""
+SHAFTS: Final = ("input shaft", "layshaft", "main shaft", "propeller shaft")
 
 
 class Consumed(NamedTuple):
@@ -116,6 +117,8 @@ class ControllerCore:
         self._guard = Guard(limits, header.armed)
         self._driveline_guard = DrivelineGuard(limits)
         self._guard_view = GuardView(sheet, limits)
+        self._in_doubt: tuple[int, ...] = ()
+        """Shafts whose speed wheels the guard has found contradicted."""
         self._engine_asked = False
         self._engine_requests = 0
         self._decided = ShiftDecision.NONE
@@ -308,13 +311,17 @@ class ControllerCore:
         return max(lead_us, FRAME_WAIT_US) if self._ahead_us else lead_us
 
     def _lost(self, sensor_us: int) -> FaultCode:
-        """The most serious fault among missing inputs that a shift needs; NONE if all are there."""
+        """The most serious fault among inputs that a shift needs and that are missing or
+        contradicted; NONE if all are there."""
         receiver, view = self._receiver, self._observer.view
         if (
             not (view.complete and receiver.all_valid(POSITIONS))
             or sensor_us - view.oldest_us > FRESH_US
         ):
             return FaultCode.POSITION_STALE
+        if self._in_doubt:
+            is_one = len(self._in_doubt) == 1
+            return WHEEL_FAULTS[self._in_doubt[0]] if is_one else FaultCode.WHEELS_DISAGREE
         if not receiver.all_valid(SPEEDS) or not self._turns_as_wanted():
             return FaultCode.SPEED_STALE
         return FaultCode.NONE if receiver.valid(ValveStatus) else FaultCode.VALVE_LINK_LOST
@@ -368,6 +375,7 @@ class ControllerCore:
         guard, sequence = self._guard, self._sequence
         frame = self._transmitter.encode(self._board.message(snapshot.now_us + self._ahead_us))
         seen = self._guard_view.take(self._heard, now_us, snapshot.now_us)
+        self._note_wheels(seen.in_doubt, events)
         if not guard.passes(frame.data, seen):
             events.append(f"guard blocked a valve command: row {guard.blocked_row}")
             sequence.blocked(guard.blocked_row or 0, snapshot)
@@ -375,6 +383,15 @@ class ControllerCore:
         if not guard.is_armed:
             return [frame]
         return [frame, self._clutch_command(seen, events), *self._engine_request(seen, events)]
+
+    def _note_wheels(self, in_doubt: tuple[int, ...], events: list[str]) -> None:
+        """What the guard's counts say of the speed wheels; the next step acts on it."""
+        if in_doubt != self._in_doubt:
+            names = " or ".join(SHAFTS[shaft] for shaft in in_doubt)
+            events.append(
+                f"speed wheel reads wrong: {names}" if names else "speed wheels agree again"
+            )
+        self._in_doubt = in_doubt
 
     def _clutch_command(self, seen: GuardInputs, events: list[str]) -> Frame:
         """What the sequence wants of the clutch; open where the guard forbids to close."""

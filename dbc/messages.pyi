@@ -87,6 +87,11 @@ class FaultCode(IntEnum):
     SPLITTER_FAILED = 14
     RANGE_FAILED = 15
     ENGINE_FAILED = 16
+    INPUT_WHEEL_WRONG = 17
+    LAYSHAFT_WHEEL_WRONG = 18
+    MAIN_WHEEL_WRONG = 19
+    PROPELLER_WHEEL_WRONG = 20
+    WHEELS_DISAGREE = 21
 
 class MainGear(IntEnum):
     NEUTRAL = 0
@@ -131,6 +136,7 @@ class RigFault(IntEnum):
     CLOCK_STEP = 16
     NODE_RESTART = 17
     NODE_STALLED = 18
+    WHEEL_FACTOR = 19
 
 class BenchAction(IntEnum):
     IDLE = 0

@@ -23,6 +23,8 @@ NO_FRAME_US: Final = 25_000
 LATE_TEETH: Final = 3
 HELD_US: Final = 45_000
 """So long an earlier speed stands in for frames with a tooth missing or too many."""
+SLOWEST_RAD_S: Final = 5.0
+"""A wheel that turns more slowly may only rock about one of its edges."""
 LOW: Final = 0xFFFF
 
 
@@ -51,13 +53,17 @@ class GuardSpeed:
         self._is_dead = False
         self.counted: TeethCounted | None = None
         """None before the first edge."""
+        self._is_even = False
+        """The newest teeth are alike: none is missing, none too many."""
 
     def forget(self) -> None:
         """The sensors' clock is another: nothing of before holds."""
         self._measured = self.counted = None
+        self._is_even = False
 
     def take(self, edges: Edges, now_us: int) -> None:
         """A believed frame; now_us: the guard's sensor clock."""
+        self._is_even = False
         if len(edges.lows_us) <= 1:
             self._measured = None
             return
@@ -72,6 +78,7 @@ class GuardSpeed:
             newest_us = before.time_us  # no new edge, however young its 16 bits make it look
         self._is_dead = read_us - newest_us > max(NO_EDGE_US, LATE_TEETH * self._tooth_us)
         took_us = teeth_us(edges.lows_us)
+        self._is_even = bool(took_us)
         if took_us and not self._is_dead:
             span_us = sum(took_us)
             omega_rad_s = len(took_us) * self._pitch_rad * 1e6 / span_us
@@ -87,6 +94,12 @@ class GuardSpeed:
         if now_us - self.counted.time_us > limit_us:
             return None
         return speed if now_us - measured_us <= max(HELD_US, limit_us) else None
+
+    def turned(self, now_us: int) -> TeethCounted | None:
+        """The teeth that have passed, where they are sure: the wheel turns, and none of the newest
+        is missing or too many."""
+        speed = self.at(now_us) if self._is_even else None
+        return None if speed is None or speed.omega_rad_s < SLOWEST_RAD_S else self.counted
 
 
 def teeth_us(lows_us: tuple[int, ...]) -> list[int]:

@@ -3,7 +3,7 @@
 Nothing here comes from the observer, the codec or the receiver: the guard has its own ear
 (`listening`), clock (`own_clock`) and speeds (`own_speed`). Positions and pressures are the newest
 samples. A gear that is in mesh although the position sensors show neutral is recognised by the
-shafts' turns (row 13).
+shafts' turns (row 13). A speed wheel that the others deny (`shafts_in_mesh`) has no speed.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from meshpoint.controller.guard.listening import (
 )
 from meshpoint.controller.guard.own_clock import GuardClock, signed_us
 from meshpoint.controller.guard.own_speed import GuardSpeed, ShaftSpeed, TeethCounted
+from meshpoint.controller.guard.shafts_in_mesh import ShaftsInMesh
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import TURN
@@ -87,6 +88,9 @@ class GuardInputs(NamedTuple):
     """Whether the sensors' clock is another since this step."""
     has_heard: bool = True
     """Whether a frame that the guard believes has come since the step before."""
+    in_doubt: tuple[int, ...] = ()
+    """Shafts whose speed wheels are denied by those they are in mesh with, 0 input to 3 propeller;
+    their speeds count as unknown."""
 
 
 class GuardView:
@@ -110,6 +114,7 @@ class GuardView:
         self._clutch: tuple[int, float] | None = None
         self._clutch_per_s = 0.0
         self._turns: deque[BothCounted] = deque()
+        self._in_mesh = ShaftsInMesh(sheet, limits)
 
     def take(self, frames: Iterable[Frame], step_us: int, believed_us: int) -> GuardInputs:
         """Takes one step's frames, at `step_us` of the controller's clock; believed_us: the sensor
@@ -126,12 +131,13 @@ class GuardView:
         own_us = self._clock.now_us(step_us)
         now_us = 0 if own_us is None else own_us
         gained_us = max(self._gained_us(own_us, step_us), self._less_late_us(step_us))
-        a, b, c, d = self._speeds(now_us)
+        speeds = self._speeds(now_us)
         engine = self._engine_now(step_us)
         for clutch_stamp, closed in ear.clutch:
             self._see_clutch(clutch_stamp, closed)
         gear, error_us = ear.requested_gear, signed_us(believed_us - now_us)
         if len(ear.slow) < len(NEEDED):
+            a, b, c, d = speeds
             return GuardInputs(
                 now_us, (0.0,) * 4, 1.0, 0.0, 0.0, (a, b, c, d), 0, False, engine.speed_rad_s, gear
             )
@@ -140,6 +146,9 @@ class GuardView:
         positions = (first_second_m, crawl_third_m, splitter_m, range_m)
         brake_pa, supply_pa, clutch = ear.slow[SENSORS].values
         oldest_us = max([signed_us(now_us - slow.stamp) for slow in ear.slow.values()])
+        is_valid = ear.hears_all and oldest_us <= GUARD_FRESH_US
+        in_doubt = self._doubted(positions if is_valid else None, now_us)
+        a, b, c, d = (None if k in in_doubt else speed for k, speed in enumerate(speeds))
         return GuardInputs(
             now_us,
             positions,
@@ -148,7 +157,7 @@ class GuardView:
             brake_pa,
             (a, b, c, d),
             self._agreeing(positions, b, c, now_us),
-            ear.hears_all and oldest_us <= GUARD_FRESH_US,
+            is_valid,
             engine.speed_rad_s,
             gear,
             error_us,
@@ -160,6 +169,7 @@ class GuardView:
             gained_us,
             is_new,
             bool(stamps),
+            in_doubt,
         )
 
     def _begin_anew(self) -> None:
@@ -168,6 +178,7 @@ class GuardView:
         self._clutch, self._clutch_per_s = None, 0.0
         for shaft in self._shafts.values():
             shaft.forget()
+        self._in_mesh.forget_counts()
 
     def _gained_us(self, own_us: int | None, step_us: int) -> int:
         """By how much the clock is further ahead of the controller's than a step ago."""
@@ -205,6 +216,15 @@ class GuardView:
             shaft.at(now_us) if ear.channels[can_id].is_valid else None
             for can_id, shaft in self._shafts.items()
         ]
+
+    def _doubted(self, positions_m: tuple[float, ...] | None, now_us: int) -> tuple[int, ...]:
+        """Wheels that the others deny."""
+        counts = tuple(
+            shaft.turned(now_us) if self._ear.channels[can_id].is_valid else None
+            for can_id, shaft in self._shafts.items()
+        )
+        self._in_mesh.take(positions_m, counts)
+        return self._in_mesh.in_doubt
 
     def _engine_now(self, step_us: int) -> Engine:
         for said in self._ear.engine:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from meshpoint.controller.shift.context import SEQUENCE_CLUTCH_CLOSED_SHARE, ShiftContext
-from meshpoint.controller.shift.step_snapshot import StepSnapshot
+from meshpoint.controller.shift.step_snapshot import MISSING, StepSnapshot
 from meshpoint.controller.shift.table import Trigger
 from meshpoint.dbc.messages import ClutchAction, FaultCode
 from meshpoint.dbc.messages import ControllerState as State
@@ -13,7 +13,7 @@ from meshpoint.gearbox.gears import DRIVE_GEARS
 
 def find_gear(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:
     """After power-up: waits until everything a shift needs is there, then finds the gear."""
-    return None if snapshot.lost is not FaultCode.NONE else watch_gear(context, snapshot)
+    return None if snapshot.lost in MISSING else watch_gear(context, snapshot)
 
 
 def watch_gear(context: ShiftContext, snapshot: StepSnapshot) -> Trigger | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from meshpoint.controller.estimation.layshaft import LayshaftTracker
 from meshpoint.controller.motion.swing import ShaftState
@@ -10,6 +11,16 @@ from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.shift.valve_board import Driven
 from meshpoint.dbc.messages import FaultCode
+
+MISSING: Final = (FaultCode.SPEED_STALE, FaultCode.POSITION_STALE, FaultCode.VALVE_LINK_LOST)
+"""Inputs that a shift needs and that are not there."""
+WHEEL_FAULTS: Final = (
+    FaultCode.INPUT_WHEEL_WRONG,
+    FaultCode.LAYSHAFT_WHEEL_WRONG,
+    FaultCode.MAIN_WHEEL_WRONG,
+    FaultCode.PROPELLER_WHEEL_WRONG,
+)
+"""By the number of the shaft whose speed wheel reads wrong."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +35,8 @@ class StepSnapshot:
     main: ShaftState | None
     speeds: ShaftSpeeds
     lost: FaultCode
-    """The input that a shift needs and that is missing: SPEED_STALE, POSITION_STALE or
-    VALVE_LINK_LOST; NONE if nothing is missing."""
+    """The input that a shift needs and that is missing (`MISSING`) or contradicted (`WHEEL_FAULTS`,
+    or WHEELS_DISAGREE where it may be one of several); NONE if all are there."""
     driven: Driven
     """Of each valve, whether the valve side reports it driven, or its activation pending."""
     supply_pa: float

@@ -134,7 +134,8 @@ def _sweep(way: Way, wheel: int, t_us: float, lap: int, rig: Rig) -> None:
 
 @inlined
 def _way(wheel: int, h: float, rig: Rig) -> Way:
-    """How a wheel has turned in a step from y to `after`, the input shaft's with its backlash."""
+    """How a sensor wheel turns in a step from y to `after`: with its shaft, the input shaft's with
+    its backlash, but for a fault by which it turns at another rate."""
     y, after = rig.y, rig.after
     body = at.INPUT + wheel
     start, end = y.angle_rad[body], after.angle_rad[body]
@@ -145,7 +146,10 @@ def _way(wheel: int, h: float, rig: Rig) -> Way:
         drift = (after.input_lash_rad - y.input_lash_rad) / h
         v0 += drift
         v1 += drift
-    return Way(start, end, v0, v1, h)
+    rate, slipped_rad = rig.wheel_rate[wheel], rig.slipped_rad[wheel]
+    slips_rad = (rate - 1.0) * (end - start)
+    rig.slipped_rad[wheel] = slipped_rad + slips_rad
+    return Way(start + slipped_rad, end + slipped_rad + slips_rad, v0 * rate, v1 * rate, h)
 
 
 @inlined

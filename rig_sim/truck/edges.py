@@ -100,6 +100,7 @@ class TruckEdges:
         rng = np.random.Generator(np.random.PCG64(built.teeth_seed))
         self.wheels = [WheelAsMade(rng, wheel, built) for wheel in order]
         self._rig = rig
+        rig.wheel_rate[:] = [1.0] * at.WHEELS
         self._load_edges()
         wrong = int(built["hall.first_wrong_edges"])
         largest = math.radians(built["hall.first_wrong_deg"])

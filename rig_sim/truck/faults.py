@@ -27,9 +27,11 @@ from meshpoint.units import BAR, MM, MS, SECOND_US
 
 T = TypeVar("T")
 CHANNEL_TARGETS: Final = "channel 0..7: input, layshaft, main, propeller, each rise then fall"
+WHEEL_TARGETS: Final = "wheel 0 input, 1 layshaft, 2 main, 3 propeller"
 VALVE_TARGETS: Final = "valve 0..8 in the order of ValveCommand"
 SLEEVE_TARGETS: Final = "sleeve 0 first/second, 1 crawl/third, 2 splitter, 3 range"
 MOST_PPM: Final = 1e4
+MOST_RATE: Final = 4.0
 FAULT_FOREVER_US: Final = 1 << 53
 
 
@@ -68,6 +70,9 @@ KINDS: Final[dict[RigFault, Kind]] = {
     ),
     RigFault.NODE_STALLED: Kind(
         "the rig's event loop hangs; what was due comes in one go afterwards", "-", 0, "-"
+    ),
+    RigFault.WHEEL_FACTOR: Kind(
+        "a speed wheel gives so many times its edges", WHEEL_TARGETS, 4, "factor, 0..4"
     ),
 }
 
@@ -296,6 +301,18 @@ def _stall(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[]
     return partial(setattr, world.node, "stalled_until_us", 0)
 
 
+def _turn_otherwise(world: Faultable, _: FaultInjector, order: FaultOrder) -> Callable[[], None]:
+    """Both flanks of a tooth are captured (2), every other tooth (0.5), the ring slips on its shaft
+    (below 1), or it has another number of teeth than the sheet says."""
+    rates = world.plant.rig.wheel_rate
+    rates[order.target] = min(max(order.value, 0.0), MOST_RATE)
+    return partial(_turn_as_its_shaft, world, order.target)
+
+
+def _turn_as_its_shaft(world: Faultable, wheel: int) -> None:
+    world.plant.rig.wheel_rate[wheel] = 1.0
+
+
 _STARTERS: Final[dict[RigFault, Starter]] = {
     RigFault.HALL_DROPOUT: _channel("silent", lambda _: 1),
     RigFault.HALL_MISSING_TOOTH: _channel("missing", lambda order: int(order.value) + 1),
@@ -317,4 +334,5 @@ _STARTERS: Final[dict[RigFault, Starter]] = {
     RigFault.CLOCK_STEP: _jump,
     RigFault.NODE_RESTART: _restart,
     RigFault.NODE_STALLED: _stall,
+    RigFault.WHEEL_FACTOR: _turn_otherwise,
 }

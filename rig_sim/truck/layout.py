@@ -212,11 +212,13 @@ class Rig(Record):
     g: Connections
     contacts: Annotated[Row[Contact], CONTACTS]
     laps: Annotated[Row[int], BODIES]  # whole turns
+    slipped_rad: Annotated[Row[float], WHEELS]  # how far a sensor wheel is ahead of its shaft
     captured: Captured
     shaking: Shaking
     p: PlantParameters
     watches: Annotated[Row[PhaseWatch], WATCHES]
     hall: Annotated[Row[Hall], CHANNELS]
+    wheel_rate: Annotated[Row[float], WHEELS]  # a sensor wheel's speed over its shaft's; 1 if sound
     jitter_s: Annotated[Row[float], JITTERS]  # turned into angle at the present speed
     chance: ChanceNumbers
     history: Annotated[Row[Past], HISTORY]

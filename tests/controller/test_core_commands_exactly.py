@@ -154,7 +154,7 @@ def commanded(
     driveline.passes_engine = lambda *_: "engine" not in blocked
     core._guard.blocked_row = blocked.get("valves")
     driveline.blocked_row = blocked.get("clutch", blocked.get("engine"))
-    core._guard_view = SimpleNamespace(take=lambda *_: None)
+    core._guard_view = SimpleNamespace(take=lambda *_: SimpleNamespace(in_doubt=()))
     events: list[str] = []
     return core._commands(T0, SNAPSHOT, events), events
 

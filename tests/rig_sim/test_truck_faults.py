@@ -68,6 +68,27 @@ def test_a_hall_channel_says_less_or_more_for_a_time(
     assert again == pytest.approx(usual, abs=2)
 
 
+@pytest.mark.parametrize("factor", [2.0, 0.5, 0.8])
+@pytest.mark.parametrize("wheel", range(4))
+def test_a_wheel_that_reads_wrong_gives_so_many_times_its_edges_on_both_channels(
+    wheel: int, factor: float
+) -> None:
+    truck = with_fault(RigFault.WHEEL_FACTOR, wheel, factor)
+    channels = truck.plant.rig.captured.channels
+    reads = []
+    for until_us in (10_000, 90_000, 110_000, 190_000, 210_000, 290_000):
+        run(truck, until_us)
+        reads.append([channel.count for channel in channels])
+    usual, wrong, again = (
+        [late - early for early, late in zip(reads[k], reads[k + 1], strict=True)]
+        for k in (0, 2, 4)
+    )
+    for channel in range(8):
+        share = factor if channel // 2 == wheel else 1.0
+        assert wrong[channel] == pytest.approx(share * usual[channel], abs=4)
+        assert again[channel] == pytest.approx(usual[channel], abs=2)
+
+
 def test_a_missing_tooth_is_missing_once_a_turn() -> None:
     truck = with_fault(RigFault.HALL_MISSING_TOOTH, MAIN_RISE, 7.0, at_us=0, for_us=0)
     whole = world({"hall.jitter_us": 0.0})

@@ -14,7 +14,7 @@ from meshpoint.dbc.messages import FaultCode
 FIRST_SPN: Final = 520_192
 MOST_OCCURRENCES: Final = 126
 """127 means that it is not counted (J1939-73)."""
-BELOW_NORMAL, NOT_RESPONDING, UPDATE_RATE, ABOVE_NORMAL, EXISTS = 1, 7, 9, 0, 31
+BELOW_NORMAL, NOT_RESPONDING, UPDATE_RATE, ABOVE_NORMAL, EXISTS, INCORRECT = 1, 7, 9, 0, 31, 2
 FAILURE_MODE: Final[dict[FaultCode, int]] = {
     FaultCode.SPEED_STALE: UPDATE_RATE,
     FaultCode.POSITION_STALE: UPDATE_RATE,
@@ -29,6 +29,11 @@ FAILURE_MODE: Final[dict[FaultCode, int]] = {
     FaultCode.SPLITTER_FAILED: NOT_RESPONDING,
     FaultCode.RANGE_FAILED: NOT_RESPONDING,
     FaultCode.ENGINE_FAILED: NOT_RESPONDING,
+    FaultCode.INPUT_WHEEL_WRONG: INCORRECT,
+    FaultCode.LAYSHAFT_WHEEL_WRONG: INCORRECT,
+    FaultCode.MAIN_WHEEL_WRONG: INCORRECT,
+    FaultCode.PROPELLER_WHEEL_WRONG: INCORRECT,
+    FaultCode.WHEELS_DISAGREE: INCORRECT,
 }
 """Faults of the gearbox and what belongs to it. The others refuse a request that the driver should
 not have made; nothing is broken then."""

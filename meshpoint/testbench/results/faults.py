@@ -35,6 +35,16 @@ MEANING: Final[dict[FaultCode, str]] = {
     FaultCode.SPLITTER_FAILED: "the splitter did not move in time",
     FaultCode.RANGE_FAILED: "the range did not move in time",
     FaultCode.ENGINE_FAILED: "the engine did not come to the speed it was asked for",
+    FaultCode.INPUT_WHEEL_WRONG: "the input shaft's speed sensor contradicts the layshaft's: see "
+    "its wheel and the tooth count of the data sheet",
+    FaultCode.LAYSHAFT_WHEEL_WRONG: "the layshaft's speed sensor contradicts the others: see its "
+    "wheel and the tooth count of the data sheet",
+    FaultCode.MAIN_WHEEL_WRONG: "the main shaft's speed sensor contradicts the others: see its "
+    "wheel and the tooth count of the data sheet",
+    FaultCode.PROPELLER_WHEEL_WRONG: "the propeller shaft's speed sensor contradicts the main "
+    "shaft's: see its wheel and the tooth count of the data sheet",
+    FaultCode.WHEELS_DISAGREE: "two speed sensors contradict each other, and no third tells which "
+    "is wrong: the controller's own lines name both",
 }
 
 

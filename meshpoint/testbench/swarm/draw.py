@@ -43,6 +43,7 @@ VALUES: Final[dict[str, tuple[float, float]]] = {
     "brake_fade": (0.0, 80.0),
     "clock_drift": (-200.0, 200.0),
     "clock_step": (-2e6, 2e6),
+    "wheel_factor": (0.5, 2.0),
     "bus_drop": (0.01, 1.0),
     "bus_duplicate": (0.01, 1.0),
     "bus_bit_flip": (0.01, 1.0),
@@ -55,7 +56,7 @@ VALUES: Final[dict[str, tuple[float, float]]] = {
 RIG_TARGETS: Final = {
     "hall_dropout": 8, "hall_missing_tooth": 8, "hall_double_edge": 8, "hall_noise_burst": 8,
     "valve_stuck": 9, "valve_slow": 9, "sleeve_jammed": 4, "position_offset": 4,
-    "position_frozen": 4, "frozen_payload": 2,
+    "position_frozen": 4, "frozen_payload": 2, "wheel_factor": 4,
 }  # fmt: skip
 
 

@@ -130,7 +130,7 @@ class Invariants:
             self.note("absurd_time", now_us, f"the guard's clock is wrong by {error_us} us")
 
     def _guard_speeds(self, speeds: Any, now_us: int, active: frozenset[str]) -> None:
-        if active & {"hall_noise_burst", "bus_delay", *CLOCKS} or not self._speeds:
+        if active & {"hall_noise_burst", "wheel_factor", "bus_delay", *CLOCKS} or not self._speeds:
             return
         for shaft, speed in enumerate(speeds):
             if speed is None:

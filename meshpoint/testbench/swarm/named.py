@@ -43,12 +43,19 @@ class Named(NamedTuple):
     state: ControllerState = State.SYNCHRONISING
     from_: int = 8
     to: int = 10
+    asked_ms: int = STRIKES_AFTER_MS
+    """When the shift is asked for."""
 
 
 _N = Named
+WRONG_WHEELS: Final = ((0, 0.8), (1, 2.0), (1, 0.5), (1, 0.8), (2, 0.8), (3, 0.8))
 NAMED: Final = (
     _N("hall_dropout", 2), _N("hall_missing_tooth", 2, 3.0), _N("hall_double_edge", 2),
-    _N("hall_noise_burst", 2, 4.0), _N("valve_stuck", 4, state=State.COASTING),
+    _N("hall_noise_burst", 2, 4.0),
+    *(_N("wheel_factor", wheel, factor) for wheel, factor in WRONG_WHEELS),
+    *(_N("wheel_factor", wheel, factor, state=State.IN_GEAR, asked_ms=1_500)
+      for wheel, factor in WRONG_WHEELS),
+    _N("valve_stuck", 4, state=State.COASTING),
     _N("valve_slow", 4, 40.0, state=State.COASTING), _N("supply_drop", 0, 4.0),
     _N("sleeve_jammed", 0, state=State.COASTING), _N("position_offset", 1, 3.0),
     _N("position_frozen", 0, state=State.COASTING), _N("frozen_payload", 0),
@@ -83,7 +90,7 @@ class _Scene(Episode):
     """A world whose one fault begins at a state, listening to what is said."""
 
     def __init__(self, named: Named) -> None:
-        events = (Event(STRIKES_AFTER_MS, REQUEST, 0, float(named.to)),)
+        events = (Event(named.asked_ms, REQUEST, 0, float(named.to)),)
         layshaft_rpm = 1400.0 if named.to > named.from_ else 1100.0
         world = World(SEED, named.from_, layshaft_rpm, {}, events, SAFETY_MS)
         super().__init__(load_sheet("truck12"), ControllerSettings(), world)
@@ -124,6 +131,8 @@ class _Scene(Episode):
             self._find(time_us, "the gearbox's node: frames lost")
         elif "no valve command" in line:
             self._find(time_us, "the gearbox's node: no command")
+        elif node == 0 and line.startswith("speed wheel reads wrong"):
+            self._find(time_us, line)
         elif node == 0 and ("clock jumped" in line or "late" in line or "lost" in line):
             self._find(time_us, "controller: " + line.split(":")[0])
         elif node == 0 and line.startswith("shift ") and self.back_by_us is None:

@@ -1,0 +1,209 @@
+"""Speed wheels held against each other: shafts in mesh turn by the ratio of their teeth.
+
+The input shaft turns the layshaft by the splitter's step, the layshaft the main shaft by the gear
+that is in, the main shaft the propeller shaft by the range's step. Of each such pair the guard's
+own counts of sensor teeth are compared for as long as the sleeve stands in; with three pairs it is
+often clear which wheel is wrong. What was found is remembered while nothing is in mesh, until the
+counts agree again.
+"""
+
+from __future__ import annotations
+
+from enum import Enum, auto
+from typing import Final
+
+from meshpoint.controller.guard.limits import GuardLimits, end_of
+from meshpoint.controller.guard.own_speed import TeethCounted
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.sheet import Wheel
+
+SLACK_TEETH: Final = 2.0
+"""Counts may differ by so much, in teeth of the slower wheel: a tooth that gave no edge, backlash,
+and pitch errors at either end; and by those that its wheel has left out by the sheet."""
+SLACK_SHARE: Final = 0.02
+"""And by this share of the count: the speed may change while one wheel's newest edge is waited
+for."""
+WHOLE_TEETH: Final = 150.0
+"""Over so many teeth of the slower wheel without a contradiction the counts agree; a wheel that
+reads wrong by less than 3.3 % is not found."""
+AGAIN_US: Final = 1_000_000
+"""After a contradiction they have to agree for at least this time as well."""
+SPLITTER, RANGE = 2, 3
+BESIDE: Final = ((1,), (0, 2), (1,))
+"""Pairs that share a wheel with a pair."""
+MAIN_PAIR: Final = 1
+
+Counts = tuple[TeethCounted | None, ...]
+Ratios = tuple[float | None, float | None, float | None]
+
+
+class Verdict(Enum):
+    """What the counts of two wheels say of each other."""
+
+    NONE = auto()
+    """Their shafts are not in mesh, or a wheel is not heard."""
+    PENDING = auto()
+    """They are, but not for long enough yet."""
+    AGREED = auto()
+    DENIED = auto()
+    """They contradict each other, or did when they were last in mesh."""
+
+
+class _Pair:
+    """Two wheels whose shafts may be in mesh."""
+
+    def __init__(self, a: Wheel, b: Wheel) -> None:
+        self._teeth_ratio = b.teeth / a.teeth
+        self._slack_teeth = SLACK_TEETH + max(len(a.missing), len(b.missing))
+        self.verdict = Verdict.NONE
+        self.in_mesh = False
+        self._ratio: float | None = None
+        self.begin_anew()
+
+    def ask_anew(self) -> None:
+        """Another pair's contradiction is new: what agreed before it says nothing of it."""
+        if self.verdict is Verdict.AGREED:
+            self.verdict = Verdict.PENDING
+        if self.verdict is Verdict.PENDING:
+            self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Another window."""
+        self._before: tuple[TeethCounted, TeethCounted] | None = None
+        self._teeth = [0, 0]
+        self._took_us = [0, 0]
+
+    def take(self, ratio: float | None, a: TeethCounted | None, b: TeethCounted | None) -> None:
+        """ratio: speed of b over that of a; None where they are not in mesh. A count is None where
+        a wheel stands, or its newest teeth are not to be believed."""
+        if ratio is None or ratio != self._ratio:
+            self.begin_anew()
+        self._ratio = ratio
+        self.in_mesh = ratio is not None and a is not None and b is not None
+        if ratio is None or a is None or b is None:
+            self._before = None
+            if self.verdict is not Verdict.DENIED:
+                self.verdict = Verdict.NONE
+            return
+        if self.verdict is Verdict.NONE:
+            self.verdict = Verdict.PENDING
+        if self._add(a, b):
+            self._judge(ratio * self._teeth_ratio)
+
+    def _add(self, a: TeethCounted, b: TeethCounted) -> bool:
+        """Adds what both have turned since they were last seen to turn; False without an edge."""
+        before = self._before
+        if before is None:
+            self._before = a, b
+            return False
+        if a.time_us <= before[0].time_us or b.time_us <= before[1].time_us:
+            return False
+        for k, (late, early) in enumerate(zip((a, b), before, strict=True)):
+            self._teeth[k] += late.teeth - early.teeth
+            self._took_us[k] += late.time_us - early.time_us
+        self._before = a, b
+        return True
+
+    def _judge(self, pace: float) -> None:
+        """pace: teeth of b for one of a."""
+        counted_a, counted_b = self._teeth
+        took_a, took_b = self._took_us
+        if pace > 1.0:
+            expected, counted = counted_b / pace * took_a / took_b, counted_a
+        else:
+            expected, counted = counted_a * pace * took_b / took_a, counted_b
+        most = max(expected, counted)
+        if abs(expected - counted) > self._slack_teeth + SLACK_SHARE * most:
+            self.verdict = Verdict.DENIED
+            self.begin_anew()
+        elif most >= WHOLE_TEETH and (self.verdict is not Verdict.DENIED or took_a >= AGAIN_US):
+            self.verdict = Verdict.AGREED
+            self.begin_anew()
+
+
+class ShaftsInMesh:
+    """All pairs, and which wheels they leave in doubt."""
+
+    def __init__(self, sheet: GearboxSheet, limits: GuardLimits) -> None:
+        wheels = sheet.wheels
+        each = (wheels.input_, wheels.layshaft, wheels.main, wheels.propeller)
+        self._pairs = [_Pair(each[k], each[k + 1]) for k in range(3)]
+        self._limits = limits
+        self._is_news = False
+        """A contradiction is new since the doubt was last settled."""
+        self.in_doubt: tuple[int, ...] = ()
+        """Wheels that read wrong, 0 input, 1 layshaft, 2 main, 3 propeller: one where the others
+        agree without it, else all that it may be."""
+
+    def forget_counts(self) -> None:
+        """The sensors have started anew: their counts do not go on. What was found holds."""
+        for pair in self._pairs:
+            pair.begin_anew()
+
+    def take(self, positions_m: tuple[float, ...] | None, counts: Counts) -> None:
+        """One step; positions None where they are not to be believed."""
+        pairs, before = self._pairs, [pair.verdict for pair in self._pairs]
+        ratios = self._ratios(positions_m)
+        for k, pair in enumerate(pairs):
+            pair.take(ratios[k], counts[k], counts[k + 1])
+        for k, pair in enumerate(pairs):
+            if before[k] is not Verdict.DENIED and pair.verdict is Verdict.DENIED:
+                self._is_news = True
+                for other in pairs:
+                    other.ask_anew()
+            elif before[k] is Verdict.DENIED and pair.verdict is Verdict.AGREED:
+                self._forgive(k)
+        if not self._has_to_wait():
+            found, known = self._suspects(), self.in_doubt
+            # A wheel that others have proven right does not come into doubt as a gear goes out.
+            if known and not self._is_news:
+                found = tuple(wheel for wheel in found if wheel in known)
+            self.in_doubt, self._is_news = found, False
+            if not self.in_doubt:
+                self._forgive_all()
+
+    def _ratios(self, positions_m: tuple[float, ...] | None) -> Ratios:
+        """Speed over speed of each pair by the sleeves that stand in."""
+        if positions_m is None:
+            return None, None, None
+        limits = self._limits
+        side = [end_of(position, limits.engaged_m) for position in positions_m]
+        gears = [each.ratio for each in limits.main.values() if side[each.sleeve] == each.direction]
+        return (
+            limits.split_ratio.get(side[SPLITTER]),
+            gears[0] if len(gears) == 1 else None,
+            limits.range_ratio.get(side[RANGE]),
+        )
+
+    def _forgive(self, again: int) -> None:
+        """A pair agrees again. If its wheels are all that was in doubt, then so are the pairs that
+        contradicted one of them and are out of mesh since."""
+        if set(self.in_doubt) <= {again, again + 1}:
+            self._forgive_all()
+
+    def _forgive_all(self) -> None:
+        for pair in self._pairs:
+            if pair.verdict is Verdict.DENIED and not pair.in_mesh:
+                pair.verdict = Verdict.NONE
+
+    def _has_to_wait(self) -> bool:
+        """With a gear in, the pairs beside a single contradiction tell within a moment which wheel
+        it is, or that none is and the gear's position is wrong; nothing is engaged meanwhile."""
+        pairs = self._pairs
+        denied = [k for k in range(3) if pairs[k].verdict is Verdict.DENIED]
+        return (
+            pairs[MAIN_PAIR].in_mesh
+            and len(denied) == 1
+            and any(pairs[other].verdict is Verdict.PENDING for other in BESIDE[denied[0]])
+        )
+
+    def _suspects(self) -> tuple[int, ...]:
+        """The wheels that every contradiction has in common; else, two being wrong, those of
+        each. A wheel that agrees with its other neighbour is none of them."""
+        pairs = self._pairs
+        agreed = {w for k in range(3) if pairs[k].verdict is Verdict.AGREED for w in (k, k + 1)}
+        denied = [{k, k + 1} - agreed for k in range(3) if pairs[k].verdict is Verdict.DENIED]
+        if not denied:
+            return ()
+        common = set.intersection(*denied)
+        return tuple(sorted(common or set.union(*denied)))
