@@ -26,6 +26,7 @@ from meshpoint.controller.guard.listening import (
 )
 from meshpoint.controller.guard.own_clock import GuardClock, signed_us
 from meshpoint.controller.guard.own_speed import GuardSpeed, ShaftSpeed, TeethCounted
+from meshpoint.controller.guard.swing import Swing, SwingMemory
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import TURN
@@ -87,6 +88,8 @@ class GuardInputs(NamedTuple):
     """Whether the sensors' clock is another since this step."""
     has_heard: bool = True
     """Whether a frame that the guard believes has come since the step before."""
+    swings: tuple[Swing | None, Swing | None] = (None, None)
+    """How the speeds of layshaft and main shaft change and have changed; None where not known."""
 
 
 class GuardView:
@@ -110,6 +113,7 @@ class GuardView:
         self._clutch: tuple[int, float] | None = None
         self._clutch_per_s = 0.0
         self._turns: deque[BothCounted] = deque()
+        self._swings = (SwingMemory(), SwingMemory())
 
     def take(self, frames: Iterable[Frame], step_us: int, believed_us: int) -> GuardInputs:
         """Takes one step's frames, at `step_us` of the controller's clock; believed_us: the sensor
@@ -160,6 +164,7 @@ class GuardView:
             gained_us,
             is_new,
             bool(stamps),
+            (self._swings[0].take(b), self._swings[1].take(c)),
         )
 
     def _begin_anew(self) -> None:
@@ -168,6 +173,8 @@ class GuardView:
         self._clutch, self._clutch_per_s = None, 0.0
         for shaft in self._shafts.values():
             shaft.forget()
+        for swing in self._swings:
+            swing.forget()
 
     def _gained_us(self, own_us: int | None, step_us: int) -> int:
         """By how much the clock is further ahead of the controller's than a step ago."""
