@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
+from meshpoint.controller.guard.held_gear import HeldGear, Shaft
 from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, GuardLimits
 from meshpoint.controller.guard.listening import (
     EDGES,
@@ -60,7 +61,7 @@ class GuardInputs(NamedTuple):
     speeds: tuple[ShaftSpeed | None, ShaftSpeed | None, ShaftSpeed | None, ShaftSpeed | None]
     agreeing: int
     """Number of the main valve whose gear turns with its sleeve although both sleeves are measured
-    in neutral; 0 if there is none."""
+    in neutral, or did so and has not turned free since; 0 if there is none."""
     valid: bool
     """Positions, clutch, pressures and the valve side's own status come from channels that the
     guard believes and are recent, and no sensor reports itself out of range."""
@@ -114,6 +115,7 @@ class GuardView:
         self._clutch_per_s = 0.0
         self._turns: deque[BothCounted] = deque()
         self._swings = (SwingMemory(), SwingMemory())
+        self._held = HeldGear(limits.main, sheet.dog.pitch_rad)
 
     def take(self, frames: Iterable[Frame], step_us: int, believed_us: int) -> GuardInputs:
         """Takes one step's frames, at `step_us` of the controller's clock; believed_us: the sensor
@@ -151,7 +153,7 @@ class GuardView:
             supply_pa,
             brake_pa,
             (a, b, c, d),
-            self._agreeing(positions, b, c, now_us),
+            self._in_mesh(positions, b, c, now_us),
             ear.hears_all and oldest_us <= GUARD_FRESH_US,
             engine.speed_rad_s,
             gear,
@@ -175,6 +177,7 @@ class GuardView:
             shaft.forget()
         for swing in self._swings:
             swing.forget()
+        self._held.forget()
 
     def _gained_us(self, own_us: int | None, step_us: int) -> int:
         """By how much the clock is further ahead of the controller's than a step ago."""
@@ -219,6 +222,19 @@ class GuardView:
         heard_us, newest = self._engine
         return newest if step_us - heard_us <= GUARD_FRESH_US else NO_ENGINE
 
+    def _in_mesh(
+        self,
+        positions: tuple[float, ...],
+        layshaft: ShaftSpeed | None,
+        main: ShaftSpeed | None,
+        now_us: int,
+    ) -> int:
+        """The valve of `GuardInputs.agreeing`."""
+        wheels = zip((LAYSHAFT_EDGES, MAIN_EDGES), (layshaft, main), self._teeth, strict=True)
+        shafts = [Shaft(self._shafts[k].counted, speed, teeth) for k, speed, teeth in wheels]
+        agreeing = self._agreeing(positions, layshaft, main, now_us)
+        return self._held.take(agreeing, positions, *shafts)
+
     def _agreeing(
         self,
         positions: tuple[float, ...],
@@ -226,8 +242,8 @@ class GuardView:
         main: ShaftSpeed | None,
         now_us: int,
     ) -> int:
-        """The valve of `GuardInputs.agreeing`, from the turns since both sleeves were in
-        neutral."""
+        """The main valve whose gear turns with its sleeve, from the turns since both sleeves were
+        in neutral; 0 if there is none."""
         turns = self._turns
         out = max(abs(positions[0]), abs(positions[1])) > GUARD_NEUTRAL_M
         slow = layshaft is None or main is None or layshaft.omega_rad_s < TURNING_RAD_S
