@@ -29,6 +29,7 @@ from meshpoint.controller.guard.case import (
     decode,
     spans,
 )
+from meshpoint.controller.guard.last_call import slip_may_leave_its_window
 from meshpoint.controller.guard.limits import (
     BRAKE_PRESSED_PA,
     CLEAR_M,
@@ -76,10 +77,13 @@ def two_sleeves_of_the_main_box(case: Case) -> bool:
 
 
 def slip_out_of_its_window(case: Case) -> bool:
-    """Row 3: the slip cannot lie in the allowed window at any possible time of contact. With the
-    clutch closed the engine can cause any slip, so the rule forbids engaging then."""
+    """Row 3: the slip cannot lie in the allowed window at any possible time of contact; at the last
+    call, it may lie outside. With the clutch closed the engine can cause any slip, so the rule
+    forbids engaging then."""
     return any(
-        not case.is_parted(case.contact_us(span)[0]) or not _slip_can_fit(case, valve, span)
+        not case.is_parted(case.contact_us(span)[0])
+        or not _slip_can_fit(case, valve, span)
+        or slip_may_leave_its_window(case, valve, span)
         for valve, span in case.engaging()
     )
 

@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Iterable
 from typing import Final, NamedTuple
 
+from meshpoint.controller.guard.held_gear import HeldGear, Shaft
 from meshpoint.controller.guard.limits import GUARD_NEUTRAL_M, GuardLimits
 from meshpoint.controller.guard.listening import (
     EDGES,
@@ -27,6 +28,7 @@ from meshpoint.controller.guard.listening import (
 from meshpoint.controller.guard.own_clock import GuardClock, signed_us
 from meshpoint.controller.guard.own_speed import GuardSpeed, ShaftSpeed, TeethCounted
 from meshpoint.controller.guard.shafts_in_mesh import ShaftsInMesh
+from meshpoint.controller.guard.swing import Swing, SwingMemory
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import TURN
@@ -60,7 +62,7 @@ class GuardInputs(NamedTuple):
     speeds: tuple[ShaftSpeed | None, ShaftSpeed | None, ShaftSpeed | None, ShaftSpeed | None]
     agreeing: int
     """Number of the main valve whose gear turns with its sleeve although both sleeves are measured
-    in neutral; 0 if there is none."""
+    in neutral, or did so and has not turned free since; 0 if there is none."""
     valid: bool
     """Positions, clutch, pressures and the valve side's own status come from channels that the
     guard believes and are recent, and no sensor reports itself out of range."""
@@ -91,6 +93,8 @@ class GuardInputs(NamedTuple):
     in_doubt: tuple[int, ...] = ()
     """Shafts whose speed wheels are denied by those they are in mesh with, 0 input to 3 propeller;
     their speeds count as unknown."""
+    swings: tuple[Swing | None, Swing | None] = (None, None)
+    """How the speeds of layshaft and main shaft change and have changed; None where not known."""
 
 
 class GuardView:
@@ -114,7 +118,9 @@ class GuardView:
         self._clutch: tuple[int, float] | None = None
         self._clutch_per_s = 0.0
         self._turns: deque[BothCounted] = deque()
-        self._in_mesh = ShaftsInMesh(sheet, limits)
+        self._wheels = ShaftsInMesh(sheet, limits)
+        self._swings = (SwingMemory(), SwingMemory())
+        self._held = HeldGear(limits.main, sheet.dog.pitch_rad)
 
     def take(self, frames: Iterable[Frame], step_us: int, believed_us: int) -> GuardInputs:
         """Takes one step's frames, at `step_us` of the controller's clock; believed_us: the sensor
@@ -156,7 +162,7 @@ class GuardView:
             supply_pa,
             brake_pa,
             (a, b, c, d),
-            self._agreeing(positions, b, c, now_us),
+            self._in_mesh(positions, b, c, now_us),
             is_valid,
             engine.speed_rad_s,
             gear,
@@ -170,6 +176,7 @@ class GuardView:
             is_new,
             bool(stamps),
             in_doubt,
+            (self._swings[0].take(b), self._swings[1].take(c)),
         )
 
     def _begin_anew(self) -> None:
@@ -178,7 +185,10 @@ class GuardView:
         self._clutch, self._clutch_per_s = None, 0.0
         for shaft in self._shafts.values():
             shaft.forget()
-        self._in_mesh.forget_counts()
+        self._wheels.forget_counts()
+        for swing in self._swings:
+            swing.forget()
+        self._held.forget()
 
     def _gained_us(self, own_us: int | None, step_us: int) -> int:
         """By how much the clock is further ahead of the controller's than a step ago."""
@@ -223,14 +233,27 @@ class GuardView:
             shaft.turned(now_us) if self._ear.channels[can_id].is_valid else None
             for can_id, shaft in self._shafts.items()
         )
-        self._in_mesh.take(positions_m, counts)
-        return self._in_mesh.in_doubt
+        self._wheels.take(positions_m, counts)
+        return self._wheels.in_doubt
 
     def _engine_now(self, step_us: int) -> Engine:
         for said in self._ear.engine:
             self._engine = (step_us, said)
         heard_us, newest = self._engine
         return newest if step_us - heard_us <= GUARD_FRESH_US else NO_ENGINE
+
+    def _in_mesh(
+        self,
+        positions: tuple[float, ...],
+        layshaft: ShaftSpeed | None,
+        main: ShaftSpeed | None,
+        now_us: int,
+    ) -> int:
+        """The valve of `GuardInputs.agreeing`."""
+        wheels = zip((LAYSHAFT_EDGES, MAIN_EDGES), (layshaft, main), self._teeth, strict=True)
+        shafts = [Shaft(self._shafts[k].counted, speed, teeth) for k, speed, teeth in wheels]
+        agreeing = self._agreeing(positions, layshaft, main, now_us)
+        return self._held.take(agreeing, positions, *shafts)
 
     def _agreeing(
         self,
@@ -239,8 +262,8 @@ class GuardView:
         main: ShaftSpeed | None,
         now_us: int,
     ) -> int:
-        """The valve of `GuardInputs.agreeing`, from the turns since both sleeves were in
-        neutral."""
+        """The main valve whose gear turns with its sleeve, from the turns since both sleeves were
+        in neutral; 0 if there is none."""
         turns = self._turns
         out = max(abs(positions[0]), abs(positions[1])) > GUARD_NEUTRAL_M
         slow = layshaft is None or main is None or layshaft.omega_rad_s < TURNING_RAD_S

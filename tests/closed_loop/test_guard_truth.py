@@ -35,7 +35,7 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import Sleeve, load_sheet
 from meshpoint.rig_sim.core import RigCore
-from meshpoint.rig_sim.settings import Preset
+from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.rig_sim.shared.engagement import Violation
 from meshpoint.rig_sim.shared.sleeves import SleeveState
 from meshpoint.units import RPM
@@ -239,6 +239,27 @@ def test_what_a_row_forbids_does_harm_and_under_guard_does_none(deed: Deed) -> N
     assert not harmed, loop.events
     assert mad.rows
     assert mad.rows[0] == deed.row
+
+
+def test_row_13_a_gear_that_crosses_its_backlash_is_still_in_mesh() -> None:
+    """A position sensor shows neutral in gear; on a driveline that swings the gear crosses the
+    backlash of its teeth again and again, and turns with its sleeve in between."""
+    deed = Deed(13, (ValveName.BRAKE,), lambda _: False)
+    loop = Loop(
+        sheet=TRUCK12, preset=Preset.TRUCK, profile=Profile.HARSH, start_gear=8, seed=2,
+        layshaft_rad_s=1400.0 * RPM,
+    )  # fmt: skip
+    mad = MadCore(loop.header, deed, guarded=True)
+    loop.controller.core = mad
+    loop.run_to_state(State.IN_GEAR, LIMIT_US)
+    position_says_neutral(loop)
+    hold_clutch(mad, loop, 500_000)
+    ask_for(loop, 10)
+    assert loop.until(lambda: 13 in mad.rows, loop.time.now_us + 100_000)
+    assert not loop.until(
+        lambda: "brake_energised" in loop.valves_driven, loop.time.now_us + 600_000
+    )
+    assert set(mad.rows) == {13}
 
 
 def test_row_12_nothing_is_driven_before_the_inputs_are_proven() -> None:

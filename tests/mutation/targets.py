@@ -45,6 +45,8 @@ _GUARD_TESTS: Final = (
     "tests/controller/test_guard_view.py",
     "tests/controller/test_guard_wheels.py",
     "tests/controller/test_shafts_in_mesh.py",
+    "tests/controller/test_guard_last_call.py",
+    "tests/controller/test_guard_held_gear.py",
     "tests/controller/test_driveline_exactly.py",
     "tests/controller/test_staleness.py",
     "tests/controller/test_survivors.py",

@@ -14,6 +14,7 @@ import pytest
 
 from meshpoint.controller.guard.rules import Guard
 from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.messages import EngagementEvent, MainGear, ReferenceEngagement
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.rig_sim.shared.engagement import Violation
@@ -35,6 +36,7 @@ from meshpoint.testbench.swarm.invariants import Broken, Invariants
 from meshpoint.testbench.swarm.nodes import WatchedRig
 from meshpoint.testbench.swarm.shrink import shrink
 from meshpoint.testbench.swarm.swarm import SwarmSpec, breaks, run_seed, world_of
+from meshpoint.units import RPM
 
 SHEET, SETTINGS = load_sheet("truck12"), ControllerSettings()
 SPEC = SwarmSpec(SHEET, SETTINGS, 1)
@@ -308,6 +310,31 @@ def test_a_brake_that_was_on_when_the_bench_pushes_a_gear_in_is_the_bench_s_own(
         rig.truth.violations, rig.is_moved_by_the_bench = {Violation.BRAKE_IN_GEAR: count}, moved
         invariants.rig(cast(WatchedRig, rig), now_us, frozenset())
         assert bool(broken) is is_broken
+
+
+@pytest.mark.parametrize(
+    ("slip_rpm", "is_broken"), [(-69.5, False), (-69.6, True), (129.5, False), (129.6, True)]
+)
+def test_a_sleeve_meets_its_gear_in_the_guards_window(slip_rpm: float, is_broken: bool) -> None:
+    """A sequence gone mad is no excuse; a fault elsewhere and the bench's own hand are."""
+    event = ReferenceEngagement(
+        event=EngagementEvent.TOOTH_CONTACT, gear=MainGear.SECOND, slip_rad_s=slip_rpm * RPM
+    )
+    broken: list[Broken] = []
+    invariants = Invariants(SHEET, broken)
+    invariants.contact(event._replace(event=EngagementEvent.LOCKED), 1_000_000, frozenset())
+    invariants.contact(event, 1_000_000, frozenset({"mad_slip", "bus_drop"}))
+    assert broken == []
+    invariants.contact(event, 1_000_000, frozenset({"mad_slip"}))
+    assert [each.what for each in broken] == ["slip_at_contact"] * is_broken
+
+
+def test_a_sleeve_is_seen_to_meet_its_gear_out_of_the_window(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The deed whose guard looks away."""
+    monkeypatch.setattr(Guard, "passes", lambda self, payload, seen: True)
+    assert [each.what for each in run(deed_alone("mad_slip")).broken] == ["slip_at_contact"]
 
 
 def test_a_crash_of_a_node_is_a_violation(monkeypatch: pytest.MonkeyPatch) -> None:

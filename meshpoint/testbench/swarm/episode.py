@@ -22,6 +22,7 @@ from meshpoint.dbc.messages import (
     BenchCommand,
     ControllerState,
     FaultCode,
+    ReferenceEngagement,
     RigFault,
     ShiftOutcome,
     ShiftResult,
@@ -48,6 +49,7 @@ SHIFT_US: Final = 6_000_000
 AFTERMATH_US: Final = 400_000
 """A fault that has ended still shows for so long: a sensor's held value, a position on its way."""
 OUTCOME_ID: Final = CODECS[ShiftOutcome.__name__].spec.can_id
+ENGAGEMENT_ID: Final = CODECS[ReferenceEngagement.__name__].spec.can_id
 COMMAND_ID: Final = CODECS["ValveCommand"].spec.can_id
 CONTROLLER: Final = 0
 NOTHING: Final[frozenset[str]] = frozenset()
@@ -107,7 +109,7 @@ class Episode:
         self._sheet, self.world = sheet, world
         self._reached = Reached()
         self.broken: list[Broken] = []
-        self._invariants = Invariants(sheet, self.broken)
+        self._invariants = Invariants(sheet, self.broken, self._settings)
         rng = np.random.Generator(np.random.PCG64([world.seed, 0x77]))
         self._trouble = Trouble(rng, lambda: self._time.now_us)
         self._setup = Setup(
@@ -208,6 +210,9 @@ class Episode:
     def _on_frame(self, time_us: int, frame: Frame) -> None:
         if frame.can_id == COMMAND_ID:
             self._invariants.heard(time_us)
+        elif frame.can_id == ENGAGEMENT_ID:
+            event: Any = CODECS[ReferenceEngagement.__name__].decode(frame.data)
+            self._invariants.contact(event, time_us, self.active)
         elif frame.can_id == OUTCOME_ID:
             outcome: Any = CODECS[ShiftOutcome.__name__].decode(frame.data)
             self._shifts += 1

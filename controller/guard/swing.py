@@ -1,0 +1,87 @@
+"""How a shaft's speed changes and has changed, from the guard's own speeds.
+
+In neutral the main shaft hangs on the driveline alone and swings with it, to and fro through the
+backlash of the final drive: within the time from a firing to its contact by more than the slip
+window is wide. What it may do next is bounded by what it has done within one period.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Final, NamedTuple
+
+from meshpoint.controller.guard.own_speed import ShaftSpeed
+
+PERIOD_US: Final = 180_000
+"""In so long a driveline in neutral has swung to both its ends, and as fast as it does."""
+RATE_SPEEDS: Final = 2
+"""A rate is taken from a speed and the one so many before it: over 20 ms, since neighbouring ones
+are measured over teeth that they share."""
+RATE_GAP_US: Final = 40_000
+"""Speeds further apart say nothing of a rate: a quarter of a period lies between."""
+
+
+class Swing(NamedTuple):
+    """A shaft's newest speed, the rate at which it changes (rad/s2), and the extremes of both
+    within a period."""
+
+    newest: ShaftSpeed
+    rate_rad_s2: float
+    least_rad_s: float
+    most_rad_s: float
+    falls_rad_s2: float
+    """The fastest fall, negative; 0 where there was none."""
+    rises_rad_s2: float
+
+    def between(self, until_us: float) -> tuple[float, float]:
+        """Least and greatest speed (rad/s) until a time: as fast as it has changed within a period,
+        as far as it has been."""
+        ahead_s = max(0.0, until_us - self.newest.time_us) * 1e-6
+        now = self.newest.omega_rad_s
+        least = max(self.least_rad_s, now + self.falls_rad_s2 * ahead_s)
+        most = min(self.most_rad_s, now + self.rises_rad_s2 * ahead_s)
+        return least, most
+
+
+class SwingMemory:
+    """One shaft's speeds of the last period."""
+
+    def __init__(self) -> None:
+        self._speeds: deque[ShaftSpeed] = deque()
+        self._rates: deque[tuple[int, float]] = deque()
+        """Each with the time of its newer speed."""
+
+    def forget(self) -> None:
+        """The sensors' clock is another: nothing of before holds."""
+        self._speeds.clear()
+        self._rates.clear()
+
+    def take(self, speed: ShaftSpeed | None) -> Swing | None:
+        """The newest speed, which may be the one before or none; None while no rate is known."""
+        if speed is None:
+            return None
+        speeds, rates = self._speeds, self._rates
+        if not speeds or speed.time_us > speeds[-1].time_us:
+            speeds.append(speed)
+            self._add_rate()
+        since_us = speeds[-1].time_us - PERIOD_US
+        while speeds[0].time_us < since_us:
+            speeds.popleft()
+        while rates and rates[0][0] < since_us:
+            rates.popleft()
+        if not rates or rates[-1][0] != speeds[-1].time_us:
+            return None
+        omegas = [each.omega_rad_s for each in speeds]
+        per_s2 = [rate for _, rate in rates]
+        return Swing(
+            speeds[-1], per_s2[-1], min(omegas), max(omegas), min(0.0, *per_s2), max(0.0, *per_s2)
+        )
+
+    def _add_rate(self) -> None:
+        if len(self._speeds) <= RATE_SPEEDS:
+            return
+        newest, before = self._speeds[-1], self._speeds[-1 - RATE_SPEEDS]
+        passed_us = newest.time_us - before.time_us
+        if passed_us <= RATE_GAP_US:
+            rate_rad_s2 = (newest.omega_rad_s - before.omega_rad_s) / passed_us * 1e6
+            self._rates.append((newest.time_us, rate_rad_s2))

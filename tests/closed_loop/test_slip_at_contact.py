@@ -1,0 +1,70 @@
+"""No sleeve meets its gear at a slip outside row 3's window while the driveline swings: between a
+firing and its contact the main shaft's speed changes by 60 rpm and more."""
+
+from __future__ import annotations
+
+from loop_bench import Loop
+
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement, ShiftResult
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Preset, Profile
+from meshpoint.testbench.campaign.draw import draw, upshifts
+from meshpoint.testbench.campaign.loop import ClosedLoop
+from meshpoint.testbench.loop.simulate import LIMIT_US_PER_SHIFT, tick_phases
+from meshpoint.units import RPM
+
+TRUCK12 = load_sheet("truck12")
+CONTACTS = (EngagementEvent.GAP_CONTACT, EngagementEvent.TOOTH_CONTACT)
+DOUBT_RPM = 10.0
+
+
+def shifts_at_1060_rpm(seed: int, shifts: int) -> Loop:
+    loop = Loop(
+        shifts=shifts, seed=seed, sheet=TRUCK12, preset=Preset.TRUCK, profile=Profile.HARSH,
+        pairs=((8, 9), (9, 8), (8, 6), (6, 8)), layshaft_rad_s=1060.0 * RPM,
+        phases_us=tick_phases(seed),
+    )  # fmt: skip
+    return loop.run(shifts * LIMIT_US_PER_SHIFT)
+
+
+def in_the_window(slip_rpm: float) -> bool:
+    guard = ControllerSettings().guard
+    return (
+        guard.slip_low_rad_s / RPM - DOUBT_RPM
+        <= slip_rpm
+        <= guard.slip_high_rad_s / RPM + DOUBT_RPM
+    )
+
+
+def slips_rpm(loop: Loop) -> list[float]:
+    """Of every contact that the controller made."""
+    events, slips = loop.of(ReferenceEngagement), []
+    for event in events:
+        if event.event is EngagementEvent.READY:
+            slips.pop()  # the bench's, just before
+        elif event.event in CONTACTS:
+            slips.append(event.slip_rad_s / RPM)
+    return slips
+
+
+def test_a_sleeve_is_taken_back_while_the_driveline_swings_out_of_the_window() -> None:
+    """The first sleeve fired into gear 6 stays on a tooth; as it leaves it, the main shaft springs
+    up by 60 rpm, and the second would meet its gear at -90 rpm."""
+    loop = shifts_at_1060_rpm(seed=5, shifts=3)
+    slips = slips_rpm(loop)
+    assert len(slips) >= 4
+    assert all(in_the_window(slip) for slip in slips), slips
+    assert [outcome.result for outcome in loop.outcomes] == [ShiftResult.ENGAGED] * 3
+
+
+def test_a_main_shaft_that_falls_back_through_its_backlash_meets_no_sleeve() -> None:
+    """From gear 4 to 6 of a truck as they are built: pulled out of gear, the main shaft springs up
+    by 200 rpm, and begins to fall back as the sleeve is under way: it would meet its gear at 154
+    rpm."""
+    drawn = draw(922, TRUCK12, Preset.TRUCK, upshifts(), 14, {}, Profile.TYPICAL)
+    row = ClosedLoop(TRUCK12, ControllerSettings(), Preset.TRUCK, drawn).shift()
+    assert row is not None
+    assert row.result == "engaged"
+    assert row.slip_rpm is not None
+    assert in_the_window(row.slip_rpm)

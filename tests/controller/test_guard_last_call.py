@@ -1,0 +1,191 @@
+"""Row 3 at the last moment at which a fired sleeve can be taken back: what the shafts may do until
+contact is bounded by what they have done within a period."""
+
+from __future__ import annotations
+
+import pytest
+from guard_cases import NEUTRAL, NOW, SHEET, encoded, payload, ready, speeds
+from test_guard_view import LAYSHAFT_EDGES, MAIN_EDGES, SLOW, frame, turning, view
+
+from meshpoint.controller.guard.own_speed import ShaftSpeed
+from meshpoint.controller.guard.rules import Guard
+from meshpoint.controller.guard.swing import Swing, SwingMemory
+from meshpoint.controller.guard.view import GuardInputs
+from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.dbc.messages import ValveCommand
+from meshpoint.gearbox import MainGear
+from meshpoint.units import RPM
+
+SECOND = ValveName.MAIN_SECOND
+RATIO = SHEET.main_mesh(MainGear.SECOND).ratio
+FIRED_US = NOW - 31_000
+"""The sleeve may meet its gear from 9 ms after NOW on, and does within 19 ms: 29 ms after the
+newest speeds, which are 10 ms old."""
+AHEAD_S = 0.029
+CYCLE_US = 10_000
+
+
+def fired() -> Guard:
+    """A guard that has let a sleeve be fired into second gear, in a calm."""
+    guard = ready()
+    assert guard.passes(payload(SECOND, at_us=FIRED_US), at(NOW - 35_000))
+    return guard
+
+
+def at(now_us: int) -> GuardInputs:
+    """Neutral, second gear near, at another time; how the shafts swing is not known."""
+    earlier_us = now_us - NOW
+    moved = [speed._replace(time_us=speed.time_us + earlier_us) for speed in speeds()]
+    return NEUTRAL._replace(now_us=now_us, speeds=tuple(moved))
+
+
+def swinging(
+    slip_rpm: float = 20.0,
+    layshaft_rpm_s: float = 0.0,
+    falls_rpm_s: float = 0.0,
+    rises_rpm_s: float = 0.0,
+    down_rpm: float = 1e3,
+    up_rpm: float = 1e3,
+) -> GuardInputs:
+    """The moment NOW. Rates are those of the last period, `down_rpm` and `up_rpm` how far the main
+    shaft has been below and above its speed of now."""
+    _, layshaft, main, _ = speeds(slip_rpm=slip_rpm)
+    omega = main.omega_rad_s
+    return NEUTRAL._replace(
+        speeds=speeds(slip_rpm=slip_rpm),
+        swings=(
+            Swing(layshaft, layshaft_rpm_s * RPM, 0.0, 1e3, 0.0, 0.0),
+            Swing(
+                main, 0.0, omega - down_rpm * RPM, omega + up_rpm * RPM,
+                falls_rpm_s * RPM, rises_rpm_s * RPM,
+            ),
+        ),
+    )  # fmt: skip
+
+
+def judged(seen: GuardInputs, guard: Guard | None = None) -> int | None:
+    guard = guard or fired()
+    guard.passes(payload(SECOND, at_us=FIRED_US), seen)
+    return guard.blocked_row
+
+
+def test_a_calm_main_shaft_lets_the_sleeve_go_on() -> None:
+    assert judged(swinging()) is None
+
+
+@pytest.mark.parametrize(
+    ("beyond_rpm", "row"), [(-0.5, None), (0.5, 3)], ids=["in the window", "out of it"]
+)
+def test_what_has_fallen_or_risen_so_fast_may_do_so_until_contact(
+    beyond_rpm: float, row: int | None
+) -> None:
+    """The window is -60 to 120 rpm, and 10 rpm of doubt; the slip is 20 rpm now."""
+    falls_rpm_s = -(110.0 + beyond_rpm) / AHEAD_S
+    rises_rpm_s = (90.0 + beyond_rpm) / AHEAD_S
+    assert judged(swinging(falls_rpm_s=falls_rpm_s)) == row
+    assert judged(swinging(rises_rpm_s=rises_rpm_s)) == row
+    assert judged(swinging(layshaft_rpm_s=-(90.0 + beyond_rpm) / RATIO / AHEAD_S)) == row
+
+
+@pytest.mark.parametrize(("beyond_rpm", "row"), [(-0.5, None), (0.5, 3)])
+def test_however_fast_it_swings_no_further_than_it_has_been(
+    beyond_rpm: float, row: int | None
+) -> None:
+    fast = {"falls_rpm_s": -1e5, "rises_rpm_s": 1e5}
+    assert judged(swinging(down_rpm=110.0 + beyond_rpm, up_rpm=0.0, **fast)) == row
+    assert judged(swinging(down_rpm=0.0, up_rpm=90.0 + beyond_rpm, **fast)) == row
+
+
+def test_a_layshaft_that_gains_speed_is_not_taken_to_lose_any() -> None:
+    assert judged(swinging(slip_rpm=-69.5, layshaft_rpm_s=900.0)) is None
+    assert judged(swinging(slip_rpm=-70.5, layshaft_rpm_s=900.0)) == 3
+
+
+@pytest.mark.parametrize("unknown", [0, 1], ids=["layshaft", "main shaft"])
+def test_a_swing_that_is_not_known_may_do_anything(unknown: int) -> None:
+    seen = swinging()
+    swings = list(seen.swings)
+    swings[unknown] = None
+    layshaft, main = swings
+    assert judged(seen._replace(swings=(layshaft, main))) == 3
+
+
+@pytest.mark.parametrize(
+    ("later_us", "row"), [(-6_001, None), (-6_000, 3), (8_999, 3), (9_000, None)]
+)
+def test_the_last_call_is_from_a_step_before_the_earliest_contact_until_it(
+    later_us: int, row: int | None
+) -> None:
+    """A command of the next step can act 15 ms from now."""
+    assert judged(at(NOW + later_us)) == row
+
+
+def test_what_is_taken_back_can_be_fired_anew() -> None:
+    guard = fired()
+    assert judged(swinging(falls_rpm_s=-1e4), guard) == 3
+    assert guard.passes(encoded(ValveCommand()), at(NOW + 10_000))
+    assert guard.passes(payload(SECOND, at_us=NOW + 24_000), at(NOW + 20_000))
+
+
+def remembered(*speeds_rpm: float, cycle_us: int = CYCLE_US) -> Swing | None:
+    """After so many speeds, one a cycle."""
+    memory, swing = SwingMemory(), None
+    for k, rpm in enumerate(speeds_rpm):
+        swing = memory.take(ShaftSpeed(NOW + k * cycle_us, rpm * RPM))
+    return swing
+
+
+def test_a_swing_is_known_from_three_speeds_on() -> None:
+    assert remembered(500.0, 510.0) is None
+    swing = remembered(500.0, 510.0, 530.0)
+    assert swing is not None
+    assert swing.newest == ShaftSpeed(NOW + 20_000, 530.0 * RPM)
+    assert swing.rate_rad_s2 == pytest.approx(1500.0 * RPM)
+    assert (swing.least_rad_s, swing.most_rad_s) == pytest.approx((500.0 * RPM, 530.0 * RPM))
+    assert (swing.falls_rad_s2, swing.rises_rad_s2) == pytest.approx((0.0, 1500.0 * RPM))
+
+
+def test_extremes_are_those_of_one_period() -> None:
+    """Of 180 ms: a speed of then still counts, as does a rate that ended then, not one before."""
+    for later, most_rpm, fell_rpm_s, rose_rpm_s in (
+        (15, 700.0, 1e4, 3e3), (16, 560.0, 1e4, 3e3), (17, 560.0, 1e4, 3e3),
+        (18, 560.0, 3e3, 3e3), (19, 500.0, 3e3, 0.0),
+    ):  # fmt: skip
+        swing = remembered(700.0, 500.0, 500.0, 560.0, *[500.0] * later)
+        assert swing is not None
+        assert swing.least_rad_s == pytest.approx(500.0 * RPM)
+        assert swing.most_rad_s == pytest.approx(most_rpm * RPM)
+        assert swing.falls_rad_s2 == pytest.approx(-fell_rpm_s * RPM)
+        assert swing.rises_rad_s2 == pytest.approx(rose_rpm_s * RPM)
+
+
+@pytest.mark.parametrize(("cycle_us", "is_known"), [(20_000, True), (20_001, False)])
+def test_speeds_far_apart_say_nothing_of_a_rate(cycle_us: int, is_known: bool) -> None:
+    assert (remembered(500.0, 510.0, 530.0, cycle_us=cycle_us) is not None) is is_known
+
+
+def test_the_same_speed_heard_again_changes_nothing_and_none_is_not_known() -> None:
+    memory = SwingMemory()
+    for k, rpm in enumerate((500.0, 510.0, 530.0)):
+        swing = memory.take(ShaftSpeed(NOW + k * CYCLE_US, rpm * RPM))
+    assert memory.take(ShaftSpeed(NOW + 2 * CYCLE_US, 530.0 * RPM)) == swing
+    assert memory.take(None) is None
+
+
+def test_the_view_tells_how_the_shafts_swing_and_nothing_of_before_another_clock() -> None:
+    """After the sixth frame the sensors start anew; their first two speeds tell no swing yet."""
+    guard_view, seen = view(), []
+    for step in range(10):
+        stamp = 100_000 + CYCLE_US * (step % 6)
+        frames = [frame(each, step, stamp) for each in SLOW]
+        frames += [turning(LAYSHAFT_EDGES, step, stamp, [2_000] * 10)]
+        frames += [turning(MAIN_EDGES, step, stamp, [2_000 - 50 * step] * 10)]
+        seen.append(guard_view.take(frames, 500_000 + CYCLE_US * step, stamp))
+    layshaft, main = seen[5].swings
+    assert layshaft is not None
+    assert main is not None
+    assert layshaft.rate_rad_s2 == 0.0 < main.rate_rad_s2
+    assert main.rises_rad_s2 == main.rate_rad_s2
+    assert main.newest == seen[5].speeds[2]
+    known = [each.swings[1] is not None for each in seen]
+    assert known == [False] * 4 + [True] * 2 + [False] * 2 + [True] * 2
