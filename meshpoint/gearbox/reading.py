@@ -1,18 +1,29 @@
 """Opening files that people name: regular files only, and no more of them than is allowed.
 
-A pipe would be waited for, a device read for ever: neither is a file of settings or a log.
+A pipe would be waited for, a device read for ever: neither is a file of settings or a log. All
+reading goes through here; tests/contract/test_opening.py says so, and lists the exceptions.
 """
 
 from __future__ import annotations
 
 import os
 import stat
+from io import FileIO
 from pathlib import Path
 from typing import BinaryIO, Final, cast
 
 # A pipe is not waited for between the look at it and its opening.
 _FLAGS: Final = (
     os.O_RDONLY
+    | getattr(os, "O_NONBLOCK", 0)
+    | getattr(os, "O_CLOEXEC", 0)
+    | getattr(os, "O_BINARY", 0)
+)
+_NEW_FLAGS: Final = (
+    os.O_WRONLY
+    | os.O_CREAT
+    | os.O_TRUNC
+    | getattr(os, "O_NOFOLLOW", 0)
     | getattr(os, "O_NONBLOCK", 0)
     | getattr(os, "O_CLOEXEC", 0)
     | getattr(os, "O_BINARY", 0)
@@ -68,6 +79,16 @@ def read_text(path: Path, limit_bytes: int) -> str:
     except UnicodeDecodeError as error:
         raise UnreadableError(path, f"not UTF-8 text: {error}") from error
     return text.replace("\r\n", "\n")
+
+
+def create_regular(path: Path) -> FileIO:
+    """A new, empty file, or one that was there emptied, to write to without a buffer; never what a
+    link points to. OSError where it cannot be made, or is no regular file."""
+    file = FileIO(os.open(path, _NEW_FLAGS, 0o666), "w")
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError("is no regular file")
+    return file
 
 
 def _check_regular(path: Path, mode: int) -> None:

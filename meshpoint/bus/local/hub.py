@@ -25,6 +25,7 @@ from meshpoint.bus.local.channel import SYNTAX, ChannelError, HubChannel, hub_lo
 from meshpoint.bus.local.dial import NoHubError, dial
 from meshpoint.bus.local.listening import HubRunningError, clean_up, listen
 from meshpoint.bus.local.throttle import LOOK_S, Allowance, ReaderProgress
+from meshpoint.bus.standard_error import lasting_error
 
 DEFAULT_LINGER_S = 3.0
 MAX_BACKLOG_BYTES = 8 * 1024 * 1024
@@ -290,4 +291,6 @@ def _say(line: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with lasting_error():
+        code = main()
+    sys.exit(code)

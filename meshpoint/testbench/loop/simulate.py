@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +15,7 @@ from meshpoint.bus.authentication.keys import CommandKeys
 from meshpoint.bus.authentication.proof import CHALLENGE_BITS
 from meshpoint.bus.core import Core
 from meshpoint.bus.profile import WireProfile
+from meshpoint.bus.records import Records
 from meshpoint.bus.settle import settle
 from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.controller.calibration.learned import Calibration
@@ -101,6 +102,8 @@ class Result:
     """What the adapter did to the controller's frames; None: there was none."""
     bus: Mapping[str, Any] | None = None
     """What the frames went through on a loaded bus."""
+    unwritten: Sequence[str] = ()
+    """What of the records beside the log could not be written."""
 
     def to_json(self, strategy: str) -> dict[str, Any]:
         """As `simulate --json` prints it."""
@@ -155,6 +158,18 @@ def _challenges(seed: int) -> Callable[[], int]:
     """Challenges of a run that can be repeated; live ones are the operating system's."""
     rng = np.random.Generator(np.random.PCG64([seed, 0xC4A1]))
     return lambda: int.from_bytes(rng.bytes(CHALLENGE_BITS // 8), "little")
+
+
+def _written_first(
+    records: Records, unwritten: list[str], is_over: Callable[[], bool]
+) -> Callable[[], bool]:
+    """Writes what a step has left, then says whether the run is over."""
+
+    def look() -> bool:
+        unwritten.extend(records.write())
+        return is_over()
+
+    return look
 
 
 def _as_it_is(frame: Frame) -> Iterable[Frame]:
@@ -215,6 +230,7 @@ def simulate(
     adapter = None
     operator: Core = bench
     unpack = _as_it_is
+    records = Records(record or Path())
     if setup.wire is WireProfile.CLASSIC:
         from meshpoint.bus.classic.cores import bench_unpacker, on_classic_bus
 
@@ -224,7 +240,7 @@ def simulate(
             from meshpoint.bus.classic.step_record import StepRecord
 
             run_hash = setup.header.run_hash
-            controller = StepRecord(controller, record, run_hash, diagnosed=False)
+            controller = StepRecord(controller, records, run_hash, diagnosed=False)
     if setup.adapter is not None:
         controller = adapter = AdapterCore(controller, setup.adapter, setup.seed)
     cores: list[Core] = [controller, gearbox, operator]
@@ -239,10 +255,15 @@ def simulate(
     driver = VirtualTime(cores, tick_phases(setup.seed), take, on_event, filters, bus)
     if adapter is not None:
         adapter.now_us = lambda: driver.now_us
+
+    unwritten: list[str] = []
+
     settle()
     if plan:
-        driver.run(lambda: bench.done or stop(), LIMIT_US_PER_SHIFT * len(plan))
+        is_over = _written_first(records, unwritten, lambda: bench.done or stop())
+        driver.run(is_over, LIMIT_US_PER_SHIFT * len(plan))
     controller.shutdown(driver.now_us)
+    unwritten += records.close()
     return Result(
         rows=_with_bounds(monitor.rows.rows, plan, setup.sheet, rig.as_built or {}),
         estimation=monitor.estimation.figures(),
@@ -256,4 +277,5 @@ def simulate(
         interrupted=bool(plan) and not bench.done and stop(),
         adapter=None if adapter is None else adapter.figures(),
         bus=None if bus is None else bus.figures(),
+        unwritten=unwritten,
     )
