@@ -28,6 +28,13 @@ _NEW_FLAGS: Final = (
     | getattr(os, "O_CLOEXEC", 0)
     | getattr(os, "O_BINARY", 0)
 )
+_KINDS: Final = (
+    (stat.S_ISDIR, "is a directory"),
+    (stat.S_ISFIFO, "is a pipe"),
+    (stat.S_ISSOCK, "is a socket"),
+    (stat.S_ISCHR, "is a device"),
+    (stat.S_ISBLK, "is a device"),
+)
 
 
 class UnreadableError(ValueError):
@@ -92,7 +99,7 @@ def create_regular(path: Path) -> FileIO:
 
 
 def _check_regular(path: Path, mode: int) -> None:
-    if stat.S_ISDIR(mode):
-        raise UnreadableError(path, "is a directory")
-    if not stat.S_ISREG(mode):
-        raise UnreadableError(path, "is no regular file")
+    if stat.S_ISREG(mode):
+        return
+    found = next((words for is_kind, words in _KINDS if is_kind(mode)), "is of an unknown kind")
+    raise UnreadableError(path, f"{found}, allowed is a regular file")
