@@ -14,8 +14,9 @@ ONE_PLACE = "meshpoint/gearbox/reading.py"
 EXCEPTIONS = {
     "meshpoint/api/reference.py": "a page of this repository",
     "meshpoint/bus/authentication/frames.py": "a file of the package",
-    "meshpoint/bus/local/hub.py": "/dev/null, and the hub's own log",
+    "meshpoint/bus/local/hub.py": "/dev/null",
     "meshpoint/bus/local/listening.py": "a folder, for its lock",
+    "meshpoint/bus/local/own_files.py": "a hub's own lock and log, which it writes",
     "meshpoint/bus/options.py": "the kernel's own files; python-can's own places",
     "meshpoint/bus/pace.py": "opened to be written, which waits for no pipe; of a fixed size",
     "meshpoint/bus/standard_error.py": "/dev/null",
