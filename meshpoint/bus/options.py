@@ -257,15 +257,13 @@ def _section(text: str) -> dict[str, Any]:
         return dict(found)
     else:
         raise BusOpenError(f"--config {text}: there is no file {head} (nor {text})")
-    # As python-can reads its own files: values as they are, keys with their capitals.
-    parser = configparser.ConfigParser(interpolation=None)
+    # As python-can reads its own files: keys keep their capitals.
+    parser = configparser.ConfigParser()
     parser.optionxform = lambda name: name  # type: ignore[assignment,method-assign]
     try:
         parser.read_string(read_text(path, CONFIG_LIMIT_BYTES), str(path))
     except UnreadableError as error:
         raise BusOpenError(f"--config {text}: {error}") from error
-    except configparser.Error as error:
-        raise BusOpenError(f"--config {text}: {' '.join(str(error).split())}") from error
     if not (parser.has_section(section) and parser.items(section)):
         sections = ", ".join(parser.sections()) or "none"
         raise BusOpenError(

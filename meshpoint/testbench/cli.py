@@ -53,7 +53,7 @@ def _main(arguments: Sequence[str] | None) -> int:
 def _run(namespace: argparse.Namespace) -> int:
     """The command, and an exit code for whatever ends it."""
     from meshpoint.testbench.errors import RunError
-    from meshpoint.testbench.results.output import check_writable
+    from meshpoint.testbench.results.output import check_writable, complain
 
     try:
         for target in ("json", "report", "junit", "markdown"):
@@ -65,20 +65,19 @@ def _run(namespace: argparse.Namespace) -> int:
     except _user_errors() as error:
         if namespace.debug:
             raise
-        print(f"meshpoint {namespace.command}: error: {error}", file=sys.stderr)
+        complain(f"meshpoint {namespace.command}: error: {error}")
         return Exit.BAD_INPUT
     except RunError as error:
-        print(f"meshpoint {namespace.command}: {error}", file=sys.stderr)
+        complain(f"meshpoint {namespace.command}: {error}")
         return Exit.FAILED
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        complain("interrupted")
         return Exit.INTERRUPTED
     except OutputError as error:
         if error.reader_has_gone:
             return Exit.DONE
-        print(
-            f"meshpoint {namespace.command}: standard output cannot be written: {error.strerror}",
-            file=sys.stderr,
+        complain(
+            f"meshpoint {namespace.command}: standard output cannot be written: {error.strerror}"
         )
         return Exit.FAILED
     return code

@@ -135,7 +135,7 @@ def _tell(namespace: argparse.Namespace, title: str, compared: Compared) -> None
         for heading, columns, rows in compared.tables[: compared.on_terminal]:
             if rows:
                 out.print(compared_table(heading, columns, rows))
-    out.print(compared.verdict, markup=False)
+    out.print(compared.verdict)
 
 
 def _tolerance(text: str) -> tuple[str, float]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractAsyncContextManager, contextmanager
 from pathlib import Path
@@ -319,6 +318,6 @@ def _clock(namespace: argparse.Namespace) -> NodeClock:
 def _printer(namespace: argparse.Namespace) -> Callable[[str], None]:
     def show(line: str) -> None:
         if not namespace.quiet:
-            print(line, file=sys.stderr, flush=True)
+            complain(line)
 
     return show

@@ -77,9 +77,9 @@ def run(namespace: argparse.Namespace) -> int:
     with interruptible() as stop, logged_frames(files, namespace.bus, stop) as log:
         answer = _answer(namespace, files, log)
     out = console(namespace.json)
-    out.print(answer.sentence, soft_wrap=True, markup=False)
+    out.print(answer.sentence, soft_wrap=True)
     if log.defect is not None:
-        out.print(f"the log cannot be read on: {log.defect}", soft_wrap=True, markup=False)
+        out.print(f"the log cannot be read on: {log.defect}", soft_wrap=True)
     if namespace.json is not None:
         values = {"logs": [str(path) for path in files], "interrupted": log.interrupted}
         write_json(namespace.json, values | answer.to_json())

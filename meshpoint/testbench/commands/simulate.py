@@ -209,7 +209,7 @@ def run(namespace: argparse.Namespace) -> int:
     )
     _write_results(namespace, setup, result, judged)
     if log is not None:
-        out.print(f"log {written(log)}", markup=False)
+        out.print(f"log {written(log)}")
     if namespace.json != "-":
         _show(out, setup, result)
     unwritten += map(_complained, result.unwritten)

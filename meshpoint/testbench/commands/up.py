@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterable, Sequence
@@ -205,5 +204,4 @@ class _Greeting:
 
 
 def _show(name: str, line: str) -> None:
-    sys.stderr.write(f"{name:10} | {line}\n")
-    sys.stderr.flush()
+    complain(f"{name:10} | {line}")
