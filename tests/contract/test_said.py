@@ -11,6 +11,7 @@ OWN_WORDS = {
     "meshpoint/testbench/commands/completion.py": "a script of ours",
     "meshpoint/testbench/commands/health.py": "numbers, and one of two names",
     "meshpoint/testbench/commands/reference.py": "names of pages of ours",
+    "meshpoint/testbench/commands/replay.py": "what a console of ours printed, kept for its place",
     "meshpoint/testbench/commands/request.py": "numbers, and words of the DBC",
     "meshpoint/testbench/commands/tell.py": "one sentence of ours",
 }

@@ -26,7 +26,7 @@ from meshpoint.bus.local.plugin import MeshpointBus
 
 ROOT = Path(__file__).resolve().parents[2]
 FULL = Path("/dev/full")
-ADDRESS = {"controller": 0x03, "rig": 0x80}
+ADDRESS = {"controller": 0x03, "rig": 0x80, "up": 0x03}
 pytestmark = [
     pytest.mark.timeout(900),
     pytest.mark.skipif(not FULL.exists(), reason="no /dev/full here: the system is no Linux"),
@@ -112,7 +112,7 @@ def test_a_controller_whose_disk_is_full_goes_on_after_its_link_was_lost(
     assert code == 1, controller.said
 
 
-@pytest.mark.parametrize("name", ["controller", "rig"])
+@pytest.mark.parametrize("name", ["controller", "rig", "up"])
 def test_a_node_whose_words_nobody_reads_any_more_goes_on(channel: str, name: str) -> None:
     read, write = os.pipe()
     os.close(read)

@@ -27,7 +27,7 @@ from meshpoint.testbench.studies.settings import StudySettings, load_study_setti
 LIST = "list"
 PAGE = "studies.html"
 SETTINGS = "studies.toml"
-VERDICT_WORDS = {
+VERDICT_WORDS: dict[ThesisVerdict, str | Text] = {
     ThesisVerdict.AGREES: Text("agrees", "green"),
     ThesisVerdict.DIFFERS: Text("differs", "red"),
     ThesisVerdict.NOT_COMPARABLE: "not comparable",

@@ -167,7 +167,11 @@ def _number(value: float | None, digits: int, signed: bool = False) -> str:
 
 def cells(row: ShiftRow) -> list[str | Text]:
     """A row as the table shows it."""
-    contact = {"gap": Text("gap", "green"), "tooth": Text("tooth", "red"), None: "-"}[row.contact]
+    words: dict[str | None, str | Text] = {
+        "gap": Text("gap", "green"),
+        "tooth": Text("tooth", "red"),
+        None: "-",
+    }
     return [
         str(row.from_),
         str(row.to),
@@ -177,7 +181,7 @@ def cells(row: ShiftRow) -> list[str | Text]:
         _number(row.slip_rpm, 1, signed=True),
         _number(row.phase_error_deg, 2, signed=True),
         _number(row.phase_error_pct_of_pitch, 1, signed=True),
-        contact,
+        words[row.contact],
         str(row.attempts),
         row.result,
     ]
