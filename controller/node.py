@@ -15,6 +15,7 @@ from meshpoint.bus.core import Core
 from meshpoint.bus.diagnosis.core import DiagnosedCore
 from meshpoint.bus.driver import OpenBus, run_node
 from meshpoint.bus.profile import WireProfile
+from meshpoint.bus.records import Records
 from meshpoint.bus.settle import settle
 from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.controller.calibration_keeper import CalibrationKeeper, Keep
@@ -46,14 +47,16 @@ async def run_controller(
     `keep` gets the calibration whenever more is known, and at the end. With `keys` commands are
     proven to be ours. With `diagnosis` it claims its address, tells its trouble codes and answers
     testers (docs/diagnosis.md). `record`: a folder, that of the run header, for what a replay needs
-    to know of link outages, and of every step where `wire` is classic. `wire`: the frames on the
-    bus. `address`: the controller's on this bus, which `open_bus` has put in the DBC's place."""
+    to know of link outages, and of every step where `wire` is classic; what of it cannot be written
+    is said and counted. `wire`: the frames on the bus. `address`: the controller's on this bus,
+    which `open_bus` has put in the DBC's place."""
     warm_up(baselines=header.settings.estimator is not Estimator.CROSSING)
     core = ControllerCore(header)
     kept: Core = core if keep is None else CalibrationKeeper(core, keep, _utc)
     statistics = NodeStatistics()
-    if record is not None and wire is WireProfile.FD:
-        kept = OutageRecord(kept, record, header.run_hash, lambda: statistics.frames_discarded)
+    records = None if record is None else Records(record)
+    if records is not None and wire is WireProfile.FD:
+        kept = OutageRecord(kept, records, header.run_hash, lambda: statistics.frames_discarded)
     node: Core = kept if keys is None else ProvingCore(kept, keys)
     if diagnosis:
         node = DiagnosedCore(node, header.version, told_as=address)
@@ -62,10 +65,10 @@ async def run_controller(
         from meshpoint.bus.classic.step_record import StepRecord
 
         node = ClassicControllerCore(node, header.sheet)
-        if record is not None:
-            node = StepRecord(node, record, header.run_hash, diagnosed=diagnosis)
+        if records is not None:
+            node = StepRecord(node, records, header.run_hash, diagnosed=diagnosis)
     settle()
-    return await run_node(
+    await run_node(
         node,
         open_bus,
         clock,
@@ -74,7 +77,9 @@ async def run_controller(
         name="controller",
         own_addresses=ADDRESSES,
         statistics=statistics,
+        records=records,
     )
+    return statistics
 
 
 def _utc(_now_us: int) -> str:

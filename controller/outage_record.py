@@ -12,9 +12,10 @@ import json
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from meshpoint.bus.core import AroundCore, Core, Step
+from meshpoint.bus.records import Records
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox.reading import read_text
 
@@ -40,22 +41,23 @@ class StepInput(NamedTuple):
 
 
 class OutageRecord(AroundCore[Core]):
-    """A core with its memory of the newest steps, which it writes where frames were not sent."""
+    """A core with its memory of the newest steps, which it hands over to be written where frames
+    were not sent."""
 
     def __init__(
-        self, core: Core, folder: Path, run_hash: int, discarded: Callable[[], int]
+        self, core: Core, records: Records, run_hash: int, discarded: Callable[[], int]
     ) -> None:
-        """folder: of the run header. discarded: how many frames the driver could not send so
-        far."""
+        """discarded: how many frames the driver could not send so far."""
         super().__init__(core)
-        self._folder, self._run_hash = folder, run_hash
+        self._records, self._run_hash = records, run_hash
         self._discarded = discarded
         self._discarded_before = 0
         self._newest: deque[StepInput] = deque(maxlen=BEFORE_STEPS)
         self._heard: list[Frame] = []
         self._number = 0
-        self._file: IO[str] | None = None
-        self._left = self._written = 0
+        self._name = ""
+        """Of the file of the outage that is recorded; empty: none is."""
+        self._left = self._kept = 0
         self._sent = 0
         """Steps in a row that could be sent."""
 
@@ -65,7 +67,7 @@ class OutageRecord(AroundCore[Core]):
         self._core.receive(frame)
 
     def step(self, now_us: int) -> Step:
-        """The core's step; lines of its own where a record begins or ends."""
+        """The core's step; a line of its own where a record begins."""
         lines = self._look()
         heard, self._heard = self._heard, []
         self._take(StepInput(self._number, now_us, heard))
@@ -74,9 +76,9 @@ class OutageRecord(AroundCore[Core]):
         return step if not lines else Step(step.frames, [*step.events, *lines])
 
     def shutdown(self, now_us: int) -> Step:
-        """The core's last frames; closes the record."""
+        """The core's last frames; ends the record."""
         lines = self._look()
-        self._close()
+        self._end()
         step = self._core.shutdown(now_us)
         return Step(step.frames, [*step.events, *lines])
 
@@ -87,48 +89,39 @@ class OutageRecord(AroundCore[Core]):
         self._discarded_before = discarded
         self._sent = 0 if is_lost else self._sent + 1
         if self._sent > AFTER_STEPS:
-            self._written = 0  # that outage is over
-        if not is_lost or self._written >= MOST_STEPS:
+            self._kept = 0  # that outage is over
+        if not is_lost or self._kept >= MOST_STEPS:
             return []
         self._left = AFTER_STEPS
-        return [] if self._file is not None else self._open()
+        return [] if self._name else self._begin()
 
-    def _open(self) -> list[str]:
+    def _begin(self) -> list[str]:
         if not self._newest:
             return []
-        path = self._folder / record_name(self._run_hash, self._newest[0].number)
-        try:
-            self._file = path.open("w", encoding="utf-8")
-        except OSError as error:
-            return [f"outage not recorded: {path}: {error.strerror or error}"]
-        self._written = 0
+        self._name = record_name(self._run_hash, self._newest[0].number)
+        self._kept = 0
         for each in self._newest:
-            self._write(each)
-        return [f"outage: what its steps were made of is kept in {path.name}"]
+            self._keep(each)
+        return [f"outage: what its steps were made of goes to {self._name}"]
 
     def _take(self, step: StepInput) -> None:
         self._newest.append(step)
-        if self._file is None:
+        if not self._name:
             return
-        self._write(step)
+        self._keep(step)
         self._left -= 1
-        if self._left <= 0 or self._written >= MOST_STEPS:
-            self._close()
+        if self._left <= 0 or self._kept >= MOST_STEPS:
+            self._end()
 
-    def _write(self, step: StepInput) -> None:
-        if self._file is None:
-            return
+    def _keep(self, step: StepInput) -> None:
         frames = [[f.can_id, f.data.hex(), f.is_fd, f.is_extended] for f in step.frames]
-        try:
-            self._file.write(json.dumps([step.number, step.time_us, frames]) + "\n")
-        except OSError:  # a full disk: a record that ends early says so by itself
-            self._left = 0
-        self._written += 1
+        self._records.put(self._name, json.dumps([step.number, step.time_us, frames]))
+        self._kept += 1
 
-    def _close(self) -> None:
-        file, self._file = self._file, None
-        if file is not None:
-            file.close()
+    def _end(self) -> None:
+        if self._name:
+            self._records.end(self._name)
+        self._name = ""
 
 
 def record_name(run_hash: int, first_step: int) -> str:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Final
 
 from meshpoint.dbc.messages import Strategy
+from meshpoint.gearbox.reading import UnreadableError, read_bounded
 from meshpoint.gearbox.tables import TableError
 
 SOURCE_LIMIT_BYTES: Final = 1024 * 1024
@@ -68,13 +69,10 @@ def split_name(name: str) -> tuple[str, str]:
 
 def read_source(name: str) -> bytes:
     """The content of the file in FILE.py:CLASS. TableError where it cannot be read."""
-    path = Path(split_name(name)[0])
     try:
-        if path.stat().st_size > SOURCE_LIMIT_BYTES:
-            raise TableError(f"{path}: larger than {SOURCE_LIMIT_BYTES} bytes")
-        return path.read_bytes()
-    except OSError as error:
-        raise TableError(f"{path}: cannot be read: {error.strerror or error}") from error
+        return read_bounded(Path(split_name(name)[0]), SOURCE_LIMIT_BYTES)
+    except UnreadableError as error:
+        raise TableError(str(error)) from error
 
 
 def sha256_of(source: bytes) -> str:

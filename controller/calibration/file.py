@@ -48,6 +48,9 @@ def load(path: Path, sheet: GearboxSheet) -> Loaded:
         calibration = read_file(path, sheet)
     except CalibrationError as error:
         told = f"calibration refused: {error}"
+        if path.exists() and not path.is_file():
+            # A device or a folder is somebody else's: neither moved nor replaced.
+            return Loaded(None, f"{told}; nothing will be written; cold start", False)
         try:
             kept = _put_aside(path)
         except OSError as failure:

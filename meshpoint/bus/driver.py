@@ -18,6 +18,7 @@ from meshpoint.bus.frames import frame_of, message_of
 from meshpoint.bus.kernel_drops import lost_frames
 from meshpoint.bus.local.plugin import MeshpointBus
 from meshpoint.bus.reception import Reception, receive_from
+from meshpoint.bus.records import Records
 from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.j1939 import ADDRESS_CLAIM, group_of
@@ -54,6 +55,7 @@ async def run_node(
     own_addresses: frozenset[int] = frozenset(),
     statistics: NodeStatistics | None = None,
     on_message: OnMessage | None = None,
+    records: Records | None = None,
 ) -> NodeStatistics:
     """Runs `core` until `stop` is set, then sends its last frames and closes the bus.
 
@@ -67,6 +69,7 @@ async def run_node(
         not all mark them (python-can issue 1274).
     statistics: counted in here, so that it can be read meanwhile; also returned.
     on_message: gets every message as it came, before the core does: error frames, own ones, all.
+    records: written when a step's frames are sent, and closed at the end.
     """
     node = _Node(
         core,
@@ -77,6 +80,7 @@ async def run_node(
         own_addresses,
         statistics or NodeStatistics(),
         on_message,
+        records,
     )
     await node.run(stop)
     return node.statistics
@@ -93,6 +97,7 @@ class _Node:
         own_addresses: frozenset[int],
         statistics: NodeStatistics,
         on_message: OnMessage | None,
+        records: Records | None,
     ) -> None:
         self.statistics = statistics
         self._core = core
@@ -102,6 +107,7 @@ class _Node:
         self._name = name
         self._own_addresses = own_addresses
         self._on_message = on_message
+        self._records = records
         self._loop = asyncio.get_running_loop()
         self._bus: can.BusABC | None = None
         self._reception: Reception | None = None
@@ -155,6 +161,8 @@ class _Node:
             self._report(step.events)
             self._send(step.frames)
             self._tell_refusals()
+            if self._records is not None:
+                self._report(self._records.write())
         self._set_timer(now_us)
         self._clock.here()
 
@@ -357,6 +365,9 @@ class _Node:
             self._send(step.frames, timeout_s=_LAST_SEND_TIMEOUT_S)
             self._tell_refusals(last=True)
         finally:
+            if self._records is not None:
+                self._report(self._records.close())
+                self.statistics.record_lines_lost = self._records.lost_lines
             bus, reception = self._bus, self._reception
             self._bus = self._reception = None
             if bus is not None and reception is not None:

@@ -21,6 +21,7 @@ from meshpoint.bus.local.register import register_interface
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.source_address import source_address, use_address
 from meshpoint.dbc.j1939 import CONTROLLER
+from meshpoint.gearbox.reading import UnreadableError, read_text
 
 DEFAULT_INTERFACE = "meshpoint"
 IN_PROCESS = frozenset({"virtual", "meshpoint_simulated"})
@@ -35,6 +36,7 @@ _UDP_DEFAULTS = {
     "channel": "239.74.163.2",  # python-can's own default is IPv6 and mostly delivers nothing
     "hop_limit": 0,  # frames stay on this machine
 }
+CONFIG_LIMIT_BYTES = 1024 * 1024
 CANFD_MTU = 72
 """Of a device that is set up for CAN FD; 16 for classic CAN."""
 _CAN_DEVICE_TYPE = "280"  # ARPHRD_CAN
@@ -243,9 +245,9 @@ def _defaults(interface: str, needs_fd: bool) -> dict[str, Any]:
 def _section(text: str) -> dict[str, Any]:
     """The section of a configuration file that `--config` names."""
     head, slash, tail = text.rpartition("/")
-    if Path(text).is_file():
+    if Path(text).exists() and (slash or not Path(text).is_dir()):
         path, section = Path(text), "default"
-    elif slash and Path(head).is_file():
+    elif head and Path(head).exists():
         path, section = Path(head), tail
     elif not slash:
         found = can.util.load_file_config(section=text)
@@ -255,15 +257,19 @@ def _section(text: str) -> dict[str, Any]:
         return dict(found)
     else:
         raise BusOpenError(f"--config {text}: there is no file {head} (nor {text})")
-    found = can.util.load_file_config(path, section)
-    if not found:
-        parser = configparser.ConfigParser()
-        parser.read(path)
+    # As python-can reads its own files: keys keep their capitals.
+    parser = configparser.ConfigParser()
+    parser.optionxform = lambda name: name  # type: ignore[assignment,method-assign]
+    try:
+        parser.read_string(read_text(path, CONFIG_LIMIT_BYTES), str(path))
+    except UnreadableError as error:
+        raise BusOpenError(f"--config {text}: {error}") from error
+    if not (parser.has_section(section) and parser.items(section)):
         sections = ", ".join(parser.sections()) or "none"
         raise BusOpenError(
             f"--config {text}: {path} has no settings in section {section!r}; sections: {sections}"
         )
-    return dict(found)
+    return dict(parser.items(section))
 
 
 def _check_socketcan(channel: Any, needs_fd: bool) -> None:

@@ -23,6 +23,7 @@ from pathlib import Path
 from time import perf_counter, sleep
 
 from meshpoint.bus.slowness import times_slower
+from meshpoint.bus.standard_error import lasting_error
 
 PACED_NODES = ("rig", "controller", "bench")
 HEARTBEAT_US = 2_000
@@ -262,4 +263,6 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main())
+    with lasting_error():
+        code = main()
+    raise SystemExit(code)

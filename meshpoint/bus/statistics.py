@@ -48,4 +48,5 @@ class NodeStatistics:
     bus_offs: int = 0  # times that the CAN controller has left the bus; SocketCAN alone
     frames_lost: int = 0  # by the kernel, because the node did not read in time; SocketCAN alone
     outages: int = 0
+    record_lines_lost: int = 0  # of what is kept beside the log: they could not be written
     lateness_us: Histogram = field(default_factory=Histogram)  # wall us from due time to step

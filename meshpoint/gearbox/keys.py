@@ -17,6 +17,8 @@ from functools import cache
 from itertools import pairwise
 from typing import Any, Final
 
+from meshpoint.gearbox.plain_text import plain
+from meshpoint.gearbox.table_text import quoted
 from meshpoint.gearbox.tables import Rule, key_of
 
 KEY_UNITS: Final = {
@@ -114,10 +116,10 @@ def toml_value(value: Any, rule: Rule) -> str:
     if rule.kind is bool:
         return "true" if value else "false"
     if rule.kind is str:
-        return '"' + str(value).replace("\\", "\\\\").replace('"', '\\"') + '"'
+        return quoted(str(value))
     if rule.kind in (tuple, list):
-        plain = Rule(rule.key, int if rule.kind is tuple else float, rule.low, rule.high, rule.si)
-        return f"[{', '.join(toml_value(item, plain) for item in value)}]"
+        one = Rule(rule.key, int if rule.kind is tuple else float, rule.low, rule.high, rule.si)
+        return f"[{', '.join(toml_value(item, one) for item in value)}]"
     return str(value) if rule.kind is int else _in_unit(value, rule.si)
 
 
@@ -184,4 +186,4 @@ def to_toml(groups: list[KeyGroup], title: str) -> str:
 
 
 def _comment(text: str) -> list[str]:
-    return textwrap.wrap(text, KEY_WIDTH, initial_indent="# ", subsequent_indent="# ")
+    return textwrap.wrap(plain(text), KEY_WIDTH, initial_indent="# ", subsequent_indent="# ")

@@ -1,12 +1,14 @@
 """Opening files that people name: regular files only, and no more of them than is allowed.
 
-A pipe would be waited for, a device read for ever: neither is a file of settings or a log.
+A pipe would be waited for, a device read for ever: neither is a file of settings or a log. All
+reading goes through here; tests/contract/test_opening.py says so, and lists the exceptions.
 """
 
 from __future__ import annotations
 
 import os
 import stat
+from io import FileIO
 from pathlib import Path
 from typing import BinaryIO, Final, cast
 
@@ -16,6 +18,22 @@ _FLAGS: Final = (
     | getattr(os, "O_NONBLOCK", 0)
     | getattr(os, "O_CLOEXEC", 0)
     | getattr(os, "O_BINARY", 0)
+)
+_NEW_FLAGS: Final = (
+    os.O_WRONLY
+    | os.O_CREAT
+    | os.O_TRUNC
+    | getattr(os, "O_NOFOLLOW", 0)
+    | getattr(os, "O_NONBLOCK", 0)
+    | getattr(os, "O_CLOEXEC", 0)
+    | getattr(os, "O_BINARY", 0)
+)
+_KINDS: Final = (
+    (stat.S_ISDIR, "is a directory"),
+    (stat.S_ISFIFO, "is a pipe"),
+    (stat.S_ISSOCK, "is a socket"),
+    (stat.S_ISCHR, "is a device"),
+    (stat.S_ISBLK, "is a device"),
 )
 
 
@@ -70,8 +88,18 @@ def read_text(path: Path, limit_bytes: int) -> str:
     return text.replace("\r\n", "\n")
 
 
+def create_regular(path: Path) -> FileIO:
+    """A new, empty file, or one that was there emptied, to write to without a buffer; never what a
+    link points to. OSError where it cannot be made, or is no regular file."""
+    file = FileIO(os.open(path, _NEW_FLAGS, 0o666), "w")
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError("is no regular file")
+    return file
+
+
 def _check_regular(path: Path, mode: int) -> None:
-    if stat.S_ISDIR(mode):
-        raise UnreadableError(path, "is a directory")
-    if not stat.S_ISREG(mode):
-        raise UnreadableError(path, "is no regular file")
+    if stat.S_ISREG(mode):
+        return
+    found = next((words for is_kind, words in _KINDS if is_kind(mode)), "is of an unknown kind")
+    raise UnreadableError(path, f"{found}, allowed is a regular file")

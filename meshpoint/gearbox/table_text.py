@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Iterator
 from typing import Any, Final
 
+from meshpoint.gearbox.plain_text import STEERING, plain
 from meshpoint.gearbox.tables import Rule, key_of
 
 TABLE_DIGITS: Final = 9
@@ -19,7 +20,7 @@ A_LINE: Final = 8
 
 def to_toml(values: Any, comment: str = "") -> str:
     """The dataclass as a TOML document; what is None is left out."""
-    lines = [f"# {line}" for line in comment.splitlines()]
+    lines = [f"# {line}" for line in plain(comment).splitlines()]
     return "\n".join([*lines, *_table(values, "")]) + "\n"
 
 
@@ -44,7 +45,7 @@ def _text(value: Any, rule: Rule) -> str:
     if rule.kind is bool:
         return "true" if value else "false"
     if rule.kind is str:
-        return _quoted(value)
+        return quoted(value)
     if rule.kind is int:
         return str(value)
     if rule.kind is tuple:
@@ -64,12 +65,12 @@ def _number(value: float, si: float) -> str:
     return text if any(mark in text for mark in ".en") else f"{text}.0"
 
 
-def _quoted(text: str) -> str:
-    """A basic string: quotes, backslashes and control characters escaped (TOML 1.0)."""
+def quoted(text: str) -> str:
+    """A basic string: quotes, backslashes and what steers a terminal escaped (TOML 1.0)."""
     escaped = text.replace("\\", "\\\\").replace('"', '\\"')
     return '"' + "".join(_plain(character) for character in escaped) + '"'
 
 
 def _plain(character: str) -> str:
-    code = ord(character)
-    return f"\\u{code:04x}" if code < 0x20 or code == 0x7F else character
+    is_plain = character not in "\t\n" and not STEERING.match(character)
+    return character if is_plain else f"\\u{ord(character):04x}"

@@ -7,10 +7,10 @@ command that there is not).
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 
+from meshpoint.bus.standard_error import OutputError, lasting_error, named_output
 from meshpoint.testbench.commands.table import MODULES, build_parser, front_parser
 from meshpoint.testbench.exits import Exit
 
@@ -19,7 +19,14 @@ ABOUT_ALL = frozenset({"-h", "--help", "--version"})
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs one command; returns its exit code."""
+    """Runs one command; returns its exit code. Words that find no room on standard error end
+    nothing; that they are missing makes of exit code 0 a 1."""
+    with lasting_error() as said:
+        code = _main(arguments)
+    return Exit.FAILED if code == Exit.DONE and said.found_no_room else code
+
+
+def _main(arguments: Sequence[str] | None) -> int:
     given = sys.argv[1:] if arguments is None else list(arguments)
     command = next((word for word in given if not word.startswith("-")), None)
     if command not in MODULES or ABOUT_ALL & set(given[: given.index(command)]):
@@ -46,29 +53,34 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(namespace: argparse.Namespace) -> int:
     """The command, and an exit code for whatever ends it."""
     from meshpoint.testbench.errors import RunError
-    from meshpoint.testbench.results.output import check_writable
+    from meshpoint.testbench.results.output import check_writable, complain
 
     try:
         for target in ("json", "report", "junit", "markdown"):
             path = getattr(namespace, target, None)
             made = getattr(namespace, "out", None)
             check_writable(None if path is None else str(path), made)
-        code: int = namespace.run(namespace)
+        with named_output():
+            code: int = namespace.run(namespace)
+            sys.stdout.flush()
     except _user_errors() as error:
         if namespace.debug:
             raise
-        print(f"meshpoint {namespace.command}: error: {error}", file=sys.stderr)
+        complain(f"meshpoint {namespace.command}: error: {error}")
         return Exit.BAD_INPUT
     except RunError as error:
-        print(f"meshpoint {namespace.command}: {error}", file=sys.stderr)
+        complain(f"meshpoint {namespace.command}: {error}")
         return Exit.FAILED
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        complain("interrupted")
         return Exit.INTERRUPTED
-    except BrokenPipeError:
-        # The reader of our output has gone (`| head`); Python would complain again at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return Exit.DONE
+    except OutputError as error:
+        if error.reader_has_gone:
+            return Exit.DONE
+        complain(
+            f"meshpoint {namespace.command}: standard output cannot be written: {error.strerror}"
+        )
+        return Exit.FAILED
     return code
 
 

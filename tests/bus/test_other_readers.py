@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import gzip
 import random
+import re
 import shutil
 import subprocess
+import tempfile
 from pathlib import Path
 
 import can
@@ -74,6 +76,41 @@ def message_of(time_s: float, frame: Frame) -> can.Message:
 
 def as_frame(message: can.Message) -> Frame:
     return Frame(message.arbitration_id, bytes(message.data), message.is_fd, message.is_extended_id)
+
+
+@pytest.mark.parametrize("ending", [".log", ".blf"])
+def test_a_small_packed_file_of_endless_content_is_refused_early(
+    tmp_path: Path, ending: str
+) -> None:
+    """No log packs to a 200th; a gigabyte of one byte packs to a 1000th."""
+    path = tmp_path / f"a{ending}.gz"
+    with gzip.open(path, "wb") as packed:
+        packed.write(b"(1.0) can0 123#00\n")
+        for _ in range(64):
+            packed.write(b"\n" * 2**20)
+    with pytest.raises(LogError, match=r"over 200 times what it is packed") as refused:
+        list(read_log(path))
+    assert refused.value.file == path
+    assert int(re.findall(r"unpacked (\d+) bytes", str(refused.value))[0]) < 20 * 2**20
+
+
+def test_a_packed_log_of_lines_needs_no_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = bus_frames()
+    path = packed_log(ours(tmp_path / "a.log", frames))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "none"))
+    assert [frame for _, frame in read_log(path)] == [frame for _, frame in frames]
+
+
+def test_a_packed_log_larger_than_what_is_left_of_the_disk_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = packed_log(ours(tmp_path / "a.blf", bus_frames()))
+    usage = shutil.disk_usage(tmp_path)._replace(free=1000)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _path: usage)
+    with pytest.raises(LogError, match="no room to unpack it"):
+        list(read_log(path))
 
 
 @pytest.mark.parametrize("ending", FORMATS)

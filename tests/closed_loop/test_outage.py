@@ -18,6 +18,7 @@ from fake_time import FakeTimeLoop, QuietBus, run_in_fake_time
 from meshpoint.bus.clock import Clock
 from meshpoint.bus.core import Step
 from meshpoint.bus.frames import frame_of
+from meshpoint.bus.records import Records
 from meshpoint.controller import node
 from meshpoint.controller.core import OWN_ADDRESS, ControllerCore
 from meshpoint.controller.header import new_header
@@ -52,7 +53,8 @@ class AwayFromTheBus:
         self._loop = loop
         self.discarded = 0
         run_hash = loop.header.run_hash
-        self.kept = OutageRecord(core, folder, run_hash, lambda: self.discarded)
+        self.records = Records(folder)
+        self.kept = OutageRecord(core, self.records, run_hash, lambda: self.discarded)
 
     @property
     def is_away(self) -> bool:
@@ -68,6 +70,7 @@ class AwayFromTheBus:
 
     def step(self, now_us: int) -> Step:
         frames, events = self.kept.step(now_us)
+        events = [*events, *self.records.write()]
         if not self.is_away:
             return Step(frames, events)
         if now_us >= AWAY_US[0] + NOTICED_US:
@@ -75,7 +78,9 @@ class AwayFromTheBus:
         return Step([], events)
 
     def shutdown(self, now_us: int) -> Step:
-        return self.kept.shutdown(now_us)
+        step = self.kept.shutdown(now_us)
+        self.records.close()
+        return step
 
 
 @pytest.fixture(scope="module")
@@ -179,9 +184,9 @@ def test_a_disk_that_refuses_the_record_does_not_end_the_run(tmp_path: Path) -> 
     core = loop.controller.core
     assert isinstance(core, ControllerCore)
     away = AwayFromTheBus(loop, core, tmp_path / "nowhere")
-    away.kept.step(1_000)
+    away.step(1_000)
     away.discarded = 5
-    assert any("not recorded" in line for line in away.kept.step(11_000).events)
+    assert any("cannot be written" in line for line in away.step(11_000).events)
 
 
 def test_a_live_controller_that_loses_its_bus_keeps_a_record(
@@ -217,7 +222,7 @@ def test_a_live_controller_that_loses_its_bus_keeps_a_record(
 
     run_in_fake_time(run)
     first, second = buses
-    assert any("outage: what its steps were made of is kept in outage-" in line for line in lines)
+    assert any("outage: what its steps were made of goes to outage-" in line for line in lines)
     log = [frame_of(message) for message in (*first.sent, *second.sent[:-LAST_FRAMES])]
     session = verify(tmp_path, log)
     assert session.verdict is Verification.IN_PARTS, str(session)

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from meshpoint.bus.core import Step
+from meshpoint.bus.records import Records
 from meshpoint.controller import node, outage_record
 from meshpoint.controller.core import FRESH_US, ControllerCore
 from meshpoint.controller.header import new_header
@@ -90,11 +91,13 @@ def test_an_outage_longer_than_what_is_kept_of_it_leaves_one_record_of_so_many_s
 ) -> None:
     monkeypatch.setattr(outage_record, "MOST_STEPS", 12)
     lost = [0]
-    kept = OutageRecord(Silent(), tmp_path, 1, lambda: lost[0])
+    records = Records(tmp_path)
+    kept = OutageRecord(Silent(), records, 1, lambda: lost[0])
     said = []
     for step in range(60):
         lost[0] += step >= 5
         said += kept.step(10_000 * step).events
+        said += records.write()
     assert len(list(tmp_path.iterdir())) == 1
     assert [line.split(":")[0] for line in said] == ["outage"]
     assert list(load_outages(tmp_path, 1)) == list(range(12))

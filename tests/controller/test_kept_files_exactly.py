@@ -189,3 +189,14 @@ def test_a_file_is_on_the_disk_before_it_takes_its_place_and_then_its_place_is(
     save(path, example())
     assert seen == [(True, True), (False, False)]
     assert path.read_text("utf-8") == TEXT
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+def test_what_is_no_file_is_neither_moved_nor_written(tmp_path: Path) -> None:
+    """A device that is named by mistake stays where it is."""
+    path = tmp_path / "a.toml"
+    os.mkfifo(path)
+    loaded = load(path, SHEET)
+    assert not loaded.writable
+    assert "is a pipe" in loaded.line
+    assert path.is_fifo()

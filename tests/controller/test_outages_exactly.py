@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from meshpoint.bus.core import Step
+from meshpoint.bus.records import Records
 from meshpoint.controller import outage_record
 from meshpoint.controller.outage_record import (
     OutageError,
@@ -46,17 +48,28 @@ class Run:
 
     def __init__(self, folder: Path) -> None:
         self.lost, self.core, self.folder = 0, Echo(), folder
-        self.kept = OutageRecord(self.core, folder, HASH, lambda: self.lost)
+        self.records = Records(folder)
+        self.kept = OutageRecord(self.core, self.records, HASH, lambda: self.lost)
         self.lines: list[str] = []
+        self.unwritten: list[str] = []
+        self._number = 0
 
     def steps(self, count: int, lost: int = 0) -> None:
         """So many steps; before each of them so many frames were lost."""
         for _ in range(count):
             self.lost += lost
-            number = self.kept._number
-            step = self.kept.step(10_000 * number)
-            assert step.events[0] == f"step {10_000 * number}"
+            now_us = 10_000 * self._number
+            step = self.kept.step(now_us)
+            assert step.events[0] == f"step {now_us}"
             self.lines += step.events[1:]
+            self.unwritten += self.records.write()
+            self._number += 1
+
+    def end(self) -> Step:
+        """The core's end, and what the driver does then."""
+        step = self.kept.shutdown(77)
+        self.unwritten += self.records.close()
+        return step
 
     @property
     def numbers(self) -> list[int]:
@@ -104,7 +117,7 @@ def test_a_record_is_named_by_its_first_step_and_said_once(tmp_path: Path) -> No
     run.steps(40, lost=1)
     run.steps(100)
     name = "outage-00000000000000ab-0.jsonl"
-    assert run.lines == [f"outage: what its steps were made of is kept in {name}"]
+    assert run.lines == [f"outage: what its steps were made of goes to {name}"]
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
@@ -133,7 +146,7 @@ def test_frames_are_kept_with_the_step_that_consumed_them_and_handed_on(tmp_path
     run.steps(2)
     run.kept.receive(other)
     run.steps(1, lost=1)
-    run.kept.shutdown(5)
+    run.end()
     assert run.core.got == [PLAIN, other, other]
     assert run.kept.next_step_us == 7
     found = load_outages(tmp_path, HASH)
@@ -148,55 +161,53 @@ def test_the_end_of_a_run_closes_its_record_and_notices_a_last_loss(tmp_path: Pa
     run = Run(tmp_path)
     run.steps(4)
     run.lost = 1
-    step = run.kept.shutdown(77)
+    step = run.end()
     assert [line.split(":")[0] for line in step.events] == ["end 77", "outage"]
     assert run.numbers == [0, 1, 2, 3]
-    assert run.kept._file is None
 
 
-def test_a_folder_that_cannot_be_written_to_is_named(tmp_path: Path) -> None:
-    run = Run(tmp_path / "none")
-    run.steps(2)
-    run.steps(1, lost=1)
-    assert [line.split(":")[0] for line in run.lines] == ["outage not recorded"]
-    assert run.kept._file is None
-
-
-def test_a_disk_that_is_full_ends_the_record(tmp_path: Path) -> None:
+def test_a_step_writes_nothing_itself(tmp_path: Path) -> None:
+    """The driver has it written, once the step's frames are on their way."""
     run = Run(tmp_path)
     run.steps(3)
-    run.steps(1, lost=1)
-
-    class Full:
-        def write(self, _text: str) -> None:
-            raise OSError(28, "no space")
-
-        def close(self) -> None:
-            closed.append(True)
-
-    closed: list[bool] = []
-    own, run.kept._file = run.kept._file, Full()  # type: ignore[assignment]
-    assert own is not None
-    own.close()
-    run.steps(5)
-    assert closed == [True]
-    assert run.kept._file is None
-
-
-def test_two_seconds_before_an_outage_and_two_hours_of_it_are_kept(tmp_path: Path) -> None:
-    """A step is 10 ms. What is longer is not kept to its end, nor is another one behind it."""
-    run = Run(tmp_path)
-    run.steps(1)
-    assert run.kept._newest.maxlen == 2 * 100
-    run.steps(1, lost=1)
-    assert run.kept._newest.maxlen == 2 * 100
-    run.kept._written = 2 * 3600 * 100 - 2
-    run.steps(1, lost=1)
-    assert run.kept._file is not None
-    run.steps(1, lost=1)
-    assert run.kept._file is None
-    run.steps(2, lost=1)
+    run.lost += 1
+    run.kept.step(30_000)
+    assert not list(tmp_path.iterdir())
+    run.records.write()
     assert run.numbers == [0, 1, 2, 3]
+
+
+def test_a_folder_that_cannot_be_written_to_is_named_once_and_all_lines_are_counted(
+    tmp_path: Path,
+) -> None:
+    run = Run(tmp_path / "none")
+    run.steps(2)
+    run.steps(3, lost=1)
+    run.end()
+    assert len(run.unwritten) == 1
+    assert f"{tmp_path / 'none'}" in run.unwritten[0]
+    assert run.records.lost_lines == 5
+
+
+def test_what_a_record_would_be_written_to_is_a_file_of_its_own(tmp_path: Path) -> None:
+    """Neither a pipe, which would be waited for, nor what somebody's link points to."""
+    other = tmp_path / "other"
+    other.write_text("untouched", encoding="utf-8")
+    (tmp_path / record_name(HASH, 0)).symlink_to(other)
+    run = Run(tmp_path)
+    run.steps(2)
+    run.steps(1, lost=1)
+    os.mkfifo(tmp_path / record_name(HASH, 5))
+    run.records.put(record_name(HASH, 5), "line")
+    run.end()
+    assert other.read_text(encoding="utf-8") == "untouched"
+    assert run.records.lost_lines == 4
+
+
+def test_two_seconds_before_an_outage_and_two_hours_of_it_are_kept() -> None:
+    """A step is 10 ms."""
+    assert outage_record.BEFORE_STEPS == 2 * 100
+    assert outage_record.MOST_STEPS == 2 * 3600 * 100
 
 
 def test_a_second_record_may_be_as_long_as_the_first(
@@ -217,7 +228,7 @@ def test_a_second_record_may_be_as_long_as_the_first(
 def test_a_run_that_ends_before_its_first_step_has_no_record(tmp_path: Path) -> None:
     run = Run(tmp_path)
     run.lost = 1
-    assert run.kept.shutdown(5).events == ["end 5"]
+    assert run.end().events == ["end 77"]
     assert not list(tmp_path.iterdir())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import os
 import time
 from collections.abc import Callable
@@ -9,19 +10,41 @@ from pathlib import Path
 
 import pytest
 
+from meshpoint.bus.authentication.keys import load_keys
 from meshpoint.bus.logs.limits import read_log
+from meshpoint.bus.options import add_bus_arguments, bus_config
 from meshpoint.controller.calibration.file import read_file
 from meshpoint.controller.header import header_name, load_header
 from meshpoint.controller.settings import load_settings
+from meshpoint.controller.strategy_file import read_source
 from meshpoint.gearbox.sheet import load_sheet
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES, TableError, load_toml
 from meshpoint.rig_sim.truck.as_built import load_as_built
 from meshpoint.rig_sim.truck.scenario import load_scenario
+from meshpoint.testbench.campaign.baseline import read_outcomes
+from meshpoint.testbench.campaign.columns import ShiftColumns
+from meshpoint.testbench.campaign.stored import read_shifts
+from meshpoint.testbench.commands.compare import load_record
 from meshpoint.testbench.logs.capture_files import read_columns
+from meshpoint.testbench.logs.logged_frames import expected_frames
 from meshpoint.testbench.studies.settings import load_study_settings
 
 AT_ONCE_S = 5.0
 """On a busy machine; they hung, or took 15 s."""
+
+
+def configured_bus(path: Path) -> None:
+    """A command with `--config FILE`."""
+    parser = argparse.ArgumentParser()
+    add_bus_arguments(parser)
+    bus_config(parser.parse_args(["--config", f"{path}/default"]))
+
+
+def told_of(path: Path) -> None:
+    """What `replay`, `report` and `identify` do first: about how many frames there are."""
+    assert expected_frames([path]) is None
+    list(read_log(path))
+
 
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "settings": ("a.toml", load_settings),
@@ -33,9 +56,17 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "study settings": ("a.toml", load_study_settings),
     "capture": ("a.csv", read_columns),
     "run header": (header_name(7), lambda path: load_header(path.parent, 7)),
+    "strategy": ("a.py", lambda path: read_source(f"{path}:Own")),
+    "keys": ("a.toml", load_keys),
+    "python-can configuration": ("a.conf", configured_bus),
+    "JSON record": ("a.json", load_record),
+    "part of a campaign": ("a.parquet", lambda path: read_shifts(path, ShiftColumns())),
+    "table of a campaign": ("a.parquet", lambda path: read_outcomes([path], "target_phase")),
+    "log whose length is told": ("a.log", told_of),
     "candump log": ("a.log", lambda path: list(read_log(path))),
     "BLF log": ("a.blf", lambda path: list(read_log(path))),
     "ASC log": ("a.asc", lambda path: list(read_log(path))),
+    "packed log": ("a.log.gz", lambda path: list(read_log(path))),
 }
 
 readers = pytest.mark.parametrize("reader", READERS)
@@ -58,7 +89,8 @@ def refused_at_once(reader: str, path: Path) -> str:
 def test_a_pipe_is_not_waited_for(reader: str, tmp_path: Path) -> None:
     path = tmp_path / READERS[reader][0]
     os.mkfifo(path)
-    assert "is no regular file" in refused_at_once(reader, path)
+    assert "is a pipe" in refused_at_once(reader, path)
+    assert "allowed is a regular file" in refused_at_once(reader, path)
 
 
 @pytest.mark.timeout(30)
@@ -67,7 +99,8 @@ def test_a_pipe_is_not_waited_for(reader: str, tmp_path: Path) -> None:
 def test_a_device_is_not_read(reader: str, tmp_path: Path) -> None:
     path = tmp_path / READERS[reader][0]
     path.symlink_to("/dev/zero")
-    assert "is no regular file" in refused_at_once(reader, path)
+    assert "is a device" in refused_at_once(reader, path)
+    assert "allowed is a regular file" in refused_at_once(reader, path)
 
 
 @readers

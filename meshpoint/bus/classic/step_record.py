@@ -11,10 +11,11 @@ import json
 from collections.abc import Iterator
 from enum import Enum
 from pathlib import Path
-from typing import IO, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from meshpoint.bus.core import AroundCore, Core, Step
 from meshpoint.bus.diagnosis.core import GROUPS
+from meshpoint.bus.records import Records
 from meshpoint.dbc.classic.codecs import CLASSIC_IDS
 from meshpoint.dbc.frame import Frame, crc_of
 from meshpoint.dbc.j1939 import canonical, group_of
@@ -69,16 +70,15 @@ class RecordedStep(NamedTuple):
 
 
 class StepRecord(AroundCore[Core]):
-    """A core whose steps are written to a file."""
+    """A core whose steps are handed over to be written."""
 
-    def __init__(self, core: Core, folder: Path, run_hash: int, *, diagnosed: bool) -> None:
-        """folder: of the run header. diagnosed: the core answers garage diagnosis, too."""
+    def __init__(self, core: Core, records: Records, run_hash: int, *, diagnosed: bool) -> None:
+        """diagnosed: the core answers garage diagnosis, too."""
         super().__init__(core)
-        self._folder, self._run_hash, self._diagnosed = folder, run_hash, diagnosed
+        self._records, self._run_hash, self._diagnosed = records, run_hash, diagnosed
         self._known: list[Frame] = []
         self._foreign = 0
-        self._begun = False
-        self._file: IO[str] | None = None
+        self._name = ""
 
     def receive(self, frame: Frame) -> None:
         """As the core does; counted."""
@@ -91,38 +91,24 @@ class StepRecord(AroundCore[Core]):
         self._core.receive(frame)
 
     def step(self, now_us: int) -> Step:
-        """The core's step; a line of its own where it cannot be written."""
-        told = self._write(now_us, is_last=False)
-        step = self._core.step(now_us)
-        return Step(step.frames, [*step.events, *told]) if told else step
+        """The core's step."""
+        self._put(now_us, is_last=False)
+        return self._core.step(now_us)
 
     def shutdown(self, now_us: int) -> Step:
-        """The core's last frames; closes the record."""
+        """The core's last frames; ends the record."""
         self._known, self._foreign = [], 0  # no step consumes them any more
-        told = self._write(now_us, is_last=True)
-        file, self._file = self._file, None
-        if file is not None:
-            file.close()
-        step = self._core.shutdown(now_us)
-        return Step(step.frames, [*step.events, *told])
+        self._put(now_us, is_last=True)
+        self._records.end(self._name)
+        return self._core.shutdown(now_us)
 
-    def _write(self, now_us: int, *, is_last: bool) -> list[str]:
-        known, self._known = self._known, []
-        foreign, self._foreign = self._foreign, 0
-        path = self._folder / step_record_name(self._run_hash, now_us)
-        try:
-            if not self._begun:
-                self._begun = True
-                # By lines: of a controller that is killed the log's steps are all there.
-                self._file = path.open("w", encoding="utf-8", buffering=1)
-                self._file.write(json.dumps({_DIAGNOSED: self._diagnosed}) + "\n")
-            if self._file is not None:
-                line = RecordedStep(now_us, len(known), crc_of(known), foreign, is_last)
-                self._file.write(json.dumps(line) + "\n")
-        except OSError as error:
-            self._file = None
-            return [f"steps not recorded any more, --verify ends here: {error.strerror or error}"]
-        return []
+    def _put(self, now_us: int, *, is_last: bool) -> None:
+        if not self._name:
+            self._name = step_record_name(self._run_hash, now_us)
+            self._records.put(self._name, json.dumps({_DIAGNOSED: self._diagnosed}))
+        line = RecordedStep(now_us, len(self._known), crc_of(self._known), self._foreign, is_last)
+        self._records.put(self._name, json.dumps(line))
+        self._known, self._foreign = [], 0
 
 
 def step_record_name(run_hash: int, first_us: int) -> str:

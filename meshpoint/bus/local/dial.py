@@ -6,6 +6,7 @@ import time
 
 from meshpoint.bus.local import wire
 from meshpoint.bus.local.channel import HubChannel, TcpChannel, UnixChannel
+from meshpoint.bus.local.own_files import StrangerError, check_peer
 
 _SEND_BUFFER_BYTES = 1024 * 1024
 
@@ -22,7 +23,7 @@ def dial(channel: HubChannel, timeout_s: float) -> socket.socket:
     """A non-blocking socket on which the hub has greeted: every frame sent by others from now on
     arrives here.
 
-    Raises NoHubError, NotAHubError, or another OSError (PermissionError, for one).
+    Raises NoHubError, NotAHubError, StrangerError where another user serves it, or another OSError.
     """
     connection = _connect(channel, timeout_s)
     try:
@@ -55,6 +56,8 @@ def _connect(channel: HubChannel, timeout_s: float) -> socket.socket:
             connection = _connect_tcp(channel, timeout_s)
     except (FileNotFoundError, ConnectionRefusedError, ConnectionResetError, TimeoutError) as error:
         raise NoHubError(f"{channel}: {error}") from error
+    except StrangerError as error:
+        raise StrangerError(f"{channel}: {error}") from error
     except OSError as error:
         raise OSError(error.errno, f"{channel}: {error.strerror}") from error
     # Frames wait here while the hub is not scheduled for a while.
@@ -69,6 +72,7 @@ def _connect_unix(channel: UnixChannel, timeout_s: float) -> socket.socket:
     try:
         connection.settimeout(timeout_s)
         connection.connect(str(channel.path))
+        check_peer(connection)
     except BaseException:
         connection.close()
         raise

@@ -17,14 +17,15 @@ import socket
 import subprocess
 import sys
 import time
-from pathlib import Path
 from typing import cast
 
 from meshpoint.bus.local import wire
 from meshpoint.bus.local.channel import SYNTAX, ChannelError, HubChannel, hub_log, parse_channel
 from meshpoint.bus.local.dial import NoHubError, dial
 from meshpoint.bus.local.listening import HubRunningError, clean_up, listen
+from meshpoint.bus.local.own_files import StrangerError, check_peer, open_own
 from meshpoint.bus.local.throttle import LOOK_S, Allowance, ReaderProgress
+from meshpoint.bus.standard_error import lasting_error
 
 DEFAULT_LINGER_S = 3.0
 MAX_BACKLOG_BYTES = 8 * 1024 * 1024
@@ -107,6 +108,12 @@ class _Connection(asyncio.Protocol):
         self._transport = cast(asyncio.Transport, transport)
         self._transport.set_write_buffer_limits(high=MAX_BACKLOG_BYTES)
         self._loop = loop = asyncio.get_running_loop()
+        try:
+            check_peer(transport.get_extra_info("socket"))
+        except StrangerError as error:
+            _say(f"node {self._number} refused: {error}")
+            self._transport.abort()
+            return
         self._allowance = Allowance(loop.time())
         self._progress = ReaderProgress(loop.time())
         self._greeting_timer = loop.call_later(
@@ -114,6 +121,8 @@ class _Connection(asyncio.Protocol):
         )
 
     def data_received(self, data: bytes) -> None:
+        if self._transport.is_closing():
+            return
         self._received += data
         if not self._greeted and not self._take_greeting():
             return
@@ -231,8 +240,8 @@ def main(arguments: list[str] | None = None) -> int:
         channel = parse_channel(options.channel)
         if options.detach and sys.platform == "win32":
             return _start_in_background(channel)
-        log = hub_log(channel)
         listener = listen(channel, options.allow_remote)
+        messages = open_own(hub_log(channel)) if options.detach else None
     except HubRunningError:
         return 0
     except ChannelError as error:
@@ -241,10 +250,10 @@ def main(arguments: list[str] | None = None) -> int:
     except OSError as error:
         _say(f"{options.channel}: {error}")
         return 2
-    if options.detach and sys.platform != "win32":
+    if messages is not None and sys.platform != "win32":
         if os.fork() > 0:
             return 0
-        _leave_terminal(log)
+        _leave_terminal(messages)
     with contextlib.suppress(KeyboardInterrupt):
         try:
             asyncio.run(serve(listener, options.linger))
@@ -273,13 +282,12 @@ def _start_in_background(channel: HubChannel) -> int:
     return hub.returncode
 
 
-def _leave_terminal(log: Path) -> None:
+def _leave_terminal(messages: int) -> None:
     """Nothing of this process is tied to those of its starter from here on: whoever waits for the
     end of the starter's output does not wait for the hub's end."""
     if sys.platform != "win32":
         os.setsid()
     nothing = os.open(os.devnull, os.O_RDWR)
-    messages = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
     for number, target in enumerate((nothing, nothing, messages)):
         os.dup2(target, number)
 
@@ -290,4 +298,6 @@ def _say(line: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    with lasting_error():
+        code = main()
+    sys.exit(code)

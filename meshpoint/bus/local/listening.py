@@ -10,6 +10,7 @@ from pathlib import Path
 
 from meshpoint.bus.local.channel import ChannelError, HubChannel, TcpChannel, UnixChannel, hub_log
 from meshpoint.bus.local.dial import dial, serves
+from meshpoint.bus.local.own_files import open_own, others_may_write
 
 if sys.platform != "win32":
     import fcntl
@@ -43,7 +44,7 @@ def clean_up(channel: HubChannel) -> None:
         if log.stat().st_size == 0:
             log.unlink()
     if isinstance(channel, UnixChannel):
-        with contextlib.suppress(FileNotFoundError), _locked(channel.path.parent):
+        with contextlib.suppress(FileNotFoundError, ChannelError), _locked(channel):
             if not serves(channel):
                 channel.path.unlink()
 
@@ -76,7 +77,7 @@ def _listen_unix(channel: UnixChannel) -> socket.socket:
     path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     try:
-        with _locked(path.parent):
+        with _locked(channel):
             if serves(channel):
                 raise HubRunningError  # noqa: TRY301
             # A socket without a listener was left by a hub that was killed.
@@ -95,23 +96,52 @@ def _listen_unix(channel: UnixChannel) -> socket.socket:
 
 
 @contextlib.contextmanager
-def _locked(directory: Path) -> Iterator[None]:
-    """Holds the lock of `directory`, so that of several hubs starting at once one wins.
+def _locked(channel: UnixChannel) -> Iterator[None]:
+    """Holds the lock of a channel, so that of several hubs starting at once one wins.
 
-    The lock is on the directory itself: no file stays behind, and a killed holder frees it.
-    """
-    handle = os.open(directory, os.O_RDONLY)
-    try:
-        deadline = time.monotonic() + _LOCK_WAIT_S
-        while True:
+    The lock is on the folder itself: no file stays behind, and a killed holder frees it. Where
+    others may write, and so lock the folder, it is on a file of ours, removed by who holds it."""
+    folder = channel.path.parent
+    if not others_may_write(folder):
+        handle = os.open(folder, os.O_RDONLY)
+        try:
+            _wait_for_lock(handle, folder)
+            yield
+        finally:
+            os.close(handle)
+        return
+    path = channel.path.with_name(channel.path.name + ".lock")
+    while True:
+        handle = open_own(path)
+        try:
+            _wait_for_lock(handle, path)
+            if not _is_at(handle, path):
+                continue  # who held it before has removed it
             try:
-                if sys.platform != "win32":
-                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError as error:
-                if time.monotonic() > deadline:
-                    raise ChannelError(f"{directory} is locked by another process") from error
-                time.sleep(0.005)
-        yield
-    finally:
-        os.close(handle)
+                yield
+            finally:
+                path.unlink(missing_ok=True)
+            return
+        finally:
+            os.close(handle)
+
+
+def _wait_for_lock(handle: int, what: Path) -> None:
+    deadline = time.monotonic() + _LOCK_WAIT_S
+    while True:
+        try:
+            if sys.platform != "win32":
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            if time.monotonic() > deadline:
+                raise ChannelError(f"{what} is locked by another process") from error
+            time.sleep(0.005)
+        else:
+            return
+
+
+def _is_at(handle: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(handle), path.lstat())
+    except FileNotFoundError:
+        return False

@@ -2,12 +2,14 @@
 python-can's `.csv`, ASAM's `.mf4`; each also packed by gzip (`.gz` behind it)."""
 
 import gzip
+import io
 import os
+import shutil
 import tempfile
 import zlib
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, cast
 
 from meshpoint.bus.logs.asc import asc_entries
 from meshpoint.bus.logs.blf import blf_entries
@@ -26,6 +28,13 @@ READ_FORMATS = (*FORMATS, ".trc", ".csv", ".mf4")
 PACKED = ".gz"
 MAX_UNPACKED_BYTES = 16 * 1024**3
 MAX_LOG_BYTES = 4 * 1024**3
+UNQUESTIONED_BYTES = 16 * 1024**2
+MOST_TIMES_PACKED = 200
+"""Beyond the first of these bytes a packed log may unpack to so many times its size. gzip packs one
+repeated byte to a 1000th, a log of one frame over and over to a 20th, one of our shifts in `.asc`
+to an 8th."""
+ROOM_LEFT_BYTES = 256 * 1024**2
+_READ_ANYWHERE = (".blf", ".mf4")
 _BLOCK_BYTES = 1024 * 1024
 
 
@@ -102,12 +111,22 @@ class LogReader:
         inner = self.path.with_suffix("")
         if inner.suffix.lower() not in READ_FORMATS:
             raise DefectError("", _unknown(inner))
-        with tempfile.TemporaryFile() as unpacked:
-            cause = unpack(file, unpacked, self._max_bytes)
-            unpacked.seek(0)
-            yield from _entries(unpacked, inner, MAX_UNPACKED_BYTES, self.buses)
-            if cause:
-                raise DefectError("", cause)
+        _check_size(file, self._max_bytes)
+        content = Unpacked(file)
+        try:
+            if inner.suffix.lower() in _READ_ANYWHERE:
+                with tempfile.TemporaryFile() as whole:
+                    fault = content.copy_to(whole)
+                    whole.seek(0)
+                    yield from _entries(whole, inner, MAX_UNPACKED_BYTES, self.buses)
+                    if fault is not None:
+                        raise fault
+            else:
+                yield from _lines_of(
+                    inner, cast(BinaryIO, io.BufferedReader(content, _BLOCK_BYTES)), self.buses
+                )
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            raise DefectError("", content.damage(error)) from error
 
     def _frames_of(self, entries: Entries) -> Iterator[tuple[float, Frame]]:
         for entry in entries:
@@ -131,45 +150,88 @@ def read_log(
     return LogReader(Path(path), max_bytes, bus)
 
 
-def unpack(packed: BinaryIO, to: BinaryIO, max_bytes: int) -> str:
-    """Unpacks a gzip file; returns why it could not be unpacked to its end, empty where it could.
-    DefectError for one that is none, or is too large."""
-    if os.fstat(packed.fileno()).st_size > max_bytes:
-        raise DefectError("", f"has over {max_bytes} bytes")
-    count = 0
-    with gzip.GzipFile(fileobj=packed) as content:
-        try:
-            while block := content.read1(_BLOCK_BYTES):
-                count += len(block)
-                if count > MAX_UNPACKED_BYTES:
-                    raise DefectError("", f"unpacked over {MAX_UNPACKED_BYTES} bytes")
-                to.write(block)
-        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            if not count:
-                raise DefectError("", f"not a gzip file: {error}") from error
-            return (
-                f"the packed log ends early or is damaged behind {count} bytes (cut off): {error}"
+class Unpacked(io.RawIOBase):
+    """What is in a gzip file, read once from its beginning. DefectError where it is far more than
+    any log would be: a small file can hold more than there is disk or time for."""
+
+    def __init__(self, packed: BinaryIO) -> None:
+        super().__init__()
+        self._packed = packed
+        self._content = gzip.GzipFile(fileobj=packed)
+        self._count = 0
+
+    def readable(self) -> bool:
+        """It is."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """EOFError, zlib.error or gzip.BadGzipFile where it is cut off, damaged or none."""
+        block = self._content.read1(len(buffer))
+        buffer[: len(block)] = block
+        self._count += len(block)
+        if self._count > max(UNQUESTIONED_BYTES, MOST_TIMES_PACKED * self._packed.tell()):
+            raise DefectError(
+                "",
+                f"unpacked {self._count} bytes, over {MOST_TIMES_PACKED} times what it is packed",
             )
-    return ""
+        if self._count > MAX_UNPACKED_BYTES:
+            raise DefectError("", f"unpacked over {MAX_UNPACKED_BYTES} bytes")
+        return len(block)
+
+    def copy_to(self, file: BinaryIO) -> Exception | None:
+        """Unpacks it into a file; what ended that before its end. DefectError where it finds no
+        room, leaving some to others."""
+        try:
+            while block := self.read(_BLOCK_BYTES):
+                if shutil.disk_usage(tempfile.gettempdir()).free < ROOM_LEFT_BYTES:
+                    raise DefectError(
+                        "", f"no room to unpack it in {tempfile.gettempdir()}: "
+                        f"{self._count} bytes so far, {ROOM_LEFT_BYTES} are left to others"
+                    )  # fmt: skip
+                file.write(block)
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            if not self._count:
+                raise
+            return error
+        return None
+
+    def damage(self, error: Exception) -> str:
+        """In words, what is wrong with a file that could not be unpacked to its end."""
+        if not self._count:
+            return f"not a gzip file: {error}"
+        return (
+            f"the packed log ends early or is damaged behind {self._count} bytes (cut off): {error}"
+        )
 
 
-def _entries(file: BinaryIO, path: Path, max_bytes: int, buses: Buses) -> Entries:
+def _check_size(file: BinaryIO, max_bytes: int) -> int:
     file_bytes = os.fstat(file.fileno()).st_size
     if file_bytes > max_bytes:
         raise DefectError("", f"has {file_bytes} bytes, the limit is {max_bytes}")
+    return file_bytes
+
+
+def _entries(file: BinaryIO, path: Path, max_bytes: int, buses: Buses) -> Entries:
+    file_bytes = _check_size(file, max_bytes)
+    match path.suffix.lower():
+        case ".blf":
+            return blf_entries(file, file_bytes, buses)
+        case ".mf4":
+            return mf4_entries(file, buses)
+    return _lines_of(path, file, buses)
+
+
+def _lines_of(path: Path, file: BinaryIO, buses: Buses) -> Entries:
+    """The entries of a log of lines, which is read once, from its beginning."""
     match path.suffix.lower():
         case ".log":
             return candump_entries(file, buses)
         case ".asc":
             return asc_entries(file, buses)
-        case ".blf":
-            return blf_entries(file, file_bytes, buses)
         case ".trc":
             return trc_entries(file, buses)
         case ".csv":
             return csv_entries(file)
-        case ".mf4":
-            return mf4_entries(file, buses)
     raise DefectError("", _unknown(path))
 
 

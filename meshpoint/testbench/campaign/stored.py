@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from meshpoint.gearbox.reading import UnreadableError, open_regular
 from meshpoint.testbench.campaign.columns import FIELDS, Column, ShiftColumns, Shifts
 from meshpoint.testbench.errors import CommandError
 
@@ -75,13 +76,18 @@ def read_shifts(path: Path, into: ShiftColumns) -> None:
     columns = schema()
     text = [field.name for field in FIELDS.values() if field.kind is str]
     try:
-        with pq.ParquetFile(path, read_dictionary=text, pre_buffer=False) as file:
+        with (
+            open_regular(path) as source,
+            pq.ParquetFile(source, read_dictionary=text, pre_buffer=False) as file,
+        ):
             lacks = [name for name in FIELDS if name not in file.schema_arrow.names]
             if lacks:
                 raise CommandError(f"{path}: not a part of a campaign: no column {lacks[0]}")
             for batch in file.iter_batches(READ_AT_ONCE, columns=list(FIELDS)):
                 table = pa.Table.from_batches([batch]).select(list(FIELDS)).cast(columns)
                 into.extend_by(*_columns_of(path, table))
+    except UnreadableError as error:
+        raise CommandError(str(error)) from error
     except (OSError, pa.ArrowException, ValueError, LookupError) as error:
         raise CommandError(f"{path}: not a part of a campaign: {error}") from error
     pa.default_memory_pool().release_unused()  # it would keep what reading took for more of it
@@ -137,7 +143,10 @@ def read_columns(path: Path, names: tuple[str, ...]) -> list[list[Any]]:
     import pyarrow.parquet as pq
 
     try:
-        table = pq.read_table(path, columns=list(names))
+        with open_regular(path) as source:
+            table = pq.read_table(source, columns=list(names))
         return [table.column(name).to_pylist() for name in names]
+    except UnreadableError as error:
+        raise CommandError(str(error)) from error
     except (OSError, KeyError, pa.ArrowException) as error:
         raise CommandError(f"{path}: not a table of a campaign: {error}") from error

@@ -72,14 +72,13 @@ def _show(out: Console, calibration: Calibration) -> None:
     out.print(
         f"learned over {given.shifts} shifts with data sheet {given.sheet}, written by meshpoint "
         f"{given.meshpoint}: {given.written}\nsheet sha256 {given.sheet_sha256}\n",
-        markup=False,
     )
     out.print(_wheel_table(_wheels(calibration)))
     out.print()
     out.print(_gear_table(calibration))
     out.print()
     brake = calibration.brake
-    out.print("brake: nothing learned" if brake is None else _brake(brake), markup=False)
+    out.print("brake: nothing learned" if brake is None else _brake(brake))
 
 
 def _wheel_table(wheels: dict[str, WheelRecord]) -> Table:

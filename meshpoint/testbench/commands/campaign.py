@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Final
@@ -43,7 +42,7 @@ from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.loop.compiling import prepare
 from meshpoint.testbench.loop.schedules import pairs
 from meshpoint.testbench.results.junit import write_text
-from meshpoint.testbench.results.output import complain_of_strategy, console, write_json
+from meshpoint.testbench.results.output import complain, complain_of_strategy, console, write_json
 
 MOST_RUNS: Final = 1_000_000
 RUNS: Final = 100
@@ -256,7 +255,7 @@ def _only(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> in
     """One run, where a debugger can follow it."""
     result = run_one(spec, Job(namespace.only))
     if result.error is not None:
-        print(result.error, file=sys.stderr)
+        complain(result.error)
         return Exit.FAILED
     complain_of_strategy(result.strategy_errors)
     if namespace.json is not None:
@@ -289,7 +288,7 @@ def _all(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int
             write_json(namespace.json, values)
         if lost is not None:
             raise RunError(f"{lost}: {_kept(namespace, collected)}") from lost
-        print(f"interrupted: {_kept(namespace, collected)}", file=sys.stderr)
+        complain(f"interrupted: {_kept(namespace, collected)}")
         return Exit.INTERRUPTED
     return _write(namespace, spec, collected, store, values, out)
 
@@ -312,25 +311,24 @@ def _write(
     """Everything that was asked for; the command's exit code."""
     if store is not None:
         store.finish(collected.shifts)
-        out.print(f"table {store.table}", markup=False)
+        out.print(f"table {store.table}")
         write_report(store.report, spec, collected, values)
-        out.print(f"report {store.report}", markup=False)
+        out.print(f"report {store.report}")
     if namespace.json is not None:
         write_json(namespace.json, values)
     if namespace.json != "-":
         print_tables(out, values, spec.gearbox_words)
     for failed in collected.failed:
-        print(
+        complain(
             f"meshpoint campaign: run {failed.job.seed} failed: {failed.reason} "
-            f"(again alone: --only {failed.job.seed})",
-            file=sys.stderr,
+            f"(again alone: --only {failed.job.seed})"
         )
     complain_of_strategy(collected.strategy_errors)
     if "against" in values and namespace.json != "-":
         out.print()
         out.print(against_table(values["against"], spec.gearbox_words))
     for line in stopped_words(values):
-        out.print(line, markup=False)
+        out.print(line)
     if namespace.junit is not None:
         write_junit(namespace.junit, values, spec.gearbox_words)
     if namespace.markdown is not None:
@@ -348,7 +346,8 @@ def _make(
 ) -> bool:
     """All runs that are left, under a progress bar on standard error."""
     progress = Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("runs"),
+        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
+        TextColumn("runs"),
         TimeRemainingColumn(), console=console("-"), transient=True,
     )  # fmt: skip
     with progress:

@@ -76,10 +76,10 @@ def _show(out: Any, rows: list[CaptureRow]) -> None:
     out.print()
     out.print(errors_table(rows))
     for row in rows:
-        out.print(f"{row.file}: channel {row.channel!r}, edges: {row.polarity}", markup=False)
+        out.print(f"{row.file}: channel {row.channel!r}, edges: {row.polarity}")
         if row.extra_s:
             times = ", ".join(f"{t:.4f}" for t in row.extra_s)
-            out.print(f"{row.file}: extra edges at {times} s", markup=False)
+            out.print(f"{row.file}: extra edges at {times} s")
 
 
 def _complain(refused: list[Refused]) -> None:

@@ -9,8 +9,8 @@ from contextlib import suppress
 from typing import Any, Final
 
 import can
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 from meshpoint.bus.options import (
     DEFAULT_INTERFACE,
@@ -211,7 +211,7 @@ def findings_table(findings: list[Finding]) -> Table:
         table.add_column(column, overflow="fold")
     for group, subject, verdict, text in findings:
         colour = COLOURS[verdict]
-        table.add_row(f"{group}: {subject}", f"[{colour}]{verdict}[/]", escape(text))
+        table.add_row(f"{group}: {subject}", Text(verdict, colour), text)
     return table
 
 
@@ -220,7 +220,7 @@ def _end(namespace: argparse.Namespace, config: dict[str, Any], findings: list[F
     channel = config.get("channel")
     out = console(namespace.json)
     out.print(findings_table(findings))
-    out.print(f"{'yes' if is_ready else 'no'}: {reason}", soft_wrap=True, markup=False)
+    out.print(f"{'yes' if is_ready else 'no'}: {reason}", soft_wrap=True)
     if namespace.json is not None:
         values = {
             "interface": config["interface"],

@@ -55,7 +55,13 @@ async def spawn(name: str, command: list[str], show: Show | None) -> Child:
 async def _read(
     name: str, output: asyncio.StreamReader | None, said: deque[str], show: Show | None
 ) -> None:
-    while output is not None and (line := await output.readline()):
+    while output is not None:
+        try:
+            line = await output.readline()
+        except ValueError:  # longer than asyncio keeps; it has dropped it
+            continue
+        if not line:
+            return
         # A node's lines begin with its name, for terminals that it shares with others.
         text = line.decode(errors="replace").rstrip().removeprefix(f"{name}: ")
         said.append(text)

@@ -136,7 +136,7 @@ def _show(
     out.print(findings_table(findings))
     if found is not None and found.entries:
         out.print(measured_table([_row(entry, sheet) for entry in found.entries]))
-    out.print(last, soft_wrap=True, markup=False)
+    out.print(last, soft_wrap=True)
 
 
 def _row(entry: Entry, sheet: GearboxSheet) -> dict[str, Any]:
@@ -223,9 +223,9 @@ def _rehearse(namespace: argparse.Namespace, sheet: GearboxSheet) -> int:
     out = console(namespace.json)
     for one in wrong:
         told = "named" if one.is_right else "not named"
-        out.print(f"seed {one.seed}: {one.wrong}: {told}", soft_wrap=True, markup=False)
+        out.print(f"seed {one.seed}: {one.wrong}: {told}", soft_wrap=True)
     for one in missed:
-        out.print(f"seed {one.seed}: found {_bad(one.findings)}", soft_wrap=True, markup=False)
+        out.print(f"seed {one.seed}: found {_bad(one.findings)}", soft_wrap=True)
     named = sum(one.is_right for one in wrong)
     text = (
         f"{len(found)} boxes drawn around {gearbox_words(sheet, DEFAULT_PRESET, DEFAULT_PROFILE)}: "
@@ -233,7 +233,7 @@ def _rehearse(namespace: argparse.Namespace, sheet: GearboxSheet) -> int:
         f"{sum(one.is_right for one in found if not one.wrong.is_any)} of "
         f"{len(found) - len(wrong)} sound boxes called sound"
     )
-    out.print(text, soft_wrap=True, markup=False)
+    out.print(text, soft_wrap=True)
     if namespace.json is not None:
         boxes = [
             {"seed": one.seed, "wrong": str(one.wrong), "right": one.is_right,

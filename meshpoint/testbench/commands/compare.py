@@ -15,6 +15,7 @@ from rich.table import Table
 from meshpoint.bus.logs.files import log_files, read_logs
 from meshpoint.controller.settings import load_settings
 from meshpoint.dbc.frame import Frame
+from meshpoint.gearbox.reading import UnreadableError, read_text
 from meshpoint.testbench.commands.compare_decisions import (
     COLUMNS,
     decide,
@@ -32,6 +33,7 @@ from meshpoint.testbench.results.output import check_writable, console, write_js
 OF_A_RECORD: Final = ("log", "logs", "version", "provenance", "headers", "run_hash")
 """What two records of the same thing may always differ in."""
 MOST_ROWS: Final = 40
+RECORD_LIMIT_BYTES: Final = 512 * 1024 * 1024
 """Of a table on the terminal; page and JSON have all."""
 Rows = list[tuple[str, ...]]
 Tables = list[tuple[str, tuple[str, ...], Rows]]
@@ -133,7 +135,7 @@ def _tell(namespace: argparse.Namespace, title: str, compared: Compared) -> None
         for heading, columns, rows in compared.tables[: compared.on_terminal]:
             if rows:
                 out.print(compared_table(heading, columns, rows))
-    out.print(compared.verdict, markup=False)
+    out.print(compared.verdict)
 
 
 def _tolerance(text: str) -> tuple[str, float]:
@@ -192,7 +194,7 @@ def _decisions(namespace: argparse.Namespace, kind: str, allowed: Allowed) -> Co
 
 def _records(a: Path, b: Path, allowed: Allowed) -> Compared:
     """Shift by shift, then everything else."""
-    left, right = _load(a), _load(b)
+    left, right = load_record(a), load_record(b)
     found = list(differences(left, right, allowed))
     by_shift: dict[str, list[Difference]] = defaultdict(list)
     rest = []
@@ -225,11 +227,12 @@ def _shift_of(path: str) -> str | None:
     return None
 
 
-def _load(path: Path) -> Any:
+def load_record(path: Path) -> Any:
+    """The values of a --json record. CommandError where it is none."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CommandError(f"{path}: {error.strerror or error}") from error
+        return json.loads(read_text(path, RECORD_LIMIT_BYTES))
+    except UnreadableError as error:
+        raise CommandError(str(error)) from error
     except (ValueError, RecursionError) as error:
         raise CommandError(f"{path}: not JSON: {error}") from error
 

@@ -76,7 +76,7 @@ def run(namespace: argparse.Namespace) -> int:
         frames = write_capture(log, choice.capture, namespace.shaft)
     out = console(None)
     for line in _told(choice, namespace, frames):
-        out.print(line, markup=False, highlight=False)
+        out.print(line)
     return Exit.DONE
 
 

@@ -17,7 +17,7 @@ from meshpoint.dbc.specs import MessageSpec, Schema, SignalSpec
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.results.output import console, write_json
+from meshpoint.testbench.results.output import console, tell, write_json
 
 
 def add_parser(commands: Any) -> None:
@@ -41,7 +41,7 @@ def run(namespace: argparse.Namespace) -> int:
     is_classic = arguments.wire_of(namespace) is WireProfile.CLASSIC
     path = CLASSIC_DBC if is_classic else DBC_PATH
     if namespace.path:
-        print(path)
+        tell(str(path))
         return Exit.DONE
     schema, sha256 = _classic(path) if is_classic else (SCHEMA, DBC_SHA256)
     chosen = None if namespace.message is None else _message(schema, namespace.message)
@@ -52,7 +52,7 @@ def run(namespace: argparse.Namespace) -> int:
         return Exit.DONE
     if chosen is None:
         out.print(messages_table(schema))
-        out.print(f"\n{path}\nsha256 {sha256}", markup=False, soft_wrap=True)
+        out.print(f"\n{path}\nsha256 {sha256}", soft_wrap=True)
     else:
         out.print(signals_table(chosen))
     return Exit.DONE

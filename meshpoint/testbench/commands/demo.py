@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import math
 import os
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -13,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import can
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from meshpoint.bus.fine_timers import run as run_loop
@@ -37,6 +35,8 @@ from meshpoint.testbench.report.comparison import compare, comparison_table, exp
 from meshpoint.testbench.report.demo import demo_run, write_demo_report
 from meshpoint.testbench.report.plot import plot_shift
 from meshpoint.testbench.results.output import (
+    WordsConsole,
+    complain,
     console,
     folder_for,
     rows_table,
@@ -92,7 +92,7 @@ def run(namespace: argparse.Namespace) -> int:
     if arguments.wire_of(namespace) is WireProfile.CLASSIC:
         from meshpoint.bus.classic.traffic import load_words
 
-        out.print(load_words(sheet), markup=False)
+        out.print(load_words(sheet))
     folder_for(namespace.out)
     begun_s = float(os.environ.get(SINCE, time.time()))
     prepare(thesis=rig.preset is Preset.THESIS)
@@ -105,7 +105,7 @@ def run(namespace: argparse.Namespace) -> int:
             result = results[strategy] = _with_progress(namespace, strategy, live)
             out.print(rows_table(f"{strategy}, {live.gearbox_words}", result.monitor.rows.rows))
             if strategy == AIMING_STRATEGY:
-                out.print(_picture(namespace.out, live, begun_s), markup=False)
+                out.print(_picture(namespace.out, live, begun_s))
             out.print()
             sessions[strategy] = _verify(live.log)
     lives, results, sessions = _ordered(lives), _ordered(results), _ordered(sessions)
@@ -146,8 +146,8 @@ def run(namespace: argparse.Namespace) -> int:
     if pace < 0.95 * namespace.speed:
         out.print(f"bus time ran at {pace:.2f} x wall time, where this machine could not keep up")
     for name, session in sessions.items():
-        out.print(f"log {_log_path(namespace.out, name)}: replay is {session}", markup=False)
-    out.print(f"report {report}", markup=False)
+        out.print(f"log {_log_path(namespace.out, name)}: replay is {session}")
+    out.print(f"report {report}")
     return _exit_code(results, sessions)
 
 
@@ -241,11 +241,11 @@ def _opener(bus: list[str]) -> Callable[[], can.BusABC]:
 
 def _with_progress(namespace: argparse.Namespace, strategy: str, live: LiveRun) -> LiveResult:
     progress = Progress(
-        TextColumn(f"{strategy:14}"),
+        TextColumn(f"{strategy:14}", markup=False),
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
-        console=Console(stderr=True),
+        console=WordsConsole(stderr=True),
         transient=True,
     )
     with progress:
@@ -258,7 +258,7 @@ def _with_progress(namespace: argparse.Namespace, strategy: str, live: LiveRun) 
 def _complain(line: str) -> None:
     """Only what goes wrong is worth a line here; the shifts have their table."""
     if "bus" in line or "refused" in line or "stuck" in line:
-        print(line, file=sys.stderr)
+        complain(line)
 
 
 def _verify(log: Path) -> Session:

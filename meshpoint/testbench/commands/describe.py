@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from rich.table import Table
+from rich.text import Text
 
 from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox import GearboxSheet
@@ -18,16 +19,15 @@ from meshpoint.testbench.results.output import console
 def describe_rig(sheet: GearboxSheet, settings: RigSettings) -> None:
     """Prints it for people; the same values as JSON are in `simulate --json`."""
     out = console()
-    out.print(f"data sheet {sheet.name}, sha256 {sheet.sha256}", markup=False)
+    out.print(f"data sheet {sheet.name}, sha256 {sheet.sha256}")
     for line in _flat("", to_table(sheet)):
-        out.print(f"  {line}", markup=False)
+        out.print(f"  {line}")
     if settings.preset is Preset.THESIS:
         out.print("\npreset thesis: the gearbox is as its sheet says, and has no faults")
         return
     built = draw_as_built(settings.seed, settings.as_built, settings.profile)
     out.print(
         f"\nas built, profile {settings.profile}, seed {settings.seed}, teeth {built.teeth_seed}",
-        markup=False,
     )
     out.print(parameters_table(built, settings.as_built))
     out.print("\nfaults, by --faults FILE or the bench's frame BenchFault")
@@ -42,7 +42,7 @@ def parameters_table(built: AsBuilt, fixed_values: Mapping[str, float]) -> Table
     for name, parameter in parameters(built.profile).items():
         fixed = " fixed" if name in fixed_values else ""
         table.add_row(
-            f"{name}\n[dim]{parameter.note}[/]",
+            Text.assemble(f"{name}\n", (parameter.note, "dim")),
             f"{parameter.default:g}",
             f"{built[name]:g}{fixed}",
             f"{parameter.low:g}..{parameter.high:g}",

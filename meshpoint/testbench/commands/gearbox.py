@@ -60,7 +60,7 @@ def run(namespace: argparse.Namespace) -> int:
     if namespace.json != "-":
         out = console(namespace.json)
         out.print(_gear_table(sheet, figures))
-        out.print(_derived(sheet, figures), markup=False)
+        out.print(_derived(sheet, figures))
     return Exit.DONE
 
 

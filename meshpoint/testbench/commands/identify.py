@@ -180,7 +180,7 @@ def _values(
 
 def _show(out: Console, found: Identified, log: LoggedFrames) -> None:
     for line in log.words():
-        out.print(f"log: {line}", markup=False)
+        out.print(f"log: {line}")
     told = [one for one in found.figures if one.value is not None]
     if told:
         out.print(figures_table(told))
@@ -192,12 +192,12 @@ def _show(out: Console, found: Identified, log: LoggedFrames) -> None:
     if found.supply_pa:
         out.print(f"sleeve delays at {found.supply_pa / 1e5:.2f} bar of supply (absolute)")
     for line in found.notes:
-        out.print(line, markup=False)
+        out.print(line)
     if found.held_out:
         out.print(checks_table(found.held_out))
     for one in found.figures:
         if one.value is None:
-            out.print(f"not told: {one.name}: {one.why}", markup=False)
+            out.print(f"not told: {one.name}: {one.why}")
 
 
 def figures_table(figures: Sequence[Figure]) -> Table:

@@ -40,7 +40,7 @@ def logged_frames(
     shown_on = console("-")
     with Progress(
         SpinnerColumn(),
-        TextColumn(doing),
+        TextColumn(doing, markup=False),
         BarColumn(),
         TextColumn("{task.completed} frames"),
         TimeRemainingColumn(),

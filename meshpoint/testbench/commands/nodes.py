@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractAsyncContextManager, contextmanager
 from pathlib import Path
@@ -25,6 +24,7 @@ from meshpoint.bus.options import (
 from meshpoint.bus.pace import PacedClock, PaceFile
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.signals import stop_at_end_of_input, stop_on_signals
+from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.controller.header import RunHeader, new_header
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
@@ -32,9 +32,9 @@ from meshpoint.rig_sim.settings import Preset, RigSettings
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.logs.recording import log_folder, recording, start_log
+from meshpoint.testbench.logs.recording import log_folder, recording, save_header, start_log
 from meshpoint.testbench.provenance import gearbox_words
-from meshpoint.testbench.results.output import complain, folder_for
+from meshpoint.testbench.results.output import complain
 from meshpoint.testbench.version import product_version
 
 
@@ -43,7 +43,8 @@ def add_parser(commands: Any) -> None:
     controller: argparse.ArgumentParser = commands.add_parser(
         "controller",
         description="Reads tooth timestamps, estimates, predicts, and fires where its outputs are "
-        "armed (--arm; docs/guard.md). SIGINT or SIGTERM ends it with all valves off, exit code 0.",
+        "armed (--arm; docs/guard.md). SIGINT or SIGTERM ends it with all valves off: exit code 0, "
+        "or 1 where something it was to keep or say could not be written.",
     )
     arguments.add_gearbox(controller)
     arguments.add_controller(controller)
@@ -68,7 +69,7 @@ def add_parser(commands: Any) -> None:
     rig: argparse.ArgumentParser = commands.add_parser(
         "rig",
         description="Plays gearbox, sensors and engine. SIGINT or SIGTERM ends it with all "
-        "valves off, exit code 0.",
+        "valves off: exit code 0, or 1 where its log or its words could not be written.",
     )
     arguments.add_rig(rig)
     arguments.add_gearbox(rig, has_preset=True)
@@ -142,13 +143,13 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
     arguments.check_fused(settings, wire)
     header = new_header(product_version(), sheet, settings, calibration, armed)
     if namespace.header_dir is not None:
-        header.save(folder_for(namespace.header_dir))
+        save_header(header, namespace.header_dir)
 
-    async def run() -> None:
+    async def run() -> NodeStatistics:
         stop = asyncio.Event()
         with _stop(namespace, stop):
             async with _recording(namespace, header):
-                await run_controller(
+                return await run_controller(
                     header,
                     _opener(namespace, f"sheet {sheet.name}, run header {header.run_hash:016x}"),
                     _clock(namespace),
@@ -162,11 +163,13 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
                     address=controller_address(namespace),
                 )
 
-    run_loop(run())
+    lost = run_loop(run()).record_lines_lost
+    if lost:
+        complain(f"meshpoint controller: {lost} lines of its records could not be written")
     unwritten = writer.close() if writer is not None else None
     if unwritten is not None:
         complain(unwritten)
-    return Exit.DONE
+    return Exit.FAILED if lost or unwritten is not None else Exit.DONE
 
 
 def _record_folder(namespace: argparse.Namespace, wire: WireProfile) -> Path | None:
@@ -190,7 +193,7 @@ def run_shadow(namespace: argparse.Namespace) -> int:
     # Armed, so that the copies which are asked decide as a controller would; nothing is sent.
     header = new_header(product_version(), sheet, settings, None, armed=True)
     if namespace.header_dir is not None:
-        header.save(folder_for(namespace.header_dir))
+        save_header(header, namespace.header_dir)
     show = _printer(namespace)
     core: Core = ShadowCore(header)
     if _wire_of(namespace, sheet) is WireProfile.CLASSIC:
@@ -318,6 +321,6 @@ def _clock(namespace: argparse.Namespace) -> NodeClock:
 def _printer(namespace: argparse.Namespace) -> Callable[[str], None]:
     def show(line: str) -> None:
         if not namespace.quiet:
-            print(line, file=sys.stderr, flush=True)
+            complain(line)
 
     return show

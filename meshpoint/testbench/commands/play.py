@@ -9,7 +9,7 @@ from typing import Any
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.report.play import write_play
-from meshpoint.testbench.results.output import folder_for
+from meshpoint.testbench.results.output import folder_for, tell
 
 
 def add_parser(commands: Any) -> None:
@@ -35,5 +35,5 @@ def run(namespace: argparse.Namespace) -> int:
     """Writes the page."""
     folder_for(namespace.out.parent)
     write_play(namespace.out, arguments.sheet_of(namespace))
-    print(f"open {namespace.out} in a browser")
+    tell(f"open {namespace.out} in a browser")
     return Exit.DONE

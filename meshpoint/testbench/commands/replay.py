@@ -351,17 +351,17 @@ def _show(
             out.print(rows_table(f"{log_name(files)} as recorded{of}", rows.rows))
         else:
             out.print(judged_table(f"{log_name(files)} as {asked} decides it{of}", judged))
-            out.print(judged_words(judged, asked), markup=False)
+            out.print(judged_words(judged, asked))
     for number, session in enumerate(sessions, 1):
         if namespace.verify or session.verdict is not Verification.IDENTICAL:
-            out.print(f"run {number} of {len(sessions)}: {session}", markup=False)
+            out.print(f"run {number} of {len(sessions)}: {session}")
         else:
             out.print(
                 f"run {number} of {len(sessions)}: {session.steps} steps replayed"
                 f"{session.intruders_text}"
             )
     for line in log.words():
-        out.print(f"log: {line}", markup=False)
+        out.print(f"log: {line}")
 
 
 def tell_buses(out: Any, buses: Counter[str], bus: str | None) -> None:
@@ -369,7 +369,7 @@ def tell_buses(out: Any, buses: Counter[str], bus: str | None) -> None:
     if len(buses) > 1:
         each = ", ".join(f"{name} ({n} frames)" for name, n in sorted(buses.items()))
         used = "all are used as one (--bus picks one)" if bus is None else f"used is {bus}"
-        out.print(f"buses in the log: {each}; {used}", markup=False)
+        out.print(f"buses in the log: {each}; {used}")
 
 
 def _session_json(session: Session) -> dict[str, Any]:

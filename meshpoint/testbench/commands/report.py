@@ -82,11 +82,11 @@ def run(namespace: argparse.Namespace) -> int:
     ):
         answer = _answer(namespace, files, log)
     out = console(namespace.json)
-    out.print(answer.sentence, soft_wrap=True, markup=False)
+    out.print(answer.sentence, soft_wrap=True)
     for line in log.words():
-        out.print(f"log: {line}", soft_wrap=True, markup=False)
+        out.print(f"log: {line}", soft_wrap=True)
     if log.defect is not None:
-        out.print(f"the log cannot be read on: {log.defect}", soft_wrap=True, markup=False)
+        out.print(f"the log cannot be read on: {log.defect}", soft_wrap=True)
     if namespace.json is not None:
         values = {
             "logs": [str(path) for path in files],

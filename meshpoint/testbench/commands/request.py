@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -30,6 +29,7 @@ from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.faults import STALE_FAULTS, explain
+from meshpoint.testbench.results.output import complain
 
 AGAIN_S = 0.2
 """The request is repeated until the controller is seen to act on it."""
@@ -195,4 +195,4 @@ def _where(status: ControllerStatus) -> str:
 
 
 def _complain(line: str) -> None:
-    print(f"meshpoint request: {line}", file=sys.stderr, flush=True)
+    complain(f"meshpoint request: {line}")

@@ -138,7 +138,7 @@ def _words(replay: SensorReplay, log: LoggedFrames, why: str) -> list[str]:
 
 def _show(out: Any, replay: SensorReplay, lines: list[str]) -> None:
     for line in lines:
-        out.print(line, markup=False)
+        out.print(line)
     seen, by = replay.seen
     if seen:
         out.print(seen_table(f"shifts that the log shows, by {by}", seen))
@@ -147,7 +147,7 @@ def _show(out: Any, replay: SensorReplay, lines: list[str]) -> None:
         phase = row["predicted_phase_deg"]
         told = "phase unknown" if phase is None else f"phase {phase:+.2f} deg expected"
         line = f"asked {row['from']} -> {row['to']}: {row['status']}{after}, {told}"
-        out.print(line, markup=False)
+        out.print(line)
 
 
 def seen_table(title: str, shifts: list[SeenShift]) -> Table:

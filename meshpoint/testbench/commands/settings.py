@@ -53,7 +53,7 @@ def run(namespace: argparse.Namespace) -> int:
         out = console(namespace.json)
         for group in groups:
             lines = key_lines(group, min(out.width, WIDEST))
-            out.print("\n".join([*lines, ""]), markup=False, soft_wrap=True)
+            out.print("\n".join([*lines, ""]), soft_wrap=True)
     return Exit.DONE
 
 

@@ -210,9 +210,10 @@ def run(namespace: argparse.Namespace) -> int:
     )
     _write_results(namespace, setup, result, judged)
     if log is not None:
-        out.print(f"log {written(log)}", markup=False)
+        out.print(f"log {written(log)}")
     if namespace.json != "-":
         _show(out, setup, result)
+    unwritten += map(_complained, result.unwritten)
     complain_of_strategy(result.strategy_errors)
     for each in judged:
         (complain if each.failed else out.print)(each.words)
@@ -301,11 +302,15 @@ def _keep(writer: CalibrationWriter | None, unwritten: list[str]) -> Keep | None
     def keep(learned: Calibration) -> str | None:
         line = writer(learned)
         if line is not None:
-            complain(line)
-            unwritten.append(line)
+            unwritten.append(_complained(line))
         return line
 
     return keep
+
+
+def _complained(line: str) -> str:
+    complain(line)
+    return line
 
 
 def _report(setup: Setup, result: Result, collector: ReportCollector) -> Report:

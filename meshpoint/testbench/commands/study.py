@@ -9,6 +9,7 @@ from typing import Any
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
+from rich.text import Text
 
 from meshpoint.gearbox.reading import read_text
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
@@ -27,9 +28,9 @@ from meshpoint.testbench.studies.settings import StudySettings, load_study_setti
 LIST = "list"
 PAGE = "studies.html"
 SETTINGS = "studies.toml"
-VERDICT_WORDS = {
-    ThesisVerdict.AGREES: "[green]agrees[/]",
-    ThesisVerdict.DIFFERS: "[red]differs[/]",
+VERDICT_WORDS: dict[ThesisVerdict, str | Text] = {
+    ThesisVerdict.AGREES: Text("agrees", "green"),
+    ThesisVerdict.DIFFERS: Text("differs", "red"),
     ThesisVerdict.NOT_COMPARABLE: "not comparable",
 }
 MAX_WORKERS = 64
@@ -78,7 +79,8 @@ def run(namespace: argparse.Namespace) -> int:
     prepare(thesis=True)
     out = console(namespace.json)
     columns = (
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(),
+        TimeElapsedColumn(),
     )  # fmt: skip
     with Progress(*columns, console=console("-"), transient=True) as bar:
         task = bar.add_task("studies", total=None)
@@ -90,7 +92,7 @@ def run(namespace: argparse.Namespace) -> int:
     _write(namespace, settings, records)
     if namespace.json != "-":
         out.print(_table(records))
-        out.print(f"page {folder / PAGE}", markup=False)
+        out.print(f"page {folder / PAGE}")
     return Exit.DONE
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from pathlib import Path
 from typing import Any, Final
@@ -67,7 +66,7 @@ def run(namespace: argparse.Namespace) -> int:
         out.print(reached_table(values, spec.gearbox_words))
         for found in values["found"]:
             out.print(f"seed {found['seed']}: {found['what']} at {found['at_ms']} ms, "
-                      f"{found['text']}", markup=False)  # fmt: skip
+                      f"{found['text']}")  # fmt: skip
     return Exit.FAILED if swarm.found else Exit.DONE
 
 
@@ -99,7 +98,7 @@ class _Teller:
             self._told_s = now_s
             hours = swarm.simulated_s / 3600.0
             text = f"{hours:.2f} h simulated, {swarm.shifts} shifts, {len(swarm.found)} violations"
-            print(text, file=sys.stderr)
+            complain(text)
 
 
 def reached_table(values: dict[str, Any], gearbox: str) -> Table:

@@ -22,7 +22,8 @@ start here:
 
 exit codes:
   0    done
-  1    ran, but failed: a shift that did not end, a replay that differs
+  1    ran, but failed: a shift that did not end, a replay that differs, a log, a
+       record or words of a node for which there was no room
   2    bad input: what was found and what is allowed is on standard error
   3    not verifiable (replay), with the reason
   4    not decided (campaign --against): more runs are needed

@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.text import Text
 
 from meshpoint.bus.logs.files import log_files
@@ -18,6 +17,7 @@ from meshpoint.bus.logs.limits import LogError
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.log_progress import read_in_sensor_time
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.results.output import WordsConsole, complain
 from meshpoint.testbench.watch.story import Line, Story
 
 WORDS_AT = 35
@@ -65,7 +65,7 @@ def add_parser(commands: Any) -> None:
 
 def run(namespace: argparse.Namespace) -> int:
     """Tells what the log holds, up to a defect in it."""
-    out = Console(highlight=False, soft_wrap=True)
+    out = WordsConsole(soft_wrap=True)
     # What is piped stays one line an event, for grep.
     width = out.width if out.is_terminal else None
     wanted = set(namespace.only or STYLES)
@@ -82,9 +82,7 @@ def run(namespace: argparse.Namespace) -> int:
     except LogError as error:
         if not told:
             raise
-        print(
-            f"meshpoint tell: {error}; what is told is all that stands before it", file=sys.stderr
-        )
+        complain(f"meshpoint tell: {error}; what is told is all that stands before it")
         return Exit.BAD_INPUT
     if not told:
         print("meshpoint tell: nothing to tell: no message of the DBC says an event")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterable, Sequence
@@ -31,8 +30,9 @@ from meshpoint.testbench.results.output import complain
 DESCRIPTION: Final = """\
 Runs rig and controller as two processes on one bus time that waits for both, so that it works on a
 busy machine too, and prints what they say. In another terminal `meshpoint request 10` asks for a
-gear. Ctrl-C or SIGTERM ends both with all valves off: exit code 0. A node that ends by itself ends
-all: exit code 1, or 2 where its input was bad; its own message stands above."""
+gear. Ctrl-C or SIGTERM ends both with all valves off: exit code 0, or 1 where a node could not
+write its log or records. A node that ends by itself ends all: exit code 1, or 2 where its input was
+bad; its own message stands above."""
 FREE_BUS_LISTEN_S: Final = 0.3
 """So long a bus is listened to before it counts as free."""
 CLASSIC_CYCLIC: Final = frozenset({0x18FF8080, 0x0CFF9103})
@@ -206,5 +206,4 @@ class _Greeting:
 
 
 def _show(name: str, line: str) -> None:
-    sys.stderr.write(f"{name:10} | {line}\n")
-    sys.stderr.flush()
+    complain(f"{name:10} | {line}")

@@ -21,7 +21,7 @@ from meshpoint.testbench.commands.log_progress import read_in_sensor_time
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.log_clock import Entry, Unpack
-from meshpoint.testbench.results.output import complain
+from meshpoint.testbench.results.output import WordsConsole, complain
 from meshpoint.testbench.watch.panel import HEIGHT, Panel
 
 PICTURES_HZ: Final = 12.0
@@ -68,7 +68,7 @@ def run(namespace: argparse.Namespace) -> int:
     """Draws until the end, or Ctrl-C."""
     if namespace.speed < 0.0:
         raise CommandError(f"--speed {namespace.speed:g}: allowed are 0 and more")
-    out = Console(highlight=False)
+    out = WordsConsole()
     title = namespace.log[0].name if namespace.log else _bus_name(namespace)
     sheet = arguments.sheet_of(namespace)
     panel = Panel(sheet, title)

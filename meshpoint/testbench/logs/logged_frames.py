@@ -11,6 +11,7 @@ from typing import Final
 from meshpoint.bus.logs.files import read_logs
 from meshpoint.bus.logs.limits import LogError
 from meshpoint.dbc.frame import Frame
+from meshpoint.gearbox.reading import UnreadableError, open_regular
 from meshpoint.testbench.logs.account import Account
 from meshpoint.testbench.logs.log_clock import LogClock, LogClockFit, Unpack, clock_of
 
@@ -96,10 +97,10 @@ def expected_frames(files: list[Path]) -> int | None:
         if path.suffix.lower() not in TEXT_LOGS:
             return None
         try:
-            with path.open("rb") as file:
+            with open_regular(path) as file:
                 start = file.read(SAMPLE_BYTES)
                 size = file.seek(0, os.SEEK_END)
-        except OSError:
+        except (OSError, UnreadableError):
             return None
         lines = start.count(b"\n")
         total += size * lines // max(1, len(start))

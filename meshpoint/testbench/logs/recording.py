@@ -16,7 +16,7 @@ from meshpoint.bus.logs.files import RotatingLog, open_log
 from meshpoint.bus.logs.limits import LogError
 from meshpoint.bus.logs.recorder import LogWriter, record_bus
 from meshpoint.controller.header import RunHeader
-from meshpoint.testbench.errors import CommandError
+from meshpoint.testbench.errors import CommandError, RunError
 from meshpoint.testbench.results.output import folder_for
 
 LAST_FRAMES_S = 0.1
@@ -41,8 +41,18 @@ def start_log(
         target, channel=channel, max_bytes=namespace.log_size, by_frame_time=by_frame_time
     )
     if header is not None:
-        header.save(log.path.parent)
+        save_header(header, log.path.parent)
     return log
+
+
+def save_header(header: RunHeader, folder: Path) -> None:
+    """Writes the run header; CommandError where it cannot be: nothing has been started yet."""
+    try:
+        header.save(folder_for(folder))
+    except OSError as error:
+        raise CommandError(
+            f"run header in {folder}: cannot be written: {error.strerror or error}"
+        ) from error
 
 
 def log_folder(target: str) -> Path:
@@ -67,7 +77,7 @@ async def recording(
 ) -> AsyncIterator[None]:
     """Records the bus while the block runs, with a connection of its own that is there before the
     block begins, stamped by the nodes' clock. A log that cannot be written any more is told, and
-    the block goes on."""
+    the block goes on; at its end RunError says that the log is not whole."""
     if log is None:
         yield
         return
@@ -78,22 +88,29 @@ async def recording(
         loop.call_soon_threadsafe(opened.set)
         return bus
 
-    async def record() -> None:
+    async def record() -> str:
+        """What ended it; empty: it was told to stop, and the log is whole."""
         try:
-            await record_bus(open_and_tell, log, on_event=on_event, stop=stop, bus_clock=bus_clock)
+            with log:
+                await record_bus(
+                    open_and_tell, log, on_event=on_event, stop=stop, bus_clock=bus_clock
+                )
         except LogError as error:
-            on_event(f"recorder: the log has ended: {error}")
+            on_event(f"recorder: the log has ended, the node goes on: {error}")
+            return str(error)
+        return ""
 
-    with log:
-        task = asyncio.create_task(record())
-        waiting = asyncio.create_task(opened.wait())
-        await asyncio.wait((task, waiting), return_when=asyncio.FIRST_COMPLETED)
-        waiting.cancel()
-        try:
-            if task.done():
-                task.result()
-            yield
-            await asyncio.sleep(LAST_FRAMES_S)
-        finally:
-            stop.set()
-            await task
+    task = asyncio.create_task(record())
+    waiting = asyncio.create_task(opened.wait())
+    await asyncio.wait((task, waiting), return_when=asyncio.FIRST_COMPLETED)
+    waiting.cancel()
+    try:
+        if task.done():
+            task.result()
+        yield
+        await asyncio.sleep(LAST_FRAMES_S)
+    finally:
+        stop.set()
+        fault = await task
+    if fault:
+        raise RunError(f"error: the log ended before the run did: {fault}")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ from meshpoint.bus.authentication.cores import ProvingCore, VerifyingCore
 from meshpoint.bus.authentication.proof import CHALLENGE_BITS
 from meshpoint.bus.core import Core
 from meshpoint.bus.profile import WireProfile
+from meshpoint.bus.records import Records
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.node import Node
@@ -60,18 +60,18 @@ def virtual_bench(
     *onlookers: Onlooker,
     on_frame: Callable[[int, Frame], None] | None = None,
     on_event: Callable[[int, int, str], None] | None = None,
-    record: Path | None = None,
+    records: Records | None = None,
 ) -> VirtualBench:
     """These cores, with what `setup` has between them and their bus, on that bus.
 
-    on_frame, on_event: as in `VirtualTime`. record: the folder of the run header, where a classic
-    run's steps are written to be verified by."""
+    on_frame, on_event: as in `VirtualTime`. records: take a classic run's steps, to be verified
+    by."""
     if setup.keys is not None:
         controller = ProvingCore(controller, setup.keys)
         rig = VerifyingCore(rig, setup.keys, _challenges(setup.seed))
     cores = [controller, rig, operator, *(onlooker.core for onlooker in onlookers)]
     if setup.wire is WireProfile.CLASSIC:
-        cores = _on_classic_bus(setup, cores, record)
+        cores = _on_classic_bus(setup, cores, records)
     adapter = None
     if setup.adapter is not None:
         cores[0] = adapter = AdapterCore(cores[0], setup.adapter, setup.seed)
@@ -92,13 +92,13 @@ def virtual_bench(
     return VirtualBench(time, cores[0], adapter, loaded)
 
 
-def _on_classic_bus(setup: Setup, cores: Sequence[Core], record: Path | None) -> list[Core]:
+def _on_classic_bus(setup: Setup, cores: Sequence[Core], records: Records | None) -> list[Core]:
     from meshpoint.bus.classic.cores import on_classic_bus
     from meshpoint.bus.classic.step_record import StepRecord
 
     classic = on_classic_bus(setup.sheet, *cores)
-    if record is not None:
-        classic[0] = StepRecord(classic[0], record, setup.header.run_hash, diagnosed=False)
+    if records is not None:
+        classic[0] = StepRecord(classic[0], records, setup.header.run_hash, diagnosed=False)
     return classic
 
 

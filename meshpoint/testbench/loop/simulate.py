@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 from meshpoint.bus.profile import WireProfile
+from meshpoint.bus.records import Records
 from meshpoint.bus.settle import settle
 from meshpoint.controller.calibration_keeper import CalibrationKeeper, Keep
 from meshpoint.controller.core import ControllerCore
@@ -54,6 +55,8 @@ class Result:
     """What the adapter did to the controller's frames; None: there was none."""
     bus: Mapping[str, Any] | None = None
     """What the frames went through on a loaded bus."""
+    unwritten: Sequence[str] = ()
+    """What of the records beside the log could not be written."""
 
     def to_json(self, strategy: str) -> dict[str, Any]:
         """As `simulate --json` prints it."""
@@ -101,6 +104,18 @@ def _unpacker(wire: WireProfile) -> Callable[[Frame], Iterable[Frame]]:
     return bench_unpacker().take
 
 
+def _written_first(
+    records: Records, unwritten: list[str], is_over: Callable[[], bool]
+) -> Callable[[], bool]:
+    """Writes what a step has left, then says whether the run is over."""
+
+    def look() -> bool:
+        unwritten.extend(records.write())
+        return is_over()
+
+    return look
+
+
 def _virtual_time(now_us: int) -> str:
     return f"{now_us / 1e6:.2f} s of virtual time"
 
@@ -141,14 +156,18 @@ def simulate(
                 on_row(row)
             reported = len(monitor.rows.rows)
 
+    records, unwritten = Records(record or Path()), list[str]()
     bench = virtual_bench(
-        setup, controller, rig, operator, on_frame=take, on_event=on_event, record=record
-    )
+        setup, controller, rig, operator, on_frame=take, on_event=on_event,
+        records=None if record is None else records,
+    )  # fmt: skip
     time = bench.time
     settle()
     if plan:
-        time.run(lambda: operator.done or stop(), LIMIT_US_PER_SHIFT * len(plan))
+        is_over = _written_first(records, unwritten, lambda: operator.done or stop())
+        time.run(is_over, LIMIT_US_PER_SHIFT * len(plan))
     bench.controller.shutdown(time.now_us)
+    unwritten += records.close()
     return Result(
         rows=_with_bounds(monitor.rows.rows, plan, setup.sheet, rig.as_built or {}),
         estimation=monitor.estimation.figures(),
@@ -162,4 +181,5 @@ def simulate(
         interrupted=bool(plan) and not operator.done and stop(),
         adapter=None if bench.adapter is None else bench.adapter.figures(),
         bus=None if bench.loaded is None else bench.loaded.figures(),
+        unwritten=unwritten,
     )

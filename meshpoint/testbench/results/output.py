@@ -9,10 +9,13 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from rich.console import Console
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 from rich.table import Table
+from rich.text import Text
 
 from meshpoint.controller.strategy_file import is_file_name
+from meshpoint.gearbox.plain_text import plain
 from meshpoint.testbench.errors import CommandError
 
 if TYPE_CHECKING:
@@ -63,10 +66,34 @@ def _write(file: TextIO, pieces: Iterable[str]) -> None:
     file.write("\n")
 
 
+class WordsConsole(Console):
+    """A console to which texts are words: no markup in them, and nothing that steers the terminal.
+    Colours are for those who ask for them by a style."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(markup=False, emoji=False, highlight=False, **options)
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """As rich does; here, so that an escape's width counts in a table."""
+        return super().render_str(plain(text), **options)
+
+    def render(
+        self, renderable: RenderableType, options: ConsoleOptions | None = None
+    ) -> Iterable[Segment]:
+        """As rich does; for texts that were made elsewhere."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else segment._replace(text=plain(segment.text))
+
+
 def complain(line: str) -> None:
     """A line on standard error, where it does not get into anybody's results."""
-    sys.stderr.write(line + "\n")
+    sys.stderr.write(plain(line) + "\n")
     sys.stderr.flush()
+
+
+def tell(line: str) -> None:
+    """A line on standard output."""
+    sys.stdout.write(plain(line) + "\n")
 
 
 def complain_of_strategy(errors: Mapping[str, int]) -> None:
@@ -79,7 +106,7 @@ def console(json_target: str | None = None) -> Console:
     """Where people read: standard output, or standard error when JSON goes to standard output.
 
     A pipe or a file has no width, so tables are never cut for one."""
-    out = Console(stderr=json_target == "-", highlight=False)
+    out = WordsConsole(stderr=json_target == "-")
     if not out.is_terminal:
         out.width = max(out.width, WIDTH_WITHOUT_TERMINAL)
     return out
@@ -142,9 +169,13 @@ def _number(value: float | None, digits: int, signed: bool = False) -> str:
     return f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
 
 
-def cells(row: ShiftRow) -> list[str]:
+def cells(row: ShiftRow) -> list[str | Text]:
     """A row as the table shows it."""
-    contact = {"gap": "[green]gap[/]", "tooth": "[red]tooth[/]", None: "-"}[row.contact]
+    words: dict[str | None, str | Text] = {
+        "gap": Text("gap", "green"),
+        "tooth": Text("tooth", "red"),
+        None: "-",
+    }
     return [
         str(row.from_),
         str(row.to),
@@ -154,7 +185,7 @@ def cells(row: ShiftRow) -> list[str]:
         _number(row.slip_rpm, 1, signed=True),
         _number(row.phase_error_deg, 2, signed=True),
         _number(row.phase_error_pct_of_pitch, 1, signed=True),
-        contact,
+        words[row.contact],
         str(row.attempts),
         row.result,
     ]
