@@ -46,7 +46,8 @@ def add_parser(commands: Any) -> None:
         "long valves and sleeves take. All other outputs are off in every frame; a pulse ends when "
         "a shaft turns by more than a pulse turns it, air fails or an input is lost. With --turn "
         "the engine then turns each gear and the layshaft: sensors on wrong shafts are named, and "
-        "tooth counts, ratios, brake, clutch and sleeves measured. Writes a data sheet and a calibration. docs/bench.md.",
+        "tooth counts, ratios, brake, clutch and sleeves measured. Writes a data sheet and a "
+        "calibration. docs/bench.md.",
     )
     parser.add_argument(
         "--yes",
