@@ -99,9 +99,10 @@ def _signature(function: Any) -> str:
 
 
 def _text(value: Any) -> str:
-    """A docstring; its lines `name: meaning` as a list."""
+    """A docstring; its lines `name: meaning` as a list, where no sentence goes on in them."""
     text = inspect.getdoc(value) or ""
-    text = re.sub(r"^([a-z_]+(?:, [a-z_]+)*): ", r"- `\1`: ", text, flags=re.MULTILINE)
+    item = r"(\A|\n\n|[.:;]\n)([a-z_]+(?:, [a-z_]+)*): "
+    text = re.sub(item, r"\1- `\2`: ", text)
     text = re.sub(r"\n    (?=\S)", "\n  ", text)
     return re.sub(r"\n(- `.*(?:\n(?:- `|  ).*)*)(?=\n\S|\Z)", r"\n\n\1\n", text).replace(
         "\n\n\n", "\n\n"

@@ -20,6 +20,7 @@ from meshpoint.bus.local.channel import ChannelError, TcpChannel, parse_channel
 from meshpoint.bus.local.register import register_interface
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.source_address import source_address, use_address
+from meshpoint.bus.vendor_drivers import driver_words
 from meshpoint.dbc.j1939 import CONTROLLER
 from meshpoint.gearbox.reading import UnreadableError, read_text
 
@@ -287,7 +288,8 @@ def classic_refusal(name: str) -> str:
     """Why a device that is set up for classic CAN cannot be used, and the ways out."""
     return (
         f"{name} is set up for classic CAN, but CAN FD is needed: set a real device up by "
-        f"`ip link set {name} type can bitrate 500000 dbitrate 2000000 fd on`, "
+        f"`ip link set {name} type can bitrate 500000 sample-point 0.8 "
+        "dbitrate 2000000 dsample-point 0.8 fd on`, "
         f"a virtual one by `ip link set {name} mtu {CANFD_MTU}`; an adapter on which the first "
         "fails has no CAN FD: take one that has it, or start controller and rig with "
         "--profile classic"
@@ -322,6 +324,8 @@ def _open_error(config: dict[str, Any], error: Exception) -> str:
         cause += f"; for a device named {channel} add -i with its interface"
     elif interface == "socketcan":
         cause += f"; {_can_devices()}"
+    else:
+        cause = driver_words(interface, error) or cause
     return f"cannot open {asked}: {cause}"
 
 

@@ -59,6 +59,11 @@ def test_the_reference_is_what_the_docstrings_say(
     assert stale.read_text() == reference.api_page()
 
 
+def test_a_sentence_of_the_reference_is_not_torn_at_a_colon() -> None:
+    page = reference.api_page()
+    assert page.count("at most three\n  times: once it is, the controller can aim") == 2
+
+
 def test_simulate_is_the_command(tmp_path: Path) -> None:
     target = tmp_path / "run.json"
     command = ["simulate", "--shifts", "1", "--seed", "5", "--preset", "thesis"]

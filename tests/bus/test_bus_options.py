@@ -13,6 +13,7 @@ from meshpoint.bus.options import (
     is_local_bus,
     open_bus_from,
 )
+from meshpoint.testbench.cli import main
 
 
 @pytest.fixture(autouse=True)
@@ -185,6 +186,41 @@ def test_a_bus_that_python_can_leaves_unknown_gets_a_name(monkeypatch: pytest.Mo
 )
 def test_only_a_bus_of_this_machine_is_local(arguments: str, local: bool) -> None:
     assert is_local_bus(parsed(*arguments.split())) is local
+
+
+@pytest.mark.parametrize(
+    ("interface", "driver"),
+    [
+        ("kvaser", "CANlib"),
+        ("pcan", "PCAN-Basic"),
+        ("vector", "XL Driver Library"),
+        ("ixxat", "VCI"),
+        ("neovi", "python-ics"),
+        ("nixnet", "NI-XNET"),
+        ("iscan", "isCAN"),
+        ("usb2can", "USB2CAN"),
+        ("etas", "BOA"),
+    ],
+)
+def test_an_adapter_without_its_driver_is_told_by_the_drivers_name(
+    interface: str, driver: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """No machine that runs tests has these drivers; PCAN's, where it is, has no device 0."""
+    assert main(["request", "10", "-i", interface, "-c", "0"]) == 2
+    said = capsys.readouterr().err
+    assert f"cannot open interface {interface}, channel 0: " in said
+    assert driver in said
+    assert "not defined" not in said
+    assert "Cannot import" not in said
+
+
+def test_whatever_a_backend_misses_by_name_is_its_driver(monkeypatch: pytest.MonkeyPatch) -> None:
+    def opened(**_: object) -> can.BusABC:
+        raise NameError("name 'vendorOpen' is not defined")
+
+    monkeypatch.setattr(can, "Bus", opened)
+    with pytest.raises(BusOpenError, match=r"slcan.*its driver is not on this machine$"):
+        open_bus_from(parsed("-i", "slcan", "-c", "/dev/ttyACM0"))
 
 
 def test_a_bus_that_a_file_asks_for_is_not_local(tmp_path: Path) -> None:

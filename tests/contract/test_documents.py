@@ -82,6 +82,18 @@ def test_every_link_leads_somewhere(document: Path) -> None:
     assert missing == []
 
 
+def test_every_tab_of_the_site_has_a_name_of_its_own() -> None:
+    """Pages that mkdocs.yml does not name get a tab of their folder's name."""
+    site = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")
+    tabs = re.findall(r"^  - (\w[^:\n]*):", site, re.MULTILINE)
+    docs = ROOT / "docs"
+    pages = [path.relative_to(docs).as_posix() for path in docs.rglob("*.md")]
+    folders = {page.rpartition("/")[0] for page in pages if page not in site}
+    tabs += [folder.capitalize() or "More" for folder in folders]
+    assert "Reference" in tabs
+    assert sorted(tabs) == sorted(set(tabs))
+
+
 def test_each_of_the_six_changes_names_files_a_command_and_a_test() -> None:
     text = (ROOT / "docs" / "change.md").read_text(encoding="utf-8")
     sections = re.split(r"^## ", text, flags=re.MULTILINE)[1:]

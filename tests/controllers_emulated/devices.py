@@ -19,7 +19,7 @@ from vcan_bench import CLASSIC, FD, Wire, ip
 
 KVASER_BITS = ("bitrate", "500000", "sample-point", "0.875", "restart-ms", "100")
 CTU_BITS = ("bitrate", "500000", "sample-point", "0.8", "dbitrate", "2000000",
-            "dsample-point", "0.75", "fd", "on", "restart-ms", "100")  # fmt: skip
+            "dsample-point", "0.8", "fd", "on", "restart-ms", "100")  # fmt: skip
 QUEUE_FRAMES = "1000"
 """As docs/bench.md sets adapters up; the kernel's own 10 are the exception that a test makes."""
 _N_SLCAN = 17

@@ -197,7 +197,7 @@ def test_the_fd_profile_is_refused_on_a_classic_controller_with_both_ways_out(
         refused = meshpoint(tmp_path, node, "-i", "socketcan", "-c", "can0")
         assert refused.returncode == 2, refused.said
         assert "can0 is set up for classic CAN, but CAN FD is needed" in refused.said
-        assert "`ip link set can0 type can bitrate 500000 dbitrate 2000000 fd on`" in refused.said
+        assert "dbitrate 2000000 dsample-point 0.8 fd on`" in refused.said
         assert "start controller and rig with --profile classic" in refused.said
     fd = subprocess.run(
         ["ip", "link", "set", "can0", "type", "can", "dbitrate", "2000000", "fd", "on"],

@@ -39,6 +39,20 @@ def test_a_study_is_found_by_name_or_by_what_it_reproduces_and_runs_once() -> No
     assert [study.name for study in chosen(["all"])] == list(STUDY_NAMES)
 
 
+@pytest.mark.parametrize(
+    ("word", "names"),
+    [
+        ("6.1", ["valve"]),
+        ("figure 6.1", ["valve"]),
+        ("table 6.1", ["speed_estimate"]),
+        ("6.2", ["torque"]),
+        ("1.3", ["hardware", "target"]),
+    ],
+)
+def test_a_number_alone_is_that_of_a_figure_where_there_is_one(word: str, names: list[str]) -> None:
+    assert [study.name for study in chosen([word])] == names
+
+
 def test_an_unknown_study_is_named_with_those_that_are_allowed() -> None:
     with pytest.raises(CommandError, match=r"(?s)'6\.99'.*valve, torque") as refused:
         chosen(["6.99"])

@@ -175,7 +175,7 @@ def device(**data) -> str:
     info = {
         "ctrlmode": ["FD"], "state": "ERROR-ACTIVE", "berr_counter": {"tx": 0, "rx": 0},
         "restart_ms": 100, "bittiming": {"bitrate": 500000, "sample_point": "0.800"},
-        "data_bittiming": {"bitrate": 2000000, "sample_point": "0.750"}, **data,
+        "data_bittiming": {"bitrate": 2000000, "sample_point": "0.800"}, **data,
     }  # fmt: skip
     entry = {
         "ifname": "can0", "flags": ["NOARP", "UP", "LOWER_UP", "ECHO"], "mtu": 72, "txqlen": 1000,
@@ -191,7 +191,7 @@ def device(**data) -> str:
 @pytest.mark.parametrize(
     ("change", "subject", "said"),
     [
-        ({"mtu": 16}, "CAN FD", "dbitrate 2000000 fd on.*take one that has it"),
+        ({"mtu": 16}, "CAN FD", "dbitrate 2000000 dsample-point 0.8 fd on.*take one that has it"),
         ({"flags": ["NOARP"]}, "link", "is down"),
         ({"txqlen": 10}, "transmit queue", "txqueuelen 1000"),
         ({"restart_ms": 0}, "restart-ms", "off the bus for ever"),
@@ -251,7 +251,7 @@ def test_a_classic_device_is_refused_at_the_start_and_the_reason_of_the_no(
     words = ["-i", "socketcan", "-c", "can9"]
     assert main(["controller", *words]) == 2
     refusal = capsys.readouterr().err
-    assert "dbitrate 2000000 fd on" in refusal
+    assert "dbitrate 2000000 dsample-point 0.8 fd on" in refusal
     assert "take one that has it" in refusal
     assert main(["check", *words]) == 1
     assert capsys.readouterr().out.splitlines()[-1].startswith("no: open: can9 is set up for cla")
@@ -287,8 +287,19 @@ def test_over_the_local_bus_with_the_rig_as_the_other_side(
         assert "meshpoint tells no bit rates" in by_subject["bit timing"]["text"]
         assert by_subject["input turned by hand"]["verdict"] == "good"
         assert "turn the input shaft by hand" in said
-    assert main(["check", *words, "--seconds", "0.3"]) == 1
-    assert "EdgesInputRise: not heard" in json.loads(capsys.readouterr().out)["reason"]
+
+
+def test_a_dead_bus_is_one_line_that_says_what_was_listened_to(channel: str, capsys) -> None:
+    words = ["check", "-c", channel, "--seconds", "0.3", "--turn", "--json", "-"]
+    assert main(words) == 1
+    printed, asked = capsys.readouterr()
+    record = json.loads(printed)
+    assert "nothing at all is sent: no frame on meshpoint channel" in record["reason"]
+    assert f"{channel} in 0.3 s" in record["reason"]
+    bad = [f for f in record["findings"] if f["verdict"] == "bad"]
+    assert len(bad) == 1
+    assert {f["group"] for f in record["findings"]} == {"interface", "messages"}
+    assert "by hand" not in asked
 
 
 def test_a_bus_that_only_repeats_what_is_not_ours_is_no() -> None:

@@ -30,10 +30,11 @@ from meshpoint.gearbox.sheet import GearboxSheet
 from meshpoint.gearbox.tables import parse_toml, read_group
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Profile, RigSettings
+from meshpoint.rig_sim.truck.stand import STAND
 from meshpoint.testbench.check.finding import Verdict
 from meshpoint.testbench.check.shafts import Shaft
 from meshpoint.testbench.commission.core import CONSENT_US, CommissionCore
-from meshpoint.testbench.commission.drawn import STAND, draw_sheet, withheld
+from meshpoint.testbench.commission.drawn import draw_sheet, withheld
 from meshpoint.testbench.commission.edge_log import EdgeLog, State
 from meshpoint.testbench.commission.kiss import kiss_points
 from meshpoint.testbench.commission.measured import Commissioned, _meshes, _wheels, with_entries
@@ -219,6 +220,20 @@ def test_teeth_that_are_all_alike_are_not_counted() -> None:
     rng = np.random.Generator(np.random.PCG64(1))
     times = np.arange(900) * 1500.0 + rng.normal(0.0, 8.0, 900)
     assert tooth_count(times) is None
+
+
+def test_a_gearbox_of_a_truck_on_the_stand_comes_to_rest_at_the_end() -> None:
+    """Its profile gives it axle shafts, wheels and a clutch that drags; the stand has no axle."""
+    settings_ = RigSettings(seed=1, main_speed_rpm=0.0, profile=Profile.TYPICAL, as_built=STAND)
+    core = WholeCommission(TRUCK, consents=True, turns=True)
+    VirtualTime([core, RigCore(TRUCK, settings_)], [3_000, 1_000]).run(
+        lambda: core.done, 300_000_000
+    )
+    assert core.standing.stopped == ""
+    assert core.running is not None
+    assert core.running.done
+    assert core.running.stopped == ""
+    assert [f for f in findings_of(core) if f.verdict is Verdict.BAD] == []
 
 
 class Bus:

@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from meshpoint.controller.settings import STRATEGY_NAMES
+from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.commands.table import MODULES
 
@@ -34,6 +37,12 @@ CASES = [
     (("simulate", "--settings", ""), ["file.toml"]),
     (("completion", "f"), ["file.toml", "fish"]),
     (("help", "b"), ["bus"]),
+    (("rig", "--gearbox", ""), ["file.toml", *sorted(SHEET_NAMES)]),
+    (("report", "--gearbox", "t"), sorted(SHEET_NAMES)),
+    (("demo", "--as-built", ""), sorted(("file.toml", *Profile))),
+    (("controller", "--strategy", "target"), ["target_phase"]),
+    (("campaign", "--strategy", ""), sorted(("file.toml", *STRATEGY_NAMES))),
+    (("study", "val"), ["valve"]),
 ]
 
 
@@ -65,3 +74,6 @@ def test_fish_has_every_command_and_option(scripts: dict[str, str]) -> None:
     simulate = [line for line in lines if "from simulate'" in line]
     assert any(line.endswith("-l preset -xa 'thesis truck'") for line in simulate)
     assert any(line.endswith("-l settings -r") for line in simulate)
+    assert any(line.endswith("-l as-built -ra 'clean typical harsh'") for line in simulate)
+    assert any(line.endswith(f"-l gearbox -ra '{' '.join(SHEET_NAMES)}'") for line in simulate)
+    assert any(line.endswith(f"-l strategy -ra '{' '.join(STRATEGY_NAMES)}'") for line in simulate)

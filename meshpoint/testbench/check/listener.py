@@ -38,6 +38,8 @@ class Listener:
         self.span = BusSpan(self.heard)
         self.shafts = ShaftCounts(sheet)
         self.stamps = StampTrack()
+        self.frames = 0
+        """Of data, whoever sent them."""
         self.error_frames = 0
 
     def take(self, now_s: float, message: can.Message) -> None:
@@ -47,6 +49,7 @@ class Listener:
             return
         if message.is_remote_frame:
             return
+        self.frames += 1
         self.stamps.frame(message.timestamp)
         frame = frame_of(message)
         for inner in (frame,) if self._unpack is None else self._unpack(frame):
@@ -65,13 +68,20 @@ class Listener:
         """Edges of either polarity counted so far."""
         return {shaft: sum(wheel.edges) for shaft, wheel in self.shafts.wheels.items()}
 
-    def findings(self) -> Iterator[Finding]:
-        """All that was heard, judged."""
+    def findings(self, where: str = "the bus") -> Iterator[Finding]:
+        """All that was heard, judged. where: what was listened to and for how long, in words."""
         if self.error_frames:
             yield Finding(
                 "interface", "error frames", Verdict.BAD,
                 f"{self.error_frames} while listening: wiring, termination or bit rates",
             )  # fmt: skip
+        if not self.frames:
+            yield Finding(
+                "messages", "bus", Verdict.BAD,
+                f"nothing at all is sent: no frame on {where}; are the other nodes on, and on this "
+                "bus?",
+            )  # fmt: skip
+            return
         is_classic = self._unpack is not None
         expected = CLASSIC_EXPECTED if is_classic else EXPECTED
         yield from judge_messages(self.heard, self.span.seconds, expected)

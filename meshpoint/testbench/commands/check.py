@@ -111,14 +111,16 @@ def run(namespace: argparse.Namespace) -> int:
         socket_finding = judge_socket(bus)
         try:
             _listen(bus, listener, namespace.seconds)
-            turned = _ask_to_turn(bus, listener, namespace)
+            turned = _ask_to_turn(bus, listener, namespace) if listener.frames else []
         except (can.CanError, OSError) as error:
             findings.append(Finding(GROUP, "bus", Verdict.BAD, f"lost while listening: {error}"))
             turned = []
     findings += _interface_findings(config, link, profile)
     findings.append(socket_finding)
     has_controller = config["interface"] not in NO_CONTROLLER
-    findings += [f if has_controller else _machine_alone(f) for f in listener.findings()]
+    where = f"{bus.channel_info} in {namespace.seconds:g} s"
+    heard = listener.findings(where)
+    findings += [f if has_controller else _machine_alone(f) for f in heard]
     return _end(namespace, config, findings + turned)
 
 

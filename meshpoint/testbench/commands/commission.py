@@ -46,9 +46,10 @@ def add_parser(commands: Any) -> None:
         description="On a box that stands, with air: drives each valve once for 0.3 s, after you "
         "have said yes to it, and says which sleeve moved which way, what is miswired, and how "
         "long valves and sleeves take. All other outputs are off in every frame; a pulse ends when "
-        "a shaft turns, air fails or an input is lost. With --turn the engine then turns each gear "
-        "and the layshaft: sensors on wrong shafts are named, and tooth counts, ratios, brake, "
-        "clutch and sleeves measured. Writes a data sheet and a calibration. docs/bench.md.",
+        "a shaft turns by more than a pulse turns it, air fails or an input is lost. With --turn "
+        "the engine then turns each gear and the layshaft: sensors on wrong shafts are named, and "
+        "tooth counts, ratios, brake, clutch and sleeves measured. Writes a data sheet and a "
+        "calibration. docs/bench.md.",
     )
     parser.add_argument(
         "--yes",
@@ -104,25 +105,32 @@ def run(namespace: argparse.Namespace) -> int:
     core = WholeCommission(sheet, consents=namespace.yes, turns=namespace.turn)
     run_loop(_on_bus(namespace, _Guided(core, None if namespace.yes else _ask)))
     findings = list(findings_of(core))
-    is_right, reason = answer(findings)
-    is_right = is_right and not core.standing.stopped and core.done
+    is_right, reason = _answer(core, findings)
     written = f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}"
     found = commissioned(core, sheet, product_version(), written) if is_right else None
     if found is not None:
         findings += found.findings
-        is_right, reason = answer(findings)
+        is_right, reason = _answer(core, findings)
     _show(namespace, sheet, found, findings, f"{'yes' if is_right else 'no'}: {reason}")
     if is_right and found is not None:
         _write(namespace, found)
     if namespace.json is not None:
         values = {
             "ready": is_right,
-            "reason": core.standing.stopped or reason,
+            "reason": reason,
             "measured": [_row(entry, sheet) for entry in found.entries] if found else [],
             "findings": [finding.to_json() for finding in findings],
         }
         write_json(namespace.json, values)
     return Exit.DONE if is_right else Exit.FAILED
+
+
+def _answer(core: WholeCommission, findings: list[Finding]) -> tuple[bool, str]:
+    """Yes or no, and the reason; one that was stopped before its end has not said yes."""
+    is_right, reason = answer(findings)
+    if is_right and not (core.done and not core.standing.stopped):
+        return False, core.standing.stopped or "ended before all was driven"
+    return is_right, reason
 
 
 def _show(

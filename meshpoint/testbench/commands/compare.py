@@ -122,7 +122,7 @@ def _compared(kind: str, a: Path, b: Path, allowed: Allowed) -> Compared:
 
 
 def _tell(namespace: argparse.Namespace, title: str, compared: Compared) -> None:
-    """Page, JSON and tables."""
+    """Page and JSON; on the terminal the verdict, then the tables."""
     if namespace.report is not None:
         page = compared_page(f"meshpoint compare: {title}", compared.verdict, compared.tables)
         namespace.report.write_text(page, encoding="utf-8", newline="\n")
@@ -131,11 +131,11 @@ def _tell(namespace: argparse.Namespace, title: str, compared: Compared) -> None
         values = {**names, "same": compared.is_same, **compared.values}
         write_json(namespace.json, values)
     out = console(namespace.json)
+    out.print(compared.verdict)
     if namespace.json != "-":
         for heading, columns, rows in compared.tables[: compared.on_terminal]:
             if rows:
                 out.print(compared_table(heading, columns, rows))
-    out.print(compared.verdict)
 
 
 def _tolerance(text: str) -> tuple[str, float]:

@@ -6,11 +6,23 @@ import argparse
 from collections.abc import Iterator
 from typing import Any, Final, NamedTuple
 
+from meshpoint.controller.settings import STRATEGY_NAMES
+from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.studies.registry import ALL, STUDY_NAMES
 
 SHELLS: Final = ("bash", "zsh", "fish")
 ZSH: Final = "autoload -U +X bashcompinit && bashcompinit\n"
 """zsh takes bash's way of completing."""
+NAMED: Final[dict[str, tuple[str, ...]]] = {
+    "as_built": tuple(str(profile) for profile in Profile),
+    "gearbox": SHEET_NAMES,
+    "names": (ALL, "list", *STUDY_NAMES),
+    "strategies": tuple(STRATEGY_NAMES),
+    "strategy": tuple(STRATEGY_NAMES),
+}
+"""Arguments whose value is one of these names, or a file, by what they are kept as."""
 
 
 def add_parser(commands: Any) -> None:
@@ -41,9 +53,10 @@ class Option(NamedTuple):
     """An option of a command."""
 
     names: tuple[str, ...]
-    takes_value: bool
+    takes_file: bool
+    """Whether its value may be a file, or any text."""
     choices: tuple[str, ...]
-    """Values it may have; empty: any, or a file."""
+    """Names that its value may be."""
 
 
 class Command(NamedTuple):
@@ -76,18 +89,21 @@ def _commands(parser: argparse.ArgumentParser, names: Any) -> list[Command]:
 def _options(parser: argparse.ArgumentParser) -> Iterator[Option]:
     for action in parser._actions:
         if action.option_strings and action.dest != "until_eof":
-            choices = tuple(str(choice) for choice in action.choices or ())
-            takes_value = action.nargs != 0
-            yield Option(tuple(action.option_strings), takes_value, choices)
+            takes_file = action.nargs != 0 and not action.choices
+            yield Option(tuple(action.option_strings), takes_file, _names(action))
+
+
+def _names(action: argparse.Action) -> tuple[str, ...]:
+    return tuple(map(str, action.choices or NAMED.get(action.dest, ())))
 
 
 def _positional(parser: argparse.ArgumentParser) -> list[str]:
-    """The values of arguments without a dash that have a fixed list of them."""
+    """The values of arguments without a dash that are names."""
     return [
-        str(choice)
+        name
         for action in parser._actions
         if not action.option_strings and not isinstance(action, argparse._SubParsersAction)
-        for choice in action.choices or ()
+        for name in _names(action)
     ]
 
 
@@ -96,10 +112,10 @@ def _bash(commands: list[Command]) -> str:
     for command in commands:
         for option in command.options:
             pattern = "|".join(f"{command.name}:{name}" for name in option.names)
-            if option.choices:
-                values.append(f'    {pattern}) words="{" ".join(option.choices)}" ;;')
-            elif option.takes_value:
-                values.append(f"    {pattern}) files=1 ;;")
+            offered = f'words="{" ".join(option.choices)}"' if option.choices else ""
+            offered += " files=1" if option.takes_file else ""
+            if offered:
+                values.append(f"    {pattern}) {offered.strip()} ;;")
         names = " ".join(name for option in command.options for name in option.names)
         words.append(f'    {command.name}) words="{" ".join(command.words)}" options="{names}" ;;')
     listed = " ".join(command.name for command in commands)
@@ -143,6 +159,8 @@ def _fish(commands: list[Command]) -> str:
                 f"-l {name[2:]}" if name.startswith("--") else f"-s {name[1:]}"
                 for name in option.names
             )
-            value = f" -xa '{' '.join(option.choices)}'" if option.choices else ""
-            lines.append(f"{seen} {names}{value or (' -r' if option.takes_value else '')}")
+            value = " -r" if option.takes_file else ""
+            if option.choices:
+                value = f"{value or ' -x'}a '{' '.join(option.choices)}'"
+            lines.append(f"{seen} {names}{value}")
     return "\n".join(lines) + "\n"

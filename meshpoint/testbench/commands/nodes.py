@@ -29,6 +29,7 @@ from meshpoint.controller.header import RunHeader, new_header
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.rig_sim.settings import Preset, RigSettings
+from meshpoint.rig_sim.truck.stand import STAND
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
@@ -73,7 +74,14 @@ def add_parser(commands: Any) -> None:
     )
     arguments.add_rig(rig)
     arguments.add_gearbox(rig, has_preset=True)
-    add_rig_start(rig)
+    speed = add_rig_start(rig)
+    speed.add_argument(
+        "--stand",
+        action="store_true",
+        help="nothing turns: the engine rests until TSC1 asks for a speed, and the output is free, "
+        "as on a stand; for `meshpoint commission` (docs/bench.md). What --as-built FILE fixes "
+        "holds",
+    )
     rig.add_argument(
         "--describe",
         action="store_true",
@@ -94,8 +102,8 @@ def add_header_dir(parser: arguments.Arguments) -> None:
     )
 
 
-def add_rig_start(parser: arguments.Arguments) -> None:
-    """--gear and --main-speed."""
+def add_rig_start(parser: arguments.Arguments) -> arguments.Arguments:
+    """--gear and --main-speed; the group of which only one may be given."""
     parser.add_argument(
         "--gear",
         type=arguments.whole(1, len(DRIVE_GEARS)),
@@ -103,13 +111,15 @@ def add_rig_start(parser: arguments.Arguments) -> None:
         metavar="N",
         help="the gear it stands in at the start (default: 8)",
     )
-    parser.add_argument(
+    speed = parser.add_mutually_exclusive_group()
+    speed.add_argument(
         "--main-speed",
         type=float,
         default=RigSettings().main_speed_rpm,
         metavar="RPM",
         help="main shaft speed at the start (default: %(default)g)",
     )
+    return speed
 
 
 def _add_common(parser: argparse.ArgumentParser) -> None:
@@ -231,9 +241,9 @@ def run_rig_command(namespace: argparse.Namespace) -> int:
         preset=Preset(namespace.preset),
         seed=namespace.seed,
         start_gear=namespace.gear,
-        main_speed_rpm=namespace.main_speed,
+        main_speed_rpm=0.0 if namespace.stand else namespace.main_speed,
         profile=built.profile,
-        as_built=built.fixed,
+        as_built=STAND | built.fixed if namespace.stand else built.fixed,
         faults=arguments.faults_of(namespace),
     )
     sheet, keys = arguments.sheet_of(namespace), arguments.keys_of(namespace)

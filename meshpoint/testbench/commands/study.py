@@ -49,7 +49,8 @@ def add_parser(commands: Any) -> None:
         "names",
         nargs="+",
         metavar="NAME",
-        help="studies by name or by what they reproduce (6.8), `all`, or `list` to see them",
+        help="studies by name or by what they reproduce (6.8 is figure 6.8; `table 6.1`), `all`, "
+        "or `list` to see them",
     )
     parser.add_argument(
         "--out", type=Path, default=Path("out/study"), metavar="DIR",

@@ -2,7 +2,7 @@
 
 The box stands, with air. Outputs are armed one at a time, each by a consent of its own that holds
 for one pulse and runs out by itself. Every other output is commanded off in every frame. A pulse
-ends at once when a shaft turns, air fails, an input is lost, or a consent has run out.
+ends at once when a shaft turns by more than a pulse can turn it, air fails, or an input is lost.
 """
 
 from __future__ import annotations
@@ -43,7 +43,12 @@ MOST_TRIALS: Final = 3
 RETURNS: Final = 8
 """So often an output may be driven to bring its sleeve back to neutral."""
 MOST_EDGES: Final = 4
-"""Of a wheel within `STILL_US`: creeping is not turning."""
+"""Of a wheel within `STILL_US` before an output is armed: creeping is not turning."""
+MOST_PULSED_EDGES: Final = 12
+"""Of a wheel within `STILL_US` while an output is driven: a sleeve that sets out, an axle that
+relaxes and plates that drag turn a shaft a little. 45 teeth at 53 rpm, which is no slip that a
+sleeve may not meet."""
+TURNS: Final = "a shaft turns; stop what drives it, also an engine that idles"
 NEUTRAL_M: Final = 1.5 * MM
 NEEDED: Final = (GearboxSensors, SleevesMain, SleevesAux, ValveStatus)
 STATIONARY_US: Final = 30_000_000
@@ -73,7 +78,7 @@ class CommissionCore(HearingCore):
         """consents: every output is consented to, without being asked about."""
         super().__init__(sheet, consents, transmitter)
         self._wheels = {shaft: WheelCount() for shaft in Shaft}
-        self._counts: deque[tuple[int, int]] = deque()
+        self._counts: deque[tuple[int, list[int]]] = deque()
         self._status: ValveStatus | None = None
         self._stage = Stage.RESTING
         self._since_us: int | None = None
@@ -125,8 +130,8 @@ class CommissionCore(HearingCore):
         frames = [self._transmitter.encode(m) for m in (ValveCommand(), ClutchCommand())]
         return Step(frames, ["all valves off"])
 
-    def _edges(self) -> int:
-        return sum(wheel.edges[0] for wheel in self._wheels.values())
+    def _edges(self) -> list[int]:
+        return [wheel.edges[0] for wheel in self._wheels.values()]
 
     def _hear(self, message: Message) -> None:
         super()._hear(message)
@@ -144,8 +149,10 @@ class CommissionCore(HearingCore):
             return "an input is lost"
         if self._lacks_air(self._sensors):
             return "too little air"
-        if self._counts[-1][1] - self._counts[0][1] > MOST_EDGES * len(Shaft):
-            return "a shaft turns"
+        (_, before), (_, now) = self._counts[0], self._counts[-1]
+        most = MOST_PULSED_EDGES if self._stage is Stage.PULSING else MOST_EDGES
+        if any(b - a > most for a, b in zip(before, now, strict=True)):
+            return TURNS
         return ""
 
     def _go_on(self, now_us: int) -> list[str]:
@@ -160,6 +167,8 @@ class CommissionCore(HearingCore):
                 return self._ask(now_us, waited_us, refusal)
             case Stage.PULSING:
                 if refusal or waited_us > LEAD_US + PULSE_US:
+                    if self._trial is not None:
+                        self._trial.cut_short = refusal
                     self._enter(Stage.LOOKING, now_us)
                     return [f"pulse ended: {refusal}"] if refusal else []
             case _:
@@ -270,7 +279,8 @@ class CommissionCore(HearingCore):
             f"{sleeve.name.lower()} {'+' if way > 0 else '-'}" for sleeve, way in trial.moved
         )
         brake = "brake pressure" if trial.has_braked else ""
-        return [f"{trial.valve.name.lower()}: {moved or brake or 'nothing moved'}"]
+        nothing = "not known, its pulse was cut short" if trial.cut_short else "nothing moved"
+        return [f"{trial.valve.name.lower()}: {moved or brake or nothing}"]
 
     def _command(self) -> ValveCommand:
         trial = self._trial

@@ -17,14 +17,6 @@ RATIO_SHARE: Final = 0.04
 """A drawn ratio differs by at most so much from that of the sheet that it is drawn around."""
 FACTORS: Final = 0.3
 """And torques, inertias and times of brake and clutch by so much."""
-STAND: Final = {
-    "vehicle.slope_percent": 0.0,
-    "vehicle.mass_kg": 5000.0,
-    "vehicle.wheel_radius_m": 0.3,
-    "vehicle.axle_ratio": 7.0,
-    "vehicle.rolling_resistance": 0.012,
-}
-"""The rig as a stand with a free output: 9 kg m2 behind the propeller shaft, that coast."""
 
 
 def draw_sheet(around: GearboxSheet, seed: int) -> GearboxSheet:

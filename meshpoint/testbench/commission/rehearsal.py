@@ -26,10 +26,11 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import Sleeve
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import DEFAULT_PROFILE, Preset, Profile, RigSettings
+from meshpoint.rig_sim.truck.stand import STAND
 from meshpoint.testbench.check.finding import Finding, Verdict
 from meshpoint.testbench.check.shafts import EDGES, Shaft, ShaftCounts
 from meshpoint.testbench.commission.core import CommissionCore
-from meshpoint.testbench.commission.drawn import STAND, withheld
+from meshpoint.testbench.commission.drawn import withheld
 from meshpoint.testbench.commission.roles import GROUP as TURNING
 from meshpoint.testbench.commission.roles import judge_turning
 from meshpoint.testbench.commission.trial import EXPECTED
@@ -42,8 +43,6 @@ TURN_US: Final = 3_000_000
 LIMIT_US: Final = 120_000_000
 TURNED_LIMIT_US: Final = 400_000_000
 MAIN_RPM: Final = 600.0
-LEVEL: Final = {"vehicle.slope_percent": 0.0}
-"""The rig has no parking brake: on a slope its truck would roll."""
 EDGES_OF: Final = {place: message for message, place in EDGES.items()}
 POSITION_PAIRS: Final = (
     (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD),
@@ -301,7 +300,7 @@ def rehearse(
     """One box: its shafts turn in gear, then it stands and each output is driven."""
     counts = _turn(sheet, seed, wrong, preset, profile)
     settings = RigSettings(
-        preset=preset, seed=seed, main_speed_rpm=0.0, profile=profile, as_built=LEVEL
+        preset=preset, seed=seed, main_speed_rpm=0.0, profile=profile, as_built=STAND
     )
     rig = MiswiredRig(RigCore(sheet, settings), wrong)
     core = CommissionCore(sheet, consents=True)

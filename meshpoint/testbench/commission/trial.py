@@ -49,6 +49,8 @@ class Trial:
     """Samples of the brake's pressure rise: after the activation (us), Pa."""
     driven: set[ValveName] = field(default_factory=set)
     """Valves that the valve side said were driven."""
+    cut_short: str = ""
+    """Why the valve was switched off before its time; empty if it was not."""
 
     def take(self, message: Message) -> None:
         """A message of sensor or valve side."""

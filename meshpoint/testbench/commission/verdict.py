@@ -46,12 +46,16 @@ SIDES: Final = {
 def judge_outputs(core: CommissionCore) -> Iterator[Finding]:
     """A finding for each valve: what it moved, or that nothing came of it."""
     newest = {trial.valve: trial for trial in core.trials}
+    newest |= {trial.valve: trial for trial in core.trials if not trial.cut_short}
     newest |= {trial.valve: trial for trial in core.trials if trial.is_conclusive}
     for valve in ValveName:
         if valve in core.declined:
             yield _of(valve, Verdict.UNKNOWN, "not driven: no consent")
         elif valve not in newest:
             yield _of(valve, Verdict.UNKNOWN, f"not driven: {core.stopped or NOT_FREE}")
+        elif newest[valve].cut_short and not newest[valve].is_conclusive:
+            text = f"its pulse was cut short, nothing had moved yet: {newest[valve].cut_short}"
+            yield _of(valve, Verdict.UNKNOWN, text)
         elif valve is ValveName.BRAKE:
             yield _judge_brake(newest[valve])
         else:

@@ -57,12 +57,12 @@ def load(name: str) -> Study[Any]:
 def chosen(words: list[str]) -> list[Study[Any]]:
     """The studies asked for, each once, in the order of `STUDY_NAMES`.
 
-    A word is a study's name, `all`, or what it reproduces (`6.8`, `figure 6.8`, `table 6.1`).
-    CommandError on anything else."""
+    A word is a study's name, `all`, or what it reproduces (`figure 6.8`, `table 6.1`); a number
+    alone (`6.8`) is a figure's, where a figure has it. CommandError on anything else."""
     studies = [load(name) for name in STUDY_NAMES]
     wanted: set[str] = set()
     for word in words:
-        found = [study.name for study in studies if word == ALL or _answers(study, word)]
+        found = list(STUDY_NAMES) if word == ALL else _found(studies, word)
         if not found:
             names = folded(", ".join(("all", "list", *STUDY_NAMES)))
             raise CommandError(f"no study {word!r}; allowed are\n  {names}")
@@ -70,6 +70,10 @@ def chosen(words: list[str]) -> list[Study[Any]]:
     return [study for study in studies if study.name in wanted]
 
 
-def _answers(study: Study[Any], word: str) -> bool:
-    numbers = {item.split()[-1] for item in study.of}
-    return word == study.name or word in study.of or word in numbers
+def _found(studies: list[Study[Any]], word: str) -> list[str]:
+    """Names of the studies that answer to a word."""
+    for said in (word, f"figure {word}", f"table {word}", f"section {word}"):
+        names = [study.name for study in studies if said == study.name or said in study.of]
+        if names:
+            return names
+    return []

@@ -109,7 +109,6 @@ class Episode:
         self._sheet, self.world = sheet, world
         self._reached = Reached()
         self.broken: list[Broken] = []
-        self._invariants = Invariants(sheet, self.broken, self._settings)
         rng = np.random.Generator(np.random.PCG64([world.seed, 0x77]))
         self._trouble = Trouble(rng, lambda: self._time.now_us)
         self._setup = Setup(
@@ -119,6 +118,7 @@ class Episode:
             profile=profile,
             as_built=as_built or {},
         )
+        self._invariants = Invariants(sheet, self.broken, self._setup.settings)
         first = plan_shifts(sheet, [(world.start_gear,) * 2], 1, world.layshaft_rpm * RPM)[0]
         self._rig = WatchedRig(sheet, self._setup.rig(first))
         self._controller = self._new_controller()
