@@ -84,11 +84,13 @@ def brake_figures(
         except np.linalg.LinAlgError:
             why = "the runs contradict each other: their equations have no solution"
     if fitted is not None and fitted[0].misfit > MOST_MISFIT:
-        why = found.refused = (
-            f"the runs do not move as brake, drag and inertias would move them: misfit "
+        found.refused = (
+            "refused: the runs do not move as brake, drag and inertias would move them, misfit "
             f"{fitted[0].misfit:.0f}, 1 is expected and {MOST_MISFIT:.0f} allowed; valve commands "
             "are missing, or edges and commands are not of one gearbox and one clock"
         )
+        found.notes.append(found.refused)
+        why = "refused, no equations of motion fit the runs"
         fitted, found.omega_ref_rad_s = None, 0.0
     if fitted is None:
         untold(found, why, *((name, BRAKE_UNITS[name], of_sheet[name]) for name in BRAKE_FIGURES))
