@@ -9,7 +9,7 @@ import itertools
 import math
 from typing import Final, NamedTuple
 
-from meshpoint.controller.guard.listening import Edges
+from meshpoint.controller.guard.listening import STAMPS, Edges
 from meshpoint.controller.guard.own_clock import signed_us
 
 MEASURED_US: Final = 15_000
@@ -53,17 +53,18 @@ class GuardSpeed:
         self._is_dead = False
         self.counted: TeethCounted | None = None
         """None before the first edge."""
-        self._is_even = False
-        """The newest teeth are alike: none is missing, none too many."""
+        self._is_sure = False
+        """The newest teeth are alike, none is missing, none too many; and the array is full, as one
+        of edges that were made up from a speed never is (docs/wire.md, classic profile)."""
 
     def forget(self) -> None:
         """The sensors' clock is another: nothing of before holds."""
         self._measured = self.counted = None
-        self._is_even = False
+        self._is_sure = False
 
     def take(self, edges: Edges, now_us: int) -> None:
         """A believed frame; now_us: the guard's sensor clock."""
-        self._is_even = False
+        self._is_sure = False
         if len(edges.lows_us) <= 1:
             self._measured = None
             return
@@ -78,7 +79,7 @@ class GuardSpeed:
             newest_us = before.time_us  # no new edge, however young its 16 bits make it look
         self._is_dead = read_us - newest_us > max(NO_EDGE_US, LATE_TEETH * self._tooth_us)
         took_us = teeth_us(edges.lows_us)
-        self._is_even = bool(took_us)
+        self._is_sure = bool(took_us) and len(edges.lows_us) == STAMPS
         if took_us and not self._is_dead:
             span_us = sum(took_us)
             omega_rad_s = len(took_us) * self._pitch_rad * 1e6 / span_us
@@ -96,9 +97,8 @@ class GuardSpeed:
         return speed if now_us - measured_us <= max(HELD_US, limit_us) else None
 
     def turned(self, now_us: int) -> TeethCounted | None:
-        """The teeth that have passed, where they are sure: the wheel turns, and none of the newest
-        is missing or too many."""
-        speed = self.at(now_us) if self._is_even else None
+        """The teeth that have passed, where they are sure and the wheel turns."""
+        speed = self.at(now_us) if self._is_sure else None
         return None if speed is None or speed.omega_rad_s < SLOWEST_RAD_S else self.counted
 
 

@@ -150,10 +150,11 @@ class SpeedWheel:
     """The edges of a wheel of which the speed alone is known: evenly spaced, at any angle.
 
     What reads them takes from them that speed again. An angle they do not have, so no estimator may
-    be given them (`settings`: no fusing of input and propeller shaft)."""
+    be given them (`settings`: no fusing of input and propeller shaft). The array is never full, by
+    which the guard knows that no teeth were counted."""
 
     def __init__(self) -> None:
-        self._times: deque[float] = deque(maxlen=STAMPS)
+        self._times: deque[float] = deque(maxlen=STAMPS - 1)
         """Newest first, in `_clock_us`."""
         self._clock_us = 0.0
         self._phase = 0.0
