@@ -178,6 +178,35 @@ def test_no_change_ends_with_0_and_too_few_runs_with_4(
     assert ET.parse(tmp_path / "x.xml").getroot().attrib["failures"] == "1"
 
 
+@pytest.mark.parametrize(
+    ("figure", "words"), [("duration_ms", "time"), ("impact_j", "impact at contact")]
+)
+def test_shifts_that_meet_the_gap_as_before_but_are_slower_or_harder_are_worse(
+    figure: str, words: str, made: Path, judge: Judge, tmp_path: Path
+) -> None:
+    table = made / "after" / "shifts.parquet"
+    before = [row | {"impact_j": 2.0} for row in many(table, 100, lambda _run, _shift: "gap")]
+    after = [row | {figure: 1.4 * row[figure]} for row in before]
+    code, values = judge(before, after)
+    assert code == Exit.FAILED
+    against = values["against"]
+    assert against["verdict"] == "worse"
+    assert against["judged"][figure]["verdict"] == "worse"
+    assert against["judged"][figure]["ratio"] == pytest.approx(1.4)
+    other = {"duration_ms", "impact_j"} - {figure}
+    assert {against["judged"][name]["verdict"] for name in other} == {"not worse"}
+    assert f"| {words} | worse: 1.400 times that before" in (tmp_path / "x.md").read_text()
+    failure = ET.parse(tmp_path / "x.xml").getroot().find(".//failure")
+    assert failure is not None
+    assert words in failure.attrib["message"]
+
+
+def test_a_margin_says_how_much_slower_is_worse(made: Path, judge: Judge) -> None:
+    before = many(made / "after" / "shifts.parquet", 100, lambda _run, _shift: "gap")
+    after = [row | {"duration_ms": 1.04 * row["duration_ms"]} for row in before]
+    assert judge(before, after, "--margin-time", "20")[0] == Exit.DONE
+
+
 def test_shifts_that_were_not_drawn_alike_are_no_pairs(
     made: Path, judge: Judge, capsys: pytest.CaptureFixture[str]
 ) -> None:

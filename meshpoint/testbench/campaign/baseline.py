@@ -18,12 +18,16 @@ DRAWN: Final = (
     "supply_offset_bar",
 )  # fmt: skip
 """What a run draws: the same before and after, or the two are no pair."""
+RATIOS: Final = ("duration_ms", "impact_j")
+"""Figures of a shift that are judged by their ratio, beside the share of gaps."""
 
 
 class Outcome(NamedTuple):
     """Of one judged shift, what pairs need."""
 
     is_gap: bool
+    duration_ms: float | None
+    impact_j: float
     drawn: tuple[Any, ...]
 
 
@@ -62,10 +66,13 @@ def read_outcomes(tables: Iterable[Path], strategy: str) -> dict[int, dict[int, 
     """The shifts of the base point by this strategy. CommandError where a table is none."""
     found: dict[int, dict[int, Outcome]] = {}
     for table in tables:
-        columns = read_columns(table, ("sweep", "strategy", "seed", "shift", "contact", *DRAWN))
-        for sweep, name, seed, shift, contact, *drawn in zip(*columns, strict=True):
+        columns = read_columns(
+            table, ("sweep", "strategy", "seed", "shift", "contact", *RATIOS, *DRAWN)
+        )
+        for sweep, name, seed, shift, contact, time_ms, j, *drawn in zip(*columns, strict=True):
             if (sweep, name) == (BASE_POINT.name, strategy):
-                found.setdefault(seed, {})[shift] = Outcome(contact == GAP, tuple(drawn))
+                outcome = Outcome(contact == GAP, time_ms, j, tuple(drawn))
+                found.setdefault(seed, {})[shift] = outcome
     return found
 
 
@@ -91,6 +98,26 @@ def paired_runs(before: Outcomes, after: Iterable[JudgedShift]) -> list[PairedRu
         counts[2] += not now and not was.is_gap
         counts[3] += 1
     return [PairedRun(seed, *counts) for seed, counts in sorted(runs.items())]
+
+
+def paired_sums(
+    before: Outcomes, after: Iterable[JudgedShift]
+) -> dict[str, list[tuple[float, float]]]:
+    """Of each figure of `RATIOS`, for each run its sums before and after, over the pairs that have
+    it both times; in order of the seeds."""
+    runs: dict[str, dict[int, list[float]]] = {figure: {} for figure in RATIOS}
+    for record in after:
+        was = before.get(record.seed, {}).get(record.shift)
+        for figure in RATIOS if was is not None else ():
+            then, now = getattr(was, figure), getattr(record, figure)
+            if then is not None and now is not None:
+                sums = runs[figure].setdefault(record.seed, [0.0, 0.0])
+                sums[0] += then
+                sums[1] += now
+    return {
+        figure: [(sums[0], sums[1]) for _, sums in sorted(of.items())]
+        for figure, of in runs.items()
+    }
 
 
 def _check_draw(was: Outcome, record: JudgedShift) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Protocol
 
 import numpy as np
 
-from meshpoint.testbench.campaign.baseline import Baseline, paired_runs
+from meshpoint.testbench.campaign.baseline import Baseline, paired_runs, paired_sums
 from meshpoint.testbench.campaign.columns import Shifts
+from meshpoint.testbench.campaign.paired_ratio import PairedRatio, paired_ratio
 from meshpoint.testbench.campaign.sequential import (
     GAP,
     Estimate,
@@ -109,15 +110,23 @@ class Until:
 
 
 class Against:
-    """Stops when it is clear whether the shifts of a baseline have got worse."""
+    """Stops when it is clear whether the shifts of a baseline have got worse: fewer first contacts
+    in a gap, more time, or more impact."""
 
     def __init__(
-        self, baseline: Baseline, strategies: tuple[str, str], margin: float, seeds: list[int]
+        self,
+        baseline: Baseline,
+        strategies: tuple[str, str],
+        margin: float,
+        margins: Mapping[str, float],
+        seeds: list[int],
     ) -> None:
-        """`strategies`: the controller's own before and now; `seeds`: of all runs, in order."""
+        """`strategies`: the controller's own before and now; `margin`: of the share of gaps;
+        `margins`: of the figures judged by their ratio; `seeds`: of all runs, in order."""
         self._baseline, self._own = baseline, strategies
-        self._seeds = seeds
+        self._seeds, self._margins = seeds, margins
         self.comparison = Comparison(margin)
+        self.ratios: dict[str, PairedRatio] = {}
         self._taken = 0
 
     def looks(self, most_runs: int) -> Iterator[int]:
@@ -131,20 +140,37 @@ class Against:
         outcomes = [outcome for run in before.values() for outcome in run.values()]
         self.comparison.shifts = len(outcomes)
         self.comparison.misses = sum(not outcome.is_gap for outcome in outcomes)
-        runs = paired_runs(before, shifts.by(self._own[1]))
+        own = shifts.by(self._own[1])
+        runs = paired_runs(before, own)
         for run in runs[self._taken :]:
             self.comparison.take(run)
         self._taken = len(runs)
-        return self.comparison.look() is not Verdict.OPEN
+        self.comparison.look()
+        sums = paired_sums(before, own)
+        self.ratios = {
+            figure: paired_ratio(sums[figure], margin) for figure, margin in self._margins.items()
+        }
+        return self.verdict is not Verdict.OPEN
+
+    @property
+    def verdict(self) -> Verdict:
+        """Worse where anything is; not worse where nothing is."""
+        found = {self.comparison.verdict, *(ratio.verdict for ratio in self.ratios.values())}
+        order = (Verdict.WORSE, Verdict.OPEN, Verdict.NOT_WORSE)
+        return next(verdict for verdict in order if verdict in found)
 
     def to_json(self) -> dict[str, Any]:
         """The verdict and what it rests on."""
         before, after = self._own
+        judged = {GAP: {"verdict": self.comparison.verdict.value}}
+        judged |= {figure: ratio.to_json() for figure, ratio in self.ratios.items()}
         return {
             "against": {
                 "reference": self._baseline.name,
                 "strategy": after,
                 "strategy_before": before,
                 **self.comparison.to_json(),
+                "verdict": self.verdict.value,
+                "judged": judged,
             }
         }

@@ -11,7 +11,13 @@ from meshpoint.testbench.campaign.verdict import Verdict
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results import junit
 
-NOT_WORSE = "first contact in a gap is not worse than before"
+NOT_WORSE = "first contact in a gap, time and impact are not worse than before"
+FIGURES = {
+    "first_contact_gap": "first contact in a gap",
+    "duration_ms": "time",
+    "impact_j": "impact at contact",
+}
+"""What is judged, in words."""
 
 
 def exit_code(values: dict[str, Any]) -> Exit:
@@ -43,14 +49,15 @@ def stopped_words(values: dict[str, Any]) -> list[str]:
         lines.append(
             f"against {against['reference']}: {_verdict(against)}; {against['pairs']} pairs, "
             f"{against['worse']} worse, {against['better']} better, margin "
-            f"{100 * against['margin']:g} %"
+            f"{100 * against['margin']:g} %; "
+            + "; ".join(f"{title}: {cell}" for title, cell in _judged(against))
         )
     return lines
 
 
 def against_table(against: dict[str, Any], gearbox: str) -> Table:
     """The verdict and what it rests on. gearbox: which ones, as the title says it."""
-    title = f"first contact, before and after, {gearbox}"
+    title = f"shifts before and after, {gearbox}"
     table = Table(title=title, title_justify="left", box=None, pad_edge=False)
     table.add_column("", no_wrap=True)
     table.add_column("", overflow="fold")
@@ -65,7 +72,7 @@ def markdown(values: dict[str, Any], gearbox: str) -> str:
     head = "campaign" if against is None else against["verdict"]
     lines = [f"# meshpoint campaign: {head}", "", f"{values['runs']} runs, {gearbox}.", ""]
     if against is not None:
-        lines += ["| first contact, before and after | |", "|---|---|"]
+        lines += ["| shifts before and after | |", "|---|---|"]
         lines += [f"| {title} | {cell} |" for title, cell in _lines(against)]
         lines.append("")
     lines += ["| strategy | shifts | first contact in a gap | mean ms | mean impact J |"]
@@ -100,6 +107,7 @@ def _lines(against: dict[str, Any]) -> list[tuple[str, str]]:
     pairs = f"{against['pairs']} of {against['runs']} runs"
     return [
         ("verdict", _verdict(against)),
+        *_judged(against),
         ("before", against["reference"]),
         ("strategy", " / ".join(dict.fromkeys(strategies))),
         ("pairs", pairs),
@@ -108,9 +116,22 @@ def _lines(against: dict[str, Any]) -> list[tuple[str, str]]:
         ("missed by both", str(against["missed_by_both"])),
         ("misses", "-" if before is None else f"{_percent(before)} before, {_percent(after)} now"),
         ("whole baseline", f"{baseline['misses']} misses in {baseline['shifts']} shifts"),
-        ("margin", f"{100 * against['margin']:g} %"),
+        ("margin of gaps", f"{100 * against['margin']:g} %"),
         ("evidence", f"{against['evidence']:+.2f}"),
     ]
+
+
+def _judged(against: dict[str, Any]) -> list[tuple[str, str]]:
+    """Each figure and its verdict."""
+    lines = []
+    for figure, found in against["judged"].items():
+        text = found["verdict"]
+        if (ratio := found.get("ratio")) is not None:
+            low, high = found["interval"]
+            text += f": {ratio:.3f} times that before ({low:.3f} to {high:.3f})"
+            text += f", margin {100 * found['margin']:g} %"
+        lines.append((FIGURES[figure], text))
+    return lines
 
 
 def _percent(share: float) -> str:

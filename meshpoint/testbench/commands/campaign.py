@@ -134,12 +134,22 @@ def _add_stopping(parser: argparse.ArgumentParser) -> None:
         "--against", metavar="FILE|DIR|COMMIT",
         help="an earlier campaign with the same draws (its --out folder, or its table), or a git "
         "commit, whose product then makes them beside this one: stop when it is clear whether "
-        "shifts have got worse; exit code 1 when they have, 4 where --runs do not tell",
+        "shifts have got worse in first contact, time or impact; exit code 1 when they have in any "
+        "of them, 4 where --runs do not tell",
     )  # fmt: skip
     parser.add_argument(
         "--margin", type=arguments.percent(0.5, 50.0), default=0.03, metavar="PERCENT",
         help="with --against: by how much the share of gaps must fall to be called worse "
         "(default: 3)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--margin-time", type=arguments.percent(0.5, 100.0), default=0.05, metavar="PERCENT",
+        help="with --against: by how much shifts must take longer to be called worse (default: 5)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--margin-impact", type=arguments.percent(0.5, 500.0), default=0.25, metavar="PERCENT",
+        help="with --against: by how much the energy of impacts must rise to be called worse "
+        "(default: 25)",
     )  # fmt: skip
     parser.add_argument(
         "--budget", type=float, metavar="S",
@@ -186,7 +196,8 @@ def _against(namespace: argparse.Namespace, spec: CampaignSpec, stack: ExitStack
         raise CommandError(f"--against judges {spec.own}, the controller's own: name it")
     before, strategy = baseline(namespace, spec, RUNS_AGAINST, stack, lambda: _compile(namespace))
     seeds = [job.seed for job in spec.jobs(namespace.runs)]
-    return Against(before, (strategy, spec.own), namespace.margin, seeds)
+    margins = {"duration_ms": namespace.margin_time, "impact_j": namespace.margin_impact}
+    return Against(before, (strategy, spec.own), namespace.margin, margins, seeds)
 
 
 def _add_execution(parser: argparse.ArgumentParser) -> None:
