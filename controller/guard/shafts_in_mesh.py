@@ -151,8 +151,6 @@ class ShaftsInMesh:
                 self._is_news = True
                 for other in pairs:
                     other.ask_anew()
-            elif before[k] is Verdict.DENIED and pair.verdict is Verdict.AGREED:
-                self._forgive(k)
         if not self._has_to_wait():
             found, known = self._suspects(), self.in_doubt
             # A wheel that others have proven right does not come into doubt as a gear goes out.
@@ -160,7 +158,7 @@ class ShaftsInMesh:
                 found = tuple(wheel for wheel in found if wheel in known)
             self.in_doubt, self._is_news = found, False
             if not self.in_doubt:
-                self._forgive_all()
+                self._forgive()
 
     def _ratios(self, positions_m: tuple[float, ...] | None) -> Ratios:
         """Speed over speed of each pair by the sleeves that stand in."""
@@ -175,13 +173,9 @@ class ShaftsInMesh:
             limits.range_ratio.get(side[RANGE]),
         )
 
-    def _forgive(self, again: int) -> None:
-        """A pair agrees again. If its wheels are all that was in doubt, then so are the pairs that
-        contradicted one of them and are out of mesh since."""
-        if set(self.in_doubt) <= {again, again + 1}:
-            self._forgive_all()
-
-    def _forgive_all(self) -> None:
+    def _forgive(self) -> None:
+        """No wheel is in doubt any more: what two contradicted that are out of mesh since is
+        settled too."""
         for pair in self._pairs:
             if pair.verdict is Verdict.DENIED and not pair.in_mesh:
                 pair.verdict = Verdict.NONE
