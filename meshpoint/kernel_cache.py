@@ -20,10 +20,10 @@ import pickle
 import sysconfig
 import types
 from collections.abc import Callable, Sequence
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Final
 
-import llvmlite
 import numba
 import numpy as np
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, _CacheLocator
@@ -42,7 +42,7 @@ PLAIN: Final = (bool, int, float, complex, str, bytes, type(None), type(...), np
 
 _config: Any = numba.core.config
 MACHINE_CODE: Final = (
-    numba.__version__, llvmlite.__version__, np.__version__,
+    numba.__version__, version("llvmlite"), np.__version__,
     sysconfig.get_config_var("EXT_SUFFIX"),
     LEVEL, _config.BOUNDSCHECK, _config.DEBUGINFO_DEFAULT,
     _config.LOOP_VECTORIZE, _config.SLP_VECTORIZE,

@@ -9,7 +9,17 @@ import pytest
 
 from meshpoint.testbench.cli import main
 
-SIMULATE = ["simulate", "--as-built", "clean", "--seed", "3", "--shifts", "2"]
+SIMULATE = [
+    "simulate",
+    "--gearbox",
+    "thesis",
+    "--as-built",
+    "clean",
+    "--seed",
+    "3",
+    "--shifts",
+    "2",
+]
 
 
 @pytest.fixture(scope="module")
