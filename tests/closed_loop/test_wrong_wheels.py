@@ -79,7 +79,8 @@ def test_in_gear_the_wheel_is_named_and_no_shift_begins(
     assert loop.until(lambda: bool(loop.outcomes), PATIENCE_US)
     (outcome,) = loop.outcomes
     assert (outcome.result, outcome.fault) == (ShiftResult.REFUSED, CODES[wheel])
-    assert told(loop) == [f"speed wheel reads wrong: {WHEELS[wheel]}"]
+    # As the sensors start, two may be in doubt until a third has been heard for long enough.
+    assert told(loop)[-1] == f"speed wheel reads wrong: {WHEELS[wheel]}"
     assert loop.status.active_fault is CODES[wheel]
     assert ControllerState.CLUTCH_OPENING not in loop.states
 
