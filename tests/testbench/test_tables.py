@@ -84,6 +84,12 @@ AGAINST = {
     "runs": 100_000, "pairs": 1_000_000, "worse": 100_000, "better": 100_000,
     "missed_by_both": 100_000, "misses_before": 0.123, "misses_after": 0.123,
     "baseline": {"shifts": 1_000_000, "misses": 100_000}, "evidence": -12.34, "margin": 0.125,
+    "judged": {
+        "first_contact_gap": {"verdict": "not decided"},
+        "duration_ms": {
+            "verdict": "not decided", "ratio": 12.345, "interval": [10.123, 14.567], "margin": 0.125,
+        },
+    },
 }  # fmt: skip
 CAPTURE = CaptureRow(
     "crank-60-2-cold-start.csv", "60-2", 60, "Channel 0", "inverted", 123_456, 123_400, 12_345.6,
