@@ -48,7 +48,8 @@ def write(path: Path, frames: list[tuple[float, Frame]]) -> Path:
 
 
 def replayed(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:
-    assert main(["replay", *map(str, arguments), "--json", "-"]) == 0
+    given = ("replay", *arguments, "--gearbox", SHEET.name, "--json", "-")
+    assert main(list(map(str, given))) == 0
     found: dict[str, Any] = json.loads(capsys.readouterr().out)
     return found
 

@@ -21,6 +21,7 @@ EXCEPTIONS = {
     "meshpoint/bus/pace.py": "opened to be written, which waits for no pipe; of a fixed size",
     "meshpoint/bus/standard_error.py": "/dev/null",
     "meshpoint/kernel_cache.py": "files of the package and its own cache",
+    "meshpoint/kernel_folder.py": "its own cache: O_NOFOLLOW, owner, mode and size are checked",
     "meshpoint/testbench/campaign/git_reference.py": "what git packed, and what a child said",
     "meshpoint/testbench/commands/dbc.py": "a file of the package",
     "meshpoint/testbench/commands/reference.py": "pages of this repository",
