@@ -282,4 +282,4 @@ def test_the_engine_and_the_gear_asked_for() -> None:
 def test_what_the_guard_sees_before_it_has_heard_of_engine_clutch_or_request() -> None:
     seen = GuardInputs(1, (0.0,) * 4, 0.0, 0.0, 0.0, (None,) * 4, 0, True)
     rest: Any = seen[8:]
-    assert rest == (None, None, 0, 0, (0.0, 0.0), 0, None, 0.0, 0, False, True, ())
+    assert rest == (None, None, 0, 0, (0.0, 0.0), 0, None, 0.0, 0, False, True, (), (None, None))

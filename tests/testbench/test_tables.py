@@ -87,7 +87,10 @@ AGAINST = {
     "judged": {
         "first_contact_gap": {"verdict": "not decided"},
         "duration_ms": {
-            "verdict": "not decided", "ratio": 12.345, "interval": [10.123, 14.567], "margin": 0.125,
+            "verdict": "not decided",
+            "ratio": 12.345,
+            "interval": [10.123, 14.567],
+            "margin": 0.125,
         },
     },
 }  # fmt: skip
