@@ -11,7 +11,8 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.loop.simulate import LIMIT_US_PER_SHIFT, tick_phases
+from meshpoint.testbench.loop.bench_builder import tick_phases
+from meshpoint.testbench.loop.simulate import LIMIT_US_PER_SHIFT
 from meshpoint.units import RPM
 
 TRUCK12 = load_sheet("truck12")
@@ -49,11 +50,11 @@ def slips_rpm(loop: Loop) -> list[float]:
 
 
 def test_a_sleeve_is_taken_back_while_the_driveline_swings_out_of_the_window() -> None:
-    """The first sleeve fired into gear 6 stays on a tooth; as it leaves it, the main shaft springs
-    up by 60 rpm, and the second would meet its gear at -90 rpm."""
-    loop = shifts_at_1060_rpm(seed=5, shifts=3)
+    """The third shift, 8 to 6: without the last call the main shaft swings away from a sleeve that
+    is under way, and it meets its gear at 136 rpm."""
+    loop = shifts_at_1060_rpm(seed=14, shifts=3)
     slips = slips_rpm(loop)
-    assert len(slips) >= 4
+    assert len(slips) >= 3
     assert all(in_the_window(slip) for slip in slips), slips
     assert [outcome.result for outcome in loop.outcomes] == [ShiftResult.ENGAGED] * 3
 

@@ -81,7 +81,7 @@ def virtual_bench(
     reads = (ALL_IDS, RIG_IDS, BENCH_IDS, *(onlooker.reads for onlooker in onlookers))
     time = VirtualTime(
         cores,
-        [*_tick_phases(setup.seed), *(onlooker.first_us for onlooker in onlookers)],
+        [*tick_phases(setup.seed), *(onlooker.first_us for onlooker in onlookers)],
         on_frame,
         on_event,
         [ALL_IDS - ids for ids in reads],
@@ -102,7 +102,7 @@ def _on_classic_bus(setup: Setup, cores: Sequence[Core], records: Records | None
     return classic
 
 
-def _tick_phases(seed: int) -> list[int]:
+def tick_phases(seed: int) -> list[int]:
     """First step times of controller, rig and operator: real nodes do not tick together."""
     rng = np.random.Generator(np.random.PCG64([seed, 0x7_1C]))
     return [int(phase) for phase in rng.integers(0, TICK_US, 3)]
