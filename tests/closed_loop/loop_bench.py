@@ -156,7 +156,7 @@ class Loop:
         """A rig as at power-up."""
         pair = (self.start_gear, self.toward or self.start_gear)
         start = plan_shifts(self.sheet, [pair], 1, self.layshaft_rad_s)
-        rpm = start[0].main_rad_s * 30.0 / math.pi
+        rpm = start[0].main_rpm
         return RigCore(
             self.sheet,
             RigSettings(

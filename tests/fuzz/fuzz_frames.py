@@ -124,7 +124,7 @@ class Fuzz:
     def __init__(self, seed: int, proven: bool, flood: Flood) -> None:
         sheet = load_sheet("thesis")
         header = new_header(product_version(), sheet, ControllerSettings())
-        main_rpm = plan_shifts(sheet, [(8, 10)], 1, LAYSHAFT_RAD_S)[0].main_rad_s * 30.0 / math.pi
+        main_rpm = plan_shifts(sheet, [(8, 10)], 1, LAYSHAFT_RAD_S)[0].main_rpm
         settings = RigSettings(
             preset=Preset.TRUCK, seed=seed % 1000, start_gear=8, main_speed_rpm=main_rpm
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -72,7 +71,7 @@ def test_a_live_run_s_log_is_by_the_clock_of_its_sensors(
             preset=Preset.THESIS,
             seed=1,
             start_gear=8,
-            main_speed_rpm=shift.main_rad_s * 30 / math.pi,
+            main_speed_rpm=shift.main_rpm,
         ),
         plan=[shift],
         log=tmp_path / "run.log",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -84,7 +83,7 @@ def test_a_live_run_on_a_classic_bus_is_shown_and_verified(tmp_path: Path) -> No
             preset=Preset.THESIS,
             seed=1,
             start_gear=8,
-            main_speed_rpm=shift.main_rad_s * 30 / math.pi,
+            main_speed_rpm=shift.main_rpm,
         ),
         plan=[shift],
         log=tmp_path / "run.log",

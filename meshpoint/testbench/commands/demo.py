@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import tempfile
 import time
@@ -166,7 +165,7 @@ def _rig(namespace: argparse.Namespace, sheet: GearboxSheet) -> RigSettings:
         preset=Preset(namespace.preset),
         seed=namespace.seed,
         start_gear=first.from_,
-        main_speed_rpm=first.main_rad_s * 30.0 / math.pi,
+        main_speed_rpm=first.main_rpm,
         profile=built.profile,
         as_built=built.fixed,
         faults=arguments.faults_of(namespace),
