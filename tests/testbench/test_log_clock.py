@@ -198,6 +198,20 @@ def test_the_rate_of_a_steady_clock_is_found_whatever_delays_its_frames(
         assert (part.rate - 1.0) * 1e6 == pytest.approx(off_ppm, abs=30.0)
 
 
+@pytest.mark.parametrize("seconds", [1.1, 1.5, 2.0])
+def test_a_short_log_s_delays_are_not_taken_for_another_rate(log: Path, seconds: float) -> None:
+    """One shift of a live run beside a busy machine."""
+    run = list(read_logs([log]))
+    short = [(time_s, frame) for time_s, frame in run if time_s - run[0][0] < seconds]
+    for seed in range(30):
+        draw, newest_s, frames = random.Random(seed), 0.0, []
+        for time_s, frame in short:
+            newest_s = max(newest_s, time_s + draw.expovariate(400.0))
+            frames.append((newest_s, frame))
+        (part,) = clock_of(frames).parts
+        assert part.kind == "alike", f"seed {seed}: {part}"
+
+
 def test_entries_in_sensor_time_are_as_far_apart_as_they_were_sent(log: Path) -> None:
     sent = list(read_logs([log]))
     frames = waited_for(sent)

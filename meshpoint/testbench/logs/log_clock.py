@@ -52,6 +52,9 @@ MOST_HELD: Final = 10_000
 has held it up. It bounds the memory where the sensors fall silent."""
 WINDOW: Final = 50
 """Reads, half a second, of which one at least has come without waiting."""
+LEAST_WINDOWS: Final = 20
+"""For what a drift may be by delays alone: the line touches two reads, so of two or three windows
+the usual one would always seem to wait for nothing."""
 UNEVEN_S: Final = 0.005
 UNEVEN_SHARE: Final = 0.1
 """A clock is uneven where in this share of the windows no read comes nearer to its line."""
@@ -175,6 +178,11 @@ def _line_below(read_s: NDArray[np.float64], logged_s: NDArray[np.float64]) -> t
     return rate, y0 - rate * x0
 
 
+def _nearest_s(late_s: NDArray[np.float64], windows: int) -> NDArray[np.float64]:
+    """How far each of so many windows of reads stays from the line at least."""
+    return np.array([window.min() for window in np.array_split(late_s, windows)])
+
+
 class LogClockFit:
     """Takes a log's entries in their order; `finish` tells its clock."""
 
@@ -213,12 +221,12 @@ class LogClockFit:
         part.seconds = float(read[-1])
         rate, offset = _line_below(read, logged)
         late = logged - offset - rate * read
-        windows = np.array_split(late, max(1, late.size // WINDOW))
-        nearest = np.array([window.min() for window in windows])
-        if np.mean(nearest > UNEVEN_S) > UNEVEN_SHARE:
+        windows = max(1, late.size // WINDOW)
+        if np.mean(_nearest_s(late, windows) > UNEVEN_S) > UNEVEN_SHARE:
             part.kind, part.rate = Kind.UNEVEN, float(logged[-1] / read[-1])
             return
-        by_delay_s = RESOLUTION_S + DOUBT * float(np.median(nearest))
+        usual_s = float(np.median(_nearest_s(late, max(LEAST_WINDOWS, windows))))
+        by_delay_s = RESOLUTION_S + DOUBT * usual_s
         is_seen = abs(rate - 1.0) * part.seconds > by_delay_s
         part.kind, part.rate = (Kind.STEADY, rate) if is_seen else (Kind.ALIKE, 1.0)
 
