@@ -205,6 +205,32 @@ def test_the_same_bus_gives_the_same_page(tmp_path: Path) -> None:
     assert found[0] == found[1]
 
 
+def test_on_a_narrow_page_every_cell_of_a_shift_has_its_column_s_name(
+    simulated: tuple[Report, list[ShiftRow]], data: dict[str, Any]
+) -> None:
+    made = page(simulated[0], data, PLOTLY_STUB)
+    tables = re.findall(r'<table class="stacked">(.*?)</table>', made, flags=re.DOTALL)
+    assert len(tables) == 2
+    for each in tables:
+        names = re.findall(r"<th[^>]*>([^<]*)</th>", each.split("</thead>")[0])
+        rows = [row for row in each.split("</thead>")[1].split("<tr") if "<td" in row]
+        assert rows
+        for row in rows:
+            assert re.findall(r'data-name="([^"]*)"', row) == names
+
+
+def test_what_happened_comes_first_and_the_estimators_last(
+    simulated: tuple[Report, list[ShiftRow]], data: dict[str, Any]
+) -> None:
+    made = page(simulated[0], data, PLOTLY_STUB)
+    places = [
+        made.index(words)
+        for words in ("</h1>", "Tooth met gap at first contact in ", "<h2>Summary", "<h2>Shifts",
+                      "<h2>Estimates and log", "<h2>Provenance")
+    ]  # fmt: skip
+    assert places == sorted(places)
+
+
 def test_a_run_without_shifts_is_a_page_too(tmp_path: Path) -> None:
     pytest.importorskip("plotly")
     path = tmp_path / "report.html"

@@ -44,6 +44,10 @@ class ShiftGroup:
     """None for a strategy that does not aim, or where there is no contact."""
     mean_duration_ms: float | None
     """Of those that engaged."""
+    mean_impact_j: float | None = None
+    """Lost in flank impacts a shift; None where the gearbox keeps no tally, as preset thesis."""
+    aims: bool = True
+    """Whether the strategy aims at a phase."""
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -56,7 +60,7 @@ class ShiftGroup:
 
 
 def compare(runs: Mapping[str, Sequence[ShiftRow]]) -> list[ShiftGroup]:
-    """Learning shifts, then aimed ones, each strategy beside the other; empty groups left out.
+    """Aimed shifts, then those that learn, each strategy beside the other; empty groups left out.
 
     runs: rows by strategy as it was asked for; shifts pair by gears and how often these came."""
     keyed = {name: _by_place(rows) for name, rows in runs.items()}
@@ -71,7 +75,7 @@ def compare(runs: Mapping[str, Sequence[ShiftRow]]) -> list[ShiftGroup]:
         _group(
             kind, name, [row for place, row in rows.items() if place in places], aims=kinds[name]
         )
-        for kind, places in ((LEARNING, unknown), (AIMED_KIND, aimed))
+        for kind, places in ((AIMED_KIND, aimed), (LEARNING, unknown))
         for name, rows in keyed.items()
     ]
     return [group for group in groups if group.shifts]
@@ -91,6 +95,7 @@ def _by_place(rows: Sequence[ShiftRow]) -> dict[tuple[int, int, int], ShiftRow]:
 def _group(kind: str, strategy: str, rows: list[ShiftRow], *, aims: bool) -> ShiftGroup:
     errors = [row.phase_error_deg for row in rows if row.phase_error_deg is not None]
     durations = [row.duration_ms for row in rows if row.result == "engaged"]
+    impact_j = sum(row.impact_j for row in rows)
     rms = None
     if aims and kind == AIMED_KIND and errors:
         rms = math.sqrt(sum(error * error for error in errors) / len(errors))
@@ -103,7 +108,63 @@ def _group(kind: str, strategy: str, rows: list[ShiftRow], *, aims: bool) -> Shi
         gap=sum(row.contact == "gap" for row in rows),
         phase_error_rms_deg=rms,
         mean_duration_ms=sum(durations) / len(durations) if durations else None,
+        mean_impact_j=impact_j / len(rows) if impact_j > 0.0 else None,
+        aims=aims,
     )
+
+
+def headline(groups: Sequence[ShiftGroup], sheet: GearboxSheet) -> str:
+    """What happened and why it matters, against today's strategy where it ran too."""
+    known = [group for group in groups if group.kind == AIMED_KIND]
+    ours = next((group for group in known if group.aims), None)
+    others = next((group for group in known if not group.aims), None)
+    first = ours or others
+    if first is None:
+        return "No shift was aimed: a gear's first engagement learns where its teeth are."
+    if not first.contacts:
+        return "The log does not say where the teeth met: nothing can be said about gap or tooth."
+    luck = f"by luck {100 * sheet.dog.backlash_share:.0f} %"
+    met = f"Tooth met gap at first contact in {first.gap} of {first.shifts} "
+    if ours is None:
+        return f"{met}shifts of {shown(first.strategy)}, which does not aim ({luck}){_cost(first)}."
+    met += f"shifts aimed by {shown(ours.strategy)}"
+    if others is None:
+        return f"{met} ({luck}){_cost(ours)}. {WHY}"
+    return (
+        f"{met}, in {others.gap} of {others.shifts} by {shown(others.strategy)}, which fires as "
+        f"gearboxes do today ({luck}){_cost(ours, others)}. {WHY}"
+    )
+
+
+WHY: Final = "Where tooth meets tooth the sleeve waits or is thrown back, and the teeth wear."
+
+
+def _cost(ours: ShiftGroup, others: ShiftGroup | None = None) -> str:
+    """Means of impact and time, a shift, beside another strategy's."""
+    means = []
+    for name, digits, unit in (("mean_impact_j", 2, "J of impact"), ("mean_duration_ms", 0, "ms")):
+        mine, theirs = getattr(ours, name), others and getattr(others, name)
+        if mine is None and theirs is None:
+            continue
+        words = f"{mine or 0.0:.{digits}f}"
+        words += "" if theirs is None else f" instead of {theirs:.{digits}f}"
+        means.append(f"{words} {unit}")
+    return f"; {' and '.join(means)} a shift on average" if means else ""
+
+
+STRATEGY_WORDS: Final = {
+    "speed_window": "fires as soon as the speed difference is small enough, as gearboxes do today",
+    "speed_window_anticipating": "fires so that the speed difference is small as the sleeve "
+    "arrives; where the teeth are then is left to luck",
+    "target_phase": "fires so that, as the sleeve arrives, tooth meets gap",
+}
+
+
+def strategies_explained(groups: Sequence[ShiftGroup]) -> list[str]:
+    """Each strategy that the groups name, in a sentence."""
+    names = dict.fromkeys(group.strategy for group in groups)
+    own = "the strategy of this file"
+    return [f"{shown(name)}: {STRATEGY_WORDS.get(name, own)}." for name in names]
 
 
 def explain(groups: Sequence[ShiftGroup], sheet: GearboxSheet) -> list[str]:

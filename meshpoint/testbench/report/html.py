@@ -16,6 +16,8 @@ POLICY: Final = (
 Cell = tuple[str, str]
 """Text and class of a table's cell."""
 NUMBER_CLASS: Final = "number"
+STACKED: Final = "stacked"
+"""A table whose rows a narrow page shows cell under cell."""
 
 
 @dataclass(frozen=True)
@@ -69,10 +71,12 @@ def json_text(values: dict[str, Any]) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def table(head: list[Cell], rows: list[str]) -> str:
-    """A table of rows that are HTML already."""
+def table(head: Sequence[Cell], rows: list[str], style: str = "") -> str:
+    """A table of rows that are HTML already; `STACKED` ones need the names that
+    `table_row` gives their cells."""
     cells = "".join(f"<th{class_of(style)}>{escape(text)}</th>" for text, style in head)
-    return f"<table><thead><tr>{cells}</tr></thead><tbody>\n{''.join(rows)}</tbody></table>"
+    body = "".join(rows)
+    return f"<table{class_of(style)}><thead><tr>{cells}</tr></thead><tbody>\n{body}</tbody></table>"
 
 
 def class_of(style: str) -> str:
@@ -80,9 +84,13 @@ def class_of(style: str) -> str:
     return f' class="{style}"' if style else ""
 
 
-def table_row(cells: list[Cell]) -> str:
-    """The cells of a table's row."""
-    return "".join(f"<td{class_of(style)}>{escape(text)}</td>" for text, style in cells)
+def table_row(cells: Sequence[Cell], head: Sequence[Cell] = ()) -> str:
+    """The cells of a table's row; head: of a stacked table, the names of these cells."""
+    names = [f' data-name="{escape(name)}"' for name, _ in head] or [""] * len(cells)
+    return "".join(
+        f"<td{class_of(style)}{name}>{escape(text)}</td>"
+        for (text, style), name in zip(cells, names, strict=True)
+    )
 
 
 def definitions(values: dict[str, str]) -> str:

@@ -6,9 +6,17 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any, Final
 
-from meshpoint.testbench.report.comparison import ShiftGroup, cells, compare, explain
+from meshpoint.testbench.report.comparison import (
+    ShiftGroup,
+    cells,
+    compare,
+    explain,
+    headline,
+    strategies_explained,
+)
 from meshpoint.testbench.report.html import (
     NUMBER_CLASS,
+    STACKED,
     Cell,
     Page,
     definitions,
@@ -24,19 +32,20 @@ from meshpoint.testbench.results.rows import ShiftRow
 def page(report: Report, data: dict[str, Any], plotly_js: str) -> str:
     """The whole page; `data` is what its script draws, each shift read when it is opened."""
     shifts = sum(len(run.shifts) for run in report.runs)
+    groups = compare({run.name: [shift.row for shift in run.shifts] for run in report.runs})
     body = [
         f"<h1>{escape(report.title)}</h1>",
+        f'<p class="headline">{escape(headline(groups, report.sheet))}</p>',
         f"<p>{escape(report.subtitle)}</p>",
         "<h2>Summary</h2>" if report.asked is None else "<h2>Summary of the log</h2>",
-        _summary(report),
-        _notes(report.runs),
+        _summary(groups, report),
     ]
     if shifts:
         heading = "<h2>Shifts</h2>" if report.asked is None else "<h2>Shifts as recorded</h2>"
         body += [decisions_table(report), OVERVIEW, heading, _shifts(report.runs), VIEWER]
     else:
         body.append("<p>No shift to draw.</p>")
-    body += ["<h2>Provenance</h2>", definitions(report.provenance)]
+    body += [_notes(report.runs), "<h2>Provenance</h2>", definitions(report.provenance)]
     figures: dict[str, Any] = data["shifts"]
     common = {key: value for key, value in data.items() if key != "shifts"}
     common["shifts"] = list(figures)
@@ -69,7 +78,7 @@ reference, which the controller never reads.</p>"""
 
 def _notes(runs: list[ReportRun]) -> str:
     items = "".join(f"<li>{escape(note)}</li>\n" for run in runs for note in run.notes)
-    return f"<ul>\n{items}</ul>" if items else ""
+    return f"<h2>Estimates and log</h2>\n<ul>\n{items}</ul>" if items else ""
 
 
 def _number(value: float | None, digits: int, signed: bool = False) -> Cell:
@@ -78,22 +87,34 @@ def _number(value: float | None, digits: int, signed: bool = False) -> Cell:
     return figure(value, digits, signed), NUMBER_CLASS
 
 
-def _summary(report: Report) -> str:
-    groups = compare({run.name: [shift.row for shift in run.shifts] for run in report.runs})
-    head: list[Cell] = [("shifts", ""), ("strategy", "")] + [
-        (name, NUMBER_CLASS)
-        for name in (
-            "engaged", "into the gap", "95 % interval", "phase error RMS, deg", "mean duration, ms",
-        )
-    ]  # fmt: skip
-    rows = [f"<tr>{table_row(_summary_cells(group))}</tr>\n" for group in groups]
+SUMMARY_HEAD: Final[list[Cell]] = [("shifts", ""), ("strategy", "")] + [
+    (name, NUMBER_CLASS)
+    for name in (
+        "engaged", "into the gap", "95 % interval", "phase error RMS, deg", "mean duration, ms",
+        "mean impact, J",
+    )
+]  # fmt: skip
+
+
+def _summary(groups: list[ShiftGroup], report: Report) -> str:
+    cells = [_summary_cells(group) for group in groups]
+    rows = [f"<tr>{table_row(row, SUMMARY_HEAD)}</tr>\n" for row in cells]
     words = [*explain(groups, report.sheet), *_size(groups)]
-    return table(head, rows) + f"\n<p>{escape(' '.join(words))}</p>"
+    strategies = "".join(f"<li>{escape(line)}</li>\n" for line in strategies_explained(groups))
+    return (
+        f"{table(SUMMARY_HEAD, rows, STACKED)}\n<p>{escape(' '.join(words))}</p>"
+        f"\n<ul>\n{strategies}</ul>"
+    )
 
 
 def _summary_cells(group: ShiftGroup) -> list[Cell]:
-    figures = [(cell, NUMBER_CLASS) for cell in cells(group)]
-    return [(group.kind, ""), (group.strategy, ""), (str(group.engaged), NUMBER_CLASS), *figures]
+    impact = group.mean_impact_j
+    figures = [*cells(group), "-" if impact is None else f"{impact:.2f}"]
+    return [
+        (group.kind, ""),
+        (group.strategy, ""),
+        *((cell, NUMBER_CLASS) for cell in (str(group.engaged), *figures)),
+    ]
 
 
 def _size(groups: Sequence[ShiftGroup]) -> list[str]:
@@ -121,9 +142,10 @@ def _shifts(runs: list[ReportRun]) -> str:
             rows.append(f'<tr class="run"><th colspan="{span}">{escape(run.name)}</th></tr>\n')
         for s, shift in enumerate(run.shifts):
             key = shift_key(r, s)
-            link = f'<td><a href="#{key}">{s + 1}</a></td>'
-            rows.append(f'<tr id="{key}">{link}{table_row(_shift_cells(shift.row))}</tr>\n')
-    return f'<div class="scroll">{table(SHIFT_HEAD, rows)}</div>'
+            link = f'<td data-name="shift"><a href="#{key}">{s + 1}</a></td>'
+            row = table_row(_shift_cells(shift.row), SHIFT_HEAD[1:])
+            rows.append(f'<tr id="{key}">{link}{row}</tr>\n')
+    return f'<div class="scroll">{table(SHIFT_HEAD, rows, STACKED)}</div>'
 
 
 def _shift_cells(row: ShiftRow) -> list[Cell]:

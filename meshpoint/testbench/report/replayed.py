@@ -12,7 +12,7 @@ from typing import Final
 from meshpoint.testbench.logs.counterfactual import Counterfactual
 from meshpoint.testbench.logs.decisions import Decision, Judged
 from meshpoint.testbench.report.collect import ReportShift
-from meshpoint.testbench.report.html import NUMBER_CLASS, Cell, table, table_row
+from meshpoint.testbench.report.html import NUMBER_CLASS, STACKED, Cell, table, table_row
 from meshpoint.testbench.report.layout import (
     ORANGE,
     PHASE,
@@ -115,11 +115,11 @@ def decisions_table(report: Report) -> str:
     rows = []
     for r, run in enumerate(report.runs):
         for s, shift in enumerate(run.shifts):
-            link = f'<td><a href="#shift-{r + 1}-{s + 1}">{s + 1}</a></td>'
-            rows.append(f"<tr>{link}{table_row(_cells(shift))}</tr>\n")
+            link = f'<td data-name="shift"><a href="#shift-{r + 1}-{s + 1}">{s + 1}</a></td>'
+            rows.append(f"<tr>{link}{table_row(_cells(shift), HEAD[1:])}</tr>\n")
     return (
         f"<h2>What {escape(report.asked)} decides on the same frames</h2>"
-        f'<div class="scroll">{table(HEAD, rows)}</div>'
+        f'<div class="scroll">{table(HEAD, rows, STACKED)}</div>'
         "<p>Each shift is judged from the state in which it was begun. The frames answer to the "
         "recorded commands: decisions made after a valve would have been driven otherwise are "
         "those of a controller that sees another course than its own. Where its tooth would have "

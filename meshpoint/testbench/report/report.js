@@ -11,13 +11,31 @@
   const figure = document.getElementById("figure");
   let chosen = null;
 
+  // On a narrow page the traces take the whole width; the legends lie over them.
+  const narrow = matchMedia("(max-width: 600px)");
+
+  function fit(layout) {
+    if (!narrow.matches) return;
+    layout.margin = { ...layout.margin, l: Math.min(layout.margin.l, 120) * 0.68, r: 4 };
+    layout.font = { ...layout.font, size: 10 };
+    layout.xaxis.domain = [0, 1];
+    for (const [name, own] of Object.entries(layout)) {
+      if (name.startsWith("legend")) {
+        layout[name] = { ...own, x: 0, orientation: "h", font: { size: 9 }, bgcolor: "rgba(255,255,255,.6)" };
+      }
+      if (name.startsWith("yaxis")) layout[name] = { ...own, title: { ...own.title, standoff: 0 }, nticks: 5 };
+    }
+  }
+
   function draw(shift) {
     const layout = { ...data.common, annotations: shift.annotations };
     layout.shapes = data.common.shapes.concat(shift.shapes);
     for (const [name, own] of Object.entries(shift.axes)) {
       layout[name] = { ...data.common[name], ...own };
     }
-    Plotly.react(figure, shift.data, structuredClone(layout), config);
+    const own = structuredClone(layout);
+    fit(own);
+    Plotly.react(figure, shift.data, own, config);
   }
 
   function tell(shift) {
@@ -81,6 +99,7 @@
     if (event.key === "ArrowLeft") step(-1);
     if (event.key === "ArrowRight") step(1);
   });
+  narrow.addEventListener("change", () => draw(shiftOf(chosen)));
   window.addEventListener("hashchange", () => choose(location.hash.slice(1), true));
   choose(location.hash.slice(1), true);
   if (chosen === null) choose(data.first, true);
