@@ -26,6 +26,7 @@ import sys
 import time
 import tomllib
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -52,13 +53,16 @@ def equivalents() -> dict[str, str]:
     return {entry["mutant"]: entry["reason"] for entry in entries}
 
 
+@cache
+def mutants_in(name: str) -> list[Mutant]:
+    """Those of a file."""
+    return Mutants(name, (ROOT / name).read_text(encoding="utf-8")).all
+
+
 def mutants_of(target: Target) -> dict[str, list[Mutant]]:
     """All of them, by file."""
-    found = {}
-    for path in target.paths():
-        name = path.relative_to(ROOT).as_posix()
-        found[name] = Mutants(name, path.read_text(encoding="utf-8")).all
-    return found
+    names = [path.relative_to(ROOT).as_posix() for path in target.paths()]
+    return {name: mutants_in(name) for name in names}
 
 
 def changed_lines(base: str) -> dict[str, set[int]] | None:
@@ -199,11 +203,8 @@ def table(listed: dict[str, str]) -> str:
 
 def stale(listed: dict[str, str]) -> list[str]:
     """Entries that name no mutant."""
-    there: set[str] = set()
-    for name in {each.split("::")[0] for each in listed}:
-        path = ROOT / name
-        if path.exists():
-            there.update(m.name for m in Mutants(name, path.read_text(encoding="utf-8")).all)
+    files = {each.split("::")[0] for each in listed}
+    there = {m.name for name in files if (ROOT / name).exists() for m in mutants_in(name)}
     return [name for name in listed if name not in there]
 
 
