@@ -78,6 +78,10 @@ class Operator:
         self.next_step_us = 0
         self.done = False
 
+    def ask(self, gear: int, at_us: int) -> None:
+        """For one gear more."""
+        self._requests.append((at_us, gear))
+
     def receive(self, frame: Frame) -> None:
         pass
 

@@ -38,13 +38,13 @@ def test_a_hostile_frame_now_and_then_in_a_shift_harms_nothing(seed: int) -> Non
 def test_a_flood_is_noticed_while_it_lasts() -> None:
     """So that the test above cannot pass because nothing arrives."""
     fuzz = Fuzz(seed=12, proven=False, flood=Flood())
-    fuzz._run(600_000)
+    fuzz.run(600_000)
     for node in fuzz.nodes:
         node.is_flooded = True
-    fuzz._run(300_000)
-    assert not fuzz._is_back()
-    assert fuzz._status is not None
-    assert fuzz._status.e2e_errors > 100
+    fuzz.run(300_000)
+    assert not fuzz.is_back()
+    assert fuzz.status is not None
+    assert fuzz.status.e2e_errors > 100
 
 
 def test_hostile_frames_are_what_they_are_said_to_be() -> None:
