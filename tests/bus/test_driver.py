@@ -215,6 +215,7 @@ async def test_a_bus_that_cannot_be_opened_at_all_is_the_callers_error() -> None
     assert node.core.times_us == []
 
 
+@pytest.mark.device
 @pytest.mark.asyncio
 async def test_udp_multicast_carries_frames_between_nodes() -> None:
     pytest.importorskip("msgpack", reason="udp_multicast needs msgpack")

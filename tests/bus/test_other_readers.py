@@ -173,6 +173,7 @@ def test_python_can_s_trc_writer_leaves_frames_out_and_that_is_said(tmp_path: Pa
     assert "leaves CAN FD frames out" in reader.unfinished
 
 
+@pytest.mark.device
 def test_can_utils_read_our_logs_and_we_read_theirs(tmp_path: Path) -> None:
     """can-utils' log2asc on our candump log, and asc2log on the ASC that it makes."""
     if shutil.which("log2asc") is None or shutil.which("asc2log") is None:

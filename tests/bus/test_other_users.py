@@ -21,6 +21,7 @@ NOBODY = 65534
 Process = subprocess.Popen[str]
 pytestmark = [
     pytest.mark.timeout(300),
+    pytest.mark.device,
     pytest.mark.skipif(
         sys.platform != "linux" or os.getuid() != 0,
         reason="only root can be another user, and only Linux tells who a peer is",

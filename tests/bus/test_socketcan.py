@@ -20,6 +20,7 @@ from meshpoint.bus.options import add_bus_arguments, open_bus_from
 from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.dbc.frame import Frame
 
+pytestmark = pytest.mark.device
 DEVICE = "vcan-mp"
 
 

@@ -78,6 +78,10 @@ class Operator:
         self.next_step_us = 0
         self.done = False
 
+    def ask(self, gear: int, at_us: int) -> None:
+        """For one gear more."""
+        self._requests.append((at_us, gear))
+
     def receive(self, frame: Frame) -> None:
         pass
 
@@ -128,8 +132,39 @@ class Loop:
         self.messages: list[tuple[int, Any]] = []
         self.events: list[str] = []
         self._decoder = Receiver(*Node)
-        cores: list[Core] = [self.controller, self.rig, self.operator]
-        self.time = VirtualTime(cores, list(self.phases_us), self._take, self._event)
+        self.nodes: list[Core] = [self.controller, self.rig, self.operator]
+        self.time = VirtualTime(self.nodes, list(self.phases_us), self._take, self._event)
+
+    @property
+    def core(self) -> ControllerCore:
+        """The controller itself."""
+        core = self.controller.core
+        assert isinstance(core, ControllerCore)
+        return core
+
+    @property
+    def rig_core(self) -> RigCore:
+        """The rig itself."""
+        core = self.rig.core
+        assert isinstance(core, RigCore)
+        return core
+
+    @property
+    def world(self) -> Any:
+        """The gearbox itself, with what nobody on the bus is told."""
+        return self.rig_core._world
+
+    def watch_guard(self) -> list[tuple[int, Any]]:
+        """What the guard sees in each step from now on, and when."""
+        view, seen = self.core._guard_view, list[tuple[int, Any]]()
+        take = view.take
+
+        def noted(*given: Any) -> Any:
+            seen.append((self.time.now_us, take(*given)))
+            return seen[-1][1]
+
+        view.take = noted  # type: ignore[method-assign]
+        return seen
 
     def new_operator(self) -> Operator:
         """Who asks for the gears."""
@@ -137,16 +172,12 @@ class Loop:
 
     def fault(self, kind: RigFault, target: int = 0, value: float = 0.0, for_us: int = 0) -> None:
         """The rig goes wrong from now on, or for so long."""
-        core = self.rig.core
-        assert isinstance(core, RigCore)
         order = FaultOrder(int(kind), target, value, for_us)
-        core._world.inject(order, self.time.now_us - self.phases_us[1])
+        self.world.inject(order, self.time.now_us - self.phases_us[1])
 
     def lose_valves(self) -> None:
         """The valve side forgets all commands at once."""
-        core = self.rig.core
-        assert isinstance(core, RigCore)
-        core._world.all_valves_off(self.time.now_us - self.phases_us[1])
+        self.world.all_valves_off(self.time.now_us - self.phases_us[1])
 
     @property
     def header(self) -> RunHeader:
@@ -204,9 +235,7 @@ class Loop:
 
     def switched(self, field_: str, action: ValveAction) -> list[int]:
         """Sensor times, 32 bits, at which the valve side was first told of an action."""
-        core = self.rig.core
-        assert isinstance(core, RigCore)
-        start_us = core.truth.clock_start_us - self.phases_us[1]
+        start_us = self.rig_core.truth.clock_start_us - self.phases_us[1]
         times, before = [], None
         for time_us, message in self.messages:
             if type(message) is ValveCommand:
@@ -237,9 +266,7 @@ class Loop:
     @property
     def violations(self) -> int:
         """What the rig says a controller must never bring about."""
-        core = self.rig.core
-        assert isinstance(core, RigCore)
-        return sum(core.truth.violations.values())
+        return sum(self.rig_core.truth.violations.values())
 
     @property
     def valves_driven(self) -> tuple[str, ...]:

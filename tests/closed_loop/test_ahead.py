@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.settings import ControllerSettings, EngineRequests
 from meshpoint.dbc.messages import (
     ControllerState,
@@ -20,7 +19,6 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.rig_sim.shared.sleeves import NEVER_US
 
@@ -58,9 +56,7 @@ def torque_at_parting(ramp_ms: int) -> tuple[float, float]:
     """Engine torque (Nm) at the request and as the plates part."""
     settings = ControllerSettings(engine=EngineRequests(ramp_ms=ramp_ms))
     loop = truck([(1_500_000, 10)], settings=settings, as_built={"vehicle.slope_percent": 3.0})
-    rig = loop.rig.core
-    assert isinstance(rig, RigCore)
-    plant = rig._world.plant  # type: ignore[attr-defined]
+    plant = loop.world.plant
     loop.run_to_state(ControllerState.CLUTCH_OPENING, 3_000_000)
     before: float = plant.y.engine_nm
     opens = lambda: any(m.event is E.PLATES_PARTED for m in loop.of(ReferenceEngagement))  # noqa: E731
@@ -78,9 +74,7 @@ def test_the_torque_is_gone_before_the_plates_part_and_without_ramp_it_is_not() 
 
 def stop_the_clutch(loop: Loop) -> None:
     """Where it is, for good."""
-    rig = loop.rig.core
-    assert isinstance(rig, RigCore)
-    world: Any = rig._world
+    world = loop.world
     world.plant.g.clutch_rate = 0.0
     world.clutch._kiss_us = world.clutch._end_us = NEVER_US
     world.clutch.stuck = True
@@ -121,9 +115,7 @@ def test_a_jammed_sleeve_lets_no_air_into_the_brake() -> None:
 @pytest.mark.parametrize("seed", [3, 8])
 def test_the_kiss_point_of_this_gearbox_is_found(seed: int) -> None:
     loop = Loop(shifts=6, sheet=TRUCK12, preset=Preset.TRUCK, seed=seed).run(20_000_000)
-    controller, rig = loop.controller.core, loop.rig.core
-    assert isinstance(controller, ControllerCore)
-    assert isinstance(rig, RigCore)
-    kiss = controller._sequence.kiss
+    controller, rig = loop.core, loop.rig_core
+    kiss = controller.sequence.kiss
     assert kiss.sd < 0.013
     assert kiss.share == pytest.approx(rig.as_built["clutch"]["kiss"], abs=0.015)  # type: ignore[index]

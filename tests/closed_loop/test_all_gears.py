@@ -19,7 +19,6 @@ from meshpoint.dbc.messages import (
     TscOverrideMode,
 )
 from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.loop.schedules import MAIN_BOX, MIXED
 from meshpoint.testbench.loop.simulate import Setup, simulate
@@ -142,8 +141,7 @@ def test_the_rig_agrees_that_the_gear_is_in() -> None:
     loop = Loop(
         [(300_000, 6)], sheet=TRUCK12, preset=Preset.TRUCK, start_gear=7, toward=6, seed=2
     ).run(2_500_000)
-    rig = loop.rig.core
-    assert isinstance(rig, RigCore)
+    rig = loop.rig_core
     assert loop.status.current_gear == 6
     input_, layshaft, main, propeller = rig.truth.speeds_rad_s
     assert input_ * 35 / 37 == pytest.approx(layshaft, rel=1e-3)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile
@@ -13,6 +15,7 @@ SEED, LEARNED, BEFORE = 2_000_182, 6, 6
 air would come before its teeth are out."""
 
 
+@pytest.mark.long
 def test_a_gear_comes_out_although_the_guard_has_blocked_the_brakes_early_air() -> None:
     """The block takes the pulling valve off as well; early air again would be blocked again."""
     sheet = load_sheet("truck12")

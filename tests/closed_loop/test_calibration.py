@@ -47,8 +47,7 @@ def learn(loop: Loop) -> int:
 
 def restart(loop: Loop) -> Calibration:
     """Another controller in its place, with the file that it has left: nothing else goes over."""
-    core = loop.controller.core
-    assert isinstance(core, ControllerCore)
+    core = loop.core
     content = core.calibration("a test").to_text()
     calibration = read_calibration(content, "box.toml", loop.sheet)
     loop.controller.core = ControllerCore(
@@ -82,8 +81,7 @@ def test_a_restarted_controller_aims_from_its_first_shift_on() -> None:
         shifts.take(message)
     assert [row.contact for row in shifts.rows[learned:]] == ["gap"] * LATER
     assert loop.violations == 0
-    core = loop.controller.core
-    assert isinstance(core, ControllerCore)
+    core = loop.core
     assert core.calibration("later").provenance.shifts == learned + LATER
 
 

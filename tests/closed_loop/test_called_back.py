@@ -39,7 +39,7 @@ def aimed_shift(monkeypatch: pytest.MonkeyPatch, doubted: int) -> tuple[ShiftRow
     def doubting(
         self: TargetPhase, predictor: Any, now_us: int, contact_us: int, earliest_us: int
     ) -> bool:
-        late_us = now_us - core._sequence.running.plan.fire_us
+        late_us = now_us - core.sequence.running.plan.fire_us
         if late_us >= 0 and len(said) < doubted:
             said.append(late_us)
             return True

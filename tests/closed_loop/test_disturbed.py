@@ -155,8 +155,8 @@ def test_a_controller_cut_off_in_mid_shift_leaves_no_valve_driven(state: State) 
     "from_gear, to_gear, changing",
     [
         (8, 9, State.STEPS_CHANGING),
-        (9, 8, State.STEPS_CHANGING),
-        (10, 9, State.SPLITTER_CHANGING),
+        pytest.param(9, 8, State.STEPS_CHANGING, marks=pytest.mark.long),
+        pytest.param(10, 9, State.SPLITTER_CHANGING, marks=pytest.mark.long),
     ],
 )
 def test_a_range_or_splitter_left_between_its_steps_is_brought_in_by_the_next_shift(

@@ -29,7 +29,6 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import Sleeve, load_sheet
-from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.rig_sim.shared.sleeves import SleeveState
 from meshpoint.rig_sim.truck import layout as at
@@ -70,7 +69,7 @@ class MadCore(ControllerCore):
         if self.mad_us is None:
             super()._decide(requested, snapshot, events)
             return
-        sequence = self._sequence
+        sequence = self.sequence
         sequence.finished = sequence.decision = None
         clutch, engine_rpm, valve = self.wish(snapshot.now_us - self.mad_us)
         sequence.clutch = clutch
@@ -95,22 +94,16 @@ class Deed:
     asked: bool = False
 
 
-def world(loop: Loop) -> Any:
-    core = loop.rig.core
-    assert isinstance(core, RigCore)
-    return core._world
-
-
 def input_overspeeds(loop: Loop) -> bool:
-    return bool(world(loop).truth.speeds_rad_s[0] > 1.02 * TRUCK12.limits.input_max_rad_s)
+    return bool(loop.world.truth.speeds_rad_s[0] > 1.02 * TRUCK12.limits.input_max_rad_s)
 
 
 def plates_rub(loop: Loop) -> bool:
     """The clutch bites on more than 750 rpm with a gear in."""
-    speeds = world(loop).plant.y.speed_rad_s
-    slip = speeds[at.ENGINE] - world(loop).truth.speeds_rad_s[0]
-    bites = world(loop).plant.y.clutch > world(loop).plant.p.plates.kiss
-    locked = world(loop).truth.locked_gear != 0
+    speeds = loop.world.plant.y.speed_rad_s
+    slip = speeds[at.ENGINE] - loop.world.truth.speeds_rad_s[0]
+    bites = loop.world.plant.y.clutch > loop.world.plant.p.plates.kiss
+    locked = loop.world.truth.locked_gear != 0
     return bool(bites and locked and abs(slip) > 750.0 * RPM)
 
 
@@ -120,7 +113,7 @@ def closings(loop: Loop) -> int:
 
 
 def left_the_gear(loop: Loop) -> bool:
-    states = [world(loop).truth.sleeve_state(s) for s in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)]
+    states = [loop.world.truth.sleeve_state(s) for s in (Sleeve.FIRST_SECOND, Sleeve.CRAWL_THIRD)]
     return SleeveState.LOCKED not in states
 
 
@@ -179,7 +172,7 @@ def run(deed: Deed, guarded: bool) -> tuple[MadCore, Loop, bool]:
     loop.run(loop.time.now_us + 500_000)
     if deed.asked:
         loop.controller.receive(Transmitter(Node.BENCH).encode(TC1(requested_gear=deed.gear + 2)))
-    mad.mad_us = mad._observer.clock.latest_us
+    mad.mad_us = mad.observer.clock.latest_us
     harmed = loop.until(lambda: deed.harm(loop), loop.time.now_us + deed.lasts_us)
     return mad, loop, harmed
 

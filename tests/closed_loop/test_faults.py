@@ -206,8 +206,8 @@ def test_an_estimate_that_is_not_a_number_reaches_no_command(state: State) -> No
     the shift ends."""
     loop = Loop([(REQUEST_US, 10)])
     loop.run_to_state(state, PATIENCE_US)
-    core: Any = loop.controller.core
-    core._observer.layshaft._filter.x[:] = math.nan
+    core: Any = loop.core
+    core.observer.layshaft._filter.x[:] = math.nan
     before = loop.time.now_us
     loop.run(before + 1_000_000)
     steps = [status.step_number for status in loop.of(ControllerStatus)]

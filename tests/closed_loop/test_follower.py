@@ -11,6 +11,7 @@ from meshpoint.bus.core import Step
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.follower import Follower
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
+from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ControllerStatus, ReferenceSource
 from meshpoint.gearbox import MainGear
 
@@ -22,11 +23,18 @@ class Followed(Tapped):
         super().__init__(core)
         self.follower = Follower(core.header)
         self.knew: list[tuple[tuple[Any, ...], tuple[Any, ...]]] = []
+        self.waiting: list[Frame] = []
+
+    def receive(self, frame: Frame) -> None:
+        super().receive(frame)
+        self.waiting.append(frame)
 
     def step(self, now_us: int) -> Step:
         step = super().step(now_us)
         core: Any = self.core
-        its = self.follower.step(core._heard, now_us, core._sequence, core.snapshot)
+        heard = sorted(self.waiting, key=lambda frame: frame.can_id)
+        its = self.follower.step(heard, now_us, core.sequence, core.snapshot)
+        self.waiting.clear()
         self.knew.append((told(core.snapshot), told(its)))
         return step
 
@@ -47,10 +55,9 @@ def test_a_follower_by_the_same_settings_knows_what_the_controller_knows() -> No
     """To the bit, through a shift and behind it; and gives its estimates to a controller that goes
     on by them."""
     loop = Loop([(300_000, 10)])
-    core = loop.controller.core
-    assert isinstance(core, ControllerCore)
+    core = loop.core
     followed = Followed(core)
-    loop.time._cores[0] = loop.controller = followed
+    loop.nodes[0] = loop.controller = followed
     loop.run(1_600_000)
     assert any("shift 8 -> 10: engaged" in line for line in loop.events)
     assert len(followed.knew) > 100

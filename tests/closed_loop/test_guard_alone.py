@@ -35,20 +35,6 @@ def rows(loop: Loop) -> set[int]:
     return {int(line.rpartition(" ")[2]) for line in lines}
 
 
-def spied(loop: Loop) -> list[tuple[int, Any]]:
-    """What the guard sees in each step, and when."""
-    core: Any = loop.controller.core
-    seen: list[tuple[int, Any]] = []
-    take = core._guard_view.take
-
-    def spy(*args: Any) -> Any:
-        seen.append((loop.time.now_us, take(*args)))
-        return seen[-1][1]
-
-    core._guard_view.take = spy
-    return seen
-
-
 def is_driving(command: Any) -> bool:
     return type(command) is ValveCommand and any(field in DRIVING for field in command)
 
@@ -61,7 +47,7 @@ def test_a_lost_valve_status_is_found_by_the_guard_within_50_ms(phase_us: int) -
         receiving=lambda frame: [] if silent[0] and frame.can_id == STATUS_ID else [frame],
         phases_us=(phase_us, 189, 5_513),
     )
-    seen = spied(loop)
+    seen = loop.watch_guard()
     heard: list[int] = []
     receive = loop.controller.receive
 
@@ -84,7 +70,7 @@ def test_a_lost_valve_status_is_found_by_the_guard_within_50_ms(phase_us: int) -
 def test_the_guard_measures_speeds_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     """The speeds of the sequence are frozen in mid-shift; those the guard judges by are not."""
     loop = shift()
-    seen = spied(loop)
+    seen = loop.watch_guard()
     loop.run_to_state(State.SYNCHRONISING, 2_000_000)
     before = seen[-1][1].speeds[1].omega_rad_s
     monkeypatch.setattr(EdgeSpeed, "at", lambda self, now_us: Speed(now_us, before))
@@ -105,7 +91,7 @@ def test_the_guard_judges_channels_itself(monkeypatch: pytest.MonkeyPatch) -> No
         return [frame]
 
     loop = shift(receiving=receiving)
-    seen = spied(loop)
+    seen = loop.watch_guard()
     loop.run_to_state(State.SYNCHRONISING, 2_000_000)
     monkeypatch.setattr(Receiver, "all_valid", lambda self, kinds: True)
     bad[0] = True
@@ -133,7 +119,7 @@ def test_a_clock_that_is_not_the_sensors_drives_no_valve(
 
 def test_clocks_agree_through_shifts_and_drift() -> None:
     loop = shift(as_built={})
-    seen = spied(loop)
+    seen = loop.watch_guard()
     loop.run(3_000_000)
     errors = [abs(inputs.clock_error_us) for _, inputs in seen if inputs.valid]
     assert len(errors) > 250

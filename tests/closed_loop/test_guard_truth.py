@@ -34,7 +34,6 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import Sleeve, load_sheet
-from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.rig_sim.shared.engagement import Violation
 from meshpoint.rig_sim.shared.sleeves import SleeveState
@@ -70,8 +69,8 @@ class MadCore(ControllerCore):
         if not self.is_mad:
             super()._decide(requested, snapshot, events)
             return
-        self._sequence.finished = self._sequence.decision = None
-        self._sequence.clutch = self.deed.clutch
+        self.sequence.finished = self.sequence.decision = None
+        self.sequence.clutch = self.deed.clutch
         for valve in self.deed.valves:
             command = self._board.command(valve)
             if not command.on or snapshot.now_us - command.time_us > AGAIN_US:
@@ -98,8 +97,7 @@ class Deed:
 
 
 def truth(loop: Loop) -> Any:
-    core = loop.rig.core
-    assert isinstance(core, RigCore)
+    core = loop.rig_core
     return core.truth
 
 

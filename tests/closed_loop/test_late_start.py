@@ -7,7 +7,6 @@ from __future__ import annotations
 import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.sensing.refused_lead import KEPT_US, MOST_TICKS, RefusedLead
 from meshpoint.dbc.messages import ShiftResult, ValveStatus
 
@@ -19,8 +18,7 @@ LOST_US = 500_000
 def shifted(looks_anew: bool) -> Loop:
     """A shift whose controller looks at the clock when the tick comes, and not before."""
     loop = Loop(requests=[(REQUEST_US, 10)], phases_us=(0, 3_000, 5_000))
-    core = loop.controller.core
-    assert isinstance(core, ControllerCore)
+    core = loop.core
     core._probe.is_armed, core._probe._probed_us = False, LOST_US
     if not looks_anew:
         core._probe.plan = lambda now_us, switch_us: None  # type: ignore[method-assign]

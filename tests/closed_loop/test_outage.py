@@ -92,10 +92,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def run(folder: Path) -> Loop:
     """A shift, then the outage with a request that it does not hear, then another shift."""
     loop = Loop([(300_000, 10), (1_000_000, 8), (1_500_000, 12)])
-    core = loop.controller.core
-    assert isinstance(core, ControllerCore)
+    core = loop.core
     away = AwayFromTheBus(loop, core, folder)
-    loop.time._cores[0] = loop.controller = Tapped(away)
+    loop.nodes[0] = loop.controller = Tapped(away)
     loop.run(END_US)
     away.shutdown(END_US)
     loop.header.save(folder)
@@ -181,8 +180,7 @@ def test_a_record_that_is_none_is_refused_by_name(line: str, tmp_path: Path) -> 
 
 def test_a_disk_that_refuses_the_record_does_not_end_the_run(tmp_path: Path) -> None:
     loop = Loop()
-    core = loop.controller.core
-    assert isinstance(core, ControllerCore)
+    core = loop.core
     away = AwayFromTheBus(loop, core, tmp_path / "nowhere")
     away.step(1_000)
     away.discarded = 5

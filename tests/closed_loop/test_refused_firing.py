@@ -54,9 +54,7 @@ class HeldUp:
 
     @property
     def _controller(self) -> ControllerCore:
-        core = self._loop.controller.core
-        assert isinstance(core, ControllerCore)
-        return core
+        return self._loop.core
 
     @property
     def _is_pushing(self) -> bool:

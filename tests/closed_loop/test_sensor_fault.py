@@ -125,19 +125,11 @@ def test_the_guard_reads_the_bits_itself(names: tuple[str, ...]) -> None:
     """Invalid positions, unknown speeds: rows 7, 4, 6, 8 and 15 stand on them."""
     faulty = Faulty(names)
     loop = loop_with(faulty)
-    core = loop.controller.core
-    views = []
-    take = core._guard_view.take  # type: ignore[attr-defined]
-
-    def spy(*args: object) -> object:
-        views.append(take(*args))
-        return views[-1]
-
-    core._guard_view.take = spy  # type: ignore[attr-defined]
+    views = loop.watch_guard()
     loop.run(200_000)
-    assert views[-1].valid
-    assert None not in views[-1].speeds
+    assert views[-1][1].valid
+    assert None not in views[-1][1].speeds
     faulty.on = True
     loop.run(loop.time.now_us + 30_000)
-    assert views[-1].valid is (names is EDGES)
-    assert views[-1].speeds == (None,) * 4 if names is EDGES else None not in views[-1].speeds
+    assert views[-1][1].valid is (names is EDGES)
+    assert views[-1][1].speeds == (None,) * 4 if names is EDGES else None not in views[-1][1].speeds

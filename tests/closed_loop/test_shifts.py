@@ -31,7 +31,6 @@ from meshpoint.dbc.messages import (
     ValveStatus,
 )
 from meshpoint.gearbox import MainGear
-from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.testbench.version import product_version
@@ -55,8 +54,7 @@ def test_a_gear_is_reached_with_another_tick(tick_ms: int) -> None:
 
 def test_a_requested_gear_is_reached(one_shift: Loop) -> None:
     """By the rig's own account: out of first, into second, the layshaft driven by it."""
-    rig = one_shift.rig.core
-    assert isinstance(rig, RigCore)
+    rig = one_shift.rig_core
     assert rig.truth.locked_gear is MainGear.SECOND
     released, locked = engagements(one_shift, EngagementEvent.RELEASED, EngagementEvent.LOCKED)
     assert (released.gear, locked.gear) == (MainGear.FIRST, MainGear.SECOND)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from loop_bench import Loop
 
-from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.settings import ControllerSettings, EngineRequests
 from meshpoint.dbc.messages import (
     TSC1,
@@ -18,7 +17,6 @@ from meshpoint.dbc.messages import (
     TscOverrideMode,
 )
 from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.units import RPM
 
@@ -44,11 +42,8 @@ def shift(swing_ramp_ms: int, slope_percent: float) -> Shift:
         profile=Profile.TYPICAL, settings=settings,
         as_built={"vehicle.slope_percent": slope_percent},
     )  # fmt: skip
-    controller, rig = loop.controller.core, loop.rig.core
-    assert isinstance(controller, ControllerCore)
-    assert isinstance(rig, RigCore)
-    controller._sequence.driveline.rings.twists = True
-    plant = rig._world.plant  # type: ignore[attr-defined]
+    loop.core.sequence.driveline.rings.twists = True
+    plant = loop.world.plant
     loop.run(REQUEST_US)
     twisting, twist_rad = plant.p.twisting, plant.y.twist_rad
     beyond_rad = max(0.0, abs(twist_rad) - twisting.half_lash_rad)

@@ -6,7 +6,6 @@ import itertools
 
 from loop_bench import Loop
 
-from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.shift.table import TRANSITIONS, Trigger
 from meshpoint.dbc.messages import ControllerState as State
 
@@ -15,9 +14,8 @@ def test_who_looks_on_is_told_every_transition_of_the_table() -> None:
     """Each begins in the state in which the one before has ended; and a command that the guard
     blocks while the sleeve is to be fired has it taken back, and the shift goes on."""
     loop = Loop([(300_000, 10)])
-    core = loop.controller.core
-    assert isinstance(core, ControllerCore)
-    sequence = core._sequence
+    core = loop.core
+    sequence = core.sequence
     told: list[tuple[State, Trigger]] = []
     sequence.on_transition = lambda state, trigger: told.append((state, trigger))
     until_us = 0

@@ -34,7 +34,7 @@ class Tool:
 
 def asked_by(can_id: int) -> Loop:
     loop = Loop([(300_000, 10)], toward=10)
-    loop.time._cores[2] = Tool(loop.operator, can_id)
+    loop.nodes[2] = Tool(loop.operator, can_id)
     return loop.run(1_500_000)
 
 

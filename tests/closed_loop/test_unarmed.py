@@ -77,7 +77,7 @@ def test_an_armed_controller_says_nothing_of_it(one_shift: Loop) -> None:
 def test_the_guard_alone_holds_a_sequence_that_drives_all_the_same() -> None:
     loop = Loop([(300_000, 10)], armed=False)
     core = loop.controller.core
-    core._sequence.armed = True  # type: ignore[attr-defined]
+    core.sequence.armed = True
     loop.run(1_500_000)
     assert loop.status.guard_blocks > 5
     assert any("guard blocked a valve command: row 12" in line for line in loop.events)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,7 +18,6 @@ from meshpoint.controller.calibration.file import (
     save,
 )
 from meshpoint.controller.calibration.learned import (
-    PITCH_SHARE,
     BrakeRecord,
     Calibration,
     CalibrationError,
@@ -30,14 +28,13 @@ from meshpoint.controller.calibration.learned import (
     SleeveRecords,
     WheelRecord,
     WheelRecords,
-    check,
     read_calibration,
 )
 from meshpoint.controller.calibration_keeper import CalibrationWriter
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import ControllerSettings
-from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES, TableError
+from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
 from meshpoint.testbench.results.tooth_parts import take_apart
 from meshpoint.units import DEG
 
@@ -296,20 +293,3 @@ def test_brake_scatter_and_swing_are_carried_over_a_restart() -> None:
     assert given.swings.high is not None
     assert kept.swings.high.has_lash
     assert kept.swings.high.natural_rad_s == pytest.approx(given.swings.high.natural_rad_s)
-
-
-@pytest.mark.parametrize(("share", "is_read"), [(1.0, True), (1.001, False)])
-def test_a_tooth_s_error_may_be_as_large_as_is_allowed_and_no_larger(
-    share: float, is_read: bool
-) -> None:
-    most = share * PITCH_SHARE * SHEET.wheels.main.pitch_rad
-    errors = tuple(most if k == 7 else 0.0 for k in range(2 * SHEET.wheels.main.teeth))
-    record = WheelRecord(SHEET.wheels.main.teeth, 5_000, 1e-4, errors)
-    calibration = replace(
-        example(), wheels=WheelRecords(main=record), references=ReferenceRecords()
-    )
-    if is_read:
-        check(calibration, SHEET, "x.toml")
-    else:
-        with pytest.raises(TableError, match="allowed is"):
-            check(calibration, SHEET, "x.toml")

@@ -90,6 +90,71 @@ def test_an_engine_that_says_nothing_teaches_nothing() -> None:
     assert kiss.share == pytest.approx(0.35)
 
 
+def touched(
+    touch: float, rise_rad_s3: float = -6_000.0, unsaid: int | None = None, again: int = 0
+) -> KissPoint:
+    """Five samples of a clutch that closes by 0.05 in each 10 ms, its plates touching 0.075 after
+    the first: from there the engine's acceleration changes evenly. Without its speed at the
+    sample `unsaid`; the middle one is looked at `again` as often."""
+    kiss, track, first = KissPoint(TRUCK12), ClutchTrack(), touch - 0.075
+    track.take(990_000, first - 0.05)
+    for k in range(5):
+        track.take(1_000_000 + k * TICK_US, first + 0.05 * k)
+        since_s = max(0.0, k * 0.01 - 0.015)
+        speed = 140.0 + 20.0 * k * 0.01 + rise_rad_s3 * since_s**2 / 2.0
+        kiss.look(track, None if k == unsaid else speed)
+        for _ in range(again if k == 2 else 0):
+            kiss.look(track, speed + 50.0)
+    return kiss
+
+
+SEEN_SD = 4.0 / 200.0
+"""Of one touch: 4 ms of a clutch that closes in 200 ms."""
+
+
+def touch_taken(kiss: KissPoint) -> float | None:
+    """By how much of the way to it the share went: what was known and what was seen are weighed by
+    their variances."""
+    known, sd = TRUCK12.clutch.kiss_share, TRUCK12.clutch.kiss_tolerance / 2.0
+    if (kiss.share, kiss.sd) == (known, sd):
+        return None
+    weight = sd**2 / (sd**2 + SEEN_SD**2)
+    assert kiss.sd == pytest.approx(math.sqrt(1.0 - weight) * sd)
+    return known + (kiss.share - known) / weight
+
+
+@pytest.mark.parametrize("rise_rad_s3", [-6_000.0, 6_000.0])
+@pytest.mark.parametrize("again", [0, 3])
+def test_a_touch_is_where_the_growing_acceleration_leaves_its_own(
+    rise_rad_s3: float, again: int
+) -> None:
+    """Whether the plates brake or pull; a sample that is looked at twice counts once."""
+    found = touch_taken(touched(0.35, rise_rad_s3, again=again))
+    assert found == pytest.approx(0.35, abs=1e-6)
+
+
+@pytest.mark.parametrize("unsaid", [0, 2, 4])
+def test_without_the_engines_speed_in_each_sample_no_touch_is_seen(unsaid: int) -> None:
+    assert touch_taken(touched(0.35, unsaid=unsaid)) is None
+
+
+@pytest.mark.parametrize(("off", "is_taken"), [(0.005, True), (-0.005, False)])
+def test_no_touch_is_taken_that_the_sheet_does_not_allow(off: float, is_taken: bool) -> None:
+    clutch = TRUCK12.clutch
+    highest = clutch.kiss_share + clutch.kiss_tolerance
+    for touch in (clutch.surely_open_share + off, highest - off):
+        assert (touch_taken(touched(touch)) is not None) is is_taken
+
+
+def test_past_touches_weigh_as_ten() -> None:
+    """Linings wear: the sheet's share and the first touches are forgotten."""
+    kiss = KissPoint(TRUCK12)
+    for _ in range(60):
+        close_with(kiss, 0.33, 0.0, slope=1600.0)
+    assert kiss.sd == pytest.approx(SEEN_SD / math.sqrt(10.0))
+    assert kiss.share == pytest.approx(0.33, abs=0.012)
+
+
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
 def test_the_torque_left_follows_the_engines_lag(sign: float) -> None:
     fall, lag_s = TorqueFall(), 0.06

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.sensing.gearbox_view import GearboxView, SleeveTrack
 from meshpoint.dbc.messages import SleevesAux, SleevesMain
-from meshpoint.gearbox import GearboxSheet, MainGear, Sleeve, Split, load_sheet
+from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split, load_sheet
 
 SHEET = load_sheet("thesis")
 STROKE = 12.0
@@ -101,6 +103,64 @@ def test_nothing_is_known_before_all_has_been_seen(sheet: GearboxSheet) -> None:
     assert view.complete
     with pytest.raises(KeyError):
         GearboxView(sheet).position_m(Sleeve.RANGE)
+
+
+def test_before_anything_was_seen_supply_is_as_good_as_can_be_and_the_clutch_counts_as_open() -> (
+    None
+):
+    view = GearboxView(SHEET)
+    view.work_out()
+    assert (view.supply_pa, view.brake_gauge_pa) == (math.inf, 0.0)
+    assert (view.clutch_closed, view.clutch_parted) == (None, True)
+    assert (view.main_gear, view.gear_number) == (None, -1)
+
+
+def test_a_clutch_is_parted_as_far_as_the_sheet_is_sure() -> None:
+    view = view_at(0, 0, STROKE, STROKE)
+    for over, is_parted in ((0.0, True), (1e-6, False)):
+        view.clutch.take(10_000, SHEET.clutch.surely_open_share + over)
+        assert view.clutch_parted is is_parted
+
+
+def test_a_sensor_that_reports_a_fault_takes_all_gears_away_till_it_reports_none() -> None:
+    view = view_at(STROKE, 0, STROKE, STROKE)
+    assert (view.complete, view.gear_number) == (True, 10)
+    second, still = (STROKE * 1e-3,) * 10, (0.0,) * 10
+    for time_us, fault, is_known in ((10_000, 2, False), (20_000, 0, True)):
+        view.sleeves_main(SleevesMain(0, fault, second, still), time_us)
+        view.work_out()
+        assert view.complete is is_known
+        assert view.gear_number == (10 if is_known else -1)
+        assert (view.split, view.range_) == ((Split.HIGH, Range.HIGH) if is_known else (None, None))
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+def test_a_contact_is_that_of_the_nominal_place_though_it_is_seen_four_tenths_before(
+    direction: int,
+) -> None:
+    """As far as the sleeve goes in that time at its speed; by the sensor's own rest, which goes to
+    a resting sleeve's newest sample by a twentieth each frame."""
+    view, still = GearboxView(SHEET), (0.0,) * 10
+    for rest_m, time_us in ((5e-4, 0), (9e-4, 20_000)):
+        view.sleeves_main(SleevesMain(0, 0, (rest_m, *still[1:]), still), time_us)
+    off_m = 0.05 * 5e-4 * 0.95 + 0.05 * 9e-4
+    level_m = SHEET.sleeve.to_contact_m - 4e-4 + off_m * direction
+    way = tuple(direction * (level_m + 1e-4 - 3e-4 * k) for k in range(10))
+    view.sleeves_main(SleevesMain(0, 0, way, still), 70_000)
+    ahead_us = 4e-4 / SHEET.sleeve.speed_m_s * 1e6
+    seen_us = view.contact_us(Sleeve.FIRST_SECOND, direction)
+    assert seen_us == pytest.approx(70_000 - 1000.0 / 3.0 + ahead_us)
+    assert view.contact_us(Sleeve.FIRST_SECOND, -direction) is None
+
+
+def test_a_gear_is_engaged_when_its_sleeve_comes_within_the_last_millimetre() -> None:
+    """To the microsecond."""
+    view, level_m = view_at(0, 0, STROKE, STROKE), SHEET.sleeve.stroke_m - 1e-3
+    way = tuple(level_m + 2e-4 - 3e-4 * k for k in range(10))
+    view.sleeves_main(SleevesMain(0, 0, way, (0.0,) * 10), 70_000)
+    assert view.engaged_us(Sleeve.FIRST_SECOND, 1) == 69_333
+    assert view.engaged_us(Sleeve.FIRST_SECOND, -1) is None
+    assert view.engaged_us(Sleeve.CRAWL_THIRD, 1) is None
 
 
 def test_the_splitter_step_is_where_its_sleeve_is() -> None:

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import math
+import re
+from dataclasses import fields, replace
 from pathlib import Path
+from typing import Final, NamedTuple
 
 import pytest
 
-from meshpoint.controller.settings import ControllerSettings, load_settings, load_settings_file
+from meshpoint.controller.settings import (
+    ControllerSettings,
+    CrossingFilterTuning,
+    load_settings,
+    load_settings_file,
+)
+from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.dbc.messages import Estimator, Strategy
-from meshpoint.gearbox.tables import TableError
+from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.tables import TableError, read_group
 
 
 def written(folder: Path, text: str) -> Path:
@@ -100,3 +110,106 @@ def test_whether_outputs_are_armed_is_no_setting_of_the_core(
     path = written(tmp_path, content)
     assert load_settings_file(path).outputs.armed is armed
     assert load_settings(path) == ControllerSettings()
+
+
+PAGE: Final = Path(__file__).parents[2] / "docs" / "reference" / "settings.md"
+SECTION: Final = re.compile(r"^## `\[(\w+)\]`$")
+ROW: Final = re.compile(
+    r"^\| `(\w+)` \| `(\S+)` \|[^|]*\| a (whole )?number from (\S+) to (\S+) \|"
+)
+UNITS: Final = {
+    "rpm": math.pi / 30.0, "bar": 1e5, "bar_s": 1e5, "kj": 1e3, "deg": math.pi / 180.0,
+    "deg_s": math.pi / 180.0, "percent": 1e-2, "percent_of_gap": 1e-2,
+}  # fmt: skip
+"""SI of a key's unit; milliseconds and microseconds are kept as they are where whole numbers are
+asked for, and where the key of a filter is not of `crossing_filter`."""
+DEFAULTS: Final = ControllerSettings()
+
+
+class Said(NamedTuple):
+    """A row of the page."""
+
+    section: str
+    key: str
+    default: float
+    is_whole: bool
+    low: float
+    high: float
+
+    @property
+    def unit(self) -> float:
+        for suffix, unit in UNITS.items():
+            if self.key.endswith(f"_{suffix}"):
+                return unit
+        if self.section == "prices":
+            return 1e-3
+        if self.section == "crossing_filter":
+            return {"ms": 1e-3, "us": 1e-6}.get(self.key.rsplit("_", 1)[-1], 1.0)
+        return 1.0
+
+
+def rows() -> list[Said]:
+    found, section = [], ""
+    for line in PAGE.read_text(encoding="utf-8").splitlines():
+        at, row = SECTION.match(line), ROW.match(line)
+        section = at[1] if at else section
+        if row:
+            numbers = (float(row[2]), bool(row[3]), float(row[4]), float(row[5]))
+            found.append(Said(section, row[1], *numbers))
+    return found
+
+
+def setting(said: Said, value: float | None = None) -> float:
+    """As a file that says so has it; None: its default."""
+    group = getattr(DEFAULTS, said.section)
+    name = next(each.name for each in fields(group)
+                if each.metadata.get("rule") and each.metadata["rule"].key == said.key)  # fmt: skip
+    if value is not None:
+        given: dict[str, float] = {said.key: int(value) if said.is_whole else float(value)}
+        ends = {"contact_low_rpm": {"contact_high_rpm": 200.0},
+                "contact_high_rpm": {"contact_low_rpm": -50.0}}  # fmt: skip
+        group = read_group(type(group), given | ends.get(said.key, {}), "file")
+    found: float = getattr(group, name)
+    return found
+
+
+@pytest.mark.parametrize("said", rows(), ids=lambda each: f"{each.section}.{each.key}")
+def test_a_setting_has_the_default_and_the_range_of_its_page(said: Said) -> None:
+    """In SI, by the unit of its key; both ends of the range are allowed, and no more."""
+    for given, value in ((None, said.default), (said.low, said.low), (said.high, said.high)):
+        assert setting(said, given) == pytest.approx(value * said.unit, rel=1e-9)
+    below = 1.0 if said.is_whole else 1e-6 * (abs(said.low) or 1.0)
+    above = 1.0 if said.is_whole else 1e-6 * (abs(said.high) or 1.0)
+    for value in (said.low - below, said.high + above):
+        with pytest.raises(TableError, match=said.key):
+            setting(said, value)
+
+
+@pytest.mark.parametrize(
+    ("key", "most", "beyond"), [("fire_slip_rpm", 120, 120.1), ("least_rpm", -60, -60.1)]
+)
+def test_no_window_is_wider_than_the_guards(
+    tmp_path: Path, key: str, most: float, beyond: float
+) -> None:
+    load_settings(written(tmp_path, f"[window]\n{key} = {most}\n"))
+    with pytest.raises(TableError, match=key):
+        load_settings(written(tmp_path, f"[window]\n{key} = {beyond}\n"))
+
+
+def test_a_users_strategy_is_named_by_its_file_where_it_acted() -> None:
+    given = StrategyFile("own.py:Own", "12", False, b"")
+    own = DEFAULTS.with_strategy("own.py:Own", given)
+    assert (own.strategy_file, own.strategy) == (given, Strategy.SPEED_WINDOW)
+    assert own.name_of(Strategy.SPEED_WINDOW) == "own.py:Own"
+    assert own.name_of(Strategy.TARGET_PHASE) == "target_phase"
+    assert own.values()["strategy_name"] == "own.py:Own"
+    assert own.with_strategy("speed_window").strategy_file is None
+
+
+def test_what_the_data_sheet_says_is_taken_from_it() -> None:
+    whole = load_sheet("truck12")
+    own_lash = replace(whole.driveline, backlash_rad=0.05, backlash_tolerance_rad=0.01)
+    sheet = replace(whole, driveline=own_lash, air=replace(whole.air, sensor_sd_pa=777.0))
+    own = CrossingFilterTuning(gate_sd=7.0).of(sheet)
+    assert (own.gate_sd, own.pressure_sd_pa, own.lash_rad) == (7.0, 777.0, 0.05)
+    assert own.lash_factor == own_lash.backlash_factor != whole.driveline.backlash_factor

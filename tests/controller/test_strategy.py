@@ -224,6 +224,14 @@ def test_a_contact_is_as_uncertain_as_at_the_last_look_before_it(ticks: int, sha
     assert found[0] == pytest.approx(predictor.estimate_variance(NOW_US + ahead_us), rel=0.01)
 
 
+def test_a_plan_misses_where_its_phase_is_outside_half_the_gap() -> None:
+    strategist, times = Strategist(SHEET, ControllerSettings()), range(50_000, 450_000, 1_000)
+    plans = [strategist.plan_at(predictor_at(18.0), at, ShiftDecision.FIRE) for at in times]
+    assert {plan.misses for plan in plans} == {True, False}
+    for plan in plans:
+        assert plan.misses is (abs(plan.phase_rad) > HALF_GAP)
+
+
 def test_an_unknown_phase_cannot_be_aimed_at() -> None:
     predictor = predictor_at(15.0, references=PhaseReferences(SHEET))
     with pytest.raises(KeyError):

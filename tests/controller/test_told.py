@@ -3,6 +3,7 @@ itself; and small laws of what is commanded and read."""
 
 from __future__ import annotations
 
+import copy
 import math
 from types import SimpleNamespace
 from typing import Any
@@ -12,8 +13,12 @@ from test_shift_states import UP, aimed
 
 from meshpoint.controller.motion.models import Disturbance, LayshaftState
 from meshpoint.controller.motion.swing import ShaftState
+from meshpoint.controller.planning.strategist import Plan
+from meshpoint.controller.report.log_lines import decision_line
 from meshpoint.controller.report.messages import (
     ANGLE_SD_TOP,
+    angle,
+    clip,
     estimates,
     etc1,
     etc2,
@@ -24,7 +29,6 @@ from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.sensing.step_inputs import StepInputs
 from meshpoint.controller.settings import ValveTiming
 from meshpoint.controller.shift.table import ShiftRecord
-from meshpoint.controller.shift.torque_fall import TorqueFall
 from meshpoint.controller.shift.valve_board import OFF_HELD_US, ValveBoard, ValveName
 from meshpoint.dbc.messages import (
     EdgesInputRise,
@@ -35,11 +39,13 @@ from meshpoint.dbc.messages import (
     J1939Measured,
     PhaseReference,
     ReferenceSource,
+    ShiftDecision,
     ShiftResult,
     Strategy,
 )
 from meshpoint.gearbox import MainGear, Range, Split, load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.units import DEG, RPM
 
 SHEET = load_sheet("truck12")
 PITCH = SHEET.dog.pitch_rad
@@ -177,10 +183,11 @@ def test_a_command_that_is_kept_is_always_what_would_be_said_anew(timing: ValveT
     board.schedule(ValveName.RANGE_HIGH, False, now_us - 400_000, now_us)
     edges = [now_us + 2_000, now_us + 5_000, now_us + 40_000, now_us - 400_000 + OFF_HELD_US,
              now_us + 40_000 + OFF_HELD_US]  # fmt: skip
+    unasked = copy.deepcopy(board)
     for at_us in sorted(edge + beside for edge in edges for beside in (-1, 0, 1, 2)):
         if at_us < now_us:
             continue
-        assert board.message(at_us) == board._make_message(at_us), at_us - now_us
+        assert board.message(at_us) == copy.deepcopy(unasked).message(at_us), at_us - now_us
 
 
 def edge_frame(kind: type, speed: float, teeth: int, now_us: int) -> Any:
@@ -217,21 +224,86 @@ def test_speeds_are_those_of_their_shafts_and_slip_is_of_the_gear_against_its_sl
     assert not speeds.split_turns_together(Split.HIGH)
 
 
-def test_a_torque_that_fades_will_have_faded_as_it_did() -> None:
-    """By the same share in the same time; one that grows, or has changed its sign, says no more
-    than what it is."""
-    fall = TorqueFall()
-    assert (fall.share, fall.left_in(0.1)) == (None, None)
-    fall.take(1_000_000, 0.4)
-    assert (fall.share, fall.left_in(0.1)) == (0.4, 0.4)
-    fall.take(1_010_000, 0.2)
-    assert fall.left_in(0.0) == pytest.approx(0.2)
-    assert fall.left_in(0.01) == pytest.approx(0.1)
-    assert fall.left_in(0.03) == pytest.approx(0.025)
-    fall.take(1_020_000, None)
-    assert fall.share == 0.2
-    for share in (0.2, 0.3, -0.1, 0.0):
-        other = TorqueFall()
-        other.take(1_000_000, 0.2)
-        other.take(1_010_000, share)
-        assert other.left_in(0.05) == share
+TURNS = 512.0 * math.pi
+
+
+def test_an_angle_is_told_modulo_256_turns_and_just_below_them_at_most() -> None:
+    told = [angle(given) for given in (3.0, TURNS + 3.0, -3.0)]
+    assert told == pytest.approx([3.0, 3.0, TURNS - 3.0])
+    assert angle(-1e-18) == pytest.approx(TURNS - TURNS / 2.0**33, rel=1e-15)
+    assert angle(-1e-18) < TURNS
+
+
+@pytest.mark.parametrize(
+    ("value", "sent"),
+    [(-3.0, -2.0), (-2.0, -2.0), (0.5, 0.5), (4.0, 4.0), (4.1, 4.0), (math.inf, 4.0),
+     (-math.inf, -2.0), (math.nan, 4.0)],
+)  # fmt: skip
+def test_what_a_signal_cannot_say_is_said_by_the_end_of_its_range(
+    value: float, sent: float
+) -> None:
+    assert clip(value, 4.0, -2.0) == sent
+
+
+FASTEST, WIDEST = 200_000.0 * RPM, 32.0 * DEG
+"""The ends of the signals of speeds, and of the deviation of an angle."""
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_is_out_of_all_bounds_is_told_at_the_signals_ends(sign: float) -> None:
+    """300 rpm of deviation, 13 bar, phases of 20,000 deg; times as their low 32 bits."""
+    tracker: Any = SimpleNamespace(free=False)
+    layshaft = LayshaftState(0.0, 9.0, sign * 9e9, 9e9, 9e9, 9e9, 9e9)
+    main = ShaftState(0.0, 9.0, sign * 9e9, 9e9, 9e9)
+    told = estimates((1 << 32) + 5, tracker, layshaft, main, 1e5, sign * 9e9, None, 9e9)
+    assert told.estimate_time_us == 5
+    near = pytest.approx
+    assert (told.layshaft_angle_sd_rad, told.main_angle_sd_rad, told.phase_sd_rad) == near(
+        (WIDEST,) * 3
+    )
+    assert told.layshaft_speed_sd_rad_s == told.main_speed_sd_rad_s == near(300.0 * RPM)
+    speeds = (told.layshaft_speed_rad_s, told.main_speed_rad_s, told.slip_rad_s)
+    assert speeds == near((sign * FASTEST,) * 3)
+    assert told.brake_pressure_pa == told.brake_pressure_sd_pa == 13e5
+    late = (1 << 32) + 7
+    plan = Plan(ShiftDecision.FIRE, late, late + 1, sign * 9e9, 9e9, sign * 9e9)
+    shift = ShiftRecord(5, 9, DRIVE_GEARS[9], (1 << 32) + 1_000, Strategy.TARGET_PHASE)
+    shift.plan, shift.release_us = plan, late + 3
+    ahead = prediction(late + 2, plan, shift)
+    assert (ahead.phase_rad, ahead.phase_sd_rad) == near((sign * 20_000.0 * DEG, WIDEST))
+    assert ahead.slip_rad_s == near(sign * FASTEST)
+    assert (ahead.decision_time_us, ahead.release_time_us) == (9, 10)
+    assert (ahead.fire_time_us, ahead.contact_time_us) == (7, 8)
+    end = outcome(shift, 0.2)
+    assert (end.predicted_phase_sd_rad, end.predicted_slip_rad_s) == near((WIDEST, sign * FASTEST))
+    assert (end.request_time_us, end.fire_time_us, end.predicted_contact_time_us) == (1_000, 7, 8)
+
+
+def test_an_outcome_s_phases_are_told_within_half_a_pitch() -> None:
+    shift = ShiftRecord(5, 9, DRIVE_GEARS[9], 0, Strategy.TARGET_PHASE)
+    shift.plan, shift.estimated_phase_rad = Plan(ShiftDecision.FIRE, 1, 2, 0.25, 1e-3, -3.0), -0.35
+    told = outcome(shift, 0.2)
+    assert (told.predicted_phase_rad, told.estimated_phase_rad) == pytest.approx((0.05, 0.05))
+
+
+@pytest.mark.parametrize(
+    ("decision", "line"),
+    [
+        (ShiftDecision.BRAKE, "brake: contact planned in 60 ms, at 18.0 rpm"),
+        (ShiftDecision.RELEASE, "release: contact in 60 ms, at 18.0 rpm"),
+        (ShiftDecision.WAIT_FOR_SLIP, "wait: 18.0 rpm at the earliest contact, too much yet"),
+        (ShiftDecision.WAIT_FOR_GAP, "wait for the gap of least cost, too far ahead yet"),
+        (ShiftDecision.FIRE,
+         "fire in 12.5 ms for contact in 59.8 ms: phase -0.20 +- 0.30 deg, 18.0 rpm"),
+        (ShiftDecision.COMMITTED, "fired, contact in 59.8 ms: phase -0.20 +- 0.30 deg, 18.0 rpm"),
+    ],
+)  # fmt: skip
+def test_a_line_of_the_log_says_what_was_decided(decision: ShiftDecision, line: str) -> None:
+    plan = Plan(decision, 112_500, 159_800, -0.2 * DEG, 0.3 * DEG, 18.0 * RPM)
+    assert decision_line(plan, 100_000) == line
+    if decision is ShiftDecision.COMMITTED:
+        assert decision_line(plan._replace(misses=True), 100_000) == (
+            f"{line}, outside the gap: no better contact within reach"
+        )
+        unknown = decision_line(plan._replace(phase_sd_rad=0.0), 100_000)
+        assert unknown == "fired, contact in 59.8 ms: phase unknown or not asked for, 18.0 rpm"

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.settings import ValveTiming
-from meshpoint.controller.shift.valve_board import ValveBoard, ValveName
-from meshpoint.dbc.messages import ValveAction, ValveCommand
+from meshpoint.controller.shift.valve_board import OFF, ValveBoard, ValveName, driven_or_pending
+from meshpoint.dbc.messages import ValveAction, ValveCommand, ValveStatus
 
 T0 = (1 << 32) + 5_000_000
 """A sensor time after one wrap."""
@@ -89,6 +89,49 @@ def test_hardware_that_cannot_schedule_is_told_at_the_moment() -> None:
     assert before.main_first_action is ValveAction.OFF_NOW
     assert at.main_first_action is ValveAction.ON_NOW
     assert at.main_first_time_us == 0
+
+
+def test_of_two_offs_each_loses_its_time_by_itself_after_a_second_and_an_on_never() -> None:
+    board, second_us = scheduled(), 1_000_000
+    board.schedule(ValveName.BRAKE, False, T0, T0)
+    board.schedule(ValveName.MAIN_THIRD, False, T0 + 400_000, T0)
+    board.schedule(ValveName.MAIN_FIRST, True, T0, T0)
+    off_at, off_now = ValveAction.OFF_AT, ValveAction.OFF_NOW
+    said = {0: (off_at, off_at), 1: (off_now, off_at), 400_000: (off_now, off_at),
+            400_001: (off_now, off_now)}  # fmt: skip
+    for after_us, offs in said.items():
+        told = board.message(T0 + second_us + after_us)
+        assert (told.brake_action, told.main_third_action) == offs
+        assert told.main_first_action is ValveAction.ON_AT
+
+
+def test_a_valve_that_was_never_on_is_off_without_a_time_from_the_clocks_begin_on() -> None:
+    board = scheduled()
+    for now_us in (0, 1, 500_000):
+        assert board.message(now_us) == ValveCommand()
+        assert not any(board.driven(valve, now_us) for valve in ValveName)
+
+
+def test_a_command_is_what_was_scheduled_and_what_was_before_until_it_is_taken_off() -> None:
+    board, third = scheduled(), ValveName.MAIN_THIRD
+    board.schedule(third, True, T0 + 5, T0)
+    assert board.command(third) == (T0 + 5, True, False)
+    board.schedule(third, False, T0 + 90, T0 + 5)
+    assert board.command(third) == (T0 + 90, False, True)
+    board.off(third)
+    assert board.command(third) == OFF
+    board.schedule(third, True, T0 + 200, T0 + 7)
+    assert board.command(third) == (T0 + 200, True, False), "off is off before, too"
+
+
+def test_a_valve_is_driven_or_about_to_be_as_the_valve_side_tells_it() -> None:
+    """By its coil or its pending activation; of a valve side not heard yet none is."""
+    assert driven_or_pending(None) == driven_or_pending(ValveStatus()) == (False,) * len(ValveName)
+    for kind in ("_energised", "_pending"):
+        names = [name for name in ValveStatus._fields if name.endswith(kind)]
+        for name, valve in zip(names, ValveName, strict=True):
+            told = driven_or_pending(ValveStatus()._replace(**{name: True}))
+            assert told == tuple(each is valve for each in ValveName)
 
 
 COMMANDS = st.lists(

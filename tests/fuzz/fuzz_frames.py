@@ -147,18 +147,18 @@ class Fuzz:
         self.operator = Operator([])
         self.found = Found()
         self._decoder = Receiver(*Node)
-        self._status: ControllerStatus | None = None
+        self.status: ControllerStatus | None = None
         self._outcome: ShiftOutcome | None = None
         self.time = VirtualTime([*self.nodes, self.operator], PHASES_US, self._take)
 
     def _take(self, _time_us: int, frame: Frame) -> None:
         message = self._decoder.receive(frame).message
         if type(message) is ControllerStatus:
-            self._status = message
+            self.status = message
         elif type(message) is ShiftOutcome:
             self._outcome = message
 
-    def _is_back(self) -> bool:
+    def is_back(self) -> bool:
         """The valve side takes commands, and the controller has all that a shift needs."""
         valve_side = self.rig.receiver
         return (
@@ -168,10 +168,10 @@ class Fuzz:
         )
 
     def _is_at_rest(self) -> bool:
-        status = self._status
+        status = self.status
         return status is not None and status.state in AT_REST
 
-    def _run(self, for_us: int) -> None:
+    def run(self, for_us: int) -> None:
         self.time.run(lambda: False, self.time.now_us + for_us)
 
     def blocks(self, frames: int) -> Found:
@@ -183,7 +183,7 @@ class Fuzz:
     def block(self) -> None:
         """One flood, and what comes of it."""
         if self.time.now_us == 0:
-            self._run(SETTLE_US)
+            self.run(SETTLE_US)
         self._block(GEARS[len(self.found.back_ms) % 2])
         self.found.kinds = sum((hostile.made for hostile in self.hostile), Counter())
         self.found.violations = sum(self.rig.truth.violations.values())
@@ -192,14 +192,14 @@ class Fuzz:
         """A flood, sometimes into a shift; then a shift that is asked for once all is at rest."""
         if self._draw.random() < 0.5:
             self._ask(gear)
-            self._run(self._draw.randrange(SHIFT_US))
+            self.run(self._draw.randrange(SHIFT_US))
         self._flood(HOSTILE_US)
         ended_us = self.time.now_us
-        self.time.run(self._is_back, ended_us + QUIET_US)
+        self.time.run(self.is_back, ended_us + QUIET_US)
         self.found.back_ms.append((self.time.now_us - ended_us) / 1e3)
         self.time.run(self._is_at_rest, self.time.now_us + REST_US)
-        self._run(REST_US)
-        status = self._status
+        self.run(REST_US)
+        status = self.status
         if status is None or status.state not in AT_REST:
             self.found.results["not at rest"] += 1
             return
@@ -211,26 +211,26 @@ class Fuzz:
 
     def shift_among(self, shifts: int) -> Found:
         """Shifts, one after the other, that hostile frames come into."""
-        self._run(SETTLE_US)
+        self.run(SETTLE_US)
         for k in range(shifts):
             self._ask(GEARS[k % 2])
-            self._run(self._draw.randrange(SHIFT_US))
+            self.run(self._draw.randrange(SHIFT_US))
             self._flood(2 * SHIFT_US)
-            self._run(REST_US)
+            self.run(REST_US)
         self.found.violations = sum(self.rig.truth.violations.values())
         return self.found
 
     def _flood(self, for_us: int) -> None:
         for node in self.nodes:
             node.is_flooded = True
-        self._run(for_us)
+        self.run(for_us)
         for node in self.nodes:
             node.is_flooded = False
             self.found.frames += node.count
             node.count = 0
 
     def _ask(self, gear: int) -> None:
-        self.operator._requests.append((self.time.now_us, gear))
+        self.operator.ask(gear, self.time.now_us)
 
 
 def main(argv: list[str]) -> int:

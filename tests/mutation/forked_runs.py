@@ -4,7 +4,7 @@
 
 All tests are collected and all modules loaded once; each mutant then lives in a forked process,
 where the code of its function is replaced, or a constant of its module. A mutant elsewhere (a
-table, the fields of a class, a compiled kernel) gets a process of its own that imports the mutated
+table, the fields of a class) gets a process of its own that imports the mutated
 file.
 """
 
@@ -25,23 +25,17 @@ from typing import Any, Final
 import pytest
 from first_failure import judge_by_first_failure
 from forks import FAILED, in_a_fork, limit, used_s
-from kernels import is_compiled
 from line_map import Coverage, Task, fails, in_turn, real
 from mutator import Mutant, Mutants, Where
 from targets import NOT_IMPORTED, ROOT, caught_by
 
-from meshpoint.controller.jit import DISABLED
-
 TASK: Final = "MUTATION_TASK"
-KILLED, SURVIVED, UNCOVERED, PASSED_ON = "killed", "survived", "uncovered", "passed on"
+KILLED, SURVIVED, UNCOVERED = "killed", "survived", "uncovered"
 SPARE_S: Final = 1.0
 TIMES: Final = 5.0
 """Beyond so many times its tests' own time, and the spare, a mutant never ends."""
 WALL_TIMES: Final = 20.0
 """Nor does one that for so many times as long has used no processor at all."""
-RUN_AT_IMPORT: Final = frozenset({ROOT / "controller/jit.py"})
-"""Files whose functions have done their work when the tests begin: they need a process of their
-own."""
 START_S: Final = 30.0
 """What a process of its own takes to load, at most, on a busy machine (processor time)."""
 
@@ -60,8 +54,7 @@ def pytest_runtestloop(session: pytest.Session) -> bool | None:
     if session.testsfailed:
         raise session.Interrupted("errors while the tests were collected")
     task = Task(Path(os.environ[TASK]))
-    if not DISABLED:
-        _load_kernels()
+    _load_kernels()
     covered = Coverage.of(task, session)
     runner = _Runner(task, session, covered)
     for name, wanted in task.wanted.items():
@@ -101,31 +94,28 @@ class _Runner:
     def run(self, mutants: Mutants, mutant: Mutant, path: Path) -> None:
         """One mutant; what came of it is told."""
         where = mutant.where
-        at_import = path in RUN_AT_IMPORT
-        lines = where.lines if where.qualname and not at_import else range(0)
-        compiled = is_compiled(path.read_text(encoding="utf-8"), where) and not DISABLED
+        lines = where.lines if where.qualname else range(0)
         budget_s = self._task.budget_s
         if where.constants:
             tests = self._covered.tests_of_constants(str(path), where.constants, budget_s)
         else:
-            tests = self._covered.tests_for(str(path), lines, budget_s, compiled)
+            tests = self._covered.tests_for(str(path), lines, budget_s)
         begun_s = used_s()
         if not tests:
-            outcome = UNCOVERED if self._task.is_last else PASSED_ON
-            self._task.tell(mutant=mutant.name, outcome=outcome, by="", cpu_s=0.0)
+            self._task.tell(mutant=mutant.name, outcome=UNCOVERED, by="", cpu_s=0.0)
             return
         expected_s = self._covered.expected_s(tests)
         mutant.apply()
         try:
             change = self._change(mutants, where, path)
-            if change is None or at_import:
+            if change is None:
                 by = self._by_itself(mutants, path, tests, expected_s)
             else:
                 by = self._forked(change, tests, expected_s)
         finally:
             mutant.undo()
         cpu_s = round(used_s() - begun_s, 2)
-        outcome = KILLED if by else SURVIVED if self._task.is_last else PASSED_ON
+        outcome = KILLED if by else SURVIVED
         if by in self._items:
             self._covered.note_caught(by)
         self._task.tell(mutant=mutant.name, outcome=outcome, by=by, cpu_s=cpu_s, count=len(tests))
@@ -136,10 +126,8 @@ class _Runner:
         if where.constants:
             return _rebinding(mutants, where, path)
         key = (str(path), where.qualname, where.first_line)
-        may_be_given = where.is_plain or (
-            DISABLED and is_compiled(path.read_text(encoding="utf-8"), where)
-        )
-        functions = self._functions.get(key, []) if may_be_given and where.qualname else []
+        is_replaced = where.is_plain and where.qualname
+        functions = self._functions.get(key, []) if is_replaced else []
         if not functions:
             return None
         code = _code_of(mutants, path, where.qualname, where.first_line)

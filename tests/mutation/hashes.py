@@ -7,14 +7,14 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-from targets import ROOT, Target, files_of
+from targets import ROOT, Target
 
 
 class Hashes:
     """Of a target's files and tests: by them a result is known to be of what is there now."""
 
     def __init__(self, target: Target) -> None:
-        files = files_of(target)
+        files = target.paths()
         self.code = {path.relative_to(ROOT).as_posix(): hash_of([path]) for path in files}
         self.all_code = hash_of(files)
         paths = files_under([each for each in target.tests if (ROOT / each).exists()])

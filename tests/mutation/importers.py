@@ -1,4 +1,4 @@
-"""Which files of the product are made of which others: by what they import."""
+"""Which functions use a constant of a file: in it, and in what imports it."""
 
 from __future__ import annotations
 
@@ -9,17 +9,6 @@ from pathlib import Path
 from targets import ROOT
 
 PACKAGE = "meshpoint."
-
-
-def importers_of(path: str, files: Iterable[str]) -> set[str]:
-    """Of `files` those that import the file at `path`, or one that does, and so on."""
-    imported = {each: _imports(Path(each)) for each in files}
-    found, new = set[str](), {path}
-    while new:
-        names = {_module(Path(each)) for each in new}
-        new = {each for each, theirs in imported.items() if theirs & names} - found - {path}
-        found |= new
-    return found
 
 
 def users_of(path: str, names: Iterable[str], files: Iterable[str]) -> list[tuple[str, range]]:

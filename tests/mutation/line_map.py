@@ -18,13 +18,11 @@ from typing import Any, Final
 import pytest
 from forks import in_a_fork
 from hashes import Hashes
-from importers import importers_of, users_of
-from targets import TARGETS, files_of
-
-from meshpoint.controller.jit import DISABLED
+from importers import users_of
+from targets import TARGETS
 
 FORGET: Final = 0.9
-LONGEST_S: Final = 2.0 if DISABLED else 15.0
+LONGEST_S: Final = 15.0
 """A test that takes longer (processor time) is not run for mutants,"""
 TRACED: Final = 6.0
 """or so many times as long while its lines are noted."""
@@ -44,22 +42,13 @@ class Task:
         self.until_s: float | None = values["until_s"]
         """After this time (time.time()) no mutant is begun."""
         self.target: str = values["target"]
-        self.is_last: bool = values["is_last"]
-        """Whether what these tests let through survives; else others are to try it."""
-        self.how: str = values["how"]
-        """Whether kernels are compiled: of that the lines and times of tests depend."""
         target = next(each for each in TARGETS if each.name == self.target)
-        target = target._replace(tests=tuple(values["tests"]))
-        self.must = target.must
-        self.files = [str(path) for path in files_of(target)]
+        self.files = [str(path) for path in target.paths()]
         """All of the target: what is known of its tests serves the next run too."""
         self.hashes = Hashes(target)
-        self._held_by = Hashes(target._replace(tests=tuple(values["held_by"])))
-        """Of all tests that have tried what is left."""
 
     def tell(self, mutant: str, by: str, **values: Any) -> None:
-        values = {"mutant": mutant, "by": by, "how": self.how, **values}
-        values |= self._held_by.of(mutant, by)
+        values = {"mutant": mutant, "by": by, **values} | self.hashes.of(mutant, by)
         with self.results.open("a", encoding="utf-8") as file:
             file.write(json.dumps(values) + "\n")
 
@@ -86,16 +75,10 @@ class Coverage:
         values = json.loads(task.map_path.read_text(encoding="utf-8"))
         return cls(values["lines"], values["seconds"])
 
-    def tests_for(self, path: str, lines: range, budget_s: float, compiled: bool) -> list[str]:
+    def tests_for(self, path: str, lines: range, budget_s: float) -> list[str]:
         """Those that run any of these lines, or all if it is none, as many as fit the budget. What
-        belongs to no function is used wherever it is imported. A compiled line is never seen to
-        run: then those that run anything which imports its file."""
-        if not lines:
-            return self._fitting(self.seconds, budget_s)
-        found = self._running(path, lines)
-        if compiled and not found:
-            users = importers_of(path, self.lines)
-            found = {test for user in users for test in self.lines[user]}
+        belongs to no function is used wherever it is imported."""
+        found = self._running(path, lines) if lines else self.seconds
         return self._fitting(found, budget_s)
 
     def tests_of_constants(self, path: str, names: Iterable[str], budget_s: float) -> list[str]:
@@ -154,10 +137,10 @@ def _note_all(task: Task, session: pytest.Session, values: dict[str, Any]) -> No
         if noted is None:
             raise session.Interrupted("the tests end their process when they are looked at")
         failed = {*timed["failed"], *noted["failed"]}
-        if not failed <= {*timed["late"], *noted["late"]} and task.must:
+        if not failed <= {*timed["late"], *noted["late"]}:
             raise session.Interrupted(f"tests fail without a mutant: {sorted(failed)[:5]}")
         if failed:
-            print("left out, they fail without a mutant, or take too long:", *sorted(failed))
+            print("left out, they take too long:", *sorted(failed))
         for path, by_test in noted["lines"].items():
             values["lines"].setdefault(path, {}).update(_without(failed, by_test))
         values["seconds"] |= _without(failed, timed["seconds"])
@@ -173,7 +156,7 @@ def _without(failed: set[str], by_test: dict[str, Any]) -> dict[str, Any]:
 def _known(task: Task) -> dict[str, Any]:
     """Of the maps of the same code, what they have of test files that are the same."""
     known: dict[str, Any] = {"lines": {}, "seconds": {}, "failed": []}
-    start = f"{task.target}-{task.how}-{task.hashes.all_code}"
+    start = f"{task.target}-{task.hashes.all_code}"
     for path in sorted(task.map_path.parent.glob(f"{start}-*.map.json"), key=_written_s):
         values = _of_these_tests(task, json.loads(path.read_text(encoding="utf-8")))
         for file, by_test in values["lines"].items():

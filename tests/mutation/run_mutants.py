@@ -1,7 +1,6 @@
 """Makes mutants of the product, one small mistake each, and says which of them no test catches.
 
     python tests/mutation/run_mutants.py [TARGET ...]    all mutants of guard, e2e, link, valves
-    ... --sample 200 --seed 1 controller                 a sample, of what has no target of its own
     ... --changed [BASE]                                 those of lines that differ from BASE
     ... --resume                                         those of which nothing is known yet
     ... --again                                          those that no run before has killed
@@ -11,12 +10,9 @@
 What a run has found holds while the mutated file and the test that caught the mutant are the same;
 where none caught it, while all tests are. `--resume` goes on with a run that was ended.
 
-Of a target with `near` tests, these are tried first, kernels in plain Python; the other tests try
-what they let through.
-
 A mutant that no test can catch, because it behaves as the product does, is listed in
-equivalent.toml with its reason. Ends with 1 where a mutant of a target that must be whole survives
-without being listed, where a listed one is caught after all, and where an entry names no mutant.
+equivalent.toml with its reason. Ends with 1 where a mutant survives without being listed, where a
+listed one is caught after all, and where an entry names no mutant.
 """
 
 from __future__ import annotations
@@ -24,13 +20,13 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import random
 import re
 import subprocess
 import sys
 import time
 import tomllib
 from collections import Counter
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
@@ -38,9 +34,8 @@ HERE: Final = Path(__file__).parent
 sys.path.insert(0, str(HERE))
 
 from hashes import Hashes  # noqa: E402
-from kernels import COMPILED, PLAIN_PYTHON, as_they_run  # noqa: E402
 from mutator import Mutant, Mutants  # noqa: E402
-from targets import ROOT, TARGETS, Target, files_of  # noqa: E402
+from targets import ROOT, TARGETS, Target  # noqa: E402
 
 OUT: Final = ROOT / "out" / "mutation"
 LISTED: Final = HERE / "equivalent.toml"
@@ -58,13 +53,16 @@ def equivalents() -> dict[str, str]:
     return {entry["mutant"]: entry["reason"] for entry in entries}
 
 
+@cache
+def mutants_in(name: str) -> list[Mutant]:
+    """Those of a file."""
+    return Mutants(name, (ROOT / name).read_text(encoding="utf-8")).all
+
+
 def mutants_of(target: Target) -> dict[str, list[Mutant]]:
     """All of them, by file."""
-    found = {}
-    for path in files_of(target):
-        name = path.relative_to(ROOT).as_posix()
-        found[name] = Mutants(name, path.read_text(encoding="utf-8")).all
-    return found
+    names = [path.relative_to(ROOT).as_posix() for path in target.paths()]
+    return {name: mutants_in(name) for name in names}
 
 
 def changed_lines(base: str) -> dict[str, set[int]] | None:
@@ -95,11 +93,6 @@ def chosen(target: Target, options: argparse.Namespace) -> dict[str, list[str]]:
         lines = options.lines
         kept = {name: [m for m in all_ if not lines.get(name, set()).isdisjoint(m.where.lines)]
                 for name, all_ in found.items()}  # fmt: skip
-    elif options.sample is not None:
-        pairs = [(name, mutant) for name, all_ in found.items() for mutant in all_]
-        rng = random.Random(options.seed)
-        drawn = rng.sample(pairs, min(options.sample, len(pairs)))
-        kept = {name: [m for n, m in drawn if n == name] for name in found}
     else:
         kept = found
     names = {name: [mutant.name for mutant in all_] for name, all_ in kept.items() if all_}
@@ -113,16 +106,12 @@ def chosen(target: Target, options: argparse.Namespace) -> dict[str, list[str]]:
 
 
 def results_of(target: Target) -> list[dict[str, Any]]:
-    """What the runs before have found and still holds, the newest of each mutant. What the tests
-    that are tried first have killed is killed, by whatever name: one that never ends names no
-    test, and holds while these tests are the same."""
+    """What the runs before have found and still holds, the newest of each mutant."""
     hashes, newest = Hashes(target), {}
-    first = [Hashes(target._replace(tests=each)) for each in (target.near, target.kernels) if each]
     for path in sorted(OUT.glob(f"{target.name}-*.jsonl"), key=lambda each: each.stat().st_mtime):
         for line in path.read_text(encoding="utf-8").splitlines():
             values = json.loads(line)
-            killed = values["outcome"] == "killed"
-            if hashes.hold(values) or (killed and any(each.hold(values) for each in first)):
+            if hashes.hold(values):
                 newest[values["mutant"]] = values
     return list(newest.values())
 
@@ -132,60 +121,19 @@ def run_target(
 ) -> None:
     """Runs them in `jobs` processes, until `until_s` (time.time()); each leaves a file of
     results."""
-    if not target.near:
-        parts = {COMPILED: names} if target.must else as_they_run(names)
-        for how, part in parts.items():
-            if part:
-                _run_tests(target, target.tests, part, how, budget_s, jobs, until_s)
-        return
-    for how, part in as_they_run(names).items():
-        near = target._replace(tests=target.kernels if how == PLAIN_PYTHON else target.near)
-        _try_first(near, part, how, budget_s, jobs, until_s)
-        if how == PLAIN_PYTHON:
-            # Some of these tests take too long without the compiler, the best of them among those.
-            _try_first(near, part, COMPILED, 2.0 * budget_s, jobs, until_s)
-    done = {each["mutant"] for each in results_of(target) if each["outcome"] == "killed"}
-    left = {name: [each for each in all_ if each not in done] for name, all_ in names.items()}
-    if any(left.values()):
-        rest = tuple(each for each in target.tests if each not in target.near)
-        far = target._replace(tests=rest)
-        _run_tests(far, target.tests, left, COMPILED, budget_s, jobs, until_s)
-
-
-def _try_first(
-    near: Target, part: dict[str, list[str]], how: str, budget_s: float, jobs: int,
-    until_s: float | None,
-) -> None:  # fmt: skip
-    """Runs these tests for the mutants that they have not tried in this way."""
-    came = results_of(near)
-    known = {each["mutant"] for each in came
-             if each["outcome"] == "killed" or each.get("how") == how}  # fmt: skip
-    new = {name: [each for each in all_ if each not in known] for name, all_ in part.items()}
-    if any(new.values()):
-        _run_tests(near, (), new, how, budget_s, jobs, until_s)
-
-
-def _run_tests(
-    target: Target, held_by: tuple[str, ...], names: dict[str, list[str]], how: str,
-    budget_s: float, jobs: int, until_s: float | None,
-) -> None:  # fmt: skip
-    """The target's tests alone. What they let through survives all of `held_by`; where that is
-    nothing, others are to try it."""
     tests = [each for each in target.tests if (ROOT / each).exists()]
     hashes = Hashes(target)
-    map_path = OUT / f"{target.name}-{how}-{hashes.all_code}-{hashes.all_tests}.map.json"
+    map_path = OUT / f"{target.name}-{hashes.all_code}-{hashes.all_tests}.map.json"
     parts = [{name: all_[k::jobs] for name, all_ in names.items()} for k in range(jobs)]
     running = []
     for k, part in enumerate(parts):
         if k and not map_path.exists():
             _wait_for(map_path, running[0])
-        stem = f"{target.name}-{time.strftime('%H%M%S')}-{os.getpid()}-{how}-{k}"
+        stem = f"{target.name}-{time.strftime('%H%M%S')}-{os.getpid()}-{k}"
         task = OUT / f"{stem}.task.json"
         values = {
             "root": str(ROOT), "mutants": part, "budget_s": budget_s, "map": str(map_path),
-            "results": str(OUT / f"{stem}.jsonl"), "until_s": until_s, "how": how,
-            "target": target.name, "tests": target.tests, "is_last": bool(held_by),
-            "held_by": held_by or target.tests,
+            "results": str(OUT / f"{stem}.jsonl"), "until_s": until_s, "target": target.name,
         }  # fmt: skip
         task.write_text(json.dumps(values), encoding="utf-8")
         path = os.pathsep.join([str(HERE), os.environ.get("PYTHONPATH", "")])
@@ -194,7 +142,6 @@ def _run_tests(
                    "-p", "no:cacheprovider", "--assert=plain", "--tb=native",
                    "-p", "forked_runs", *tests]  # fmt: skip
         environment = os.environ | {"MUTATION_TASK": str(task), "PYTHONPATH": path}
-        environment |= {"NUMBA_DISABLE_JIT": "1"} if how == PLAIN_PYTHON else {}
         with task.with_suffix(".log").open("w", encoding="utf-8") as log:
             running.append(
                 subprocess.Popen(command, cwd=ROOT, env=environment, stdout=log, stderr=log)
@@ -229,11 +176,11 @@ def judge(target: Target, names: dict[str, list[str]], listed: dict[str, str], b
     missing = len(asked) - len(came)
     if missing:
         print(f"  not run{' in this time' if boxed else ''}: {missing}")
-    return (len(unlisted) if target.must else 0) + len(caught) + (0 if boxed else missing)
+    return len(unlisted) + len(caught) + (0 if boxed else missing)
 
 
 def document(path: Path, listed: dict[str, str]) -> None:
-    """Writes the table of all targets that must be whole into a document, between its marks."""
+    """Writes the table into a document, between its marks."""
     before, _, rest = path.read_text(encoding="utf-8").partition(BEGIN)
     after = rest.partition(END)[2]
     path.write_text(f"{before}{BEGIN}\n{table(listed)}{END}{after}", encoding="utf-8")
@@ -245,7 +192,7 @@ def table(listed: dict[str, str]) -> str:
         "| part | mutants | listed as equivalent | run | killed or listed |",
         "|---|---|---|---|---|",
     ]
-    for target in (each for each in TARGETS if each.must):
+    for target in TARGETS:
         names = {m.name for all_ in mutants_of(target).values() for m in all_}
         came = {e["mutant"]: e["outcome"] for e in results_of(target) if e["mutant"] in names}
         good = sum(outcome == "killed" or name in listed for name, outcome in came.items())
@@ -256,11 +203,8 @@ def table(listed: dict[str, str]) -> str:
 
 def stale(listed: dict[str, str]) -> list[str]:
     """Entries that name no mutant."""
-    there: set[str] = set()
-    for name in {each.split("::")[0] for each in listed}:
-        path = ROOT / name
-        if path.exists():
-            there.update(m.name for m in Mutants(name, path.read_text(encoding="utf-8")).all)
+    files = {each.split("::")[0] for each in listed}
+    there = {m.name for name in files if (ROOT / name).exists() for m in mutants_in(name)}
     return [name for name in listed if name not in there]
 
 
@@ -272,15 +216,9 @@ def main(arguments: list[str]) -> int:
         "--changed", nargs="?", const="origin/main", metavar="BASE",
         help="only lines that differ from where this branch has left BASE",
     )  # fmt: skip
-    parser.add_argument("--sample", type=int, metavar="N", help="so many, drawn by --seed")
-    parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--resume", action="store_true", help="those of which nothing is known yet")
     parser.add_argument("--again", action="store_true", help="those that no run before has killed")
     parser.add_argument("--only", metavar="TEXT", help="those whose name has this text")
-    parser.add_argument(
-        "--tests", nargs="+", metavar="PATH", help="these tests alone; what they let through is not"
-        " said to survive, and another run may go on with it (--resume)",
-    )  # fmt: skip
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument(
         "--budget", type=float, default=BUDGET_S, metavar="S",
@@ -305,9 +243,7 @@ def main(arguments: list[str]) -> int:
     amiss, anything = 0, False
     until_s = None if options.wall is None else time.time() + options.wall
     for target in TARGETS:
-        if target.name in options.targets or (not options.targets and target.must):
-            if options.tests:
-                target = target._replace(tests=tuple(options.tests), near=())
+        if target.name in options.targets or not options.targets:
             names = chosen(target, options)
             if names:
                 anything = True

@@ -12,6 +12,7 @@ from meshpoint.dbc.link import FrameVerdict, Receiver, Transmitter
 from meshpoint.dbc.messages import (
     BenchAction,
     BenchCommand,
+    BenchFault,
     ClutchAction,
     ClutchCommand,
     EngagementEvent,
@@ -43,10 +44,15 @@ class RigBench:
 
     def __post_init__(self) -> None:
         self.core = RigCore(self.sheet, self.settings)
-        self._control = Transmitter(Node.TRANSMISSION_CONTROL)
+        self.control = Transmitter(Node.TRANSMISSION_CONTROL)
         self._bench = Transmitter(Node.BENCH)
-        self._ears = Receiver(Node.TRANSMISSION_CONTROL, Node.BENCH)
+        self.ears = Receiver(Node.TRANSMISSION_CONTROL, Node.BENCH)
         self.messages: list[Any] = []
+
+    @property
+    def world(self) -> Any:
+        """The gearbox itself, with what nobody on the bus is told."""
+        return self.core._world
 
     def clock(self, time_us: int) -> int:
         """The 32-bit sensor clock at a time since power-up."""
@@ -59,13 +65,13 @@ class RigBench:
         self.lines.extend(lines)
         for frame in frames:
             self.frames.append(frame)
-            received = self._ears.receive(frame)
+            received = self.ears.receive(frame)
             assert received.verdict is FrameVerdict.OK, frame
             self.messages.append(received.message)
 
     def send(self, message: Any) -> None:
         """Hand the rig a message, as the node that sends it would."""
-        sender = self._bench if isinstance(message, BenchCommand) else self._control
+        sender = self._bench if isinstance(message, BenchCommand | BenchFault) else self.control
         self.core.receive(sender.encode(message))
 
     def run(

@@ -44,7 +44,7 @@ def test_the_valves_expire_100_ms_after_the_last_frame() -> None:
     bench.run(303_000, lambda now_us: on)  # the last command is consumed at 300 ms
     for now_us, driven in ((399_999, True), (400_000, False)):
         bench.step(now_us)
-        assert bench.core._world.valves.energised[0] is driven
+        assert bench.world.valves.energised[0] is driven
     bench.step(430_000)
     assert bench.of(ValveStatus)[-1].expired_count == 1
     assert not bench.of(ValveStatus)[-1].brake_energised
@@ -94,12 +94,12 @@ def test_no_frame_whatever_stops_the_rig_or_moves_it(frames: list[Frame]) -> Non
 def test_a_corrupted_valve_command_is_counted_and_not_obeyed() -> None:
     bench = RigBench()
     bench.run(200_000)
-    command = bench._control.encode(ValveCommand(brake_action=ValveAction.ON_NOW))
+    command = bench.control.encode(ValveCommand(brake_action=ValveAction.ON_NOW))
     broken = bytes([*command.data[:-1], command.data[-1] ^ 1])
     bench.core.receive(command._replace(data=broken))
     bench.step(201_000)
     assert bench.core.receiver.e2e_errors == 1
-    assert not any(bench.core._world.valves.energised)
+    assert not any(bench.world.valves.energised)
 
 
 def test_it_asks_for_a_step_at_once_when_a_frame_has_come() -> None:
@@ -124,10 +124,10 @@ def test_shutdown_switches_everything_off_and_says_so() -> None:
     on = ValveCommand(brake_action=ValveAction.ON_NOW)
     bench.run(200_000, lambda now_us: on)
     frames, _ = bench.core.shutdown(205_000)
-    received = bench._ears.receive(frames[-1]).message
+    received = bench.ears.receive(frames[-1]).message
     assert isinstance(received, ValveStatus)
     assert not received.brake_energised
-    assert not any(bench.core._world.valves.energised)
+    assert not any(bench.world.valves.energised)
 
 
 def test_in_an_hour_in_gear_the_phase_stays_exact_and_no_tooth_is_lost() -> None:

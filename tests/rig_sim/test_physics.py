@@ -216,7 +216,7 @@ def test_without_friction_the_brake_follows_its_closed_curve() -> None:
 
     bench.run(600_000, valves)
     omega = 1400.0 * RPM
-    rate = sheet.brake.max_torque_nm / sheet.inertia_kgm2(bench.core._world.shafts.split)
+    rate = sheet.brake.max_torque_nm / sheet.inertia_kgm2(bench.world.shafts.split)
     tau = sheet.brake.time_constant_s
     for sample in bench.of(ReferenceEncoder):
         time_s = (sample.sample_time_us - bench.clock(0)) % (1 << 32) * 1e-6

@@ -135,7 +135,7 @@ def test_an_activation_that_the_clock_has_left_behind_is_switched_now_and_not_in
     # The activation was 2 ms to 60 ms ahead when the clock jumped over it.
     status = bench.of(ValveStatus)[at_us // 10_000 + 1]
     assert status.main_second_energised
-    assert bench.core._world.plant.time_us == 900_000.0
+    assert bench.world.plant.time_us == 900_000.0
 
 
 @settings(max_examples=50, deadline=None)
@@ -167,7 +167,7 @@ def test_a_restarted_node_comes_back_with_counters_clock_and_edges_from_zero() -
     bench = bench_with(RigFault.NODE_RESTART, 0.0, 665_000, 100_000)
     bench.run(760_000, upshift)
     before = len(bench.frames)
-    bench._ears = Receiver(Node.TRANSMISSION_CONTROL, Node.BENCH)  # the old ones would complain
+    bench.ears = Receiver(Node.TRANSMISSION_CONTROL, Node.BENCH)  # the old ones would complain
     bench.run(1_000_000, upshift)
     first = {frame.can_id: frame.data for frame in reversed(bench.frames[before:])}
     sensors = CODECS[GearboxSensors.__name__].spec.can_id

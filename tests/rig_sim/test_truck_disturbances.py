@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 from scipy.signal import welch
-from truck_bench import run, world
+from truck_bench import run, switch, world
 
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.rig_sim.parts.disturbance import SOURCES
@@ -137,7 +137,7 @@ def test_the_brake_judders_once_and_twice_a_turn() -> None:
     values = STILL | {"disc.judder_once": 0.05, "disc.judder_twice": 0.03}
     truck = world(linear() | values)
     truck.plant.coast()
-    truck._at(0.0, lambda: truck.switch(Valve.BRAKE, True))
+    switch(truck, Valve.BRAKE, True, 0.0)
     run(truck, 300_000)
     angles, torques = [], []
     for now_us in range(301_000, 420_000, 1_000):

@@ -7,7 +7,7 @@ import math
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from truck_bench import run, world
+from truck_bench import run, switch, world
 
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.rig_sim.orders import EngineRequest
@@ -41,12 +41,12 @@ acts = st.lists(
 
 def act(truck: TruckWorld, now_us: int, what: str, which: int, on: bool) -> None:
     if what == "brake":
-        truck._at(float(now_us), lambda: truck.switch(Valve.BRAKE, on))
+        switch(truck, Valve.BRAKE, on, float(now_us))
     elif what == "sleeve":
-        truck._at(float(now_us), lambda: truck.switch(MAIN_VALVES[which], on))
+        switch(truck, MAIN_VALVES[which], on, float(now_us))
     elif what == "split":
         valve = (Valve.SPLIT_LOW, Valve.SPLIT_HIGH, Valve.RANGE_LOW, Valve.RANGE_HIGH)[which]
-        truck._at(float(now_us), lambda: truck.switch(valve, True))
+        switch(truck, valve, True, float(now_us))
     elif what == "clutch":
         truck.command_clutch(on, now_us)
     elif what == "engine":
@@ -84,7 +84,7 @@ def test_a_braked_layshaft_heats_the_disc_by_what_it_loses() -> None:
     truck.plant.coast()
     before = truck.plant.energy
     warm_k = truck.plant.y.disc_k
-    truck._at(0.0, lambda: truck.switch(Valve.BRAKE, True))
+    switch(truck, Valve.BRAKE, True, 0.0)
     run(truck, 1_500_000)
     after = truck.plant.energy
     assert truck.plant.layshaft_rad_s == pytest.approx(0.0, abs=1e-9)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from rig_bench import RigBench, upshift
-from truck_bench import run, world
+from truck_bench import run, switch, world
 
 from meshpoint.dbc.link import FrameVerdict, Received
 from meshpoint.dbc.messages import (
@@ -100,11 +100,11 @@ def test_a_missing_tooth_is_missing_once_a_turn() -> None:
 
 def test_a_stuck_valve_does_not_follow_its_coil_and_a_slow_one_later() -> None:
     truck = with_fault(RigFault.VALVE_STUCK, int(Valve.BRAKE))
-    truck._at(110_000.0, lambda: truck.switch(Valve.BRAKE, True))
+    switch(truck, Valve.BRAKE, True, 110_000.0)
     run(truck, 180_000)
     assert truck.plant.brake_gauge_pa < 1e3
     slow = with_fault(RigFault.VALVE_SLOW, int(Valve.BRAKE), value=30.0)
-    slow._at(110_000.0, lambda: slow.switch(Valve.BRAKE, True))
+    switch(slow, Valve.BRAKE, True, 110_000.0)
     run(slow, 140_000)
     assert slow.plant.brake_gauge_pa < 1e3
     run(slow, 180_000)
@@ -116,7 +116,7 @@ def test_a_valve_that_was_stuck_is_as_its_coil_is_when_the_fault_ends(on: bool) 
     truck = with_fault(RigFault.VALVE_STUCK, int(Valve.BRAKE), for_us=150_000)
     for k, now_us in enumerate((50_000.0, 110_000.0, 120_000.0, 130_000.0)):
         coil = on if k % 2 else not on  # the coil is as at the beginning after two changes
-        truck._at(now_us, lambda coil=coil: truck.switch(Valve.BRAKE, coil))  # type: ignore[misc]
+        switch(truck, Valve.BRAKE, coil, now_us)
     run(truck, 240_000)
     stuck_pa = truck.plant.brake_gauge_pa
     assert stuck_pa < 1e3 if on else stuck_pa > 1e5
@@ -150,7 +150,7 @@ def test_the_supply_drops_and_comes_back() -> None:
 
 def test_a_jammed_sleeve_stays_in_its_gear() -> None:
     truck = with_fault(RigFault.SLEEVE_JAMMED, int(Sleeve.FIRST_SECOND), for_us=0)
-    truck._at(150_000.0, lambda: truck.switch(Valve.MAIN_SECOND, True))
+    switch(truck, Valve.MAIN_SECOND, True, 150_000.0)
     run(truck, 400_000)
     assert truck.truth.sleeve_state(Sleeve.FIRST_SECOND) is SleeveState.LOCKED
 
@@ -172,10 +172,10 @@ def test_a_jammed_splitter_or_range_stays_at_its_side_for_as_long(
     side = sleeve.side
     other = valves[0] if side > 0 else valves[1]
     truck.plant.chain.open(at.CLUTCH)
-    truck._at(150_000.0, lambda: truck.switch(other, True))
+    switch(truck, other, True, 150_000.0)
     run(truck, 290_000)
     assert sleeve.side == side
-    truck._at(350_000.0, lambda: truck.switch(other, True))
+    switch(truck, other, True, 350_000.0)
     run(truck, 360_000)
     assert sleeve.side == -side
 
@@ -235,13 +235,11 @@ def test_a_stuck_clutch_stays_and_a_deaf_engine_does_not_follow() -> None:
 def test_the_bench_injects_over_the_bus_and_ends_everything() -> None:
     bench = RigBench(RigSettings(profile=Profile.CLEAN))
     bench.run(50_000)
-    bench.core.receive(
-        bench._bench.encode(BenchFault(fault=RigFault.HALL_DROPOUT, target=4, sequence=1))
-    )
+    bench.send(BenchFault(fault=RigFault.HALL_DROPOUT, target=4, sequence=1))
     bench.run(200_000)
     silent = {frame.newest_index for frame in bench.of(EdgesMainRise)[-12:]}
     assert len(silent) == 1
-    bench.core.receive(bench._bench.encode(BenchFault(fault=RigFault.NO_FAULT, sequence=2)))
+    bench.send(BenchFault(fault=RigFault.NO_FAULT, sequence=2))
     bench.run(400_000)
     assert bench.of(EdgesMainRise)[-1].newest_index > max(silent) + 50
     text = "\n".join(bench.lines)
@@ -251,7 +249,7 @@ def test_the_bench_injects_over_the_bus_and_ends_everything() -> None:
 
 def test_the_thesis_says_that_it_has_no_faults() -> None:
     bench = RigBench()
-    bench.core.receive(bench._bench.encode(BenchFault(fault=RigFault.HALL_DROPOUT, sequence=1)))
+    bench.send(BenchFault(fault=RigFault.HALL_DROPOUT, sequence=1))
     bench.run(50_000)
     assert any("fault 1 ignored" in line for line in bench.lines)
 
@@ -293,9 +291,7 @@ def test_every_fault_is_described() -> None:
 def test_a_shift_goes_on_in_spite_of_a_bad_order_from_the_bench() -> None:
     bench = RigBench(RigSettings(profile=Profile.CLEAN))
     bench.run(100_000)
-    bench.core.receive(
-        bench._bench.encode(BenchFault(fault=RigFault.VALVE_STUCK, target=200, sequence=9))
-    )
+    bench.send(BenchFault(fault=RigFault.VALVE_STUCK, target=200, sequence=9))
 
     def valves(now_us: int) -> ValveCommand:
         command = upshift(now_us)
@@ -315,10 +311,10 @@ def test_a_copy_of_a_faulty_truck_goes_on_as_the_truck_does_and_leaves_it_alone(
     bench = RigBench(RigSettings(profile=Profile.CLEAN, seed=3))
     bench.run(50_000)
     order = BenchFault(fault=kind, target=1, value=3.0, duration_us=60_000, sequence=1)
-    bench.core.receive(bench._bench.encode(order))
+    bench.send(order)
     bench.run(80_000)
     copied = copy.deepcopy(bench)
-    copied._ears.receive = bench._ears.receive = lambda frame: Received(FrameVerdict.OK, None)  # type: ignore[method-assign,assignment]
+    copied.ears.receive = bench.ears.receive = lambda frame: Received(FrameVerdict.OK, None)  # type: ignore[method-assign,assignment]
     copied.run(300_000, upshift)
     after_us = bench.core.truth.time_us
     bench.run(300_000, upshift)

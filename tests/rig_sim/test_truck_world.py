@@ -6,13 +6,12 @@ import json
 import os
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 from rig_bench import CYCLE_US, RigBench, upshift
-from truck_bench import SHEET, run, world
+from truck_bench import SHEET, run, switch, world
 
 from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement
 from meshpoint.gearbox.gears import MainGear
@@ -39,7 +38,7 @@ SCRIPT = """
 from meshpoint.bus.light_can import load_can
 load_can()
 import json, sys
-from truck_bench import world, run
+from truck_bench import run, switch, world
 from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.gearbox.sheet import Mesh
@@ -53,17 +52,15 @@ def go_on_until(met):
         truck.command_clutch(False, now_us)
         run(truck, now_us)
         assert now_us < 9_000_000
-def switch(valve, on):
-    truck._at(float(now_us), lambda: truck.switch(valve, on))
-switch(SECOND, True)
+switch(truck, SECOND, True, float(now_us))
 go_on_until(lambda: truth.locked_gear is MainGear.NEUTRAL)
-switch(SECOND, False)
-switch(BRAKE, True)
+switch(truck, SECOND, False, float(now_us))
+switch(truck, BRAKE, True, float(now_us))
 go_on_until(lambda: truth.slip_rad_s(MainGear.SECOND) < 12.0)
-switch(BRAKE, False)
-switch(SECOND, True)
+switch(truck, BRAKE, False, float(now_us))
+switch(truck, SECOND, True, float(now_us))
 go_on_until(lambda: truth.locked_gear is MainGear.SECOND)
-switch(SECOND, False)
+switch(truck, SECOND, False, float(now_us))
 truck.return_to_gear(8, 60.0, now_us)
 go_on_until(lambda: truth.locked_gear is MainGear.FIRST)
 lines = [(time_us, text) for time_us, text in truck.engagement.lines]
@@ -94,8 +91,8 @@ def test_it_does_not_matter_how_often_anybody_asks() -> None:
     rng = np.random.default_rng(1)
     for plant in (truck, asked):
         plant.command_clutch(False, 0)
-        plant._at(30_000.0, lambda plant=plant: plant.switch(Valve.MAIN_SECOND, True))
-        plant._at(90_000.0, lambda plant=plant: plant.switch(Valve.BRAKE, True))
+        switch(plant, Valve.MAIN_SECOND, True, 30_000.0)
+        switch(plant, Valve.BRAKE, True, 90_000.0)
     run(truck, 400_000)
     now_us = 0
     while now_us < 400_000:
@@ -136,9 +133,9 @@ def test_a_finer_grid_moves_no_event_by_a_tenth_of_a_microsecond() -> None:
     for step_us in (2000.0, 250.0):
         truck = world({"numerics.step_us": step_us}, seed=9)
         truck.command_clutch(False, 0)
-        truck._at(20_000.0, lambda truck=truck: truck.switch(Valve.MAIN_SECOND, True))
-        truck._at(150_000.0, lambda truck=truck: truck.switch(Valve.BRAKE, True))
-        truck._at(250_000.0, lambda truck=truck: truck.switch(Valve.BRAKE, False))
+        switch(truck, Valve.MAIN_SECOND, True, 20_000.0)
+        switch(truck, Valve.BRAKE, True, 150_000.0)
+        switch(truck, Valve.BRAKE, False, 250_000.0)
         run(truck, 400_000)
         ring = np.array([channel.times_us[:] for channel in truck.plant.rig.captured.channels])
         times.append((truck.plant.y, ring))
@@ -225,7 +222,7 @@ def test_an_open_clutch_leaves_the_engine_to_its_idle_speed() -> None:
 def test_the_splitter_s_valve_changes_the_step_through_its_cone() -> None:
     truck = opened({"clutch.kiss": 1.0})
     before = truck.plant.layshaft_rad_s
-    truck._at(1000.0, lambda: truck.switch(Valve.SPLIT_LOW, True))
+    switch(truck, Valve.SPLIT_LOW, True, 1000.0)
     run(truck, 600_000)
     speed = truck.plant.y.speed_rad_s
     low = SHEET.splitter.low.ratio
@@ -237,7 +234,7 @@ def test_the_splitter_s_valve_changes_the_step_through_its_cone() -> None:
 def test_a_splitter_sleeve_is_baulked_until_its_cones_hold() -> None:
     """Its position sensor must not say that the step is in while the speeds still differ."""
     truck = opened({"clutch.kiss": 1.0, "synchro.splitter_nm": 40.0})
-    truck._at(1000.0, lambda: truck.switch(Valve.SPLIT_LOW, True))
+    switch(truck, Valve.SPLIT_LOW, True, 1000.0)
     low, differed = SHEET.splitter.low.ratio, 0
     for now_us in range(0, 800_000, 5_000):
         run(truck, now_us)
@@ -255,8 +252,8 @@ def splitter_driven(*spans_ms: tuple[Valve, float, float]) -> TruckWorld:
     """Clutch closed in neutral; the splitter's valves are driven for these spans alone."""
     truck = opened({"clutch.kiss": 1.0, "synchro.splitter_nm": 40.0})
     for valve, from_ms, to_ms in spans_ms:
-        truck._at(1e3 * from_ms, partial(truck.switch, valve, True))
-        truck._at(1e3 * to_ms, partial(truck.switch, valve, False))
+        switch(truck, valve, True, 1e3 * from_ms)
+        switch(truck, valve, False, 1e3 * to_ms)
     return truck
 
 
@@ -315,7 +312,7 @@ def test_a_loaded_sleeve_stays_until_the_torque_goes() -> None:
         if now_us < 500_000:
             truck.command_engine(EngineRequest(None, 0.8), now_us)
         if now_us == 200_000:
-            truck._at(2e5, lambda: truck.switch(Valve.MAIN_SECOND, True))
+            switch(truck, Valve.MAIN_SECOND, True, 2e5)
         if now_us == 490_000:
             assert truck.truth.locked_gear is MainGear.FIRST
     assert truck.truth.locked_gear is MainGear.NEUTRAL

@@ -11,6 +11,7 @@ from typing import Any, Final
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.gearbox.sheet import GearboxSheet, load_sheet
 from meshpoint.rig_sim.settings import Preset, Profile, RigSettings
+from meshpoint.rig_sim.shared.valve_drivers import Valve
 from meshpoint.rig_sim.truck.as_built import linear
 from meshpoint.rig_sim.truck.world import TruckWorld
 
@@ -36,6 +37,11 @@ def run(truck: TruckWorld, until_us: int) -> None:
     """Go on, reads included, without looking at them."""
     while truck.run_to(until_us):
         pass
+
+
+def switch(truck: TruckWorld, valve: Valve, on: bool, at_us: float) -> None:
+    """A valve is driven, or not, from this time on."""
+    truck._at(at_us, lambda: truck.switch(valve, on))
 
 
 def limit_sheet(teeth: int = 24, backlash_share: float = 0.2) -> GearboxSheet:

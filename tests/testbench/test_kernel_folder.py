@@ -24,8 +24,11 @@ ROOT = Path(__file__).parents[2]
 NOBODY = 65534
 with_owners = pytest.mark.skipif(not hasattr(os, "geteuid"), reason="Windows has no such owners")
 compiling = pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled here")
-as_root = pytest.mark.skipif(
-    getattr(os, "geteuid", lambda: 1)() != 0, reason="only root can give a file to another user"
+as_root = (
+    pytest.mark.device,
+    pytest.mark.skipif(
+        getattr(os, "geteuid", lambda: 1)() != 0, reason="only root can give a file to another user"
+    ),
 )
 
 

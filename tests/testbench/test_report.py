@@ -263,6 +263,7 @@ def test_intervals_of_rates_are_those_of_scipy(hits: int, trials: int) -> None:
     assert wilson(hits, trials) == pytest.approx((interval.low, interval.high), abs=1e-6)
 
 
+@pytest.mark.device
 def test_a_browser_draws_the_shift_in_the_address_and_complains_of_nothing(
     simulated: tuple[Report, list[ShiftRow]], tmp_path: Path
 ) -> None:
@@ -277,6 +278,7 @@ def test_a_browser_draws_the_shift_in_the_address_and_complains_of_nothing(
     assert 'id="shift-1-4" class="chosen"' in drawn
 
 
+@pytest.mark.device
 @pytest.mark.long
 def test_of_two_hundred_shifts_the_page_reads_the_one_that_it_draws(
     simulated: tuple[Report, list[ShiftRow]], data: dict[str, Any], tmp_path: Path

@@ -63,6 +63,7 @@ addEventListener("load", () => {
 </script>"""
 
 
+@pytest.mark.device
 @pytest.mark.long
 def test_what_is_drawn_equals_the_truth_within_a_hundredth_of_a_degree(tmp_path: Path) -> None:
     setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=4, shifts=3)
@@ -100,6 +101,7 @@ def test_what_is_drawn_equals_the_truth_within_a_hundredth_of_a_degree(tmp_path:
         assert abs(off) < 0.01, (time_ms, drawn_deg, true_deg)
 
 
+@pytest.mark.device
 def test_without_scatter_the_controller_of_the_page_always_meets_the_gap(tmp_path: Path) -> None:
     page = tmp_path / "play.html"
     assert main(["play", "--out", str(page), "--gearbox", "thesis"]) == 0

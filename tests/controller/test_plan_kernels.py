@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.kernels import MODEL
 from meshpoint.controller.motion.models import MotionModel, first_order_law
-from meshpoint.controller.planning import plan_kernels
 from meshpoint.controller.planning.plan_kernels import (
     CONTACT_SERIES,
     MEETING,
@@ -293,33 +290,3 @@ def test_a_brake_that_was_never_on_can_be_released() -> None:
     courses(layshaft(), commands, motion(), meeting(5.0), releases, found)
     course(layshaft(), np.empty((2, 0)), motion(), meeting(3_000.0), alone)
     assert np.array_equal(found[0], alone)
-
-
-def test_kernels_are_warmed_up_with_the_kinds_of_arrays_that_a_plan_has(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """Numbers do not matter there, kinds do: another kind is compiled anew, in the middle of a
-    shift."""
-    asked: dict[str, list[Any]] = {}
-    for name in ("course", "courses", "cheapest", "best_course"):
-        monkeypatch.setattr(
-            plan_kernels, name, lambda *given, name=name: asked.setdefault(name, []).append(given)
-        )
-    plan_kernels.warm_up()
-    model, one, found = motion(), np.ones(1), np.ones((1, 2, 1))
-    x, mesh, of = layshaft(), meeting(5.0), terms()
-    usual: dict[str, tuple[Any, ...]] = {
-        "course": (x, np.empty((2, 0)), model, mesh, found[0]),
-        "courses": (x, np.empty((3, 0)), model, mesh, np.ones((3, 1)), found),
-        "cheapest": (one, one, one, series(), of, 0.0),
-        "best_course": (found, one, one, series(), of, 0.1),
-    }
-    assert set(asked) == set(usual)
-    for name, expected in usual.items():
-        (given,) = asked[name]
-        for value, like in zip(given, expected, strict=True):
-            assert np.shape(value) == np.shape(like)
-            assert np.asarray(value).dtype == np.asarray(like).dtype
-    law = asked["course"][0][2].view(MODEL)["segments"][0]
-    assert np.all(law[:, 0, 0] == -math.inf)
-    assert np.all(law[:, 1:, 0] == math.inf), "one segment a direction"

@@ -1,13 +1,10 @@
-"""What looks at a gear in mesh come to, at each limit: phases in backlashes, looks one by one."""
+"""What looks at a gear in mesh come to, by hand: phases in backlashes, looks one by one."""
 
 from __future__ import annotations
 
-import math
-from statistics import fmean, pstdev
-
 import pytest
 
-from meshpoint.controller.phase.reference import Floated, PhaseReferences
+from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.dbc.messages import ReferenceSource
 from meshpoint.gearbox import MainGear, load_sheet
 
@@ -45,52 +42,8 @@ def offset(references: PhaseReferences, gear: MainGear = GEAR) -> float:
     return references.offsets_rad[gear] / GAP
 
 
-def places(floated: Floated | None) -> tuple[float, float]:
-    """Where the gear's tooth floated, in backlashes."""
-    assert floated is not None
-    assert floated.gear is GEAR
-    return floated.low_rad / GAP, floated.high_rad / GAP
-
-
 CROSSED = (0.0, 0.0, 0.0, 0.5)
 """The begin of a way through the gap, to 1."""
-
-
-def test_nothing_is_known_of_a_gear_that_was_never_in_mesh() -> None:
-    references = PhaseReferences(SHEET)
-    assert references.watched is None
-    assert not references.watches(GEAR)
-    assert look(references, *CROSSED, *[1.0] * 10) is None
-    assert references.sd_rad(GEAR) == 0.0
-    assert references.released() is None
-    assert references.mask == 0
-
-
-def test_the_gear_that_is_watched_is_told_as_it_locked() -> None:
-    for slip, flank in ((0.2, 1), (-0.2, -1), (0.19, 0), (-0.19, 0), (3.0, 1)):
-        for straight in (True, False):
-            watched = locked(slip, straight).watched
-            assert watched is not None
-            assert (watched.gear, watched.flank, watched.straight) == (GEAR, flank, straight)
-    references = PhaseReferences(SHEET)
-    references.locked(GEAR, 1.0)
-    assert references.watched is not None
-    assert references.watched.straight, "unless it is told otherwise"
-
-
-def test_looks_at_another_gear_than_the_one_in_mesh_are_none() -> None:
-    references = locked()
-    assert look(references, *CROSSED, *[1.0] * 10, gear=OTHER) is None
-    assert look(references, *CROSSED, *[1.0] * 10) == 9
-
-
-@pytest.mark.parametrize(("by", "stored"), [(0.055, 9), (0.058, None)])
-def test_a_tooth_lies_still_where_five_looks_scatter_by_a_twentieth_of_the_gap(
-    by: float, stored: int | None
-) -> None:
-    """d, -d, d, -d, 0 have a deviation of d times the root of 0.8."""
-    still = [1.0 + by, 1.0 - by, 1.0 + by, 1.0 - by, 1.0]
-    assert look(locked(), *CROSSED, *still) == stored
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -118,15 +71,6 @@ def test_a_tooth_that_was_seen_on_both_sides_lies_nowhere() -> None:
     assert look(locked(), *[0.9] * 3, *[-0.19] * 3, *[0.0] * 30) == 11
 
 
-def test_single_looks_gone_astray_are_on_no_side() -> None:
-    """Each is taken as the middle one of itself and its neighbours."""
-    astray = [0.0, 0.0, 0.0, 0.5, 1.0, 1.6, 1.0]
-    assert look(locked(), *astray, *[1.0] * 5) == 11, "the sixth is one of the still ones no more"
-    references = locked(1.0)
-    assert look(references, *[0.0] * 10, 0.39, *[0.0] * 20) == 20
-    assert look(locked(1.0), *[0.0] * 10, 0.41, *[0.0] * 30) is None, "not unmoved for certain"
-
-
 @pytest.mark.parametrize(("slip", "flank"), [(1.0, 1), (-1.0, -1), (0.1, 0)])
 def test_a_tooth_that_has_not_moved_for_twenty_looks_lies_where_slip_carried_it(
     slip: float, flank: int
@@ -138,22 +82,6 @@ def test_a_tooth_that_has_not_moved_for_twenty_looks_lies_where_slip_carried_it(
     for begin, stored in ((0.19, 20), (0.21, None)):
         references = locked(slip)
         assert look(references, *[begin] * 10, *[0.0] * 20) == (stored if flank else None)
-
-
-def test_earlier_looks_within_a_tenth_of_the_gap_make_it_surer() -> None:
-    """Mean and deviation of all that lie there, the one at 0.88 not."""
-    references = locked()
-    assert look(references, *CROSSED, 0.88, 0.92, 1.0, 0.99, 1.01, 1.02, 0.98) == 10
-    # The fifth still look is 1.02: the last five are 0.92, 1, 0.99, 1.01, 1.02, of mean 0.988.
-    near = [0.92, 1.0, 0.99, 1.01, 1.02]
-    assert offset(references) == pytest.approx(fmean(near) - 0.5)
-    assert references.sd_rad(GEAR) == pytest.approx(pstdev(near) * GAP)
-    references = locked()
-    assert look(references, *CROSSED, 1.09, 0.5, *[1.0] * 5) == 11
-    assert offset(references) == pytest.approx(6.09 / 6.0 - 0.5)
-    references = locked()
-    assert look(references, *CROSSED, 1.11, 0.5, *[1.0] * 5) == 11
-    assert offset(references) == pytest.approx(0.5)
 
 
 def moving(gear: MainGear = OTHER) -> PhaseReferences:
@@ -179,26 +107,6 @@ def test_where_teeth_are_known_to_move_slip_tells_nothing_and_drag_does() -> Non
     assert look(fresh, *[0.7] * 30, pulled=True) is None, "in a box whose teeth have not moved"
 
 
-def test_a_tooth_that_moved_less_than_through_its_gap_has_not_shown_that_teeth_move() -> None:
-    references = locked()
-    assert look(references, *[0.0] * 4, *[0.84] * 16) == 20
-    references.released()
-    references.locked(OTHER, 1.0)
-    assert look(references, *[0.0] * 20, gear=OTHER) == 20
-
-
-def test_where_a_tooth_was_seen_not_to_move_a_sleeve_that_rubbed_is_believed_too() -> None:
-    references = locked(1.0, straight=False)
-    assert look(references, *[0.0] * 40) is None
-    references.released()
-    references.locked(GEAR, 1.0, straight=False)
-    assert look(references, *[0.0] * 40) == 20, "by the first of them"
-    references = locked(1.0)
-    assert look(references, *[0.0] * 20) == 20
-    references.locked(OTHER, 1.0, straight=False)
-    assert look(references, *[0.0] * 40, gear=OTHER) == 20
-
-
 def test_a_stay_that_proves_nothing_yet_counts_once_another_tooth_has_stayed() -> None:
     """Both lay unmoved, the first behind a sleeve that had rubbed."""
     references = locked(1.0, straight=False)
@@ -209,21 +117,6 @@ def test_a_stay_that_proves_nothing_yet_counts_once_another_tooth_has_stayed() -
     assert look(references, *[0.0] * 20, gear=OTHER) == 20
     assert offset(references) == pytest.approx(0.3 - 0.5)
     assert offset(references, OTHER) == pytest.approx(0.5)
-
-
-def test_nor_does_it_count_where_teeth_move_or_the_flank_was_not_certain() -> None:
-    references = locked(1.0, straight=False)
-    look(references, *[0.3] * 20)
-    references.released()
-    references.locked(OTHER, 0.0)
-    assert look(references, *CROSSED, *[1.0] * 5, gear=OTHER) == 9
-    assert set(references.offsets_rad) == {OTHER}
-    references = locked(0.1, straight=False)
-    look(references, *[0.3] * 20)
-    references.released()
-    references.locked(OTHER, 1.0)
-    assert look(references, *[0.0] * 20, gear=OTHER) == 20
-    assert set(references.offsets_rad) == {OTHER}
 
 
 def test_a_likely_reference_is_used_once_and_never_against_a_known_one() -> None:
@@ -239,31 +132,6 @@ def test_a_likely_reference_is_used_once_and_never_against_a_known_one() -> None
     look(references, *[0.0] * 20, gear=OTHER)
     assert not references.known(GEAR), "it was used up"
     assert references.source(OTHER) is ReferenceSource.MEASURED
-
-
-@pytest.mark.parametrize(("spread", "told"), [(0.19, True), (0.21, False)])
-def test_three_looks_together_are_one_place_of_a_floating_tooth(spread: float, told: bool) -> None:
-    """Within a fifth of the gap; the place is the middle one."""
-    references = locked()
-    look(references, 0.0, 0.4, 0.4 + spread, 0.4 + 0.1, 1.5)
-    floated = references.released()
-    if not told:
-        assert floated is None
-    else:
-        assert places(floated) == pytest.approx((0.5, 0.5))
-
-
-def test_its_lowest_and_highest_place_are_told_unless_it_was_learned() -> None:
-    references = locked()
-    look(references, *[0.2] * 3, *[0.6] * 3, *[-0.1] * 3)
-    floated = references.released()
-    assert places(floated) == pytest.approx((-0.1, 0.6))
-    references = locked()
-    look(references, *CROSSED, *[1.0] * 6)
-    assert references.released() is None
-    references = locked()
-    look(references, 0.2, 0.2)
-    assert references.released() is None, "two looks are no place"
 
 
 def floats(references: PhaseReferences, low: float, high: float, pitches: int = 0) -> None:
@@ -285,20 +153,6 @@ def test_a_tooth_that_floated_through_about_a_gap_tells_its_middle(
     if known:
         assert offset(references) == pytest.approx(0.3 + span / 2.0)
         assert references.source(GEAR) is ReferenceSource.MEASURED
-
-
-@pytest.mark.parametrize("pitches", [0, 7, -3])
-def test_places_of_several_engagements_are_taken_together_whole_pitches_apart(
-    pitches: int,
-) -> None:
-    references = PhaseReferences(SHEET)
-    floats(references, -0.3, 0.1)
-    floats(references, 0.2, 0.6, pitches)
-    assert offset(references) == pytest.approx(0.15)
-    references = PhaseReferences(SHEET)
-    floats(references, 0.2, 0.6)
-    floats(references, -0.3, 0.1, pitches)
-    assert offset(references) == pytest.approx(0.15)
 
 
 def test_places_too_far_apart_are_all_forgotten() -> None:
@@ -349,36 +203,6 @@ def test_looks_at_both_flanks_tell_the_middle_and_how_sure_it_is() -> None:
     assert references.source(GEAR) is ReferenceSource.MEASURED
 
 
-@pytest.mark.parametrize(("off", "kept"), [(0.26, True), (-0.26, True), (0.34, False),
-                                           (-0.34, False)])  # fmt: skip
-def test_they_put_a_reference_right_that_took_one_flank_for_the_other(
-    off: float, kept: bool
-) -> None:
-    references = PhaseReferences(SHEET)
-    adopted = (0.8 + off) * GAP + 2 * PITCH
-    references.adopt(GEAR, adopted, ReferenceSource.NARROWED)
-    seen_at_both_flanks(references, 0.8)
-    if kept:
-        assert references.offsets_rad[GEAR] == adopted
-        assert references.source(GEAR) is ReferenceSource.NARROWED
-        assert references.sd_rad(GEAR) == 0.0
-    else:
-        assert offset(references) == pytest.approx(0.8, abs=0.02)
-        assert references.source(GEAR) is ReferenceSource.MEASURED
-        assert references.sd_rad(GEAR) > 0.0
-
-
-def test_a_look_at_the_gear_in_mesh_counts_with_both_shafts_angles() -> None:
-    references, ratio = PhaseReferences(SHEET), SHEET.main_mesh(GEAR).ratio
-    for k in range(60):
-        main = 0.37 * k
-        raw = (0.8 + (0.5 if k % 2 else -0.5)) * GAP
-        references.see(GEAR, (raw + main) / ratio, main, 0.12 * GAP)
-    references.locked(GEAR, 0.0)
-    references.released()
-    assert offset(references) == pytest.approx(0.8, abs=0.02)
-
-
 def test_a_reference_that_was_wrong_is_dropped_with_what_its_looks_told() -> None:
     """Of that gear alone."""
     references = PhaseReferences(SHEET)
@@ -414,56 +238,3 @@ def test_where_a_wheel_s_count_is_lost_nothing_of_before_is_left() -> None:
     references.locked(OTHER, 1.0)
     assert look(references, *[0.0] * 20, gear=OTHER) == 20
     assert set(references.offsets_rad) == {OTHER}, "nor by what was likely"
-
-
-def test_the_mask_has_a_bit_for_each_known_gear() -> None:
-    references = PhaseReferences(SHEET)
-    for gear in (MainGear.CRAWL, MainGear.THIRD):
-        references.adopt(gear, 0.0, ReferenceSource.RESTORED)
-    assert references.mask == 0b1001
-
-
-def test_looks_are_taken_at_the_tooth_that_was_looked_at_first() -> None:
-    """Half a pitch either way; here a tooth that floats about the first look's other side."""
-    references = locked()
-    far = 0.45 * PITCH / GAP
-    look(references, 0.0, *[far] * 3, *[-far] * 3)
-    floated = references.released()
-    assert places(floated) == pytest.approx((-far, far))
-    references = locked()
-    look(references, *CROSSED, pitches=2)
-    assert look(references, *[1.0] * 5, pitches=-6) == 5
-    raw = math.remainder(references.offsets_rad[GEAR] - 0.5 * GAP, PITCH)
-    assert raw == pytest.approx(0.0, abs=1e-9)
-
-
-def test_a_tooth_seen_twice_at_the_other_flank_has_crossed_seen_once_it_may_have_been_astray() -> (
-    None
-):
-    assert look(locked(), *[0.0] * 2, *[1.0] * 30) == 7
-    assert look(locked(), 0.0, *[1.0] * 30) is None
-
-
-def test_a_gear_that_was_in_mesh_too_shortly_has_not_shown_that_teeth_stay() -> None:
-    """Nor is what it lay at likely."""
-    references = locked(1.0, straight=False)
-    look(references, *[0.3] * 19)
-    references.released()
-    references.locked(OTHER, 1.0, straight=False)
-    assert look(references, *[0.0] * 40, gear=OTHER) is None
-    references.lose_all()
-    references = locked(1.0)
-    look(references, *[0.3] * 19)
-    references.released()
-    references.locked(OTHER, 1.0)
-    assert look(references, *[0.0] * 20, gear=OTHER) == 20
-    assert set(references.offsets_rad) == {OTHER}
-
-
-def test_a_gear_is_looked_at_sixty_times() -> None:
-    references = locked()
-    look(references, *[0.0, 0.5] * 29, 0.0)
-    assert references.watches(GEAR)
-    assert not references.watches(OTHER)
-    look(references, 0.5)
-    assert not references.watches(GEAR)

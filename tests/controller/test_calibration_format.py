@@ -8,31 +8,27 @@ from dataclasses import fields, replace
 from typing import Any, Final
 
 import pytest
+from calibration_example import SHEET, example
 
 from meshpoint.controller.calibration.learned import (
     BrakeRecord,
-    Calibration,
     CalibrationError,
     DriftRecord,
-    DriftRecords,
-    End,
     NoiseRecord,
     Provenance,
     ReferenceRecords,
     SleeveRecord,
     SleeveRecords,
     SwingRecord,
-    SwingRecords,
     WheelRecord,
     WheelRecords,
     check,
     read_calibration,
 )
-from meshpoint.gearbox import MainGear, load_sheet
+from meshpoint.gearbox import MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.tables import TableError, read_group
 
-SHEET = load_sheet("thesis")
 DEG, RPM, TURN, BAR, MS, US = math.pi / 180.0, math.pi / 30.0, 2.0 * math.pi, 1e5, 1e-3, 1e-6
 Range = tuple[float, float, float]
 """Least and most in the key's unit, and that unit in SI."""
@@ -166,26 +162,6 @@ def test_no_key_may_be_missing_but_those_that_older_files_do_not_have(kind: type
         read_group(kind, table(kind) | {"other": 1}, "file")
 
 
-def test_of_a_new_gearbox_nothing_is_known() -> None:
-    calibration = Calibration(format_=1, provenance=example().provenance, end=End(True))
-    assert calibration.wheels == WheelRecords(None, None)
-    assert calibration.references.offsets_rad == {}
-    assert (calibration.brake, calibration.noise) == (None, None)
-    assert calibration.swings == SwingRecords(None, None)
-    assert calibration.sleeves == SleeveRecords(None, None, None, None)
-    assert calibration.drifts == DriftRecords(None, None, None, None)
-
-
-def test_records_are_told_by_their_gear() -> None:
-    own = {gear: SleeveRecord(0.04 + 0.001 * gear, 1.0, 1e-3, 1.0) for gear in MAIN_GEARS}
-    records = SleeveRecords(**{gear.name.lower(): record for gear, record in own.items()})
-    assert {gear: records.of(gear) for gear in MAIN_GEARS} == own
-    given = {f"{gear.name.lower()}_rad": 0.1 * gear for gear in MAIN_GEARS}
-    assert ReferenceRecords(**given).offsets_rad == {g: 0.1 * g for g in MAIN_GEARS}
-    zero = ReferenceRecords(first_rad=0.0)
-    assert zero.offsets_rad == {MainGear.FIRST: 0.0}
-
-
 @pytest.mark.parametrize("missing", ["layshaft", "main"])
 def test_references_belong_to_the_teeth_of_both_wheels(missing: str) -> None:
     known = example()
@@ -196,61 +172,10 @@ def test_references_belong_to_the_teeth_of_both_wheels(missing: str) -> None:
     assert getattr(without.wheels, missing) is None
 
 
-def example() -> Calibration:
-    """One with everything in it, of a sheet whose wheels have 45 teeth."""
-    pattern = tuple(0.05 * DEG * math.sin(7.0 * k) for k in range(90))
-    made: dict[type, Any] = {k: read_group(k, table(k), "file") for k in FORMAT}
-    wheel = WheelRecord(45, 6_895, 1e-4, pattern)
-    origin: Provenance = made[Provenance]
-    return Calibration(
-        format_=1,
-        provenance=replace(origin, sheet=SHEET.name, sheet_sha256=SHEET.sha256),
-        wheels=WheelRecords(wheel, replace(wheel, edges=5_466)),
-        references=ReferenceRecords(second_rad=0.05, third_rad=-0.03),
-        brake=made[BrakeRecord],
-        noise=made[NoiseRecord],
-        swings=SwingRecords(high=made[SwingRecord]),
-        sleeves=SleeveRecords(second=SleeveRecord(0.045, 6.5, 0.0012, 10.0)),
-        drifts=DriftRecords(first=made[DriftRecord]),
-        end=End(True),
-    )
-
-
-TEXT: Final = example().to_text()
-
-
-def read(changed: Calibration) -> Calibration:
-    return read_calibration(changed.to_text(), "box.toml", SHEET)
-
-
-def refused(text: str, sheet: Any = SHEET) -> str:
+def refused(text: str) -> str:
     with pytest.raises(CalibrationError) as error:
-        read_calibration(text, "box.toml", sheet)
+        read_calibration(text, "box.toml", SHEET)
     return str(error.value)
-
-
-def test_what_is_read_is_what_its_own_text_gives_back() -> None:
-    """To the last bit: nine digits in the keys' units."""
-    found = read(example())
-    assert found.to_text() == TEXT
-    assert read_calibration(found.to_text(), "box.toml", SHEET) == found
-    assert found != example(), "digits beyond those were left out"
-    assert TEXT.startswith("# meshpoint: what a controller has learned of one gearbox.")
-
-
-def test_a_file_of_another_format_or_torn_at_its_end_is_refused() -> None:
-    for format_ in (0, 2):
-        assert "format" in refused(TEXT.replace("format = 1\n", f"format = {format_}\n"))
-    assert "allowed is true" in refused(TEXT.replace("complete = true", "complete = false"))
-
-
-def test_a_calibration_belongs_to_its_data_sheet() -> None:
-    other = replace(example(), provenance=replace(example().provenance, sheet_sha256="ab" * 32))
-    assert refused(other.to_text()) == (
-        f"box.toml: provenance: sheet_sha256 = {'ab' * 8!r}..., allowed is "
-        f"{SHEET.sha256[:16]}... of data sheet {SHEET.name}"
-    )
-    assert read_calibration(other.to_text(), "box.toml", None).provenance.sheet_sha256 == "ab" * 32
 
 
 @pytest.mark.parametrize("name", ["layshaft", "main"])
