@@ -299,3 +299,37 @@ def test_the_outlook_is_that_of_edges_taken_one_tick_after_the_other() -> None:
         del churn
         found = Swing(x, p, motion, edge_rad2_s).outlook(horizon_s, tick_s, count)
         assert found == pytest.approx(expected, rel=1e-9)
+
+
+BARE = ShaftState(2e6, 1.0, 60.0, 3e-3, 0.04, -5.0)
+
+
+def test_a_shaft_that_does_not_swing_keeps_its_acceleration() -> None:
+    """After 0.2 s: 60 - 1, and 1 + 12 - 0.1; what is not known of the speed adds to the angle."""
+    assert BARE.theta_at(2.2e6) == pytest.approx(12.9)
+    assert BARE.omega_at(2.2e6) == BARE.steady_omega_at(2.2e6) == pytest.approx(59.0)
+    assert BARE.theta_at(1.8e6) == pytest.approx(1.0 - 12.0 - 0.1)
+    assert BARE.theta_sd_at(2.2e6) == pytest.approx(math.hypot(3e-3, 8e-3))
+    expected = [[1.0 + 60.0 * t - 2.5 * t * t for t in (0.1, 0.15, 0.2)], [59.5, 59.25, 59.0]]
+    assert BARE.course(2.1e6, 50e3, 3) == pytest.approx(np.array(expected))
+    assert BARE.variances(2.1e6, 2e3, 3) == pytest.approx([9e-6 + 0.01 * 0.0016] * 3)
+
+
+def test_a_shaft_that_swings_goes_on_as_its_swing_does_and_the_vehicle_without_it() -> None:
+    """Counted from the state's own time; variances are straight between ticks of 10 ms."""
+    masses, x, p = TwoMasses(), state_of(TwoMasses(), 0.03, -4.0), np.diag([9e-6] + [1e-4] * 6)
+    shaft = BARE._replace(swing=Swing(x, p, model_of(masses), 2e-8))
+    swing = shaft.swing
+    assert isinstance(swing, Swing)
+    assert swing.speed_rad_s == pytest.approx(x[4] + x[6])
+    assert shaft.steady_omega_at(2.03e6) == pytest.approx(60.0 - 5.0 * 0.03 - swing.speed_rad_s)
+    for wait_s in (0.0, 0.03, 0.1):
+        at_us = 2e6 + 1e6 * wait_s
+        assert (shaft.theta_at(at_us), shaft.omega_at(at_us)) == pytest.approx(swing.ahead(wait_s))
+        variance = swing.spread_ahead(wait_s)[1][0, 0]
+        assert shaft.theta_sd_at(at_us) == pytest.approx(math.sqrt(variance))
+        each = np.array([swing.ahead(wait_s + 7e-3 * k) for k in range(4)]).T
+        assert shaft.course(at_us, 7e3, 4) == pytest.approx(each)
+        ticks = swing.outlook(wait_s, 0.01, 4)
+        between = np.interp(0.5 * np.arange(6), np.arange(4), ticks)
+        assert shaft.variances(at_us, 5e3, 6) == pytest.approx(between)
