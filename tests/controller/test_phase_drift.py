@@ -15,7 +15,6 @@ from meshpoint.controller.planning.gear_predictor import GearPredictor
 from meshpoint.controller.planning.phase_drift import (
     FAR_RAD_S,
     LEAST_SPREAD_SHARE,
-    MOST_SHARE_SAMPLES,
     PhaseDrifts,
 )
 from meshpoint.gearbox import MainGear
@@ -103,25 +102,3 @@ def test_what_was_learned_is_kept_and_taken_up_again() -> None:
     assert again.rad_s(GEAR) == pytest.approx(drifts.rad_s(GEAR))
     assert contact(again, 0.06) == pytest.approx(contact(drifts, 0.06))
     assert again.spread_share(GEAR) == pytest.approx(drifts.spread_share(GEAR))
-
-
-def test_old_contacts_count_the_less_the_more_there_were_since() -> None:
-    """All count as one until they weigh as thirty; from then on each new one takes 1 / 31 of the
-    weight of all before it."""
-    drifts = PhaseDrifts(SHEET, 0.5)
-    learned, seen = drifts._learned[MainGear.SECOND], []
-    rng = np.random.default_rng(3)
-    for k in range(60):
-        before, drift, variance = learned.share, 0.02 * rng.standard_normal(), 2e-4
-        prior = learned.variance + 0.01**2
-        off = drift - learned.mean_rad_s
-        drifts._add(learned, drift, variance)
-        seen.append(before**2 * off**2 / (prior + before**2 * variance))
-        count = k + 1
-        weights = np.ones(count + 1)
-        for late in range(26, count):
-            weights[: late + 2] *= 30.0 / 31.0
-        assert MOST_SHARE_SAMPLES == 30.0
-        squares = weights @ np.array([4.0, *seen])
-        samples = weights @ np.array([4.0, *np.ones(count)])
-        assert learned.share == pytest.approx(max(math.sqrt(squares / samples), 0.3))

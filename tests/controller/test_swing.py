@@ -12,7 +12,6 @@ from scipy.linalg import expm
 
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.estimation.driveline_swing import (
-    NATURAL,
     DrivelineSwing,
     MainWindow,
 )
@@ -197,7 +196,7 @@ def test_frequency_and_damping_are_learned_from_the_ringing_of_three_shifts() ->
         twist, slip = rng.normal(0.0, 0.03), rng.normal(0.0, 3.0)
         window = window_of(lambda t, a=twist, b=slip: masses.angle(a, b, t), k)
         edge_time = swing.learn(window, edge_time, teeth_known=True)
-    natural = swing._figures[NATURAL].value
+    natural = swing.motion.part("modes")["natural_rad_s"][0]
     assert natural == pytest.approx(masses.natural_rad_s, rel=0.02)
     record = swing.record(LashFigures(8.0, 0.3, -2.0, 0.5, -4.0, 0.3, 2.0, 0.4), has_lash=True)
     assert record is not None and record.has_lash
