@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.kinematics import wrap_to_pitch
 from meshpoint.controller.records import Vector
 
 DELAY_US = 12_000
@@ -125,12 +124,3 @@ def test_the_newest_sixteen_switches_are_kept() -> None:
     assert other.switches == brake.switches
     brake.schedule(90_000, True, 90_000)
     assert other.switches != brake.switches, "from then on each goes its own way"
-
-
-@pytest.mark.parametrize(
-    ("angle", "wrapped"),
-    [(0.0, 0.0), (0.9, 0.9), (1.0, -1.0), (-1.0, -1.0), (-1.1, 0.9), (7.3, -0.7), (-6.2, -0.2)],
-)
-def test_an_angle_is_wrapped_to_half_a_pitch_either_way(angle: float, wrapped: float) -> None:
-    """Of 2 here; the upper half itself is the lower one."""
-    assert wrap_to_pitch(angle, 2.0) == pytest.approx(wrapped)

@@ -232,10 +232,9 @@ FREE = {"layshaft": a_law(0.0), "main": SwingMotion(0.0, 0.0, [m._replace(noise_
                                                                for m in MODES])}  # fmt: skip
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.6])
 @both_shafts
 def test_a_window_s_equations_for_its_teeth_are_those_of_the_normal_law_of_its_edges(
-    shaft: Shaft, scale: float
+    shaft: Shaft,
 ) -> None:
     """Normal matrix S' C^-1 S and right side -S' C^-1 y, S telling whose tooth's error is in which
     edge; squares y' C^-1 y; and the logarithm of C's determinant. C tells how edges go together by
@@ -260,13 +259,13 @@ def test_a_window_s_equations_for_its_teeth_are_those_of_the_normal_law_of_its_e
 
     rows, speeds = np.array([by(wait) for wait in waits]).transpose(1, 0, 2)
     y = 1e-7 * np.cos(np.arange(9.0))
-    seen = np.array((EDGES_US, rows @ shaft.start + y)) / np.array([[1.0], [scale]])
+    seen = np.array((EDGES_US, rows @ shaft.start + y))
     learner.begin(1000.0, shaft.start, p0)
     for part in (slice(0, 4), slice(4, 9)):  # in parts as at once
         batch = EdgeBatch(seen[0, part], seen[1, part], place[part], 0 * place[part])
-        learner.take(batch, place[part], NO_PRESSURES, OFF, model, scale)
+        learner.take(batch, place[part], NO_PRESSURES, OFF, model)
     c = rows @ p0 @ rows.T + np.diag(speeds @ shaft.start * TUNING.edge_time_s) ** 2
-    inverse, whose = np.linalg.inv(c), scale * np.eye(3)[place]
+    inverse, whose = np.linalg.inv(c), np.eye(3)[place]
     found, normal = learner.so_far(), whose.T @ inverse @ whose
     assert found.normal / normal.max() == pytest.approx(normal / normal.max(), abs=1e-5)
     right = -whose.T @ inverse @ y

@@ -66,14 +66,6 @@ def test_a_gap_wider_than_the_sheets_is_none() -> None:
     assert posterior(looks(rng, 0.3 * PITCH, 200, (-1.6, 1.6))).middle() is None
 
 
-def test_vague_looks_count_for_less_and_too_vague_ones_for_nothing() -> None:
-    raw = looks(np.random.default_rng(7), 0.3 * PITCH, 40, (-1.0, 1.0))
-    sharp, vague = posterior(raw).middle(), posterior(np.tile(raw, 4), 2.0 * SD).middle()
-    assert sharp is not None and vague is not None
-    assert vague.sd_rad > 1.2 * sharp.sd_rad / math.sqrt(4.0)
-    assert posterior(np.tile(raw, 20), 0.3 * BACKLASH).middle() is None
-
-
 def test_a_reference_is_known_after_one_engagement_on_a_driveline_that_swings() -> None:
     """The tooth never lies still for the looks that a flank by itself would take, and these scatter
     too much for their lowest and highest to bound the gap."""
