@@ -352,8 +352,8 @@ def test_splitter_and_range_change_while_the_main_box_is_in_neutral() -> None:
 def test_a_splitter_left_between_its_steps_is_brought_in_by_the_high_one_if_the_layshaft_rests(
     rests: bool, pushed: ValveName
 ) -> None:
-    """As an outage in its change leaves it, whatever step the new gear has. With the layshaft at
-    rest the guard forbids the low one."""
+    """As an outage in its change leaves it. With the layshaft at rest the guard forbids the low step,
+    which the new gear has: it comes behind the high one."""
     box, seen = aimed(9, 110.0), set()
     box.position_m |= dict.fromkeys((*MAIN_SLEEVES, Sleeve.SPLITTER), 0.0)
     box.clutch, shows = 0.0, box.snapshot
@@ -368,8 +368,8 @@ def test_a_splitter_left_between_its_steps_is_brought_in_by_the_high_one_if_the_
     box.until(State.NEUTRAL)
     box.ask(7)
     while box.view.split is None and box.running():
-        box.step()
         seen |= {valve for valve in PUSHED[Sleeve.SPLITTER] if box.board.command(valve).on}
+        box.step()
     assert seen == {pushed}
     assert box.view.split is (Split.HIGH if rests else Split.LOW)
 
