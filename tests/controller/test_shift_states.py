@@ -352,8 +352,8 @@ def test_splitter_and_range_change_while_the_main_box_is_in_neutral() -> None:
 def test_a_splitter_left_between_its_steps_is_brought_in_by_the_high_one_if_the_layshaft_rests(
     rests: bool, pushed: ValveName
 ) -> None:
-    """As an outage in its change leaves it. With the layshaft at rest the guard forbids the low step,
-    which the new gear has: it comes behind the high one."""
+    """As an outage in its change leaves it. The new gear has the low step, which the guard forbids
+    while the layshaft rests: it comes behind the high one."""
     box, seen = aimed(9, 110.0), set()
     box.position_m |= dict.fromkeys((*MAIN_SLEEVES, Sleeve.SPLITTER), 0.0)
     box.clutch, shows = 0.0, box.snapshot
