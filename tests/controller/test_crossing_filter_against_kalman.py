@@ -218,6 +218,20 @@ def test_a_shaft_that_edges_deny_again_and_again_is_taken_to_be_where_they_say(
     assert found.nis.tolist() == [0.0, 0.0], "it says nothing of how well the filter fits"
 
 
+@both_shafts
+def test_an_edge_that_comes_a_batch_late_ends_in_the_state_of_one_that_does_not(
+    shaft: Shaft,
+) -> None:
+    edges, found = edges_of(shaft), []
+    for batches in (([0, 1, 2, 3], [4, 5, 6]), ([0, 1, 3], [2, 4, 5, 6]), ([0, 1, 2, 3, 4, 5, 6],)):
+        each = shaft.filter()
+        for numbers in batches:
+            each.take(edges[:, numbers].copy(), TOOTH_RAD, NO_PRESSURES, OFF, shaft.model)
+        found.append(np.concatenate((each.x, each.p.ravel(), each.nis)))
+    assert found[1] == pytest.approx(found[0], rel=1e-9)
+    assert found[2] == pytest.approx(found[0], rel=1e-9)
+
+
 def test_noise_that_heeds_the_innovations_grows_with_them() -> None:
     """Edges off by four deviations each."""
     plain, heeding = MAIN.filter(), MAIN.filter()
