@@ -11,7 +11,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from meshpoint.controller.estimation.lash import LEAST_DRAG, LEAST_SHARE_SD, SEEN_SDS, Lash
+from meshpoint.controller.estimation.lash import (
+    LEAST_DRAG,
+    LEAST_SHARE_SD,
+    SEEN_SDS,
+    Lash,
+    LashStart,
+)
 from meshpoint.controller.estimation.lash_cloud import MOST_OFF, correct
 from meshpoint.controller.estimation.lash_start import (
     BROAD,
@@ -25,10 +31,13 @@ from meshpoint.controller.motion.lash_motion import (
     ANGLE,
     DRAG,
     HALF,
+    HILL,
     LOSS,
     ROWS,
     SPEED,
     STIFF,
+    TYRE_STIFF,
+    VEHICLE,
     WAY,
 )
 from meshpoint.controller.records import Vector
@@ -63,6 +72,24 @@ def test_a_driveline_s_figures_are_the_sheet_s_as_felt_at_the_main_shaft() -> No
     )  # fmt: skip
     chance_rad_s2 = math.hypot(AXLE.main_chance_nm, RATIO * AXLE.propeller_chance_nm) / TURNED_KGM2
     assert lash.chance == pytest.approx((2.0 * chance_rad_s2**2 * AXLE.chance_s, AXLE.chance_s))
+
+
+def test_a_first_cloud_scatters_as_what_is_not_known_each_figure_by_itself() -> None:
+    """Logarithms of what has no sign; vehicle and hill by their covariance where one was told."""
+    lash, root = a_lash(), np.array(((0.2, 0.0), (1.0, 3.0)))
+    start = LashStart(0.0, 3.0, 61.0, 60.0, -2.0)
+    plain, told = lash.cloud(start), lash.cloud(start._replace(vehicle_root=root))
+    logs = [np.log(plain[row]) for row in (STIFF, LOSS, HALF)]
+    tyre = math.log(AXLE.tyre_nm_rad / AXLE.wheels_kgm2)
+    rows = [*logs, np.log(plain[TYRE_STIFF]), plain[VEHICLE], plain[HILL]]
+    means = [*lash.prior[:6:2], tyre, 60.0, -2.0]
+    sds = [*lash.prior[1:6:2], AXLE.tyre_tolerance, *lash.vehicle_sds]
+    for row, mean, sd in zip(rows, means, sds, strict=True):
+        assert row.mean() == pytest.approx(mean, abs=0.02 * sd)
+        assert row.std() == pytest.approx(sd, rel=0.01)
+    assert np.corrcoef(rows) == pytest.approx(np.eye(6), abs=0.03)
+    assert np.cov(told[VEHICLE], told[HILL]) == pytest.approx(root @ root.T, rel=0.03)
+    assert (set(plain[ANGLE]), set(plain[SPEED])) == ({3.0}, {61.0})
 
 
 def test_a_driveline_is_corrected_as_by_kalman_and_weighed_by_huber_s_law() -> None:

@@ -360,27 +360,46 @@ def test_most_of_a_first_cloud_is_at_the_flank_that_was_pressed_on(
     assert np.histogram(share, 4, (-0.15, 2.15))[0] == pytest.approx(625, abs=20)
 
 
-def test_a_cloud_of_before_is_not_asked_once_the_speed_was_lost() -> None:
-    """Missing edges in neutral; when the shaft is seen again a gear may be in."""
+def believing_in_backlash() -> MainTracker:
     main = MainTracker(CrossingFilterTuning(), 45, range_ratios=(RATIO, 1.0))
     record = SwingRecord(
         5, (120.0, 25.0), (0.01, 0.2), (0.05, 0.1), (0.3, 0.3), (1.0, 0.3), (1.0, 0.5),
         (0.1, 0.1, 0.1), (1.0, 1.0, 1.0), 1.0, 0.3, True, 0.06, 0.3,
     )  # fmt: skip
     main.restore(Range.LOW, record)
+    return main
 
-    def turn(first: int, last: int) -> None:
-        for number in range(first, last, 10):
-            edges = np.arange(number, number + 10)
-            angle = EDGE_RAD / 2.0 * edges
-            main.edges(EdgeBatch(angle / 60e-6, angle, edges // 2, edges % 2))
 
-    turn(0, 100)
+def turn(main: MainTracker, first: int, last: int) -> None:
+    for number in range(first, last, 10):
+        edges = np.arange(number, number + 10)
+        angle = EDGE_RAD / 2.0 * edges
+        main.edges(EdgeBatch(angle / 60e-6, angle, edges // 2, edges % 2))
+
+
+def test_a_cloud_of_before_is_not_asked_once_the_speed_was_lost() -> None:
+    """Missing edges in neutral; when the shaft is seen again a gear may be in."""
+    main = believing_in_backlash()
+    turn(main, 0, 100)
     main.set_free(True, Range.LOW, [], main.newest_us)
-    turn(100, 160)
+    turn(main, 100, 160)
     free = main.at(main.newest_us)
     assert free is not None and free.is_by_cloud
     main.lose_speed()
-    turn(160, 260)
+    turn(main, 160, 260)
     seen = main.at(main.newest_us)
     assert seen is not None and not seen.is_by_cloud
+
+
+def test_what_a_window_in_neutral_has_shown_of_the_backlash_is_kept_at_its_end() -> None:
+    main = believing_in_backlash()
+    turn(main, 0, 100)
+    main.set_free(True, Range.LOW, [], main.newest_us)
+    turn(main, 100, 160)
+    before = main.record(Range.LOW)
+    main.set_free(False, None, [])
+    after = main.record(Range.LOW)
+    assert before is not None and after is not None
+    assert before.half_lash_rad == pytest.approx(0.06)
+    assert after.half_lash_rad != before.half_lash_rad
+    assert after.half_lash_sd < before.half_lash_sd
