@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.estimation.driveline_swing import (
@@ -97,32 +96,6 @@ def test_two_masses_on_a_spring_are_followed_exactly_however_long_the_step() -> 
         assert swing.ahead(t)[0] == pytest.approx(
             masses.angle(twist, slip, np.array([t]))[0], abs=1e-12
         )
-
-
-def test_the_covariance_is_that_of_the_matrix_exponential() -> None:
-    """Van Loan's integral of the continuous model, for one step of 30 ms."""
-    masses = TwoMasses()
-    near, far = ModeRates(masses.natural_rad_s, masses.decay_per_s, 3.0), ModeRates(25.0, 2.0, 0.7)
-    motion = SwingMotion(0.4, 9.0, [near, far])
-    a, q = np.zeros((7, 7)), np.zeros((7, 7))
-    a[0, 1] = a[1, 2] = 1.0
-    q[1, 1], q[2, 2] = 0.4, 9.0
-    for i, mode in ((3, near), (5, far)):
-        a[i, i + 1] = 1.0
-        for row in (i + 1, 1):
-            a[row, i], a[row, i + 1] = -(mode.natural_rad_s**2), -2.0 * mode.decay_per_s
-        q[1, 1] += mode.noise_rad2_s3
-        q[i + 1, i + 1] = q[1, i + 1] = q[i + 1, 1] = mode.noise_rad2_s3
-    dt = 0.03
-    block = np.zeros((14, 14))
-    block[:7, :7], block[:7, 7:], block[7:, 7:] = -a, q, a.T
-    end = expm(block * dt)
-    f = end[7:, 7:].T
-    p = np.diag([1e-4, 0.1, 4.0, 1e-3, 2.0, 1e-3, 0.5])
-    wanted = f @ p @ f.T + f @ end[:7, 7:]
-    _, found = Swing(np.zeros(7), p, motion).spread_ahead(dt)
-    scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
-    assert np.abs((found - wanted) / scale).max() < 1e-6
 
 
 def started(masses: TwoMasses) -> tuple[Vector, Vector]:
@@ -267,17 +240,6 @@ def test_a_motion_that_the_model_does_not_have_is_not_taken_for_teeth() -> None:
     assert (known.error_rad - errors).std() < 0.7 * errors.std()
     linear = model_of(TwoMasses(spring_nm_rad=12_000.0), noise=1.0)
     assert not learned(linear, slips).learned
-
-
-def test_what_will_be_known_makes_a_later_contact_surer() -> None:
-    masses = TwoMasses()
-    x0, p0 = started(masses)
-    edge_rad2_s = ((OMEGA * JITTER_S) ** 2 + 1e-7) * 2.0 * math.pi / EDGES / OMEGA
-    swing = Swing(x0, p0, model_of(masses, 0.1), edge_rad2_s)
-    state = ShaftState(0.0, 0.0, OMEGA, 0.03, 5.0, 0.0, swing)
-    found = state.variances(50_000.0, 2_000.0, 100)
-    assert found[0] == pytest.approx(state.theta_sd_at(50_000.0) ** 2)
-    assert np.all(np.diff(found) <= 1e-12) and found[-1] < 0.02 * found[0]
 
 
 def test_the_outlook_is_that_of_edges_taken_one_tick_after_the_other() -> None:
