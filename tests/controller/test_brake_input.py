@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -83,3 +84,43 @@ def test_what_is_seen_through_another_valve_is_the_same_brake_also_when_it_is_mo
     brake.schedule(70_000, False, 30_000)
     assert list(other.arrays()[0]) == [5_000, 74_000]
     assert list(brake.arrays()[0]) == [11_000, 80_000]
+
+
+def on_and_off(*times_us: int) -> BrakeInput:
+    """Switched on, off, on ... at these times, each one commanded then; on after 5 ms, off 3."""
+    brake = BrakeInput(0)
+    brake.set_delays(3_000, 5_000)
+    for k, time_us in enumerate(times_us):
+        brake.schedule(time_us, k % 2 == 0, time_us)
+    return brake
+
+
+def test_each_switch_shows_after_its_own_delay_also_once_that_is_known_better() -> None:
+    brake = on_and_off(10_000, 40_000, 60_000)
+    assert brake.arrays().tolist() == [[15_000.0, 43_000.0, 65_000.0], [1.0, 0.0, 1.0]]
+    assert brake.commanded().tolist() == [
+        [10_000.0, 40_000.0, 60_000.0], [1.0, 0.0, 1.0], [15_000.0, 43_000.0, 65_000.0],
+    ]  # fmt: skip
+    brake.set_delays(4_000, 7_000)
+    assert brake.arrays()[0].tolist() == [17_000.0, 44_000.0, 67_000.0]
+
+
+@pytest.mark.parametrize(
+    ("release_us", "kept"),
+    [(10_000, 0), (10_001, 1), (40_000, 1), (60_000, 1), (60_001, 3), (90_000, 3)],
+)
+def test_a_release_instead_keeps_what_was_switched_before_it(release_us: int, kept: int) -> None:
+    """Not the release that it moves, nor a switching-on that would come with it or later."""
+    found = on_and_off(10_000, 40_000, 60_000).with_release(release_us)
+    assert found[0].tolist() == [*[15_000.0, 43_000.0, 65_000.0][:kept], release_us + 3_000.0]
+    assert found[1].tolist() == [*[1.0, 0.0, 1.0][:kept], 0.0]
+
+
+def test_the_newest_sixteen_switches_are_kept() -> None:
+    brake = on_and_off(*range(1_000, 31_000, 1_000))
+    assert [switch.time_us for switch in brake.switches] == [*range(15_000, 31_000, 1_000)]
+    other = BrakeInput(1_000)
+    other.follow(brake)
+    assert other.switches == brake.switches
+    brake.schedule(90_000, True, 90_000)
+    assert other.switches != brake.switches, "from then on each goes its own way"

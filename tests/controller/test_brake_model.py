@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from meshpoint.controller.estimation.brake_model import LEAST_SAMPLES, BrakeModel
+from meshpoint.controller.estimation.brake_model import LEAST_SAMPLES, PARAMETERS, BrakeModel
 from meshpoint.controller.estimation.touch_and_lag import uncorrelated
 from meshpoint.controller.motion.models import LayshaftState, MotionModel, free_motion, predict
 from meshpoint.controller.sensing.pressure_samples import PressureSampler, PressureSamples
@@ -192,11 +192,11 @@ def test_gain_and_drag_are_carried_as_the_filter_knows_them() -> None:
 
 def test_brakes_drawn_from_what_is_known_scatter_as_it_is_known() -> None:
     model, rng = fresh(), np.random.default_rng(2)
-    drawn = [model.varied(rng.standard_normal(14)[: model._mean.size]) for _ in range(300)]
+    drawn = [model.varied(rng.standard_normal(PARAMETERS)) for _ in range(300)]
     delays = np.array([(each.on_delay_us, each.off_delay_us) for each in drawn])
     sheet_us = 1e6 * SHEET.brake.valve_delay_tolerance * DELAY_S
     assert np.mean(delays, axis=0) == pytest.approx(1e6 * DELAY_S, abs=0.25 * sheet_us)
     assert np.std(delays, axis=0) == pytest.approx(sheet_us, rel=0.15)
-    still = model.varied(np.zeros(model._mean.size))
+    still = model.varied(np.zeros(PARAMETERS))
     assert (still.law() == model.law()).all()
     assert all(each.gain is model.gain for each in drawn)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -110,14 +111,6 @@ def test_frames_that_waited_are_late_and_no_jump_of_the_clock() -> None:
     assert (clock.jumps, clock.late) == (0, 2)
 
 
-def test_a_clock_that_steps_back_is_still_a_jump() -> None:
-    for step_us in (-600_000, -5_000_000, 600_000):
-        clock = SensorClockEstimate()
-        last_us = on_time(clock)
-        clock.stamp((last_us + 10_000 + step_us) % (1 << 32), last_us + 11_000)
-        assert (clock.jumps, clock.late) == (1, 0)
-
-
 def test_a_stamp_of_a_clock_that_was_set_back_a_little_is_not_late() -> None:
     """Where the counter shows it: the offset is learned anew, and the unwrapping goes on."""
     clock, ahead_us, now_us = SensorClockEstimate(), (1 << 32) - 50_000, 0
@@ -128,3 +121,38 @@ def test_a_stamp_of_a_clock_that_was_set_back_a_little_is_not_late() -> None:
     assert clock.set_back(wrap(set_back_us), now_us) == set_back_us
     assert clock.jumps == 1
     assert clock.latest_us == clock.now_us(now_us) == set_back_us < before_us
+
+
+BEGIN_US, NOW_US = 1_000_000, 50_000_000
+
+
+@pytest.mark.parametrize(
+    ("on_us", "waited_us", "jumps", "late"),
+    [
+        # Ahead of the clock by no more than half a second.
+        (500_000, 0, 0, 0), (500_001, 0, 1, 0),
+        # Behind the newest stamp by no more than a fifth of one.
+        (-200_000, 0, 0, 0), (-200_001, 0, 1, 0),
+        # A stamp that follows the newest, ten lost frames on at most, has waited, however long.
+        (0, 500_000, 0, 0), (0, 500_001, 0, 1), (100_000, 700_000, 0, 1), (100_001, 700_000, 1, 0),
+        (-200_000, 400_000, 0, 1), (-200_001, 400_000, 1, 0),
+    ],
+)  # fmt: skip
+def test_a_stamp_is_in_time_or_late_or_of_another_clock(
+    on_us: int, waited_us: int, jumps: int, late: int
+) -> None:
+    clock = SensorClockEstimate()
+    clock.stamp(BEGIN_US, NOW_US)
+    assert clock.stamp(BEGIN_US + on_us, NOW_US + waited_us) == BEGIN_US + on_us
+    assert (clock.jumps, clock.late) == (jumps, late)
+    newest_us = BEGIN_US + on_us if jumps else BEGIN_US + max(0, on_us)
+    assert clock.latest_us == newest_us
+
+
+def test_a_restart_forgets_the_offset_and_takes_the_next_stamp_as_it_is() -> None:
+    clock = SensorClockEstimate()
+    clock.stamp(BEGIN_US, NOW_US)
+    clock.restart()
+    assert (clock.jumps, clock.now_us(NOW_US)) == (1, 0)
+    assert clock.stamp(30, NOW_US + 5) == clock.now_us(NOW_US + 5) == 30
+    assert clock.jumps == 1

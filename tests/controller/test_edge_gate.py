@@ -10,8 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from turning import LEAD_US, Seen, Turning, run
 
-from meshpoint.controller.sensing.gate_layout import FOLLOW_RATE
-
 MOST_RAD_S2 = 300.0
 TEETH = 45
 JITTER_S = 8e-6
@@ -181,20 +179,3 @@ def test_a_longer_silence_of_both_polarities_is_a_loss(silent: int) -> None:
     assert seen.edges is not None
     assert seen.edges.broken == 1
     assert max(seen.teeth_wrong(motion)) < WRONG
-
-
-@pytest.mark.parametrize("early_us", [5, 10, 20])
-@pytest.mark.parametrize("duty", [0.4, 0.5, 0.6])
-def test_the_speed_follows_an_early_edge_by_a_share_of_how_early_it_came_over_its_way(
-    duty: float, early_us: int
-) -> None:
-    """A wheel that has turned evenly, a tooth a millisecond. From the falling edge before it to its
-    rising edge it is a pitch less the duty, or half a pitch where that is less."""
-    motion = Turning(45, duty, 1000.0, 0.0, 0.3)
-    rise, fall = list(motion.edges(0).values()), list(motion.edges(1).values())
-    assert rise[-1] > fall[-1]
-    rise[-1] -= early_us * 1e-6
-    wheel = run(motion, rise, fall, MOST_RAD_S2).edges
-    assert wheel is not None
-    way, share = max(1.0 - duty, 0.5), FOLLOW_RATE * early_us * 1e-3
-    assert wheel._gate.rate_per_us.item() == pytest.approx(1e-3 * (1.0 + share / way), rel=1e-6)

@@ -194,25 +194,6 @@ def test_a_falling_edge_belongs_to_the_rising_edge_before_it(wheel: Wheel, start
     assert any(t in set(wheel.fall_us) for t, _ in got)
 
 
-@settings(deadline=None, max_examples=15)
-@given(wheel=wheels())
-def test_a_batch_says_tooth_and_polarity_of_each_edge(wheel: Wheel) -> None:
-    edges, clock = WheelEdges(TEETH, DUTY), SensorClockEstimate()
-    read_us = reads(wheel)[3]
-    batch = edges.read([wheel.rise(read_us)], [wheel.fall(read_us)], clock, read_us)
-    edges_us = {wrap(t): (k, 0) for k, t in enumerate(wheel.rise_us, wheel.first)}
-    edges_us |= {wrap(t): (k, 1) for k, t in enumerate(wheel.fall_us, wheel.first)}
-    for time_us, tooth, falling in zip(
-        batch.time_us.astype(int).tolist(),
-        batch.tooth.tolist(),
-        batch.falling.tolist(),
-        strict=True,
-    ):
-        true_tooth, truly_falling = edges_us[wrap(time_us)]
-        assert falling == truly_falling
-        assert (tooth - true_tooth) % 65_536 == 0
-
-
 def test_a_restart_forgets_all_numbers() -> None:
     wheel = Wheel(500, [1000 + 2000 * k for k in range(40)], [1800 + 2000 * k for k in range(40)])
     edges, clock = WheelEdges(TEETH, DUTY), SensorClockEstimate()

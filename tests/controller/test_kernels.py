@@ -92,15 +92,6 @@ def test_equal_rates_are_no_singularity(b: float, apart: float, g: float, dt: fl
     assert_same_hold(b * (1.0 + apart), b, g, dt, 2e-6)
 
 
-@pytest.mark.parametrize("a", [1e-12, 1e-6, 9.9e-4, 1.01e-3, 1.0])
-def test_friction_going_to_nothing_is_no_friction(a: float) -> None:
-    """Through the switch from series to closed form there is no jump."""
-    phi, gamma = ours(a, 16.0, 300.0, 1.0, 1.0)
-    phi_expm, gamma_expm = held(a, 16.0, 300.0, 1.0, 1.0)
-    assert np.allclose(phi, phi_expm, rtol=1e-12, atol=1e-12)
-    assert np.allclose(gamma, gamma_expm, rtol=1e-12, atol=1e-12)
-
-
 @settings(deadline=None, max_examples=25)
 @given(
     a=RATE_A,
@@ -140,28 +131,6 @@ def test_propagation_through_brake_switches_solves_the_equations(
             atol=1e-10,
         ).y[:, -1]
     assert np.allclose(state, solved, rtol=1e-7, atol=1e-6)
-
-
-@settings(deadline=None, max_examples=40)
-@given(
-    a=RATE_A,
-    b=RATE_B,
-    parts=st.lists(st.integers(1, 40_000), min_size=2, max_size=5),
-    switch_us=st.integers(0, 100_000),
-)
-def test_two_short_holds_are_one_long_hold(
-    a: float, b: float, parts: list[int], switch_us: int
-) -> None:
-    """A prediction does not depend on where it is cut."""
-    model = np.array([a, b, 300.0, 1.0])
-    switches = np.array([[-1e4, float(switch_us)], [1.0, 0.0]])
-    whole, cut = np.array([1.0, 140.0, 0.3]), np.array([1.0, 140.0, 0.3])
-    propagate(whole, 0.0, float(sum(parts)), switches, model)
-    at = 0.0
-    for part in parts:
-        propagate(cut, at, at + part, switches, model)
-        at += part
-    assert np.allclose(whole, cut, rtol=1e-9, atol=1e-9)
 
 
 class Thesis:

@@ -17,8 +17,6 @@ from meshpoint.controller.motion.lash_course import (
     STEPS,
     Chance,
     LashCourse,
-    _fullest_at_once,
-    _fullest_by_kernel,
 )
 from meshpoint.controller.motion.lash_motion import (
     ANGLE,
@@ -215,15 +213,3 @@ def test_a_step_asked_for_alone_is_that_of_the_whole_course_to_the_bit() -> None
         assert alone.ahead(wait_s) == (angle, speed)
         again = course_of(scattered(), doubt=1.3)
         assert again.theta_sd_ahead(wait_s) == whole.theta_sd_ahead(wait_s)
-
-
-@pytest.mark.parametrize("span_rad", [1e-3, 0.01, 1.0])
-def test_the_kernel_finds_the_spans_of_numpy(span_rad: float) -> None:
-    rng = np.random.default_rng(3)
-    angle = np.cumsum(rng.normal(0.0, 0.01, (12, 90)), axis=0)
-    angle[:, 20:30] = angle[:, 40:50]  # of equal ones the lower index comes first
-    angle[5] = 0.25
-    apart = np.arange(12.0)[:, np.newaxis] * (float(np.ptp(angle)) + 2.0 * span_rad)
-    by_kernel = _fullest_by_kernel(angle, apart, span_rad)
-    for ours, theirs in zip(by_kernel, _fullest_at_once(angle, apart, span_rad), strict=True):
-        assert ours.tolist() == theirs.tolist()

@@ -9,29 +9,21 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
+from meshpoint.controller.calibration.learned import SwingRecord
 from meshpoint.controller.estimation.driveline_swing import (
-    HILL,
-    OF_A_MODE,
     START_SHARE,
-    WHITE,
     DrivelineSwing,
     EdgeRun,
 )
 from meshpoint.controller.estimation.lash import Lash
 from meshpoint.controller.estimation.lash_rivals import (
-    AHEAD_US,
-    BELIEVED,
     EACH_US,
-    FORGET,
     LEAST_WINDOWS,
-    LUCK,
-    MOST_A_WINDOW,
-    STEP_SHARE,
     LashRivals,
     Prediction,
 )
 from meshpoint.controller.estimation.likelihood import GROWTH, Learned, learn, prior, restored
-from meshpoint.controller.motion.swing_kernels import FIRST_MODE, MODES, STEADY, SWING_STATES
+from meshpoint.controller.motion.swing_kernels import FIRST_MODE, STEADY, SWING_STATES
 from meshpoint.controller.settings import CrossingFilterTuning
 from meshpoint.gearbox.driveline import Axle
 from meshpoint.units import TURN
@@ -144,14 +136,16 @@ def test_a_driveline_s_swing_begins_with_what_the_settings_say() -> None:
 def test_what_is_not_known_of_a_mode_is_noise_that_drives_it() -> None:
     """Off by a share e of its frequency it accelerates otherwise by 2 e w times its speed v, for
     1 / w at a time: a density of (2 e w v)^2 / w, and the same of its decay."""
-    swing = DrivelineSwing(TUNING)
-    for m, speed in enumerate((TUNING.near_rad_s, TUNING.far_rad_s)):
-        natural, damping, _, noise = swing._figures[OF_A_MODE * m : OF_A_MODE * (m + 1)]
-        w = natural.value
-        by_frequency = (2.0 * natural.sd * w * speed) ** 2 / w
-        by_decay = (2.0 * damping.value * damping.sd * w * speed) ** 2 / w
-        expected = noise.value + by_frequency + by_decay
-        assert swing.motion.part("modes")["noise_rad2_s3"][m] == pytest.approx(expected)
+    modes = DrivelineSwing(TUNING).motion.part("modes")
+    for m, (hertz, factor, speed) in enumerate(
+        ((TUNING.near_hz, TUNING.near_factor, TUNING.near_rad_s),
+         (TUNING.far_hz, TUNING.far_factor, TUNING.far_rad_s))
+    ):  # fmt: skip
+        w = TURN * hertz
+        by_frequency = (2.0 * math.log(factor) * w * speed) ** 2 / w
+        by_decay = (2.0 * TUNING.swing_damping * math.log(2.0) * w * speed) ** 2 / w
+        expected = TUNING.swing_noise_rad2_s3 + by_frequency + by_decay
+        assert modes["noise_rad2_s3"][m] == pytest.approx(expected)
 
 
 def test_a_gear_that_comes_out_leaves_angle_and_speed_and_a_swing_of_any_phase() -> None:
@@ -169,31 +163,25 @@ def test_a_gear_that_comes_out_leaves_angle_and_speed_and_a_swing_of_any_phase()
         i = FIRST_MODE + 2 * m
         assert p[i + 1, i + 1] == pytest.approx((START_SHARE * speed) ** 2)
         assert p[i, i] == pytest.approx(p[i + 1, i + 1] / (TURN * hertz) ** 2)
-    logs = [one.log for one in swing._figures]
-    x, p = np.ones(SWING_STATES), np.ones((SWING_STATES, SWING_STATES))
-    swing.start(x, p, logs)
-    assert p[STEADY, STEADY] == pytest.approx(TUNING.main_start_rad_s2**2), "what is tried is meant"
 
 
 def test_a_swing_that_was_kept_is_taken_up_as_it_was() -> None:
-    swing, other = DrivelineSwing(TUNING), DrivelineSwing(TUNING)
-    figures = list(swing._figures)
-    for k in range(len(figures)):
-        figures[k] = restored(figures[k], figures[k].value * (1.01 + 0.01 * k), 0.3 - 0.02 * k)
-    swing._figures, swing.shifts = figures, 3
+    """Each figure no surer than it may be."""
     lash = Lash(Axle(), TUNING.lash_rad, TUNING.lash_factor, 1.0)
-    record = swing.record(lash.known, True)
-    assert record is not None
-    assert record.has_lash is True
-    assert record.half_lash_rad == pytest.approx(math.exp(lash.known.half_log))
-    assert record.natural_rad_s == tuple(figures[OF_A_MODE * m].value for m in range(MODES))
-    assert record.noise_rad2_s3[-1] == figures[WHITE].value
-    assert (record.hill_rad_s2, record.hill_sd) == (figures[HILL].value, figures[HILL].sd)
-    other.restore(record)
-    assert other.shifts == 3
-    for mine, theirs in zip(figures, other._figures, strict=True):
-        assert theirs.value == pytest.approx(mine.value)
-        assert theirs.sd == pytest.approx(mine.sd)
+    kept = SwingRecord(
+        3, (120.0, 25.0), (0.01, 0.2), (0.04, 0.06), (0.3, 0.25), (1.1, 0.4), (0.9, 0.5),
+        (0.1, 0.2, 0.3), (0.8, 0.7, 0.6), 17.0, 0.35, True, math.exp(lash.known.half_log),
+        lash.known.half_sd,
+    )  # fmt: skip
+    swing = DrivelineSwing(TUNING)
+    swing.restore(kept)
+    again = swing.record(lash.known, True)
+    assert again is not None
+    assert vars(again) == {name: pytest.approx(value) for name, value in vars(kept).items()}
+    modes = swing.motion.part("modes")
+    assert modes["natural_rad_s"].tolist() == pytest.approx([120.0, 25.0])
+    assert modes["decay_per_s"].tolist() == pytest.approx([0.04 * 120.0, 0.06 * 25.0])
+    assert swing.motion.part("white_rad2_s3")[0] == pytest.approx(0.3)
 
 
 def test_edges_of_a_run_are_kept_in_their_order_until_the_next_begins() -> None:
@@ -223,14 +211,6 @@ def judged(rivals: LashRivals, swing: Prediction, lash: Prediction) -> None:
     rivals.end()
 
 
-def within(off_sd: float, half_sd: float) -> float:
-    """Probability of a normal law between two places, deviations from its middle."""
-    return 0.5 * (
-        math.erf((off_sd + half_sd) / math.sqrt(2.0))
-        - math.erf((off_sd - half_sd) / math.sqrt(2.0))
-    )
-
-
 def test_a_backlash_doubted_however_often_is_tried_again_after_four_windows() -> None:
     good, bad = Prediction(0.0, 0.3 * GAP_RAD), Prediction(3.0 * GAP_RAD, 0.3 * GAP_RAD)
     rivals = LashRivals()
@@ -244,26 +224,12 @@ def test_a_backlash_doubted_however_often_is_tried_again_after_four_windows() ->
     assert tried == [False, False, False, True]
 
 
-def test_a_window_weighs_what_each_model_gave_to_what_came() -> None:
-    """Twice the logarithm of both probabilities' ratio, a horizon counting as one."""
-    swing, lash = Prediction(GAP_RAD, 0.8 * GAP_RAD), Prediction(0.1 * GAP_RAD, 0.5 * GAP_RAD)
-    rivals = LashRivals()
-    judged(rivals, swing, lash)
-    given = [LUCK + (1.0 - LUCK) * p for p in (within(1.25, 1.25), within(0.2, 2.0))]
-    asked = [t for t in EVEN[1::2] if t + AHEAD_US <= EVEN[-1]]
-    every = EACH_US / 10_000.0
-    count = math.ceil(len(asked) / max(1.0, every))
-    told = min(2.0 * math.log(given[1] / given[0]) * count * STEP_SHARE, MOST_A_WINDOW)
-    assert rivals._for_lash == pytest.approx(told, rel=0.15)
-
-
 def test_backlash_is_believed_after_some_windows_and_forgotten_where_it_fails() -> None:
     good, bad = Prediction(0.0, 0.3 * GAP_RAD), Prediction(3.0 * GAP_RAD, 0.3 * GAP_RAD)
     rivals = LashRivals()
     for window in range(1, 5):
         judged(rivals, bad, good)
         assert rivals.believes_lash is (window >= LEAST_WINDOWS)
-    assert rivals._for_lash <= MOST_A_WINDOW / (1.0 - FORGET)
     for _ in range(4):
         judged(rivals, good, bad)
     assert not rivals.believes_lash
@@ -271,7 +237,6 @@ def test_backlash_is_believed_after_some_windows_and_forgotten_where_it_fails() 
     other = LashRivals()
     other.restore(True)
     assert other.believes_lash
-    assert other._for_lash == 2.0 * BELIEVED
     other.restore(False)
     assert not other.believes_lash
     assert other.tries_lash

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
+import pytest
 from free_layshaft import flow_pa_s, law_array
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -14,6 +16,9 @@ from scipy.linalg import expm
 from meshpoint.controller.motion.models import (
     LayshaftState,
     MotionModel,
+    Ticks,
+    first_order_law,
+    outlook,
     predict,
     predict_spread,
     state_of,
@@ -176,3 +181,48 @@ def test_a_moment_back_undoes_a_moment_ahead(
     assert ahead.theta_rad > state.theta_rad
     off = np.abs(back.vector - state.vector) / scale(rates[1], moment_us * US)
     assert off.max() < 1e-6
+
+
+KNOTS_PA = (0.0, 1e5, 2e5, 3e5, 4e5, 5e5, 5.8e5)
+RISING = ((18.0, 1.5e7), (14.0, 1.3e7), (9.0, 1.1e7), (6.0, 1.0e7), (4.0, 0.9e7), (2.0, 0.8e7))
+FALLING = ((3.0, -1e6), (5.0, -9e5), (7.0, -8e5), (11.0, -6e5), (13.0, -4e5), (17.0, -2e5))
+
+
+@pytest.mark.parametrize("on", [True, False])
+def test_a_brake_that_fills_or_empties_passes_all_six_segments_of_its_law(on: bool) -> None:
+    """p' = r - b p in each, solved for the time to its end and to half-way there."""
+    law = np.empty((2, 6, 3))
+    law[:, :, 0] = -math.inf, *KNOTS_PA[1:6]
+    law[0, :, 1:], law[1, :, 1:] = FALLING, RISING
+    model, at_s = MotionModel(np.array([0.0, 0.0, 30.0]), law, QUIET), 0.0
+    start = LayshaftState(0.0, 0.0, 0.0, KNOTS_PA[0 if on else -1])
+    switches = np.array([[0.0], [1.0]]) if on else np.empty((2, 0))
+    for k in range(6) if on else reversed(range(6)):
+        begin, end = KNOTS_PA[k : k + 2] if on else (KNOTS_PA[k + 1], KNOTS_PA[k])
+        b, r = (RISING if on else FALLING)[k]
+        for pressure in (0.5 * (begin + end), end):
+            seconds = at_s + math.log((r - b * begin) / (r - b * pressure)) / b
+            found = predict(start, 1e6 * seconds, switches, model)
+            assert found.pressure_pa == pytest.approx(pressure, abs=2.0)
+        at_s = seconds
+
+
+def test_a_pressure_that_comes_to_rest_just_below_a_knot_stays_there() -> None:
+    law = first_order_law(1.0, 0.0)
+    law[0, 0], law[0, 1] = (-math.inf, 5.0, 0.0), (1024.0, 1.0, 1023.9995)
+    model = MotionModel(np.array([0.0, 0.0, 1.0]), law, QUIET)
+    found = predict(LayshaftState(0.0, 0.0, 0.0, 2000.0), 60e6, np.empty((2, 0)), model)
+    assert found.pressure_pa == pytest.approx(1024.0, abs=1.0)
+
+
+def test_what_will_be_known_counts_the_valve_s_switches_by_the_time_of_each_tick() -> None:
+    """An unknown gain of the brake shows in the angle as the brake is on: for the last 5 ms of the
+    first horizon, 15 ms of the second, 25 ms of the third."""
+    g, b = 3e-4, 4000.0
+    model = MotionModel(np.array([0.0, g, 30.0]), first_order_law(b, SUPPLY_PA), QUIET)
+    p = np.zeros((6, 6))
+    p[4, 4] = 0.01
+    known = LayshaftState(0.0, 0.0, 150.0, 0.0, covariance=p, edge_rad2_s=1.0)
+    found = outlook(known, Ticks(45e3, 10e3, 3), np.array([[40e3], [1.0]]), model)
+    on = np.array([5e-3, 15e-3, 25e-3]) - 1.0 / b  # filling, it lags behind by its time constant
+    assert found == pytest.approx(0.01 * (g * SUPPLY_PA * 0.5 * on**2) ** 2, rel=0.02)

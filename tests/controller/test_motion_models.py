@@ -7,7 +7,6 @@ import math
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 from meshpoint.controller.motion.models import (
     Disturbance,
@@ -118,25 +117,6 @@ def test_a_shaft_that_something_drives_may_accelerate_by_so_much_for_so_long() -
     assert x.tolist() == [0.0, 0.0, 0.0, 0.0, 1.0, 0.0]
     assert np.sqrt(np.diag(start)) == pytest.approx([2e-3, 0.5, 1.0, 60.0, 1e-9, 60.0])
     assert np.count_nonzero(start - np.diag(np.diag(start))) == 0
-
-
-def test_a_covariance_grows_as_the_matrix_exponential_has_it() -> None:
-    """Of the linear states; the brake empty."""
-    model, rng = free(), np.random.default_rng(3)
-    root = rng.normal(size=(6, 6)) * [1e-3, 0.2, 0.0, 3.0, 0.0, 2.0]
-    p = root.T @ root
-    a, b = model.friction_per_s, model.part("fading_per_s")[0]
-    rates = np.zeros((6, 6))
-    rates[ANGLE, SPEED] = 1.0
-    rates[SPEED, SPEED], rates[SPEED, TORQUE], rates[SPEED, DRAG] = -a, 1.0, 1.0
-    rates[TORQUE, TORQUE] = -b
-    for seconds in (0.004, 0.03):
-        move = expm(rates * seconds)
-        quiet = MotionModel(np.array([a, model.brake_rad_s2_pa, b]), LAW, np.zeros(4))
-        found = grown(quiet, p, seconds, START)
-        expected = move @ p @ move.T
-        kept = np.ix_([ANGLE, SPEED, TORQUE, DRAG], [ANGLE, SPEED, TORQUE, DRAG])
-        assert found[kept] == pytest.approx(expected[kept], rel=1e-6, abs=1e-12)
 
 
 def test_a_state_is_told_with_its_standard_deviations_and_none_of_a_negative_variance() -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import pytest
 
@@ -32,25 +30,6 @@ def test_the_model_is_that_of_the_data_sheet(sheet: GearboxSheet) -> None:
     assert supply == pytest.approx(8e5)
     a_low = layshaft_model(sheet, Split.LOW)[0]
     assert a_low == pytest.approx(0.10 / (0.20 + 0.14 * (41 / 30) ** 2))
-
-
-def test_without_pressure_the_speed_dies_away_by_friction_alone(sheet: GearboxSheet) -> None:
-    model = layshaft_model(sheet, Split.HIGH)
-    a = model[0]
-    start = LayshaftState(0.0, 0.0, 140.0, 0.0)
-    state = predict_hold(start, 2e6, NEVER, model)
-    assert state.omega_rad_s == pytest.approx(140.0 * math.exp(-2.0 * a), rel=1e-12)
-    assert state.theta_rad == pytest.approx(140.0 * (1 - math.exp(-2.0 * a)) / a, rel=1e-12)
-
-
-def test_a_full_brake_brakes_with_its_whole_torque(sheet: GearboxSheet) -> None:
-    """Long after the switch the pressure is the supply's, and omega' = -(a omega + T/J)."""
-    model = layshaft_model(sheet, Split.HIGH)
-    late = predict_hold(LayshaftState(0.0, 0.0, 2000.0, 0.0), 2e6, ALWAYS, model)
-    later = predict_hold(late, 2e6 + 100.0, ALWAYS, model)
-    assert late.pressure_pa == pytest.approx(8e5, rel=1e-9)
-    slope = (later.omega_rad_s - late.omega_rad_s) / 1e-4
-    assert slope == pytest.approx(-(model[0] * late.omega_rad_s + model[2] * 8e5), rel=1e-4)
 
 
 def test_linear_keeps_the_speed(sheet: GearboxSheet) -> None:

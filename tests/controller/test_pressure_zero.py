@@ -44,7 +44,7 @@ def test_pressure_in_the_chamber_is_not_taken_for_an_offset() -> None:
 def test_the_offset_is_the_mean_of_what_an_empty_chamber_showed_the_old_counting_less() -> None:
     """A sample weighs 0.998 of the next one. Nothing is told before ten samples' weight."""
     zero, shown = PressureZero(TAU_S), []
-    begun_us = zero._wait_us
+    begun_us = 8e6 * TAU_S
     zero.take(0.0, 8e5, True)
     for k in range(1, 40):
         pressure_pa = OFFSET_PA + 1e3 * math.sin(2.0 * k)

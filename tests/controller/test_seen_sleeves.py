@@ -1,21 +1,10 @@
-"""When a sleeve comes to its gear's teeth and is in mesh, as measured by sensors with an offset;
-what is learned of its delay; and the clock of its sensors."""
+"""When a sleeve comes to its gear's teeth and is in mesh, as measured by sensors with an offset."""
 
 from __future__ import annotations
 
-import math
-
 import pytest
 
-from meshpoint.controller.planning.sleeve_delay import (
-    MOST_SAMPLES,
-    PRIOR_SAMPLES,
-    PRIOR_SCATTER_SAMPLES,
-    SHARE_OF_SCATTER,
-    SleeveDelays,
-)
 from meshpoint.controller.sensing.gearbox_view import GearboxView
-from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate, unwrap, wrap
 from meshpoint.dbc.messages import SleevesAux, SleevesMain
 from meshpoint.gearbox import MainGear, Sleeve, load_sheet
 
@@ -106,75 +95,3 @@ def test_the_oldest_of_the_sleeves_samples_is_told_and_a_sensor_that_says_so_is_
         take(kind(), 50_000)
         view.work_out()
         assert view.complete
-
-
-def scatter(errors_us: list[float]) -> tuple[SleeveDelays, float, float, float]:
-    """Delays after these contacts; mean, scatter and their weights by the laws of the normal-gamma
-    distribution."""
-    delays = SleeveDelays(SHEET)
-    sheet_us = 1e6 * SLEEVE.delay_s
-    for error in errors_us:
-        delays.learn(MainGear.SECOND, sheet_us + error)
-    n, seen = len(errors_us), PRIOR_SAMPLES + len(errors_us)
-    mean = sum(errors_us) / seen
-    own = SHARE_OF_SCATTER * 1e6 * SLEEVE.delay_sd_s
-    squares = PRIOR_SCATTER_SAMPLES * own**2
-    squares += sum((error - mean) ** 2 for error in errors_us) + PRIOR_SAMPLES * mean**2
-    variance = squares / (PRIOR_SCATTER_SAMPLES + n)
-    return delays, sheet_us + mean, variance, seen
-
-
-@pytest.mark.parametrize("errors", [[], [4_000.0], [1_000.0, -2_000.0, 500.0], [3_000.0] * 12])
-def test_mean_and_scatter_of_a_delay_are_those_of_all_contacts_and_the_sheet_s(
-    errors: list[float],
-) -> None:
-    delays, mean_us, variance_us2, weight = scatter(errors)
-    assert delays.delay_us(MainGear.SECOND) == pytest.approx(mean_us, abs=1.0)
-    next_sd_us = math.sqrt(variance_us2 * (1.0 + 1.0 / weight))
-    assert 1e6 * delays.delay_sd_s(MainGear.SECOND) == pytest.approx(next_sd_us, rel=1e-9)
-    assert delays.scatter_samples(MainGear.SECOND) == PRIOR_SCATTER_SAMPLES + len(errors)
-    assert delays.samples(MainGear.SECOND) == len(errors)
-
-
-def test_old_contacts_are_forgotten_so_that_a_slow_drift_is_followed() -> None:
-    """What is known weighs no more than so many contacts; its scatter neither grows nor falls with
-    their number."""
-    delays, sheet_us = SleeveDelays(SHEET), 1e6 * SLEEVE.delay_s
-    for k in range(300):
-        delays.learn(MainGear.SECOND, sheet_us + 1_000.0 * (-1.0) ** k)
-    assert delays.samples(MainGear.SECOND) == round(MOST_SAMPLES - PRIOR_SAMPLES)
-    assert delays.scatter_samples(MainGear.SECOND) <= MOST_SAMPLES + PRIOR_SCATTER_SAMPLES
-    sd_us = 1e6 * delays.delay_sd_s(MainGear.SECOND)
-    assert sd_us == pytest.approx(1_000.0, rel=0.05)
-    for _ in range(60):
-        delays.learn(MainGear.SECOND, sheet_us + 6_000.0)
-    assert delays.delay_us(MainGear.SECOND) > sheet_us + 3_500.0
-
-
-def test_a_stamp_is_the_time_nearest_to_what_is_expected() -> None:
-    for near in (5, WRAP_US - 5, WRAP_US + 7, 3 * WRAP_US):
-        for off in (-1_000_000, -1, 0, 1, 1_000_000):
-            if near + off >= 0:
-                assert unwrap(wrap(near + off), near) == near + off
-
-
-def test_the_clock_is_by_the_frame_that_waited_least_of_the_last_ones() -> None:
-    """Delays of a bus make frames late, never early; a drift of the clocks is followed."""
-    clock = SensorClockEstimate()
-    assert clock.now_us(1_000) == 0
-    delays = [900, 400, 2_000, 300, 700]
-    for k, delay in enumerate(delays):
-        clock.stamp(1_000_000 + 10_000 * k, 2_000_000 + 10_000 * k + delay)
-        assert clock.now_us(3_000_000) == 2_000_000 - min(delays[: k + 1])
-    assert clock.latest_us == 1_040_000
-    assert (clock.jumps, clock.late) == (0, 0)
-    drifting = SensorClockEstimate()
-    for k in range(5_000):
-        drifting.stamp(1_000_000 + 10_000 * k, 2_000_000 + 10_001 * k + 300)
-    newest = 1_000_000 + 10_000 * 4_999
-    assert drifting.now_us(2_000_000 + 10_001 * 4_999 + 300) == pytest.approx(newest, abs=6_500)
-    restarted = SensorClockEstimate()
-    restarted.stamp(1_000_000, 2_000_000)
-    restarted.restart()
-    assert restarted.jumps == 1
-    assert restarted.stamp(500, 2_010_000) == 500

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from wheel import READ_US, capture
 
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
-from meshpoint.controller.sensing.sensor_count import SLACK
+from meshpoint.controller.sensing.sensor_count import SLACK, SensorCount
 from meshpoint.controller.sensing.wheel_edges import WheelEdges
 from meshpoint.dbc.messages import EdgesMainFall, EdgesMainRise
 
@@ -202,3 +202,40 @@ def test_of_a_wheel_with_missing_teeth_nothing_is_said() -> None:
     wheel.sensor.counting(5, 0, START_US, 1.0)
     wheel.sensor.lost()
     assert wheel.sensor.renumbered.uncounted == 1
+
+
+LEAST_RATE, BEND = 1e-4, 1e-10
+"""From and to the least speed (teeth/us) a stop takes a second at this half acceleration."""
+
+
+@pytest.mark.parametrize(
+    ("falls", "after_us", "dragged", "renumbered"),
+    [
+        # Ten edges that may each have gone back: the tooth's number was 43 more, less two for each
+        # of them, and three to spare.
+        (10, 1_000_000, False, (43 - 20 - SLACK, 43 + SLACK, 0)),
+        # Without time for a stop all of them have gone on; what is dragged may stop at once.
+        (10, 999_999, False, (43 - SLACK, 43 + SLACK, 0)),
+        (10, 20_000, True, (43 - 20 - SLACK, 43 + SLACK, 0)),
+        # Polarities that have counted apart by more than three bound nothing.
+        (13, 999_999, False, (43 - SLACK, 43 + SLACK, 0)), (14, 999_999, False, (0, 0, 1)),
+    ],
+)  # fmt: skip
+def test_a_loss_counts_each_edge_of_it_as_one_on_or_back(
+    falls: int, after_us: int, dragged: bool, renumbered: tuple[int, int, int]
+) -> None:
+    """Edge 1000 of the sensor was tooth 40, with two newer ones waiting; ten edges later the tooth
+    called 7 has the number that would have been 50."""
+    count = SensorCount(BEND, LEAST_RATE, True)
+    for falling in (False, True):
+        count.frame(falling, 1002, 27, 0)
+    count.counting(40, 2, 0, LEAST_RATE)
+    count.lost()
+    if dragged:
+        count.dragged()
+    count.frame(False, 1012, 27, 20_000)
+    count.frame(True, 1002 + falls, 27, 20_000)
+    count.counting(7, 2, after_us, LEAST_RATE)
+    assert count.renumbered[2] == renumbered[2]
+    if not renumbered[2]:
+        assert count.renumbered == renumbered

@@ -346,6 +346,34 @@ def test_splitter_and_range_change_while_the_main_box_is_in_neutral() -> None:
     assert box.view.gear_number == 7
 
 
+@pytest.mark.parametrize(
+    ("rests", "pushed"), [(False, ValveName.SPLIT_LOW), (True, ValveName.SPLIT_HIGH)]
+)
+def test_a_splitter_left_between_its_steps_is_brought_in_by_the_high_one_if_the_layshaft_rests(
+    rests: bool, pushed: ValveName
+) -> None:
+    """As an outage in its change leaves it. The new gear has the low step, which the guard forbids
+    while the layshaft rests: it comes behind the high one."""
+    box, seen = aimed(9, 110.0), set()
+    box.position_m |= dict.fromkeys((*MAIN_SLEEVES, Sleeve.SPLITTER), 0.0)
+    box.clutch, shows = 0.0, box.snapshot
+
+    def snapshot(**other: Any) -> StepSnapshot:
+        shot = shows(**other)
+        if rests and box.view.split is None:
+            shot.speeds.layshaft = None  # type: ignore[misc]
+        return shot
+
+    box.snapshot = snapshot  # type: ignore[method-assign]
+    box.until(State.NEUTRAL)
+    box.ask(7)
+    while box.view.split is None and box.running():
+        seen |= {valve for valve in PUSHED[Sleeve.SPLITTER] if box.board.command(valve).on}
+        box.step()
+    assert seen == {pushed}
+    assert box.view.split is (Split.HIGH if rests else Split.LOW)
+
+
 def events(box: Box, number: int) -> dict[str, int]:
     """When things first happen in a shift, in us since it was asked for."""
     box.ask(number)

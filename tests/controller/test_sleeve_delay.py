@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import pytest
 
 from meshpoint.controller.planning.sleeve_delay import (
@@ -67,3 +70,34 @@ def test_what_was_seen_is_kept_and_nothing_else() -> None:
     assert another.delay_us(MainGear.CRAWL) == delays.delay_us(MainGear.CRAWL)
     assert another.delay_sd_s(MainGear.CRAWL) == pytest.approx(delays.delay_sd_s(MainGear.CRAWL))
     assert another.samples(MainGear.CRAWL) == 3
+
+
+ERRORS_MS = (2.0, -1.0, 3.5, 0.5, -2.5, 1.0)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 6])
+def test_contacts_and_the_sheet_make_the_law_of_an_unknown_mean_and_scatter(count: int) -> None:
+    """The textbook's normal-gamma law, by the samples' mean and sum of squares: of the mean the
+    sheet counts as half a contact, of the scatter, 60 % of its own in one gear, as four."""
+    delays, gear, sleeve = SleeveDelays(SHEET), MainGear.SECOND, SHEET.sleeve
+    seen_s = sleeve.delay_s + 1e-3 * np.array(ERRORS_MS[:count])
+    for each in seen_s:
+        delays.learn(gear, 1e6 * each)
+    weight, freedom = PRIOR_SAMPLES + count, 4.0 + count
+    mean = (PRIOR_SAMPLES * sleeve.delay_s + seen_s.sum()) / weight
+    squares = 4.0 * (0.6 * sleeve.delay_sd_s) ** 2
+    if count:
+        squares += ((seen_s - seen_s.mean()) ** 2).sum()
+        squares += PRIOR_SAMPLES * count / weight * (seen_s.mean() - sleeve.delay_s) ** 2
+    assert delays.delay_us(gear) == pytest.approx(1e6 * mean, abs=0.51)
+    assert delays.delay_sd_s(gear) == pytest.approx(math.sqrt(squares / freedom * (1 + 1 / weight)))
+    assert (delays.samples(gear), delays.scatter_samples(gear)) == (count, freedom)
+
+
+def test_old_contacts_fade_once_they_weigh_as_sixty() -> None:
+    """A sleeve that becomes slower is known as such after some tens of contacts."""
+    delays, gear = SleeveDelays(SHEET), MainGear.SECOND
+    for error_us in [0.0] * 500 + [4_000.0] * 120:
+        delays.learn(gear, SHEET_US + error_us)
+    left = (60.0 / 61.0) ** 120
+    assert delays.delay_us(gear) == pytest.approx(SHEET_US + 4_000.0 * (1.0 - left), abs=1.0)

@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.linalg import expm
 
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.estimation.driveline_swing import (
-    NATURAL,
     DrivelineSwing,
     MainWindow,
 )
@@ -100,32 +98,6 @@ def test_two_masses_on_a_spring_are_followed_exactly_however_long_the_step() -> 
         )
 
 
-def test_the_covariance_is_that_of_the_matrix_exponential() -> None:
-    """Van Loan's integral of the continuous model, for one step of 30 ms."""
-    masses = TwoMasses()
-    near, far = ModeRates(masses.natural_rad_s, masses.decay_per_s, 3.0), ModeRates(25.0, 2.0, 0.7)
-    motion = SwingMotion(0.4, 9.0, [near, far])
-    a, q = np.zeros((7, 7)), np.zeros((7, 7))
-    a[0, 1] = a[1, 2] = 1.0
-    q[1, 1], q[2, 2] = 0.4, 9.0
-    for i, mode in ((3, near), (5, far)):
-        a[i, i + 1] = 1.0
-        for row in (i + 1, 1):
-            a[row, i], a[row, i + 1] = -(mode.natural_rad_s**2), -2.0 * mode.decay_per_s
-        q[1, 1] += mode.noise_rad2_s3
-        q[i + 1, i + 1] = q[1, i + 1] = q[i + 1, 1] = mode.noise_rad2_s3
-    dt = 0.03
-    block = np.zeros((14, 14))
-    block[:7, :7], block[:7, 7:], block[7:, 7:] = -a, q, a.T
-    end = expm(block * dt)
-    f = end[7:, 7:].T
-    p = np.diag([1e-4, 0.1, 4.0, 1e-3, 2.0, 1e-3, 0.5])
-    wanted = f @ p @ f.T + f @ end[:7, 7:]
-    _, found = Swing(np.zeros(7), p, motion).spread_ahead(dt)
-    scale = np.sqrt(np.outer(np.diag(wanted), np.diag(wanted)))
-    assert np.abs((found - wanted) / scale).max() < 1e-6
-
-
 def started(masses: TwoMasses) -> tuple[Vector, Vector]:
     """What is known at the start of a window: nothing but rough angle and speed."""
     p = np.diag([0.03**2, 5.0**2, 1.0, 0.05**2, 4.0**2, 1e-12, 1e-12])
@@ -197,7 +169,7 @@ def test_frequency_and_damping_are_learned_from_the_ringing_of_three_shifts() ->
         twist, slip = rng.normal(0.0, 0.03), rng.normal(0.0, 3.0)
         window = window_of(lambda t, a=twist, b=slip: masses.angle(a, b, t), k)
         edge_time = swing.learn(window, edge_time, teeth_known=True)
-    natural = swing._figures[NATURAL].value
+    natural = swing.motion.part("modes")["natural_rad_s"][0]
     assert natural == pytest.approx(masses.natural_rad_s, rel=0.02)
     record = swing.record(LashFigures(8.0, 0.3, -2.0, 0.5, -4.0, 0.3, 2.0, 0.4), has_lash=True)
     assert record is not None and record.has_lash
@@ -270,17 +242,6 @@ def test_a_motion_that_the_model_does_not_have_is_not_taken_for_teeth() -> None:
     assert not learned(linear, slips).learned
 
 
-def test_what_will_be_known_makes_a_later_contact_surer() -> None:
-    masses = TwoMasses()
-    x0, p0 = started(masses)
-    edge_rad2_s = ((OMEGA * JITTER_S) ** 2 + 1e-7) * 2.0 * math.pi / EDGES / OMEGA
-    swing = Swing(x0, p0, model_of(masses, 0.1), edge_rad2_s)
-    state = ShaftState(0.0, 0.0, OMEGA, 0.03, 5.0, 0.0, swing)
-    found = state.variances(50_000.0, 2_000.0, 100)
-    assert found[0] == pytest.approx(state.theta_sd_at(50_000.0) ** 2)
-    assert np.all(np.diff(found) <= 1e-12) and found[-1] < 0.02 * found[0]
-
-
 def test_the_outlook_is_that_of_edges_taken_one_tick_after_the_other() -> None:
     modes = [ModeRates(110.0, 5.0, 2.0), ModeRates(26.0, 1.5, 2.0)]
     motion = SwingMotion(1.0, 25.0, modes)
@@ -299,3 +260,37 @@ def test_the_outlook_is_that_of_edges_taken_one_tick_after_the_other() -> None:
         del churn
         found = Swing(x, p, motion, edge_rad2_s).outlook(horizon_s, tick_s, count)
         assert found == pytest.approx(expected, rel=1e-9)
+
+
+BARE = ShaftState(2e6, 1.0, 60.0, 3e-3, 0.04, -5.0)
+
+
+def test_a_shaft_that_does_not_swing_keeps_its_acceleration() -> None:
+    """After 0.2 s: 60 - 1, and 1 + 12 - 0.1; what is not known of the speed adds to the angle."""
+    assert BARE.theta_at(2.2e6) == pytest.approx(12.9)
+    assert BARE.omega_at(2.2e6) == BARE.steady_omega_at(2.2e6) == pytest.approx(59.0)
+    assert BARE.theta_at(1.8e6) == pytest.approx(1.0 - 12.0 - 0.1)
+    assert BARE.theta_sd_at(2.2e6) == pytest.approx(math.hypot(3e-3, 8e-3))
+    expected = [[1.0 + 60.0 * t - 2.5 * t * t for t in (0.1, 0.15, 0.2)], [59.5, 59.25, 59.0]]
+    assert BARE.course(2.1e6, 50e3, 3) == pytest.approx(np.array(expected))
+    assert BARE.variances(2.1e6, 2e3, 3) == pytest.approx([9e-6 + 0.01 * 0.0016] * 3)
+
+
+def test_a_shaft_that_swings_goes_on_as_its_swing_does_and_the_vehicle_without_it() -> None:
+    """Counted from the state's own time; variances are straight between ticks of 10 ms."""
+    masses, x, p = TwoMasses(), state_of(TwoMasses(), 0.03, -4.0), np.diag([9e-6] + [1e-4] * 6)
+    shaft = BARE._replace(swing=Swing(x, p, model_of(masses), 2e-8))
+    swing = shaft.swing
+    assert isinstance(swing, Swing)
+    assert swing.speed_rad_s == pytest.approx(x[4] + x[6])
+    assert shaft.steady_omega_at(2.03e6) == pytest.approx(60.0 - 5.0 * 0.03 - swing.speed_rad_s)
+    for wait_s in (0.0, 0.03, 0.1):
+        at_us = 2e6 + 1e6 * wait_s
+        assert (shaft.theta_at(at_us), shaft.omega_at(at_us)) == pytest.approx(swing.ahead(wait_s))
+        variance = swing.spread_ahead(wait_s)[1][0, 0]
+        assert shaft.theta_sd_at(at_us) == pytest.approx(math.sqrt(variance))
+        each = np.array([swing.ahead(wait_s + 7e-3 * k) for k in range(4)]).T
+        assert shaft.course(at_us, 7e3, 4) == pytest.approx(each)
+        ticks = swing.outlook(wait_s, 0.01, 4)
+        between = np.interp(0.5 * np.arange(6), np.arange(4), ticks)
+        assert shaft.variances(at_us, 5e3, 6) == pytest.approx(between)

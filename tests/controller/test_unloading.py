@@ -153,3 +153,33 @@ def test_a_ramp_tells_shafts_and_vehicle(stiffness: float, vehicle: float) -> No
     assert 1.0 / found.vehicle_inverse == pytest.approx(vehicle, rel=0.1)
     assert acceleration == pytest.approx(0.0, abs=0.03)
     assert found.stiffness_sd < 0.5 * KNOWN.stiffness_sd
+
+
+HARMLESS_NM, ENGINE_KGM2 = 100.0, 400.0
+
+
+def a_third_unknown() -> GearedBodies:
+    """Their frequency is known within a third: half the share of the stiffness, an even law's end
+    being sqrt 3 deviations away."""
+    known = Known(STIFFNESS, 2.0 / 3.0 / math.sqrt(3.0), 1.0 / VEHICLE, 0.0)
+    return GearedBodies(2.0, ENGINE_KGM2, known, HARMLESS_NM)
+
+
+@pytest.mark.parametrize(
+    ("pulled", "error", "count"),
+    [(100.0, 0.0, 1), (101.0, 0.0, 2), (-199.0, 0.0, 2), (201.0, 0.0, 3), (4_000.0, 0.0, 3),
+     (205.0, 50.0, 3), (99.0, 0.0, 0), (199.0, 50.0, 0)],
+)  # fmt: skip
+def test_each_step_more_leaves_half_of_the_swing_until_it_is_harmless(
+    pulled: float, error: float, count: int
+) -> None:
+    """sin(pi / 6), in three steps at most. What is harmless, or within twice its error of none, is
+    left as it is; else as much may be to take away as its error leaves open."""
+    bodies = a_third_unknown()
+    assert bodies.tolerance == pytest.approx(1.0 / 3.0)
+    found = unloading(SHEET, bodies, Loaded(70.0, pulled, -0.5, error), 900)
+    if count == 0:
+        (only,) = found
+        assert (only.torque_nm, only.left_nm, only.over_us) == (70.0, 70.0, 900.0)
+        return
+    assert [each.shares for each in found] == list(SHAPES[:count])

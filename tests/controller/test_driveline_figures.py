@@ -1,0 +1,178 @@
+"""The figures of a driveline in its backlash: the sheet's as felt at the main shaft, how looks and
+windows correct them, and the vehicle's course; each against the formula of the textbook."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.stats import multivariate_normal
+
+from meshpoint.controller.estimation.lash import (
+    LEAST_DRAG,
+    LEAST_SHARE_SD,
+    SEEN_SDS,
+    Lash,
+    LashStart,
+)
+from meshpoint.controller.estimation.lash_cloud import MOST_OFF, correct
+from meshpoint.controller.estimation.lash_start import (
+    BROAD,
+    CHANGE_S,
+    EDGE_RAD,
+    SWING_S,
+    SWINGS_RAD,
+    vehicle_course,
+)
+from meshpoint.controller.motion.lash_motion import (
+    ANGLE,
+    DRAG,
+    HALF,
+    HILL,
+    LOSS,
+    ROWS,
+    SPEED,
+    STIFF,
+    TYRE_STIFF,
+    VEHICLE,
+    WAY,
+)
+from meshpoint.controller.records import Vector
+from meshpoint.gearbox.driveline import Axle
+
+AXLE, RATIO, BACKLASH_RAD, FACTOR = Axle(), 0.27, math.radians(2.0), 2.0
+TURNED_KGM2 = AXLE.main_kgm2 + AXLE.propeller_kgm2 * RATIO**2
+VEHICLE_SDS = (0.3, 8.0)
+
+
+def a_lash() -> Lash:
+    return Lash(AXLE, BACKLASH_RAD, FACTOR, RATIO)
+
+
+def test_a_driveline_s_figures_are_the_sheet_s_as_felt_at_the_main_shaft() -> None:
+    """A torque at the propeller shaft is i times that at the main shaft, an angle 1 / i of it; an
+    even law between two limits has their half distance over the root of 3."""
+    lash = a_lash()
+    means = [math.exp(log) for log in lash.prior[::2]]
+    assert means == pytest.approx([
+        AXLE.shaft_nm_rad * RATIO**2 / TURNED_KGM2, AXLE.flank_loss_s_rad * RATIO,
+        BACKLASH_RAD / 2.0 / RATIO, (AXLE.pinion_nm * RATIO + AXLE.loose_nm) / TURNED_KGM2,
+    ])  # fmt: skip
+    assert lash.prior[1::2] == pytest.approx(
+        (AXLE.shaft_tolerance, math.log(AXLE.flank_loss_factor),
+         math.log(FACTOR) / 3**0.5, AXLE.pinion_tolerance / 3**0.5)
+    )  # fmt: skip
+    assert lash.shafts == pytest.approx((AXLE.shaft_nm_rad, BACKLASH_RAD / 2.0))
+    assert lash.model(-60.0) == pytest.approx(
+        (TURNED_KGM2 / (AXLE.wheels_kgm2 * RATIO**2), AXLE.tyre_nms / AXLE.wheels_kgm2,
+         60.0 * RATIO / AXLE.relaxation_rad)
+    )  # fmt: skip
+    chance_rad_s2 = math.hypot(AXLE.main_chance_nm, RATIO * AXLE.propeller_chance_nm) / TURNED_KGM2
+    assert lash.chance == pytest.approx((2.0 * chance_rad_s2**2 * AXLE.chance_s, AXLE.chance_s))
+
+
+def test_a_first_cloud_scatters_as_what_is_not_known_each_figure_by_itself() -> None:
+    """Logarithms of what has no sign; vehicle and hill by their covariance where one was told."""
+    lash, root = a_lash(), np.array(((0.2, 0.0), (1.0, 3.0)))
+    start = LashStart(0.0, 3.0, 61.0, 60.0, -2.0)
+    plain, told = lash.cloud(start), lash.cloud(start._replace(vehicle_root=root))
+    logs = [np.log(plain[row]) for row in (STIFF, LOSS, HALF)]
+    tyre = math.log(AXLE.tyre_nm_rad / AXLE.wheels_kgm2)
+    rows = [*logs, np.log(plain[TYRE_STIFF]), plain[VEHICLE], plain[HILL]]
+    means = [*lash.prior[:6:2], tyre, 60.0, -2.0]
+    sds = [*lash.prior[1:6:2], AXLE.tyre_tolerance, *lash.vehicle_sds]
+    for row, mean, sd in zip(rows, means, sds, strict=True):
+        assert row.mean() == pytest.approx(mean, abs=0.02 * sd)
+        assert row.std() == pytest.approx(sd, rel=0.01)
+    assert np.corrcoef(rows) == pytest.approx(np.eye(6), abs=0.03)
+    assert np.cov(told[VEHICLE], told[HILL]) == pytest.approx(root @ root.T, rel=0.03)
+    assert (set(plain[ANGLE]), set(plain[SPEED])) == ({3.0}, {61.0})
+
+
+def test_a_driveline_is_corrected_as_by_kalman_and_weighed_by_huber_s_law() -> None:
+    """Beyond four deviations the logarithm goes on in a straight line, and the correction stays."""
+    off = np.array((-0.09, -0.041, -0.01, 0.0, 0.02, 0.039, 0.041, 0.2))
+    variance, gain = 1e-4, np.array((0.6, 3.0, 20.0))
+    x = np.arange(1.0, ROWS * off.size + 1.0).reshape(ROWS, off.size)
+    x[DRAG] = 1.0
+    expected, sds = x.copy(), off / math.sqrt(variance)
+    near = np.clip(sds, -MOST_OFF, MOST_OFF)
+    for row, share in ((ANGLE, gain[0]), (WAY, gain[0]), (SPEED, gain[1])):
+        expected[row] += share * near * math.sqrt(variance)
+    drag = 1.0 - gain[2] * near * math.sqrt(variance)
+    expected[DRAG] = np.maximum(drag, LEAST_DRAG)
+    logs = np.full(off.size, -0.5)
+    correct(x, logs, off, gain, variance)
+    assert x == pytest.approx(expected)
+    assert MOST_OFF == 4.0
+    assert logs == pytest.approx(-0.5 - near**2 / 2.0 - MOST_OFF * np.abs(sds - near))
+
+
+FIGURES = (STIFF, LOSS, HALF, DRAG)
+
+
+@settings(deadline=None, max_examples=20)
+@given(st.floats(-9.0, 9.0), st.floats(0.01, 1.0), st.integers(0, 3))
+def test_what_windows_tell_of_a_figure_is_learned_as_by_bayes_within_the_sheet(
+    by: float, sd: float, k: int
+) -> None:
+    """Two normal laws' product; no surer than a window can be, within two deviations of the
+    sheet's."""
+    lash = a_lash()
+    told = {row: (lash.prior[2 * j], sd) for j, row in enumerate(FIGURES)}
+    middle, most = lash.prior[2 * k : 2 * k + 2]
+    told[FIGURES[k]] = (middle + by, sd)
+    lash.learn(told.__getitem__)
+    weights = most**-2, max(sd, SEEN_SDS[k]) ** -2
+    mean = middle + by * weights[1] / sum(weights)
+    assert lash.known[2 * k] == pytest.approx(
+        min(max(mean, middle - 2.0 * most), middle + 2.0 * most)
+    )
+    assert lash.known[2 * k + 1] == pytest.approx(max(sum(weights) ** -0.5, LEAST_SHARE_SD * most))
+
+
+@pytest.mark.parametrize("figure", [(math.nan, 0.1), (1.0, math.nan), (math.inf, 0.1)])
+def test_a_figure_that_is_no_number_teaches_nothing(figure: tuple[float, float]) -> None:
+    lash = a_lash()
+    lash.learn(lambda row: figure)
+    assert lash.known == lash.prior
+
+
+def conditioned(waits: Vector, angles: Vector) -> tuple[Vector, Vector]:
+    """Speed and hill at time 0: angles, speed and hill as one normal law for each strength of the
+    swing, conditioned on the angles; strengths weighed by how likely they make these."""
+    line = np.polyfit(waits, angles, 1)
+    off = angles - np.polyval(line, waits)
+    basis = np.stack([np.ones_like(waits), waits, waits**2 / 2.0, waits**3 / 6.0], axis=1)
+    speed_sd, hill_sd = VEHICLE_SDS
+    prior = np.diag((BROAD, BROAD * speed_sd, hill_sd, hill_sd / CHANGE_S)) ** 2
+    lags = np.abs(np.subtract.outer(waits, waits)) * math.sqrt(3.0) / SWING_S
+    picked = np.eye(4)[1:3]
+    chances, means, spreads = [], [], []
+    for strength in SWINGS_RAD:
+        swing = strength**2 * (1.0 + lags) * np.exp(-lags)
+        seen = basis @ prior @ basis.T + swing + EDGE_RAD**2 * np.eye(waits.size)
+        both = picked @ prior @ basis.T
+        means.append(both @ np.linalg.solve(seen, off))
+        spreads.append(picked @ prior @ picked.T - both @ np.linalg.solve(seen, both.T))
+        chances.append(multivariate_normal(cov=seen, allow_singular=True).logpdf(off))
+    weights = np.exp(np.array(chances) - max(chances))
+    weights /= weights.sum()
+    mean = weights @ np.array(means)
+    apart = np.array(means) - mean
+    covariance = np.tensordot(weights, np.array(spreads), 1) + (apart.T * weights) @ apart
+    return mean + np.array((line[0], 0.0)), covariance + np.diag((speed_sd**2, 0.0))
+
+
+@pytest.mark.parametrize("swing_rad", [0.0, 0.02])
+def test_the_vehicle_s_course_is_what_conditioning_on_the_angles_gives(swing_rad: float) -> None:
+    waits = np.arange(-0.3, 0.0, 0.012)
+    angles = 5.0 + 60.0 * waits - 3.0 * waits**2 + swing_rad * np.sin(40.0 * waits)
+    angles += 1e-3 * np.random.default_rng(3).standard_normal(waits.size)
+    found, covariance = vehicle_course(waits, angles, VEHICLE_SDS)
+    expected, spread = conditioned(waits, angles)
+    assert found == pytest.approx(expected, rel=1e-5, abs=1e-4)
+    assert covariance == pytest.approx(spread, rel=1e-3, abs=1e-5)
