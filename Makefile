@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: long devices swarm faults planted mutants demo docs test installed acceptance vcan vcan-alone controllers test-containers lint types reference contracts locks stubs bench clean
+.PHONY: long devices swarm faults planted mutants digests demo docs test installed acceptance vcan vcan-alone controllers test-containers lint types reference contracts locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -95,6 +95,11 @@ faults: $(VENV)/test.stamp
 # Each bug of tests/planted in a copy of the product: is it caught?
 planted: $(VENV)/test.stamp
 	$(BIN)/python tests/planted/run_planted.py
+
+# The records that tests/closed_loop/test_recorded_runs.py holds each run against: made anew after a
+# change that is meant to change what a shift does.
+digests: $(VENV)/test.stamp
+	$(BIN)/python tests/closed_loop/recorded_runs.py
 
 # Small mistakes in what must not fail, one at a time: does a test catch each? CHANGED=1: only lines
 # that differ from where this branch left origin/main, and no more than can be run in a minute; ARGS:
