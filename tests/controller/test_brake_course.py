@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from test_identification import SHEET, braked
 
-from meshpoint.controller.identification.brake_course import (
+from meshpoint.controller.records import Vector
+from meshpoint.gearbox import Split
+from meshpoint.testbench.identify.brake_course import (
     COUNT,
     GRID_S,
     LAMINAR_FROM,
@@ -24,8 +26,6 @@ from meshpoint.controller.identification.brake_course import (
     make_course,
     prior_of,
 )
-from meshpoint.controller.records import Vector
-from meshpoint.gearbox import Split
 from meshpoint.units import BAR, RPM
 
 ATMOSPHERE_PA = SHEET.air.atmosphere_pa

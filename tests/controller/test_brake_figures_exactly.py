@@ -12,13 +12,13 @@ import pytest
 from scipy.stats import t as student_law
 from test_identification import SHEET
 
-from meshpoint.controller.identification import brake_figures as module
-from meshpoint.controller.identification.brake_course import P, prior_of
-from meshpoint.controller.identification.brake_fit import BrakeFit
-from meshpoint.controller.identification.identified import Identified
-from meshpoint.controller.identification.log_reader import LogContent
 from meshpoint.controller.records import Vector
 from meshpoint.gearbox import Split
+from meshpoint.testbench.identify import brake_figures as module
+from meshpoint.testbench.identify.brake_course import P, prior_of
+from meshpoint.testbench.identify.brake_fit import BrakeFit
+from meshpoint.testbench.identify.identified import Identified
+from meshpoint.testbench.identify.log_reader import LogContent
 from meshpoint.units import RPM
 
 COUNT = len(P)

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from test_identification import SHEET
 
-from meshpoint.controller.identification import brake_fit as module
-from meshpoint.controller.identification.brake_course import COUNT, prior_of
-from meshpoint.controller.identification.brake_fit import BrakeFit, RunFit, fit, whitening
 from meshpoint.controller.records import Vector
+from meshpoint.testbench.identify import brake_fit as module
+from meshpoint.testbench.identify.brake_course import COUNT, prior_of
+from meshpoint.testbench.identify.brake_fit import BrakeFit, RunFit, fit, whitening
 
 PRIOR = prior_of(SHEET)
 WEIGHT = np.diag(1.0 / PRIOR.sd**2)

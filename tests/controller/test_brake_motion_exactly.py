@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from meshpoint.controller.identification.brake_course import (
+from meshpoint.controller.records import Vector
+from meshpoint.gearbox import Range, Split, load_sheet
+from meshpoint.testbench.identify.brake_course import (
     COUNT,
     BrakeCourses,
     Course,
@@ -22,10 +24,8 @@ from meshpoint.controller.identification.brake_course import (
     prior_of,
     time_constant_s,
 )
-from meshpoint.controller.identification.log_reader import FreeRun, Wheel
-from meshpoint.controller.identification.valve_switches import Switch
-from meshpoint.controller.records import Vector
-from meshpoint.gearbox import Range, Split, load_sheet
+from meshpoint.testbench.identify.log_reader import FreeRun, Wheel
+from meshpoint.testbench.identify.valve_switches import Switch
 
 SHEET = load_sheet("truck12")
 AIR_PA = SHEET.air.atmosphere_pa

@@ -10,12 +10,12 @@ import pytest
 from scipy.stats import t as student_law
 from test_identification import SHEET
 
-from meshpoint.controller.identification.clutch_fit import _bend, touch_of
-from meshpoint.controller.identification.identified import Identified
-from meshpoint.controller.identification.identify import _clutch
-from meshpoint.controller.identification.log_reader import Closing, LogContent
 from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.testbench.identify.clutch_fit import _bend, touch_of
+from meshpoint.testbench.identify.identified import Identified
+from meshpoint.testbench.identify.identify import _clutch
+from meshpoint.testbench.identify.log_reader import Closing, LogContent
 
 CLOSED_AT = ((0.0, 0.0), (0.1, 20_000.0), (0.3, 50_000.0), (0.5, 90_000.0), (1.0, 200_000.0))
 """Shares of the travel and times (us) at which the clutch was seen: it is not steady."""

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from test_identification import SHEET
 
-from meshpoint.controller.identification.brake_course import COUNT, P
-from meshpoint.controller.identification.held_out import _end_errors, check_runs, check_samples
 from meshpoint.controller.records import Vector
+from meshpoint.testbench.identify.brake_course import COUNT, P
+from meshpoint.testbench.identify.held_out import _end_errors, check_runs, check_samples
 
 LEAD, NODES, BINS = 4, 40, 17
 NODE = LEAD + 2 * np.arange(BINS)

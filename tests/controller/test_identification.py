@@ -8,28 +8,28 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from meshpoint.controller.identification.brake_course import P, make_course
-from meshpoint.controller.identification.brake_fit import fit
-from meshpoint.controller.identification.clutch_fit import touch_of
-from meshpoint.controller.identification.identified import Figure, Identified
-from meshpoint.controller.identification.identify import identify
-from meshpoint.controller.identification.jackknife import jackknife_sd, scatter_interval
-from meshpoint.controller.identification.log_reader import (
+from meshpoint.controller.records import Vector
+from meshpoint.dbc.messages import ValveAction, ValveCommand
+from meshpoint.gearbox import MainGear, Range, Split, load_sheet
+from meshpoint.gearbox.sheet import SheetError
+from meshpoint.testbench.identify.brake_course import P, make_course
+from meshpoint.testbench.identify.brake_fit import fit
+from meshpoint.testbench.identify.clutch_fit import touch_of
+from meshpoint.testbench.identify.identified import Figure, Identified
+from meshpoint.testbench.identify.identify import identify
+from meshpoint.testbench.identify.jackknife import jackknife_sd, scatter_interval
+from meshpoint.testbench.identify.log_reader import (
     Closing,
     FreeRun,
     LogContent,
     Stroke,
     Wheel,
 )
-from meshpoint.controller.identification.overlay import overlay
-from meshpoint.controller.identification.sleeve_fit import contact_of, sleeve_fit
-from meshpoint.controller.identification.thinning import Thinned
-from meshpoint.controller.identification.tooth_fit import tooth_fit, wheel_figures
-from meshpoint.controller.identification.valve_switches import BRAKE, Switch, ValveSwitches
-from meshpoint.controller.records import Vector
-from meshpoint.dbc.messages import ValveAction, ValveCommand
-from meshpoint.gearbox import MainGear, Range, Split, load_sheet
-from meshpoint.gearbox.sheet import SheetError
+from meshpoint.testbench.identify.overlay import overlay
+from meshpoint.testbench.identify.sleeve_fit import contact_of, sleeve_fit
+from meshpoint.testbench.identify.thinning import Thinned
+from meshpoint.testbench.identify.tooth_fit import tooth_fit, wheel_figures
+from meshpoint.testbench.identify.valve_switches import BRAKE, Switch, ValveSwitches
 from meshpoint.units import RPM
 
 SHEET = load_sheet("truck12")

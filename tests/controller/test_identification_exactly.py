@@ -9,39 +9,39 @@ import numpy as np
 import pytest
 from test_identification import SHEET, TEETH, braked
 
-from meshpoint.controller.identification.brake_course import (
+from meshpoint.controller.records import Vector
+from meshpoint.dbc.messages import GearboxSensors, ValveAction, ValveCommand
+from meshpoint.gearbox import MainGear, Split
+from meshpoint.testbench.identify.brake_course import (
     Course,
     P,
     make_course,
     time_constant_s,
 )
-from meshpoint.controller.identification.brake_figures import _drag
-from meshpoint.controller.identification.brake_fit import CHANCE_RAD2_S3, fit, whitening
-from meshpoint.controller.identification.clutch_fit import (
+from meshpoint.testbench.identify.brake_figures import _drag
+from meshpoint.testbench.identify.brake_fit import CHANCE_RAD2_S3, fit, whitening
+from meshpoint.testbench.identify.clutch_fit import (
     AFTER_S,
     LEAST_BEND_RAD_S,
     MOST_REST_SHARE,
     touch_of,
     touches,
 )
-from meshpoint.controller.identification.identify import identify
-from meshpoint.controller.identification.log_reader import (
+from meshpoint.testbench.identify.identify import identify
+from meshpoint.testbench.identify.log_reader import (
     Closing,
     LogContent,
     LogReader,
     Stroke,
     _ClosingTrack,
 )
-from meshpoint.controller.identification.sleeve_fit import (
+from meshpoint.testbench.identify.sleeve_fit import (
     LEAST_CORRELATION,
     MOST_CORRELATION,
     SleeveFit,
     contact_of,
     sleeve_fit,
 )
-from meshpoint.controller.records import Vector
-from meshpoint.dbc.messages import GearboxSensors, ValveAction, ValveCommand
-from meshpoint.gearbox import MainGear, Split
 from meshpoint.units import RPM
 
 ATMOSPHERE_PA = SHEET.air.atmosphere_pa

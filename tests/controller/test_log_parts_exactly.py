@@ -8,15 +8,6 @@ import numpy as np
 import pytest
 from test_log_reader_exactly import BEGIN_US, SHEET, STROKE_M, Box, out_of_gear, the_run
 
-from meshpoint.controller.identification.log_reader import (
-    LogContent,
-    LogReader,
-    Stroke,
-    _ClosingTrack,
-    _Course,
-    _Strokes,
-)
-from meshpoint.controller.identification.valve_switches import ValveSwitches
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch, WheelEdges
 from meshpoint.dbc.frame import Frame
@@ -31,6 +22,15 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import Split
+from meshpoint.testbench.identify.log_reader import (
+    LogContent,
+    LogReader,
+    Stroke,
+    _ClosingTrack,
+    _Course,
+    _Strokes,
+)
+from meshpoint.testbench.identify.valve_switches import ValveSwitches
 
 TEETH = SHEET.wheels.layshaft.teeth
 

@@ -10,17 +10,6 @@ import numpy as np
 import pytest
 from wheel import Wheel, capture
 
-from meshpoint.controller.identification.log_reader import (
-    LEAST_CLOSING,
-    MOST_FREE_S,
-    PULLED_M,
-    STROKE_US,
-    FreeRun,
-    LogContent,
-    LogReader,
-    Stroke,
-)
-from meshpoint.controller.identification.valve_switches import Switch
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import (
     EEC1,
@@ -36,6 +25,17 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import MainGear, Range, Split, load_sheet
+from meshpoint.testbench.identify.log_reader import (
+    LEAST_CLOSING,
+    MOST_FREE_S,
+    PULLED_M,
+    STROKE_US,
+    FreeRun,
+    LogContent,
+    LogReader,
+    Stroke,
+)
+from meshpoint.testbench.identify.valve_switches import Switch
 
 SHEET = load_sheet("truck12")
 STROKE_M = SHEET.sleeve.stroke_m

@@ -11,17 +11,17 @@ import pytest
 from scipy.stats import t as student_law
 from test_identification import SHEET
 
-from meshpoint.controller.identification.held_out import check_samples
-from meshpoint.controller.identification.identified import (
+from meshpoint.testbench.identify.held_out import check_samples
+from meshpoint.testbench.identify.identified import (
     Figure,
     Identified,
     untold,
     why_no_runs,
 )
-from meshpoint.controller.identification.jackknife import student
-from meshpoint.controller.identification.log_reader import LogContent
-from meshpoint.controller.identification.overlay import entries, overlay
-from meshpoint.controller.identification.thinning import Thinned
+from meshpoint.testbench.identify.jackknife import student
+from meshpoint.testbench.identify.log_reader import LogContent
+from meshpoint.testbench.identify.overlay import entries, overlay
+from meshpoint.testbench.identify.thinning import Thinned
 
 FIGURES = {
     "brake torque": 91.5,

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 from scipy.stats import t as student_law
 
-from meshpoint.controller.identification.identified import Identified
-from meshpoint.controller.identification.identify import _tell_mean
 from meshpoint.controller.planning.gear_predictor import _falling_root
 from meshpoint.controller.planning.strategies.base import (
     last_look,
@@ -28,6 +26,8 @@ from meshpoint.controller.planning.strategist import Strategist
 from meshpoint.controller.settings import ControllerSettings, Timing, Window
 from meshpoint.dbc.messages import ShiftDecision
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
+from meshpoint.testbench.identify.identified import Identified
+from meshpoint.testbench.identify.identify import _tell_mean
 from meshpoint.units import RPM
 
 SHEET = load_sheet("truck12")

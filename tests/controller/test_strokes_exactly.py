@@ -10,11 +10,11 @@ from scipy.stats import chi2
 from scipy.stats import t as student_law
 from test_identification import SHEET
 
-from meshpoint.controller.identification.identified import Identified
-from meshpoint.controller.identification.identify import _sleeves
-from meshpoint.controller.identification.log_reader import LogContent, Stroke
-from meshpoint.controller.identification.sleeve_fit import SleeveFit, contact_of, sleeve_fit
 from meshpoint.gearbox import MainGear
+from meshpoint.testbench.identify.identified import Identified
+from meshpoint.testbench.identify.identify import _sleeves
+from meshpoint.testbench.identify.log_reader import LogContent, Stroke
+from meshpoint.testbench.identify.sleeve_fit import SleeveFit, contact_of, sleeve_fit
 
 SUPPLY_PA = SHEET.air.supply_gauge_pa + SHEET.air.atmosphere_pa
 WAY_M = SHEET.sleeve.to_contact_m

@@ -13,14 +13,14 @@ from scipy.stats import linregress
 from scipy.stats import t as student_law
 from test_identification import SHEET
 
-from meshpoint.controller.identification import held_out, identify
-from meshpoint.controller.identification.brake_course import P, prior_of
-from meshpoint.controller.identification.brake_figures import _reference
-from meshpoint.controller.identification.held_out import _end_errors, check_runs
-from meshpoint.controller.identification.identified import Identified
-from meshpoint.controller.identification.log_reader import LogContent
-from meshpoint.controller.identification.tooth_fit import ToothFit
 from meshpoint.controller.records import Vector
+from meshpoint.testbench.identify import held_out, identify
+from meshpoint.testbench.identify.brake_course import P, prior_of
+from meshpoint.testbench.identify.brake_figures import _reference
+from meshpoint.testbench.identify.held_out import _end_errors, check_runs
+from meshpoint.testbench.identify.identified import Identified
+from meshpoint.testbench.identify.log_reader import LogContent
+from meshpoint.testbench.identify.tooth_fit import ToothFit
 from meshpoint.units import RPM
 
 BINS, NODES, MORE, FIRST = 20, 80, 5, 7

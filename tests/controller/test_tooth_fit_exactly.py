@@ -13,10 +13,12 @@ import pytest
 from scipy.stats import t as student_t
 from test_identification import SHEET, TEETH, braked
 
-from meshpoint.controller.identification.brake_course import BrakeCourses, make_course
-from meshpoint.controller.identification.brake_fit import prior_of
-from meshpoint.controller.identification.log_reader import Wheel
-from meshpoint.controller.identification.tooth_fit import (
+from meshpoint.controller.records import Vector
+from meshpoint.gearbox import Split
+from meshpoint.testbench.identify.brake_course import BrakeCourses, make_course
+from meshpoint.testbench.identify.brake_fit import prior_of
+from meshpoint.testbench.identify.log_reader import Wheel
+from meshpoint.testbench.identify.tooth_fit import (
     EDGE_RAD,
     JUDDER,
     LEAST_EDGES,
@@ -30,8 +32,6 @@ from meshpoint.controller.identification.tooth_fit import (
     tooth_fit,
     wheel_figures,
 )
-from meshpoint.controller.records import Vector
-from meshpoint.gearbox import Split
 from meshpoint.units import TURN
 
 TOOTH_COUNT = 20

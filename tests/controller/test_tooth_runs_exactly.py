@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from test_tooth_fit_exactly import EDGES, PITCH, TOOTH_COUNT, errors_of, turned
 
-from meshpoint.controller.identification.brake_fit import whitening
-from meshpoint.controller.identification.tooth_fit import (
+from meshpoint.controller.records import Vector
+from meshpoint.testbench.identify.brake_fit import whitening
+from meshpoint.testbench.identify.tooth_fit import (
     JUDDER,
     ToothFit,
     _judder_shape,
     teeth_by_model,
     tooth_fit,
 )
-from meshpoint.controller.records import Vector
 
 LEAD, NODES = 5, 240
 

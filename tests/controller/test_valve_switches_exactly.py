@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from meshpoint.controller.identification.valve_switches import (
+from meshpoint.dbc.messages import ValveAction, ValveCommand
+from meshpoint.gearbox import MainGear
+from meshpoint.testbench.identify.valve_switches import (
     BRAKE,
     VALVE_OF_GEAR,
     Switch,
     ValveSwitches,
 )
-from meshpoint.dbc.messages import ValveAction, ValveCommand
-from meshpoint.gearbox import MainGear
 
 NOW_US = 5_000_000
 

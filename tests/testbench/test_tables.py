@@ -17,8 +17,6 @@ from rich.table import Table
 import meshpoint.testbench
 from meshpoint.controller.calibration.file import read_file
 from meshpoint.controller.calibration.learned import Calibration
-from meshpoint.controller.identification.held_out import HeldOut
-from meshpoint.controller.identification.identified import Figure
 from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import load_sheet
@@ -43,6 +41,8 @@ from meshpoint.testbench.commands.describe import faults_table, parameters_table
 from meshpoint.testbench.commands.identify import checks_table, figures_table
 from meshpoint.testbench.commands.sensor_replay import seen_table
 from meshpoint.testbench.commands.swarm import reached_table
+from meshpoint.testbench.identify.held_out import HeldOut
+from meshpoint.testbench.identify.identified import Figure
 from meshpoint.testbench.logs.captures import CaptureRow
 from meshpoint.testbench.logs.decisions import Decision, Judged, Parting
 from meshpoint.testbench.logs.gear_track import SeenShift

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Final
 
-from meshpoint.controller.identification.held_out import HeldOut
-from meshpoint.controller.identification.log_reader import LogContent
-from meshpoint.controller.identification.tooth_fit import ToothFit
+from meshpoint.testbench.identify.held_out import HeldOut
+from meshpoint.testbench.identify.log_reader import LogContent
+from meshpoint.testbench.identify.tooth_fit import ToothFit
 
 LEAST_RUNS: Final = 5
 

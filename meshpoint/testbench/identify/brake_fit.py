@@ -13,15 +13,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from meshpoint.controller.identification.brake_course import (
+from meshpoint.controller.records import Vector
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.testbench.identify.brake_course import (
     GRID_S,
     BrakeCourses,
     Course,
     Prior,
     prior_of,
 )
-from meshpoint.controller.records import Vector
-from meshpoint.gearbox import GearboxSheet
 from meshpoint.units import BAR
 
 EDGE_SD_RAD: Final = 6e-4

@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.identification.log_reader import Closing
 from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet
+from meshpoint.testbench.identify.log_reader import Closing
 from meshpoint.units import US
 
 BEFORE_S, AFTER_S = 0.05, 0.035

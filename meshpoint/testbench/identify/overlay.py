@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from meshpoint.controller.identification.identified import Identified
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.testbench.identify.identified import Identified
 
 PRESSURE_EXPONENT: Final = 0.5
 LEAST_SPREAD_MS: Final = 0.1

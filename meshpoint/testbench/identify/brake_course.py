@@ -19,10 +19,10 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.identification.log_reader import FreeRun
 from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import Split
+from meshpoint.testbench.identify.log_reader import FreeRun
 from meshpoint.units import BAR, MS, RPM, US
 
 GRID_S: Final = 1e-3

@@ -15,16 +15,16 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.identification.brake_course import (
+from meshpoint.controller.records import Vector
+from meshpoint.testbench.identify.brake_course import (
     GRID_S,
     BrakeCourses,
     Course,
     angles_at,
 )
-from meshpoint.controller.identification.brake_fit import BrakeFit, whitening
-from meshpoint.controller.identification.jackknife import jackknife_sd, student
-from meshpoint.controller.identification.log_reader import Wheel
-from meshpoint.controller.records import Vector
+from meshpoint.testbench.identify.brake_fit import BrakeFit, whitening
+from meshpoint.testbench.identify.jackknife import jackknife_sd, student
+from meshpoint.testbench.identify.log_reader import Wheel
 from meshpoint.units import TURN, US
 
 SPAN_TURNS: Final = 2.0

@@ -8,7 +8,9 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.identification.brake_course import (
+from meshpoint.controller.records import Vector
+from meshpoint.gearbox import GearboxSheet, Split
+from meshpoint.testbench.identify.brake_course import (
     BIN_S,
     BrakeCourses,
     Course,
@@ -17,20 +19,18 @@ from meshpoint.controller.identification.brake_course import (
     prior_of,
     time_constant_s,
 )
-from meshpoint.controller.identification.brake_fit import BrakeFit, fit
-from meshpoint.controller.identification.held_out import check_runs
-from meshpoint.controller.identification.identified import (
+from meshpoint.testbench.identify.brake_fit import BrakeFit, fit
+from meshpoint.testbench.identify.held_out import check_runs
+from meshpoint.testbench.identify.identified import (
     LEAST_RUNS,
     Figure,
     Identified,
     untold,
     why_no_runs,
 )
-from meshpoint.controller.identification.jackknife import jackknife_sd, student
-from meshpoint.controller.identification.log_reader import LogContent
-from meshpoint.controller.identification.tooth_fit import teeth_by_model
-from meshpoint.controller.records import Vector
-from meshpoint.gearbox import GearboxSheet, Split
+from meshpoint.testbench.identify.jackknife import jackknife_sd, student
+from meshpoint.testbench.identify.log_reader import LogContent
+from meshpoint.testbench.identify.tooth_fit import teeth_by_model
 from meshpoint.units import MS, RPM
 
 SENSOR_GAIN_SD: Final = 0.01

@@ -10,13 +10,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.identification.thinning import Thinned
-from meshpoint.controller.identification.valve_switches import (
-    BRAKE,
-    VALVE_OF_GEAR,
-    Switch,
-    ValveSwitches,
-)
 from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
@@ -36,6 +29,13 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet, MainGear, Range, Sleeve, Split
 from meshpoint.gearbox.gears import MAIN_GEARS, SLEEVE_OF_MAIN
+from meshpoint.testbench.identify.thinning import Thinned
+from meshpoint.testbench.identify.valve_switches import (
+    BRAKE,
+    VALVE_OF_GEAR,
+    Switch,
+    ValveSwitches,
+)
 from meshpoint.units import SECOND_US
 
 STEP_US: Final = 10_000

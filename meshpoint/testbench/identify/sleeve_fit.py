@@ -17,9 +17,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.identification.log_reader import Stroke
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.testbench.identify.log_reader import Stroke
 from meshpoint.units import US
 
 FROM, TO = 0.06, 0.9

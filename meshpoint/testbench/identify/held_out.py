@@ -6,16 +6,16 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.identification.brake_course import (
+from meshpoint.controller.records import Vector
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.testbench.identify.brake_course import (
     GRID_S,
     BrakeCourses,
     Course,
     P,
     prior_of,
 )
-from meshpoint.controller.identification.brake_fit import BrakeFit
-from meshpoint.controller.records import Vector
-from meshpoint.gearbox import GearboxSheet
+from meshpoint.testbench.identify.brake_fit import BrakeFit
 from meshpoint.units import RPM
 
 ENDS: Final = 6

@@ -12,30 +12,30 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.controller.identification.brake_figures import brake_figures
-from meshpoint.controller.identification.clutch_fit import touches
-from meshpoint.controller.identification.held_out import HeldOut, check_samples
-from meshpoint.controller.identification.identified import (
+from meshpoint.controller.records import Vector
+from meshpoint.gearbox import GearboxSheet
+from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.testbench.identify.brake_figures import brake_figures
+from meshpoint.testbench.identify.clutch_fit import touches
+from meshpoint.testbench.identify.held_out import HeldOut, check_samples
+from meshpoint.testbench.identify.identified import (
     LEAST_RUNS,
     Figure,
     Identified,
     untold,
     why_no_runs,
 )
-from meshpoint.controller.identification.jackknife import (
+from meshpoint.testbench.identify.jackknife import (
     jackknife_sd,
     scatter_interval,
     student,
 )
-from meshpoint.controller.identification.log_reader import LogContent
-from meshpoint.controller.identification.sleeve_fit import SleeveFit, sleeve_fit
-from meshpoint.controller.identification.tooth_fit import (
+from meshpoint.testbench.identify.log_reader import LogContent
+from meshpoint.testbench.identify.sleeve_fit import SleeveFit, sleeve_fit
+from meshpoint.testbench.identify.tooth_fit import (
     tooth_fit,
     wheel_figures,
 )
-from meshpoint.controller.records import Vector
-from meshpoint.gearbox import GearboxSheet
-from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.units import DEG, MS
 
 ENGINE_AGE_S: Final = 0.002
