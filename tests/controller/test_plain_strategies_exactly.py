@@ -7,9 +7,7 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
-from scipy.stats import t as student_law
 
 from meshpoint.controller.planning.gear_predictor import _falling_root
 from meshpoint.controller.planning.strategies.base import (
@@ -26,8 +24,6 @@ from meshpoint.controller.planning.strategist import Strategist
 from meshpoint.controller.settings import ControllerSettings, Timing, Window
 from meshpoint.dbc.messages import ShiftDecision
 from meshpoint.gearbox import GearboxSheet, MainGear, load_sheet
-from meshpoint.testbench.identify.identified import Identified
-from meshpoint.testbench.identify.identify import _tell_mean
 from meshpoint.units import RPM
 
 SHEET = load_sheet("truck12")
@@ -197,20 +193,3 @@ def test_a_root_outside_is_the_nearer_end() -> None:
     assert steps_to(1e6, 1.0) == (1_000_000, 2)
     assert steps_to(2e6, 1.0)[0] == 1_000_000
     assert steps_to(300.0, 1.0, 100, 200)[0] == 200
-
-
-def told(samples: list[float], sd: float = 2.0) -> Any:
-    found = Identified()
-    _tell_mean(found, "a", "%", 7.0, np.array(samples), sd)
-    return found.figure("a")
-
-
-def test_a_mean_is_told_of_three_samples_with_another_uncertainty_beside_their_scatter() -> None:
-    """1, 2 and 6: mean 3, squares 14, a variance of 7."""
-    figure = told([1.0, 2.0, 6.0])
-    half = math.hypot(float(student_law.ppf(0.975, 2)) * math.sqrt(7.0 / 3.0), 1.96 * 2.0)
-    assert (figure.value, figure.samples, figure.sheet) == (3.0, 3, 7.0)
-    assert figure.low == pytest.approx(3.0 - half)
-    assert figure.high == pytest.approx(3.0 + half)
-    few = told([1.0, 2.0])
-    assert (few.value, few.why) == (None, "too few samples of it in the log")

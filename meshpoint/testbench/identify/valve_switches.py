@@ -76,11 +76,9 @@ class ValveSwitches:
 
     def __init__(self) -> None:
         self._slots = {name: _Slot() for name in VALVES}
-        self.commands = 0
 
     def take(self, command: ValveCommand, now_us: int) -> None:
         """A command that came at this time of the sensor clock."""
-        self.commands += 1
         for name, slot in self._slots.items():
             action, stamp = getattr(command, f"{name}_action"), getattr(command, f"{name}_time_us")
             slot.take(action, stamp, now_us)

@@ -1,4 +1,5 @@
-"""A log's frames taken apart: of a gearbox of a few lines it is known what happened when."""
+"""A log's frames taken apart: runs in neutral, strokes, closings and switches of
+valves of a gearbox of which it is known what happened when."""
 
 from __future__ import annotations
 
@@ -26,16 +27,13 @@ from meshpoint.dbc.messages import (
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import MainGear, Range, Split, load_sheet
 from meshpoint.testbench.identify.log_reader import (
-    LEAST_CLOSING,
-    MOST_FREE_S,
-    PULLED_M,
     STROKE_US,
     FreeRun,
     LogContent,
     LogReader,
     Stroke,
 )
-from meshpoint.testbench.identify.valve_switches import Switch
+from meshpoint.testbench.identify.valve_switches import BRAKE, Switch, ValveSwitches
 
 SHEET = load_sheet("truck12")
 STROKE_M = SHEET.sleeve.stroke_m
@@ -161,12 +159,6 @@ def test_a_run_goes_with_the_brake_s_switches_and_pressures_and_the_mean_of_the_
     assert run.supply_pa == pytest.approx(9e5 - 100.0 * 2_590, abs=2_500.0)
 
 
-def test_of_a_long_run_a_second_and_a_half_is_kept() -> None:
-    run = the_run(Box(out_of_gear(300, 2_600)).read(3.0))
-    assert run.end_us - run.start_us == MOST_FREE_S * 1e6 == 1_500_000
-    assert run.end_us - run.layshaft.time_us[-1] < 1e4
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -179,11 +171,6 @@ def test_of_a_long_run_a_second_and_a_half_is_kept() -> None:
 )
 def test_it_is_no_run_in_neutral_with(change: dict[str, Course]) -> None:
     assert not list(Box(out_of_gear(500, 900), **change).read(1.4).runs)  # type: ignore[arg-type]
-
-
-def test_a_sleeve_whose_sensor_is_off_by_half_its_way_to_the_teeth_is_in_neutral() -> None:
-    third = 0.58 * SHEET.sleeve.to_contact_m
-    assert len(Box(out_of_gear(500, 900), third=lambda _: third).read(1.4).runs) == 1
 
 
 def test_a_splitter_that_changes_spoils_a_run_and_begins_another() -> None:
@@ -253,18 +240,6 @@ def test_a_stroke_whose_valve_was_switched_at_once_is_counted_alone() -> None:
     assert content.inexact == 1
 
 
-@pytest.mark.parametrize(("way_m", "told"), [(0.9 * PULLED_M, True), (1.1 * PULLED_M, False)])
-def test_a_sleeve_that_is_off_its_rest_as_its_valve_comes_on_is_pulled_out(
-    way_m: float, told: bool
-) -> None:
-    """It rests at none, and is elsewhere from 10 ms before its valve comes on."""
-
-    def at(ms: int) -> float:
-        return 0.0 if ms < 480 else max(way_m, pushed(520)(ms))
-
-    assert len(Box(at, commands=second_on(500)).read(1.0).strokes) == told
-
-
 def closing_clutch(begun_ms: int, ms_taken: int) -> Course:
     return lambda ms: min(max((ms - begun_ms) / ms_taken, 0.0), 1.0)
 
@@ -281,19 +256,42 @@ def test_a_clutch_that_closes_is_told_with_the_engine_beside_it() -> None:
     assert closing.engine_rad_s == pytest.approx(150.0 - engine_ms // 50, abs=1.01)
 
 
-@pytest.mark.parametrize(("taken_ms", "told"), [(10 * (LEAST_CLOSING - 1), 0), (120, 1)])
-def test_a_clutch_that_snaps_shut_shows_nothing(taken_ms: int, told: int) -> None:
-    assert len(Box(clutch=closing_clutch(500, taken_ms)).read(0.9).closings) == told
+NOW_US = 5_000_000
 
 
-def test_a_log_of_long_keeps_no_more_than_it_needs() -> None:
-    """In gear pressures of half a second are enough."""
-    reader, io = LogReader(SHEET), Transmitter(Node.GEARBOX_IO)
-    most = 0
-    for k in range(1_000):
-        at_us = BEGIN_US + STEP_US * k
-        sensors = GearboxSensors(at_us % (1 << 32), 1e5, 9e5, 350.0, 1.0)
-        reader.take(at_us + 100, io.encode(sensors))
-        most = max(most, len(reader._pressure))
-    assert len(reader._pressure) == len(reader._supply)
-    assert 50 <= len(reader._pressure) <= most <= 201
+def brake_at(time_us: int, action: ValveAction = ValveAction.ON_AT) -> ValveCommand:
+    return ValveCommand(brake_action=action, brake_time_us=time_us)
+
+
+@pytest.mark.parametrize(
+    ("ahead_us", "is_taken"),
+    [(100_000, True), (100_001, False), (0, True), (-1, True), (-2_000, True), (-2_001, False)],
+)
+def test_an_activation_is_taken_from_2_ms_late_to_100_ms_ahead(
+    ahead_us: int, is_taken: bool
+) -> None:
+    """At its own time, exactly, even where it came too late for that."""
+    valves = ValveSwitches()
+    valves.take(brake_at(NOW_US + ahead_us), NOW_US)
+    expected = [Switch(NOW_US + ahead_us, True, True)] if is_taken else []
+    assert valves.of(BRAKE, NOW_US + 1_000_000) == expected
+    assert valves.late == (ahead_us < -2_000)
+
+
+def test_a_valve_has_one_activation_that_waits_and_off_at_once_ends_it() -> None:
+    """The next one takes its place even where it is refused; one that is repeated is one."""
+    valves = ValveSwitches()
+    off_now = ValveCommand(brake_action=ValveAction.OFF_NOW)
+    for at_us, command in (
+        (0, brake_at(NOW_US + 20_000)),
+        (5_000, brake_at(NOW_US + 30_000)),
+        (31_000, brake_at(NOW_US + 30_000)),
+        (40_000, brake_at(NOW_US + 90_000, ValveAction.OFF_AT)),
+        (50_000, off_now),
+        (60_000, brake_at(NOW_US + 80_000)),
+        (70_000, brake_at(NOW_US + 900_000)),
+    ):
+        valves.take(command, NOW_US + at_us)
+    assert valves.of(BRAKE, NOW_US + 2_000_000) == [
+        Switch(NOW_US + 30_000, True, True), Switch(NOW_US + 50_000, False, False),
+    ]  # fmt: skip

@@ -1,5 +1,5 @@
-"""A run in neutral by the model that is fitted to it, against the same equations written once more
-and solved in small steps: each parameter does what it is said to do."""
+"""Brake, drag and inertia from runs in neutral: the model against its equations solved in small
+steps, and the fit against gearboxes whose parameters are known."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_identification import SHEET, braked
+from logged_gearbox import DELAY_S, EDGES, GAIN, SHEET, TAU_S, braked, runs
+from scipy.integrate import quad
 
 from meshpoint.controller.records import Vector
 from meshpoint.gearbox import Split
@@ -25,7 +26,11 @@ from meshpoint.testbench.identify.brake_course import (
     flow_share,
     make_course,
     prior_of,
+    time_constant_s,
 )
+from meshpoint.testbench.identify.brake_fit import CHANCE_RAD2_S3, fit, whitening
+from meshpoint.testbench.identify.identify import identify
+from meshpoint.testbench.identify.log_reader import LogContent
 from meshpoint.units import BAR, RPM
 
 ATMOSPHERE_PA = SHEET.air.atmosphere_pa
@@ -38,7 +43,7 @@ def course_of(split: Split = Split.HIGH, engine_rpm: float | None = 900.0) -> Co
     if engine_rpm is not None:
         engine = np.array([[0.0, 5e6], [engine_rpm * RPM, engine_rpm * RPM]])
         run = replace(run, engine=engine)
-    made = make_course(run, SHEET, np.zeros(2 * SHEET.wheels.layshaft.teeth), ATMOSPHERE_PA, 0.3)
+    made = make_course(run, SHEET, np.zeros(EDGES), ATMOSPHERE_PA, 0.3)
     assert made is not None
     return made
 
@@ -130,19 +135,6 @@ def test_a_run_goes_as_its_equations_say_whatever_the_gearbox(
         assert felts[:, 0, 0] == pytest.approx(felt, abs=0.01 * float(felt.max()) + 200.0)
 
 
-def test_runs_and_gearboxes_that_are_gone_through_at_once_go_as_each_by_itself() -> None:
-    courses = [course_of(Split.LOW, 800.0), course_of(Split.HIGH, None)]
-    both = BrakeCourses(courses, SHEET, True)
-    lanes = np.array([drawn(seed, courses[0]) for seed in range(2)])
-    omega = np.array([150.0, 140.0])
-    together = both.run(lanes, omega)
-    for number, course in enumerate(courses):
-        for lane in range(2):
-            alone = BrakeCourses([course], SHEET, True).run(lanes[lane : lane + 1], omega[[number]])
-            for all_, own in zip(together, alone, strict=True):
-                assert all_[: course.nodes, lane, number] == pytest.approx(own[:, 0, 0], rel=1e-9)
-
-
 def test_a_course_is_the_run_s_angles_in_bins_and_its_first_speed() -> None:
     """Angles and speeds at the grid's nodes give the bins' means back, by what weighs them."""
     course = course_of()
@@ -174,3 +166,112 @@ def test_air_flows_as_iso_6358_has_it() -> None:
         for ratio in (0.1, critical, 0.6, 0.9, 0.98, 0.9999, 1.0):
             found = float(flow_share(np.array([ratio]), np.array([critical]))[0])
             assert found == pytest.approx(flow(ratio, 1.0, critical), abs=1e-9)
+
+
+@pytest.mark.parametrize("critical", [0.2, 0.3])
+def test_a_brake_s_time_constant_is_that_to_63_percent_of_its_way_by_iso_6358(
+    critical: float,
+) -> None:
+    """The time to fill or empty at 20 a second: a quadrature of one over the flow."""
+    gauge_pa, air_pa, way = 8e5, 1e5, 1.0 - math.exp(-1.0)
+    full_pa = air_pa + gauge_pa
+    for filling, ends, rate in (
+        (True, (air_pa, air_pa + way * gauge_pa), lambda p: full_pa * flow(p, full_pa, critical)),
+        (False, (full_pa - way * gauge_pa, full_pa), lambda p: p * flow(air_pa, p, critical)),
+    ):
+        expected_s = quad(lambda p, rate=rate: 1.0 / rate(p), *ends)[0] / 20.0
+        found = time_constant_s(np.array([20.0]), gauge_pa, air_pa, np.array([critical]), filling)
+        assert found == pytest.approx([expected_s], rel=1e-4)
+
+
+def test_whitened_angles_of_a_shaft_that_chance_drives_are_independent() -> None:
+    """A torque of white noise from the run's beginning on moves the angle by the integral of its
+    age times the noise, and every edge has an error of its own."""
+    seconds = np.array((0.02, 0.05, 0.09, 0.2))
+    variances = np.array((1e-7, 4e-7, 1e-7, 9e-7))
+    grid = (np.arange(20_000) + 0.5) * 1e-5
+    ages = np.maximum(seconds[:, None] - grid, 0.0)
+    covariance = CHANCE_RAD2_S3 * (ages @ ages.T) * 1e-5 + np.diag(variances)
+    white = whitening(seconds, variances)
+    assert white @ covariance @ white.T == pytest.approx(np.eye(4), abs=1e-4)
+
+
+@pytest.fixture(scope="module")
+def courses() -> list[Course]:
+    made = [
+        make_course(run, SHEET, np.zeros(EDGES), ATMOSPHERE_PA, k / 5 - 0.5)
+        for k, run in enumerate(runs())
+    ]
+    found = [course for course in made if course is not None]
+    assert len(found) == 6
+    return found
+
+
+def test_the_brake_is_found_by_its_effect_on_the_layshaft(courses: list[Course]) -> None:
+    found = fit(courses, SHEET, False, 900.0 * RPM)
+    assert found.used.all()
+    value = found.parameters
+    assert math.exp(value[P.GAIN]) == pytest.approx(GAIN, rel=0.02)
+    assert value[P.ON_DELAY] == pytest.approx(DELAY_S, abs=4e-4)
+    assert value[P.OFF_DELAY] == pytest.approx(DELAY_S, abs=4e-4)
+    filling = SHEET.brake.time_constant_s * math.exp(-value[P.FILLING])
+    assert filling == pytest.approx(TAU_S, rel=0.03)
+    assert abs(value[P.INERTIA]) < 0.15
+
+
+def test_a_run_in_which_something_else_moved_the_shaft_is_as_if_it_were_not_there(
+    courses: list[Course],
+) -> None:
+    """In the middle of the run a sleeve gives the shaft a push."""
+    push = 0.3 * np.maximum(np.linspace(-1.0, 1.0, courses[2].angle.size), 0.0)
+    pushed = replace(courses[2], angle=courses[2].angle + push)
+    among = [*courses[:3], pushed, *courses[3:]]
+    found, alone = (fit(each, SHEET, False, 900.0 * RPM) for each in (among, courses))
+    assert found.used.tolist() == [True] * 3 + [False] + [True] * 3
+    assert np.abs((found.parameters - alone.parameters) / alone.prior.sd).max() < 2e-3
+    assert found.misfit == pytest.approx(alone.misfit, rel=0.01)
+    assert found.covariance == pytest.approx(alone.covariance, rel=0.05, abs=1e-12)
+
+
+def test_what_is_found_without_a_run_is_what_the_others_alone_tell(courses: list[Course]) -> None:
+    whole = fit(courses, SHEET, False, 900.0 * RPM)
+    for k in (0, 5):
+        others = fit([*courses[:k], *courses[k + 1 :]], SHEET, False, 900.0 * RPM)
+        assert np.abs((whole.without[k] - others.parameters) / whole.prior.sd).max() < 0.1
+
+
+def content_of(count: int, split: Split | None = None) -> LogContent:
+    content = LogContent()
+    names = ("ValveCommand", "EdgesLayshaftRise", "SleevesMain", "SleevesAux", "GearboxSensors")
+    content.messages.update(names)
+    for run in runs(count):
+        content.runs.add(run if split is None else replace(run, split=split))
+    return content
+
+
+def test_figures_of_a_log_have_the_true_ones_in_their_intervals_and_predict_better() -> None:
+    """100 Nm by the sheet; the runs know it better than the sheet does."""
+    found = identify(content_of(8), SHEET)
+    for name, true in (
+        ("brake torque", 100.0 * GAIN),
+        ("brake valve on delay", 1e3 * DELAY_S),
+        ("brake valve off delay", 1e3 * DELAY_S),
+    ):
+        figure = found.figure(name)
+        assert figure.value == pytest.approx(true, rel=0.05), name
+        assert figure.low is not None and figure.high is not None
+        assert figure.low < true < figure.high, name
+        assert figure.samples == 8
+    check = next(each for each in found.held_out if each.name.startswith("layshaft speed"))
+    assert (check.unit, check.samples) == ("rpm", 8)
+    assert check.identified < 0.3 * check.by_sheet
+
+
+def test_too_few_runs_or_one_step_of_the_splitter_alone_tell_less() -> None:
+    few = identify(content_of(4), SHEET).figure("drag")
+    assert (few.value, few.why) == (
+        None, "4 runs in neutral with an open clutch, 5 are needed",
+    )  # fmt: skip
+    one = identify(content_of(6, Split.HIGH), SHEET).figure("inertia ratio")
+    assert one.value is None
+    assert one.why == "all runs in one step of the splitter: inertias are seen as one"
