@@ -19,7 +19,7 @@ from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import TableError
 from meshpoint.testbench.errors import CommandError, RunError
-from meshpoint.testbench.logs.judged_rows import JudgedRow
+from meshpoint.testbench.open_loop.judged_rows import JudgedRow
 from meshpoint.testbench.logs.session import Verification
 from meshpoint.testbench.results.rows import ShiftRow, Summary
 from meshpoint.testbench.version import product_version

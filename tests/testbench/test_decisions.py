@@ -16,7 +16,7 @@ from meshpoint.dbc.messages import (
     ValveAction,
     ValveCommand,
 )
-from meshpoint.testbench.logs.decisions import Course, Judged, Said, judge
+from meshpoint.testbench.open_loop.decisions import Course, Judged, Said, judge
 from meshpoint.units import DEG
 
 REQUEST_US = (1 << 32) - 50_000

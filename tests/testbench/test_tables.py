@@ -44,9 +44,9 @@ from meshpoint.testbench.commands.swarm import reached_table
 from meshpoint.testbench.identify.held_out import HeldOut
 from meshpoint.testbench.identify.identified import Figure
 from meshpoint.testbench.logs.captures import CaptureRow
-from meshpoint.testbench.logs.decisions import Decision, Judged, Parting
 from meshpoint.testbench.logs.gear_track import SeenShift
-from meshpoint.testbench.logs.judged_rows import JudgedRow, judged_table
+from meshpoint.testbench.open_loop.decisions import Decision, Judged, Parting
+from meshpoint.testbench.open_loop.judged_rows import JudgedRow, judged_table
 from meshpoint.testbench.report.comparison import compare, comparison_table
 from meshpoint.testbench.results.output import rows_table
 from meshpoint.testbench.results.phases import PHASES
@@ -169,7 +169,7 @@ TABLES: dict[str, Callable[[], Table]] = {
     ),
     "campaign.verdict_words.against_table": lambda: against_table(AGAINST, GEARBOX),
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
-    "logs.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
+    "open_loop.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
     "commands.swarm.reached_table": lambda: reached_table(Swarm().to_json(1.0), GEARBOX),
     "commands.compare.compared_table": lambda: compare_command.compared_table(
         "Shifts that differ", ("field", "A", "B"), [("shifts.0.slip_rpm", "20.1", "25.3")]

@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from meshpoint.testbench.report.overview import wilson
+from meshpoint.testbench.results.wilson import wilson
 
 FEW_RUNS: Final = 5
 """So many runs with a miss, and with a hit, before resampling shows how rates vary."""

@@ -13,11 +13,11 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.commands.log_progress import logged_frames
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.logs.core_parting import JudgedTwice, ShiftParting, TwoControllers
 from meshpoint.testbench.logs.logged_frames import LoggedFrames
 from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.logs.replay_strategy import Chosen, other_header, recorded_header
 from meshpoint.testbench.logs.session import Session, Verification
+from meshpoint.testbench.open_loop.chosen import Chosen, other_header, recorded_header
+from meshpoint.testbench.open_loop.two_controllers import JudgedTwice, ShiftParting, TwoControllers
 from meshpoint.testbench.results.difference import Allowed, Difference, differences
 
 COLUMNS: Final = (

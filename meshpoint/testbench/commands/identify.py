@@ -31,7 +31,7 @@ from meshpoint.testbench.identify.log_reader import LogReader
 from meshpoint.testbench.identify.overlay import overlay
 from meshpoint.testbench.logs.log_header import named_header
 from meshpoint.testbench.logs.logged_frames import LoggedFrames
-from meshpoint.testbench.logs.sensor_replay import LogTime
+from meshpoint.testbench.open_loop.sensor_replay import LogTime
 from meshpoint.testbench.results.output import check_writable, complain, console, write_json
 from meshpoint.units import DEG, RPM
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.logs.envelope import Envelope
-from meshpoint.testbench.logs.sensor_replay import SensorReplay
+from meshpoint.testbench.open_loop.sensor_replay import SensorReplay
 from meshpoint.testbench.report.html import (
     NUMBER_CLASS,
     Cell,

@@ -12,11 +12,11 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from meshpoint.testbench.logs.judged_rows import JudgedRow
 from meshpoint.testbench.logs.sleeve_contacts import SeenShift
-from meshpoint.testbench.report.overview import wilson
+from meshpoint.testbench.open_loop.judged_rows import JudgedRow
 from meshpoint.testbench.results.output import counted
 from meshpoint.testbench.results.road_speed import span_us
+from meshpoint.testbench.results.wilson import wilson
 
 NUMBER: Final = re.compile(r"\d+(?:\.\d+)?")
 LATE_US: Final = 50_000

@@ -25,7 +25,7 @@ from meshpoint.dbc.messages import (
     ValveCommand,
 )
 from meshpoint.gearbox.gears import DRIVE_GEARS
-from meshpoint.testbench.logs.counterfactual import Counterfactual
+from meshpoint.testbench.open_loop.landing import Counterfactual
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.units import DEG, RPM
 

@@ -36,7 +36,7 @@ from meshpoint.controller.shift.valve_board import ValveName
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerState, FaultCode, ShiftDecision
 from meshpoint.gearbox import GearboxSheet, MainGear
-from meshpoint.testbench.logs.recorded_course import (
+from meshpoint.testbench.open_loop.recorded_course import (
     BrakeDifference,
     RecordedCourse,
     Seen,

@@ -8,8 +8,8 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from meshpoint.testbench.logs.counterfactual import Counterfactual
-from meshpoint.testbench.logs.decisions import Decision, Judged, rounded
+from meshpoint.testbench.open_loop.decisions import Decision, Judged, rounded
+from meshpoint.testbench.open_loop.landing import Counterfactual
 from meshpoint.testbench.results.output import broken, counted
 from meshpoint.testbench.results.rows import ShiftRow
 

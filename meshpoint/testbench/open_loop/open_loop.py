@@ -33,14 +33,7 @@ from meshpoint.dbc.messages import (
     ShiftResult,
     ValveCommand,
 )
-from meshpoint.testbench.logs.counterfactual import (
-    DRAWS,
-    Counterfactual,
-    Parting,
-    undecidable,
-    work_out,
-)
-from meshpoint.testbench.logs.decisions import (
+from meshpoint.testbench.open_loop.decisions import (
     Course,
     Judged,
     Said,
@@ -48,7 +41,14 @@ from meshpoint.testbench.logs.decisions import (
     differing,
     judge,
 )
-from meshpoint.testbench.logs.recorded_course import RecordedCourse
+from meshpoint.testbench.open_loop.landing import (
+    DRAWS,
+    Counterfactual,
+    Parting,
+    undecidable,
+    work_out,
+)
+from meshpoint.testbench.open_loop.recorded_course import RecordedCourse
 
 SHIFTING: Final = frozenset(ControllerState) - {
     ControllerState.STARTING,

@@ -15,9 +15,9 @@ from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import RunHeader
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ControllerStatus
-from meshpoint.testbench.logs.decisions import Judged
 from meshpoint.testbench.logs.log_difference import differing_messages, known_in
-from meshpoint.testbench.logs.open_loop import OpenLoop
+from meshpoint.testbench.open_loop.decisions import Judged
+from meshpoint.testbench.open_loop.open_loop import OpenLoop
 from meshpoint.testbench.results.difference import Allowed
 
 Change = Callable[[RunHeader], RunHeader]
