@@ -22,8 +22,9 @@ from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.logs import open_loop as open_loop_module
 from meshpoint.testbench.logs.replay import STATUS, LogReplay
 from meshpoint.testbench.logs.session import Verification
-from meshpoint.testbench.open_loop.decisions import Course, Judged, judge
-from meshpoint.testbench.open_loop.open_loop import SHIFTING, OpenLoop, said
+from meshpoint.testbench.open_loop.course import Course, said
+from meshpoint.testbench.open_loop.judged import Judged, judge
+from meshpoint.testbench.open_loop.open_loop import SHIFTING, OpenLoop
 from meshpoint.testbench.version import product_version
 
 SHIFTS = 4

@@ -12,7 +12,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from meshpoint.testbench.logs.sleeve_contacts import SeenShift
+from meshpoint.testbench.logs.seen_shift import SeenShift
 from meshpoint.testbench.open_loop.judged_rows import JudgedRow
 from meshpoint.testbench.results.output import counted
 from meshpoint.testbench.results.road_speed import span_us

@@ -8,7 +8,8 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from meshpoint.testbench.open_loop.decisions import Decision, Judged, rounded
+from meshpoint.testbench.open_loop.course import Decision
+from meshpoint.testbench.open_loop.judged import Judged, rounded
 from meshpoint.testbench.open_loop.landing import Counterfactual
 from meshpoint.testbench.results.output import broken, counted
 from meshpoint.testbench.results.rows import ShiftRow

@@ -13,7 +13,6 @@ goes on. The rig's truth in a log is never read.
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import dataclass, replace
 from typing import Final, cast
@@ -28,14 +27,12 @@ from meshpoint.controller.motion.kernels import GAIN
 from meshpoint.controller.motion.kinematics import slip_rad_s, wrap_to_pitch
 from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import LayshaftState, MotionModel
-from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
-from meshpoint.controller.shift.sequence import ShiftSequence
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.valve_board import ValveName
-from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ControllerState, FaultCode, ShiftDecision
 from meshpoint.gearbox import GearboxSheet, MainGear
+from meshpoint.testbench.open_loop.copies import copied
 from meshpoint.testbench.open_loop.recorded_course import (
     BrakeDifference,
     RecordedCourse,
@@ -75,7 +72,6 @@ STUDENT_95: Final = 2.04
 """Of `DRAWS` - 1 degrees of freedom."""
 MODELLED: Final = frozenset({ControllerState.SYNCHRONISING, ControllerState.COASTING})
 """States that need no more than brake and layshaft to go on."""
-SHARED: Final = tuple(CODECS.values())
 
 
 @dataclass(frozen=True)
@@ -141,17 +137,16 @@ class _Speeds:
         return slip_rad_s(self._sheet.main_mesh(gear).ratio, self.layshaft, self.main)
 
 
-class Parting:
+class PartedController:
     """The other controller at the last step that it took on its own course."""
 
     def __init__(self, core: ControllerCore, step: int) -> None:
-        memo: dict[int, object] = {id(codec): codec for codec in SHARED}
         self.sheet, self.settings = core.header.sheet, core.header.settings
-        self.sequence = cast(ShiftSequence, _copied(core.sequence, memo))
+        self.sequence = copied(core.sequence)
         snapshot = core.snapshot
         if snapshot is None:
             raise RuntimeError("parted before the first step")
-        self.view: GearboxView = copy.deepcopy(snapshot.view)
+        self.view = copied(snapshot.view)
         tracker = snapshot.layshaft
         self.model = tracker.model if tracker.free else None
         self.step = step
@@ -175,10 +170,6 @@ class Parting:
         return ""
 
 
-def _copied(whole: object, memo: dict[int, object]) -> object:
-    return copy.deepcopy(whole, memo)
-
-
 @dataclass(frozen=True)
 class _Landing:
     fire_us: float
@@ -192,10 +183,12 @@ class _Draw:
     """One way in which it may have been; all zeros: the likeliest."""
 
     def __init__(
-        self, parting: Parting, course: RecordedCourse, known: BrakeModel, normal: Vector
+        self, parting: PartedController, course: RecordedCourse, known: BrakeModel, normal: Vector
     ) -> None:
         self._parting, self._course, self._normal = parting, course, normal
-        self.sequence = cast(ShiftSequence, _copied(parting.sequence, _memo(parting)))
+        self.sequence = copied(
+            parting.sequence, parting.sheet, parting.settings, parting.sequence.references
+        )
         newest = course.newest
         spread = 0.0 if newest.covariance is None else float(newest.covariance[GAIN, GAIN])
         gain = newest.gain + math.hypot(math.sqrt(max(spread, 0.0)), GAIN_SD) * normal[0]
@@ -299,12 +292,6 @@ class _Draw:
         return tuple((at_ms, slip, (phase - end) / DEG) for at_ms, slip, phase in points)
 
 
-def _memo(parting: Parting) -> dict[int, object]:
-    """What copies share: none of it changes."""
-    shared = (*SHARED, parting.sheet, parting.settings, parting.sequence.references)
-    return {id(each): each for each in shared}
-
-
 def _steps(course: RecordedCourse, first: int) -> list[Seen]:
     """The recorded steps from one on, then one each tick."""
     steps = course.steps[first:]
@@ -318,7 +305,7 @@ def _steps(course: RecordedCourse, first: int) -> list[Seen]:
 
 
 def work_out(
-    parting: Parting,
+    parting: PartedController,
     course: RecordedCourse,
     known: BrakeModel,
     seed: int,
@@ -352,7 +339,7 @@ def work_out(
 
 
 def _told(
-    parting: Parting, course: RecordedCourse, likeliest: _Landing, landings: list[_Landing]
+    parting: PartedController, course: RecordedCourse, likeliest: _Landing, landings: list[_Landing]
 ) -> Counterfactual:
     pitch = parting.sheet.dog.pitch_rad
     turned = np.exp(1j * np.array([landing.phase_rad for landing in landings]) / pitch * math.tau)

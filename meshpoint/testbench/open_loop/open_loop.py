@@ -9,10 +9,9 @@ then), whatever was decided in the shifts before it.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.estimation.brake_model import BrakeModel
@@ -21,30 +20,14 @@ from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.dbc.frame import Frame
-from meshpoint.dbc.layout import CODECS
-from meshpoint.dbc.link import read_alone
-from meshpoint.dbc.messages import (
-    TSC1,
-    ClutchCommand,
-    ControllerState,
-    ControllerStatus,
-    ShiftOutcome,
-    ShiftPrediction,
-    ShiftResult,
-    ValveCommand,
-)
-from meshpoint.testbench.open_loop.decisions import (
-    Course,
-    Judged,
-    Said,
-    course_parted_ms,
-    differing,
-    judge,
-)
+from meshpoint.dbc.messages import ControllerState, ControllerStatus
+from meshpoint.testbench.open_loop.copies import copied
+from meshpoint.testbench.open_loop.course import Course, course_parted_ms, differing, said
+from meshpoint.testbench.open_loop.judged import Judged, judge
 from meshpoint.testbench.open_loop.landing import (
     DRAWS,
     Counterfactual,
-    Parting,
+    PartedController,
     undecidable,
     work_out,
 )
@@ -58,34 +41,6 @@ SHIFTING: Final = frozenset(ControllerState) - {
     ControllerState.FAULTED,
 }
 """States in which a shift is under way."""
-SHARED: Final = tuple(CODECS.values())
-"""What a copy shares with its original: it never changes."""
-SAID: Final = {
-    CODECS[kind.__name__].spec.can_id: CODECS[kind.__name__]
-    for kind in (ValveCommand, ClutchCommand, TSC1, ShiftPrediction, ShiftOutcome)
-}
-
-
-def said(time_us: int, frames: list[Frame]) -> Said:
-    """What the frames of one step command, and say of the shift."""
-    found = {type(message): message for message in map(_decoded, frames)}
-    outcome = found.get(ShiftOutcome)
-    if outcome is not None and outcome.result is ShiftResult.REFUSED:
-        outcome = None
-    return Said(
-        time_us,
-        found.get(ValveCommand),
-        found.get(ClutchCommand),
-        found.get(TSC1),
-        found.get(ShiftPrediction),
-        outcome,
-    )
-
-
-def _decoded(frame: Frame) -> Any:
-    """The message of an undamaged frame, whatever its counter; else None."""
-    codec = SAID.get(frame.can_id)
-    return None if codec is None else read_alone(codec, frame)
 
 
 @dataclass
@@ -100,7 +55,7 @@ class _Branch:
     replayed: Course = field(default_factory=Course)
     record: ShiftRecord | None = None
     course: RecordedCourse = field(default_factory=RecordedCourse)
-    parting: Parting | None = None
+    parting: PartedController | None = None
     sent: list[tuple[float, list[Frame]]] = field(default_factory=list)
     """Frames of each step, by ms since the request."""
     undriven: str = ""
@@ -113,7 +68,7 @@ class _Branch:
         made = self.core.step(time_us)
         self.record = self.core.running_shift or self.record
         self.sent.append(((time_us - self.step_us) / 1000, made.frames))
-        self.replayed.take(said(time_us, made.frames)._replace(events=tuple(made.events)))
+        self.replayed.take(said(time_us, made.frames, tuple(made.events)))
 
     def part(self) -> None:
         """Keeps the copy as it is at the last step before the frames answer to other commands than
@@ -125,7 +80,7 @@ class _Branch:
         if course_parted_ms(self.recorded, self.replayed, self.step_us, request_us) is None:
             return
         self.undriven = " and ".join({"clutch", "engine"} & set(differing(theirs, mine)))
-        self.parting = Parting(self.core, len(self.course.steps) + 1)
+        self.parting = PartedController(self.core, len(self.course.steps) + 1)
 
     def counterfactual(self, known: BrakeModel, judged: Judged, draws: int) -> Counterfactual:
         """Where its tooth would have landed. The recorded course is closed; known: the brake as
@@ -202,9 +157,9 @@ class OpenLoop:
     ) -> None:
         """A step is about to be repeated: `core` as recorded up to here, and what it sent."""
         was = said(status.step_time_us, sent)
-        if self._branch is None and (status.state in SHIFTING or was.outcome is not None):
-            copied = self._other(core)
-            self._branch = _Branch(copied, status.step_time_us, copied.knows[1])
+        if self._branch is None and (status.state in SHIFTING or was.ended is not None):
+            other = self._other(core)
+            self._branch = _Branch(other, status.step_time_us, other.knows[1])
         if self._branch is not None:
             self._branch.step(status.step_time_us, consumed)
             self._branch.recorded.take(was)
@@ -213,15 +168,13 @@ class OpenLoop:
 
     def _other(self, core: ControllerCore) -> ControllerCore:
         """The other controller, put into the recorded state."""
-        shared = {id(codec): codec for codec in SHARED}
-        copied = copy.deepcopy(core, shared)
+        other = copied(core)
         if self._follower is None:
-            copied.change_settings(self._settings)
+            other.change_settings(self._settings)
         else:
-            follower = copy.deepcopy(self._follower, {id(codec): codec for codec in SHARED})
-            copied.estimate_by(follower, keeps_drifts=self._keeps_drifts)
-        copied.strategy_errors = {}
-        return copied
+            other.estimate_by(copied(self._follower), keeps_drifts=self._keeps_drifts)
+        other.strategy_errors = {}
+        return other
 
     def unheard(self, core: ControllerCore, time_us: int, consumed: list[Frame]) -> None:
         """A shift into whose time an outage falls is not judged: nothing was sent of it."""
@@ -246,14 +199,14 @@ class OpenLoop:
         if branch is None:
             return
         branch.course.take(seen, core.running_shift, brake)
-        if was.outcome is None:
+        if was.ended is None:
             return
         self._branch = None
         for line, count in branch.core.strategy_errors.items():
             self._errors[line] = self._errors.get(line, 0) + count
-        key = self._session, was.outcome.request_time_us
+        key = self._session, was.ended.request_time_us
         judged = judge(
-            was.outcome,
+            was.ended,
             branch.step_us,
             branch.recorded,
             branch.replayed,

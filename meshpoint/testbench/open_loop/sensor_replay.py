@@ -9,7 +9,6 @@ is named, with what cannot be said for lack of it.
 
 from __future__ import annotations
 
-import copy
 from collections import Counter
 from collections.abc import Callable
 from typing import Any, Final
@@ -31,7 +30,10 @@ from meshpoint.dbc.node import Node
 from meshpoint.gearbox.gears import MainGear
 from meshpoint.testbench.logs.bus_map import BusMap, pgn
 from meshpoint.testbench.logs.captures import READ_US
-from meshpoint.testbench.logs.gear_track import GearTrack, RatioTrack, SeenShift
+from meshpoint.testbench.logs.gear_track import GearTrack, RatioTrack
+from meshpoint.testbench.logs.seen_shift import SeenShift
+from meshpoint.testbench.open_loop.copies import copied
+from meshpoint.testbench.open_loop.course import said
 from meshpoint.units import DEG, RPM, SECOND_US
 
 LONG_US: Final = 1_000_000
@@ -40,8 +42,6 @@ ETC1_CODEC: Final = CODECS[ETC1.__name__]
 ETC1_PGN: Final = pgn(ETC1_CODEC.spec.can_id)
 NAMES: Final = {codec.spec.can_id: codec.spec.name for codec in CODECS.values()}
 REQUEST: Final = "TC1"
-SHARED: Final = tuple(CODECS.values())
-"""What a copy shares with its original: it never changes."""
 START_US: Final = 10_000_000
 UNKNOWN_RAD_S: Final = 20.0
 """A speed whose standard deviation is greater, near its largest on the wire, is not known."""
@@ -116,7 +116,6 @@ class SensorReplay:
         self.steps = 0
         self._asked: ControllerCore | None = None
         """A copy that has been asked for a gear, until its shift has ended."""
-        self._asked_made = Receiver(Node.BENCH)
         self._gear: MainGear | None = None
         self._asked_s = 0.0
         self.outcomes: list[tuple[float, ShiftOutcome]] = []
@@ -164,8 +163,7 @@ class SensorReplay:
 
     def _ask(self, frame: Frame) -> None:
         self.unfinished += int(self._asked is not None)
-        self._asked = copy.deepcopy(self._core, {id(codec): codec for codec in SHARED})
-        self._asked_made = Receiver(Node.BENCH)
+        self._asked = copied(self._core)
         self._asked_s = self.time.since_s
         self._asked.receive(frame)
 
@@ -239,13 +237,12 @@ class SensorReplay:
         made = self._asked.step(now_us)
         for line in made.events:
             self._tell(now_us, line)
-        for frame in made.frames:
-            message = self._asked_made.receive(frame).message
-            if isinstance(message, ShiftOutcome):
-                self.outcomes.append((self._asked_s, message))
-                self._asked = None
-                return
-        self._see_engaged_sooner(self._asked)
+        outcome = said(now_us, made.frames).outcome
+        if outcome is None:
+            self._see_engaged_sooner(self._asked)
+        else:
+            self.outcomes.append((self._asked_s, outcome))
+            self._asked = None
 
     def _see_engaged_sooner(self, asked: ControllerCore) -> None:
         """The gear asked for may be in before this controller would have fired: then it has decided

@@ -14,7 +14,8 @@ from meshpoint.controller.header import RunHeader
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.logs.sleeve_contacts import SeenShift, ShiftWatch
+from meshpoint.testbench.logs.seen_shift import SeenShift
+from meshpoint.testbench.logs.sleeve_contacts import ShiftWatch
 from meshpoint.testbench.open_loop.sensor_replay import SensorReplay
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.units import SECOND_US

@@ -16,7 +16,7 @@ from meshpoint.controller.header import RunHeader
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import ControllerStatus
 from meshpoint.testbench.logs.log_difference import differing_messages, known_in
-from meshpoint.testbench.open_loop.decisions import Judged
+from meshpoint.testbench.open_loop.judged import Judged, Parting
 from meshpoint.testbench.open_loop.open_loop import OpenLoop
 from meshpoint.testbench.results.difference import Allowed
 
@@ -24,22 +24,12 @@ Change = Callable[[RunHeader], RunHeader]
 
 
 @dataclass(frozen=True)
-class ShiftParting:
-    """The first step of a shift in which the two send something else."""
-
-    at_ms: float
-    """Since the request."""
-    messages: tuple[str, ...]
-    knew: tuple[dict[str, Any], dict[str, Any]]
-    """Estimates, prediction and state of each in that step."""
-
-
-@dataclass(frozen=True)
 class JudgedTwice:
-    """A recorded shift as both decide it; parting None: they send the same."""
+    """A recorded shift as both decide it."""
 
     judged: tuple[Judged, Judged]
-    parting: ShiftParting | None
+    parting: Parting[dict[str, Any]] | None
+    """By messages, with estimates, prediction and state of each; None: they send the same."""
 
 
 class TwoControllers:
@@ -93,7 +83,7 @@ class TwoControllers:
 
     def _parting(
         self, judged: Judged, a: list[tuple[float, list[Frame]]], b: list[tuple[float, list[Frame]]]
-    ) -> ShiftParting | None:
+    ) -> Parting[dict[str, Any]] | None:
         """Up to the recorded contact: no later decision counts."""
         for (at_ms, of_a), (_, of_b) in zip(a, b, strict=True):
             if judged.judged_to_ms is not None and at_ms >= judged.judged_to_ms:
@@ -101,7 +91,7 @@ class TwoControllers:
             sent_a, sent_b = _by_id(of_a), _by_id(of_b)
             messages = differing_messages(sent_a, sent_b, self._allowed)
             if messages:
-                return ShiftParting(at_ms, messages, (known_in(sent_a), known_in(sent_b)))
+                return Parting(at_ms, messages, (known_in(sent_a), known_in(sent_b)))
         return None
 
 

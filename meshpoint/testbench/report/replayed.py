@@ -9,7 +9,8 @@ from __future__ import annotations
 from html import escape
 from typing import Final
 
-from meshpoint.testbench.open_loop.decisions import Decision, Judged
+from meshpoint.testbench.open_loop.course import Decision
+from meshpoint.testbench.open_loop.judged import Judged
 from meshpoint.testbench.open_loop.landing import Counterfactual
 from meshpoint.testbench.report.collect import ReportShift
 from meshpoint.testbench.report.html import NUMBER_CLASS, Cell, table, table_row

@@ -21,7 +21,7 @@ from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.logs.session import Verification
-from meshpoint.testbench.open_loop.decisions import Judged
+from meshpoint.testbench.open_loop.judged import Judged
 from meshpoint.testbench.open_loop.open_loop import OpenLoop
 from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.testbench.version import product_version

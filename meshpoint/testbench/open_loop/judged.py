@@ -8,71 +8,38 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
-from typing import Any, Final, NamedTuple
+from typing import Any, Generic, TypeVar
 
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.shift.table import ShiftRecord
-from meshpoint.controller.shift.valve_board import ValveName
-from meshpoint.dbc.messages import (
-    TSC1,
-    ClutchCommand,
-    ShiftDecision,
-    ShiftOutcome,
-    ShiftPrediction,
-    ShiftResult,
-    ValveAction,
-    ValveCommand,
-)
+from meshpoint.dbc.messages import ShiftOutcome, ShiftResult
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.testbench.open_loop.course import (
+    Course,
+    Decision,
+    Said,
+    course_parted_ms,
+    decision_of,
+    differing,
+)
 from meshpoint.testbench.open_loop.landing import Counterfactual
-from meshpoint.testbench.results.road_speed import span_us
-from meshpoint.units import DEG, RPM
 
-NAMES: Final = {valve: valve.name.lower() for valve in ValveName}
-FIRING: Final = (ShiftDecision.FIRE, ShiftDecision.COMMITTED)
-LAST_STEP_MS: Final = 10.0
-"""A course's last command is drawn for as long as a tick."""
-
-
-class Said(NamedTuple):
-    """What one step commanded, and said of the shift."""
-
-    time_us: int
-    """The controller's clock."""
-    command: ValveCommand | None
-    clutch: ClutchCommand | None
-    engine: TSC1 | None
-    prediction: ShiftPrediction | None
-    outcome: ShiftOutcome | None
-    events: tuple[str, ...] = ()
+Known = TypeVar("Known")
 
 
 @dataclass(frozen=True)
-class Decision:
-    """A step's decision as its prediction frame has it; None: not decided, or not known."""
+class Parting(Generic[Known]):
+    """The first step in which two controllers do something different."""
 
     at_ms: float
-    decision: str
-    release_ms: float | None
-    """Activation of brake off."""
-    fired_ms: float | None
-    """Activation of the sleeve's valve."""
-    expected_contact_ms: float | None
-    predicted_phase_deg: float | None
-    predicted_phase_sd_deg: float | None
-    predicted_slip_rpm: float
+    differ: tuple[str, ...]
+    """In what: valves by name, `clutch`, `engine`; or messages."""
+    knew: tuple[Known, Known]
+    """What each had decided, or knew, in it."""
 
 
-@dataclass(frozen=True)
-class Parting:
-    """The first step whose commands differ, and what each had decided in it."""
-
-    at_ms: float
-    commands: tuple[str, ...]
-    """Which differ: valves by name, `clutch`, `engine`."""
-    recorded: Decision | None
-    replayed: Decision | None
+OfCommands = Parting[Decision | None]
+"""By commands: the recorded controller's decision and the other one's; None: it had none."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +60,7 @@ class Judged:
     """Its last decision before the recorded sleeve met its gear."""
     recorded: Decision | None
     """The first firing of the recorded controller; None where it fired no sleeve."""
-    parted: Parting | None
+    parted: OfCommands | None
     """None: it commands what was recorded."""
     course_parted_ms: float | None
     """When a valve is first driven, or clutch or engine commanded, differently: later frames answer
@@ -189,44 +156,6 @@ class Judged:
         return rounded(told | {"why": self.counterfactual.why or None})
 
 
-class Course:
-    """The steps of one shift as one controller takes them."""
-
-    def __init__(self) -> None:
-        self.steps: list[Said] = []
-
-    def take(self, said: Said) -> None:
-        """One more step."""
-        self.steps.append(said)
-
-    def decisions(self, step_us: int, request_us: int) -> list[Decision]:
-        """Of every step that has one; `step_us`: the step of the request."""
-        return [
-            _decision(said.prediction, (said.time_us - step_us) / 1000, request_us)
-            for said in self.steps
-            if said.prediction is not None
-        ]
-
-    def driven(self, step_us: int, request_us: int) -> dict[str, list[tuple[float, float]]]:
-        """From when to when each valve is on by its commands; valves never on are left out."""
-        starts = [(said.time_us - step_us) / 1000 for said in self.steps]
-        ends = [*starts[1:], (starts[-1] if starts else 0.0) + LAST_STEP_MS]
-        found = {}
-        for valve, name in NAMES.items():
-            switches = [(0.0, False)]
-            for said, start_ms, end_ms in zip(self.steps, starts, ends, strict=True):
-                if said.command is None:
-                    continue
-                on, at_ms = _switch(said.command, valve, start_ms, request_us)
-                if at_ms < end_ms and on != switches[-1][1]:
-                    switches.append((at_ms, on))
-            switches.append((ends[-1] if ends else 0.0, False))
-            spans = [(a, b) for (a, on), (b, _) in pairwise(switches) if on]
-            if spans:
-                found[name] = spans
-        return found
-
-
 def judge(
     outcome: ShiftOutcome,
     step_us: int,
@@ -289,36 +218,6 @@ def rounded(values: dict[str, Any]) -> dict[str, Any]:
     return {k: round(v, 6) if isinstance(v, float) else v for k, v in values.items()}
 
 
-def _decision(said: ShiftPrediction, at_ms: float, request_us: int) -> Decision:
-    firing = said.decision in FIRING
-    known = firing and said.phase_sd_rad > 0.0
-    return Decision(
-        at_ms=at_ms,
-        decision=said.decision.name.lower(),
-        release_ms=_ms(said.release_time_us, request_us) if said.release_time_us else None,
-        fired_ms=_ms(said.fire_time_us, request_us) if firing else None,
-        expected_contact_ms=_ms(said.contact_time_us, request_us) if firing else None,
-        predicted_phase_deg=said.phase_rad / DEG if known else None,
-        predicted_phase_sd_deg=said.phase_sd_rad / DEG if known else None,
-        predicted_slip_rpm=said.slip_rad_s / RPM,
-    )
-
-
-def _ms(stamp_us: int, request_us: int) -> float:
-    return span_us(stamp_us, request_us) / 1000
-
-
-def _switch(
-    command: ValveCommand, valve: ValveName, start_ms: float, request_us: int
-) -> tuple[bool, float]:
-    """What a command wants of a valve, and from when on; never before it was said."""
-    action = command[valve]
-    on = action in (ValveAction.ON_NOW, ValveAction.ON_AT)
-    if action in (ValveAction.ON_NOW, ValveAction.OFF_NOW):
-        return on, start_ms
-    return on, max(start_ms, _ms(int(command[valve + len(ValveName)]), request_us))
-
-
 def _status(
     mine: list[Decision],
     record: ShiftRecord | None,
@@ -333,11 +232,12 @@ def _status(
     if fired is not None:
         return "fired", fired, "none"
     last = mine[-1] if mine else None
-    ended = next((said for said in replayed.steps if said.outcome is not None), None)
-    if ended is not None and ended.outcome is not None:
-        at_ms = (ended.time_us - step_us) / 1000
-        if judged_to_ms is None or at_ms < judged_to_ms:
-            return "ended", last, ended.outcome.fault.name.lower()
+    for said in replayed.steps:
+        if said.ended is not None:
+            at_ms = (said.time_us - step_us) / 1000
+            if judged_to_ms is None or at_ms < judged_to_ms:
+                return "ended", last, said.ended.fault.name.lower()
+            break
     is_planned = last is not None and last.decision == "fire"
     return "planned" if is_planned else "waiting", last, "none"
 
@@ -348,7 +248,7 @@ def _parting(
     step_us: int,
     request_us: int,
     judged_to_ms: float | None,
-) -> Parting | None:
+) -> OfCommands | None:
     for theirs, mine in zip(recorded.steps, replayed.steps, strict=True):
         at_ms = (theirs.time_us - step_us) / 1000
         if judged_to_ms is not None and at_ms >= judged_to_ms:
@@ -356,34 +256,12 @@ def _parting(
         differ = differing(theirs, mine)
         if not differ:
             continue
-        each = [
-            None if s.prediction is None else _decision(s.prediction, at_ms, request_us)
+        was, now = (
+            None if s.prediction is None else decision_of(s.prediction, at_ms, request_us)
             for s in (theirs, mine)
-        ]
-        return Parting(at_ms, tuple(differ), *each)
+        )
+        return Parting(at_ms, tuple(differ), (was, now))
     return None
-
-
-def _asked(said: Said) -> TSC1 | None:
-    """What was asked of the engine, whichever frame of the run it was."""
-    if said.engine is None:
-        return None
-    return said.engine._replace(message_counter=None, message_checksum=None)
-
-
-def differing(theirs: Said, mine: Said) -> list[str]:
-    """What two steps command differently: valves by name, `clutch`, `engine`."""
-    if theirs.command is None or mine.command is None:
-        return []
-    count = len(ValveName)
-    differ = [
-        name
-        for valve, name in NAMES.items()
-        if (theirs.command[valve], theirs.command[valve + count])
-        != (mine.command[valve], mine.command[valve + count])
-    ]
-    differ += ["clutch"] if theirs.clutch != mine.clutch else []
-    return [*differ, "engine"] if _asked(theirs) != _asked(mine) else differ
 
 
 def _up_to(
@@ -398,26 +276,11 @@ def _up_to(
     return {name: spans for name, spans in cut.items() if spans}
 
 
-def course_parted_ms(
-    recorded: Course, replayed: Course, step_us: int, request_us: int
-) -> float | None:
-    """The first switch of a valve that only one of them makes, or the first step at which clutch or
-    engine are commanded differently."""
-    edges = [
-        {(at_ms, name, k) for name, spans in course.driven(step_us, request_us).items()
-         for span in spans for k, at_ms in enumerate(span)}
-        for course in (recorded, replayed)
-    ]  # fmt: skip
-    parted = [at_ms for at_ms, _, _ in edges[0] ^ edges[1]]
-    for theirs, mine in zip(recorded.steps, replayed.steps, strict=True):
-        if {"clutch", "engine"} & set(differing(theirs, mine)):
-            parted.append((theirs.time_us - step_us) / 1000)
-            break
-    return min(parted, default=None)
-
-
 def _contact_why(
-    status: str, last: Decision | None, parted: Parting | None, firing: Decision | None
+    status: str,
+    last: Decision | None,
+    parted: OfCommands | None,
+    firing: Decision | None,
 ) -> str:
     """Why the log does not tell where the other controller's tooth would have met."""
     if parted is None:
@@ -438,11 +301,11 @@ def _contact_why(
     return "the sensors of the log answer to the recorded commands alone"
 
 
-def _parting_json(parted: Parting | None) -> dict[str, Any] | None:
+def _parting_json(parted: OfCommands | None) -> dict[str, Any] | None:
     if parted is None:
         return None
     each = {
         name: None if decision is None else rounded(vars(decision))
-        for name, decision in (("recorded", parted.recorded), ("replayed", parted.replayed))
+        for name, decision in zip(("recorded", "replayed"), parted.knew, strict=True)
     }
-    return {"at_ms": round(parted.at_ms, 6), "commands": list(parted.commands), **each}
+    return {"at_ms": round(parted.at_ms, 6), "commands": list(parted.differ), **each}
