@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args, get_type_hin
 import numpy as np
 from numpy.typing import NDArray
 
+from meshpoint.controller.records import Integers
 from meshpoint.testbench.campaign.record import GAP, JudgedShift
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 Column = NDArray[Any]
-Integers = NDArray[np.int64]
 PENDING: Final = 1024
 """So many records wait as objects until they become columns."""
 AT_ONCE: Final = 16_384
