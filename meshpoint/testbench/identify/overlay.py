@@ -10,9 +10,10 @@ from typing import Final, NamedTuple
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import MAIN_GEARS
+from meshpoint.gearbox.table_text import number, quoted
 from meshpoint.testbench.identify.identified import Identified
+from meshpoint.testbench.identify.sleeve_fit import PRESSURE_EXPONENT
 
-PRESSURE_EXPONENT: Final = 0.5
 LEAST_SPREAD_MS: Final = 0.1
 
 
@@ -95,8 +96,8 @@ def overlay(found: Identified, sheet: GearboxSheet, based_on: str, source: str) 
     lines = [
         f"# Identified by meshpoint from {source}.",
         "# What is not here is as in the data sheet that it is based on.",
-        f"based_on = {_quoted(based_on)}",
-        f"name = {_quoted(f'{sheet.name}, identified')}",
+        f"based_on = {quoted(based_on)}",
+        f"name = {quoted(f'{sheet.name}, identified')}",
     ]
     table = ""
     for entry in entries(found, sheet):
@@ -104,14 +105,5 @@ def overlay(found: Identified, sheet: GearboxSheet, based_on: str, source: str) 
             table = entry.table
             lines += ["", f"[{table}]"]
         why = f"    # {entry.why}" if entry.why else ""
-        lines.append(f"{entry.key} = {_number(entry.value)}{why}")
+        lines.append(f"{entry.key} = {number(entry.value, 5)}{why}")
     return "\n".join(lines) + "\n"
-
-
-def _number(value: float) -> str:
-    text = f"{value:.5g}"
-    return text if any(mark in text for mark in ".e") else f"{text}.0"
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'

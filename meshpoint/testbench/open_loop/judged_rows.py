@@ -11,7 +11,7 @@ from rich.table import Table
 from meshpoint.testbench.open_loop.course import Decision
 from meshpoint.testbench.open_loop.judged import Judged, rounded
 from meshpoint.testbench.open_loop.landing import Counterfactual
-from meshpoint.testbench.results.output import broken, counted
+from meshpoint.testbench.results.output import broken, counted, number
 from meshpoint.testbench.results.rows import ShiftRow
 
 FIRING: Final = ("strategy", "reference", "fired_ms", "predicted_phase_deg")
@@ -78,8 +78,8 @@ def _cells(row: JudgedRow) -> list[str]:
     if judged is not None:
         told = judged.last if judged.fired_ms is not None else None
         parted = judged.parted.at_ms if judged.parted else None
-        fires = judged.status if told is None else _number(told.fired_ms)
-        was = [broken(judged.strategy), fires, _phase_text(told), _number(parted)]
+        fires = judged.status if told is None else number(told.fired_ms, 1)
+        was = [broken(judged.strategy), fires, _phase_text(told), number(parted, 1)]
         was += _landing_cells(judged.counterfactual)
     return [*was, broken(recorded.strategy), recorded.contact or "-"]
 
@@ -128,7 +128,3 @@ def _landings(judged: Sequence[Judged], asked: str) -> str:
         f"where {asked} would have met is worked out for {counted(len(told))} (95 % intervals): "
         f"{sum(told):.1f} first contacts in a gap are expected of these"
     )
-
-
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}"
