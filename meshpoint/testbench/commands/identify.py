@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from meshpoint.bus.logs.files import log_files, read_logs
-from meshpoint.bus.logs.limits import LogError
+from meshpoint.bus.logs.reader import LogError
 from meshpoint.controller.header import header_name
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from meshpoint.bus.light_can import load_can
 from meshpoint.bus.logs.files import log_files
-from meshpoint.bus.logs.limits import LogError
+from meshpoint.bus.logs.reader import LogError
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ESTIMATOR_NAMES, load_settings
 from meshpoint.dbc.frame import Frame
