@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from meshpoint.bus.logs.limits import EmptyLogError, LogError
+from meshpoint.bus.logs.reader import EmptyLogError, LogError
 from meshpoint.dbc.frame import Frame
 
 CUT = "cut off"

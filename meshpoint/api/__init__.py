@@ -9,7 +9,7 @@ from meshpoint.api.runs import Campaign, Replay, Simulation, campaign, replay, s
 from meshpoint.api.choices import load_gearbox, load_settings
 from meshpoint.api.watching import ShiftError
 from meshpoint.bus.core import Core, Step
-from meshpoint.bus.logs.limits import LogError
+from meshpoint.bus.logs.reader import LogError
 from meshpoint.controller.planning.strategies.base import EngagementStrategy, ReleasePlan
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.strategy_file import StrategyError
@@ -19,7 +19,7 @@ from meshpoint.dbc.link import Receiver, Transmitter
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.tables import TableError
 from meshpoint.testbench.errors import CommandError, RunError
-from meshpoint.testbench.logs.judged_rows import JudgedRow
+from meshpoint.testbench.open_loop.judged_rows import JudgedRow
 from meshpoint.testbench.logs.session import Verification
 from meshpoint.testbench.results.rows import ShiftRow, Summary
 from meshpoint.testbench.version import product_version

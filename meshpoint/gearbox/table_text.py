@@ -51,15 +51,15 @@ def _text(value: Any, rule: Rule) -> str:
     if rule.kind is tuple:
         return "[" + ", ".join(map(str, value)) + "]"
     if rule.kind is float:
-        return _number(value, rule.si)
-    numbers = [_number(item, rule.si) for item in value]
+        return number(value / rule.si, TABLE_DIGITS)
+    numbers = [number(item / rule.si, TABLE_DIGITS) for item in value]
     rows = (", ".join(numbers[k : k + A_LINE]) for k in range(0, len(numbers), A_LINE))
     return "[\n" + "".join(f"    {row},\n" for row in rows) + "]"
 
 
-def _number(value: float, si: float) -> str:
-    """In the key's unit; always with a point or an exponent, so that it is read as a float."""
-    text = f"{value / si:.{TABLE_DIGITS}g}"
+def number(value: float, digits: int) -> str:
+    """To so many digits; always with a point or an exponent, so that it is read as a float."""
+    text = f"{value:.{digits}g}"
     if text == "-0":
         text = "0"
     return text if any(mark in text for mark in ".en") else f"{text}.0"

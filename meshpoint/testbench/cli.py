@@ -86,7 +86,7 @@ def _run(namespace: argparse.Namespace) -> int:
 
 def _user_errors() -> tuple[type[Exception], ...]:
     """What was wrong with the input: one line for the user, no traceback."""
-    from meshpoint.bus.logs.limits import LogError
+    from meshpoint.bus.logs.reader import LogError
     from meshpoint.bus.options import BusOpenError
     from meshpoint.bus.pace import PaceError
     from meshpoint.controller.header import HeaderError

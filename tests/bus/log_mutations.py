@@ -14,7 +14,7 @@ from pathlib import Path
 
 import can
 
-from meshpoint.bus.logs.limits import FORMATS, LogError, read_log
+from meshpoint.bus.logs.reader import FORMATS, LogError, read_log
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.dbc.frame import Frame
 

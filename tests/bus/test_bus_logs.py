@@ -20,7 +20,7 @@ from patience import until, until_async
 
 from meshpoint.bus.local.plugin import MeshpointBus
 from meshpoint.bus.local.wire import CLASSIC_LENGTHS, FD_LENGTHS
-from meshpoint.bus.logs.limits import FORMATS, LogError, LogReader, read_log
+from meshpoint.bus.logs.reader import FORMATS, LogError, LogReader, read_log
 from meshpoint.bus.logs.recorder import LogWriter, record_bus
 from meshpoint.dbc.frame import Frame
 

@@ -9,7 +9,7 @@ import pytest
 from log_mutations import mixed_log, silent_partial_reads
 
 from meshpoint.bus.logs.files import read_logs
-from meshpoint.bus.logs.limits import FORMATS, LogError, read_log
+from meshpoint.bus.logs.reader import FORMATS, LogError, read_log
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.dbc.frame import Frame
 

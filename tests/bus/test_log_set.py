@@ -26,7 +26,7 @@ from meshpoint.bus.logs.files import (
     parts_of,
     read_logs,
 )
-from meshpoint.bus.logs.limits import FORMATS, LogError, read_log
+from meshpoint.bus.logs.reader import FORMATS, LogError, read_log
 from meshpoint.bus.logs.recorder import FLUSH_EVERY_S, LogWriter
 from meshpoint.dbc.frame import Frame
 

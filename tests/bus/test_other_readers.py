@@ -15,7 +15,7 @@ import cantools
 import pytest
 
 from meshpoint.bus.light_can import mf4_module
-from meshpoint.bus.logs.limits import FORMATS, LogError, read_log
+from meshpoint.bus.logs.reader import FORMATS, LogError, read_log
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS

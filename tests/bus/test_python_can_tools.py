@@ -11,7 +11,7 @@ import pytest
 from patience import Patience
 
 from meshpoint.bus.local.plugin import MeshpointBus
-from meshpoint.bus.logs.limits import read_log
+from meshpoint.bus.logs.reader import read_log
 
 installed = pytest.mark.skipif(
     "meshpoint" not in entry_points(group="can.interface").names,

@@ -15,7 +15,7 @@ from patience import until_async
 from meshpoint.bus.clock import Clock
 from meshpoint.bus.core import Step
 from meshpoint.bus.driver import run_node
-from meshpoint.bus.logs.limits import read_log
+from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.options import add_bus_arguments, open_bus_from
 from meshpoint.bus.statistics import NodeStatistics
 from meshpoint.dbc.frame import Frame

@@ -15,11 +15,11 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.campaign.draw import draw
 from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.logs.counterfactual import MOST_SD_SHARE, STUDENT_95
-from meshpoint.testbench.logs.decisions import Judged
-from meshpoint.testbench.logs.open_loop import OpenLoop
 from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.logs.session import Verification
+from meshpoint.testbench.open_loop.judged import Judged
+from meshpoint.testbench.open_loop.landing import MOST_SD_SHARE, STUDENT_95
+from meshpoint.testbench.open_loop.open_loop import OpenLoop
 from meshpoint.testbench.provenance import product_version
 from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.units import DEG

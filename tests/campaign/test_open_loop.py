@@ -19,11 +19,12 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw
 from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.logs import open_loop as open_loop_module
-from meshpoint.testbench.logs.decisions import Course, Judged, judge
-from meshpoint.testbench.logs.open_loop import SHIFTING, OpenLoop, said
 from meshpoint.testbench.logs.replay import STATUS, LogReplay
 from meshpoint.testbench.logs.session import Verification
+from meshpoint.testbench.open_loop import open_loop as open_loop_module
+from meshpoint.testbench.open_loop.course import Course, said
+from meshpoint.testbench.open_loop.judged import Judged, judge
+from meshpoint.testbench.open_loop.open_loop import SHIFTING, OpenLoop
 from meshpoint.testbench.version import product_version
 
 SHIFTS = 4

@@ -11,7 +11,7 @@ import pytest
 
 from meshpoint.bus.classic.cores import ClassicListenerCore
 from meshpoint.bus.core import Step
-from meshpoint.bus.logs.limits import read_log
+from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.classic.codecs import CLASSIC_CODECS, ClassicSender

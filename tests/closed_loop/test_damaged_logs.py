@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from loop_bench import Loop
 
-from meshpoint.bus.logs.limits import FORMATS
+from meshpoint.bus.logs.reader import FORMATS
 from meshpoint.bus.logs.recorder import LogWriter
 from meshpoint.dbc.layout import CODECS
 from meshpoint.testbench.cli import main

@@ -22,7 +22,7 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.logs.sensor_replay import SensorReplay
+from meshpoint.testbench.open_loop.sensor_replay import SensorReplay
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "other_bus"
 SHEET = load_sheet("thesis")

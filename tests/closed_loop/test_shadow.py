@@ -24,8 +24,8 @@ from meshpoint.dbc.node import Node
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.commands.table import build_parser
 from meshpoint.testbench.logs.sleeve_contacts import SleeveContacts
-from meshpoint.testbench.shadow.answer import Answer
-from meshpoint.testbench.shadow.core import ShadowCore
+from meshpoint.testbench.open_loop.answer import Answer
+from meshpoint.testbench.open_loop.shadow import ShadowCore
 from meshpoint.testbench.version import product_version
 
 SHIFTS = 3

@@ -26,7 +26,7 @@ from log_mutations import damaged, mixed_log
 
 from meshpoint.bus.authentication.frames import AUTHENTICATION_DBC
 from meshpoint.bus.authentication.keys import load_keys
-from meshpoint.bus.logs.limits import FORMATS, LogError, read_log
+from meshpoint.bus.logs.reader import FORMATS, LogError, read_log
 from meshpoint.bus.pace import PaceError, PaceFile
 from meshpoint.controller.calibration.file import read_file
 from meshpoint.controller.header import HeaderError, header_name, load_header, new_header

@@ -12,7 +12,7 @@ import pytest
 from meshpoint.bus.clock import Clock, NodeClock
 from meshpoint.bus.frames import message_of
 from meshpoint.bus.logs.bus_stamps import BusStamps
-from meshpoint.bus.logs.limits import read_log
+from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.pace import PacedClock, PaceFile
 from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import ControllerSettings

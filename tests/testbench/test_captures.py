@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from meshpoint.bus.logs.limits import read_log
+from meshpoint.bus.logs.reader import read_log
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import WheelEdges
 from meshpoint.dbc.link import Receiver

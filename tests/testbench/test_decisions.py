@@ -16,7 +16,8 @@ from meshpoint.dbc.messages import (
     ValveAction,
     ValveCommand,
 )
-from meshpoint.testbench.logs.decisions import Course, Judged, Said, judge
+from meshpoint.testbench.open_loop.course import Course, Said
+from meshpoint.testbench.open_loop.judged import Judged, judge
 from meshpoint.units import DEG
 
 REQUEST_US = (1 << 32) - 50_000
@@ -90,7 +91,7 @@ def judged(recorded: Course, replayed: Course) -> Judged:
 def test_commands_part_when_they_are_sent_and_courses_when_a_valve_is_driven() -> None:
     shift = judged(course(200.0), course(215.0))
     assert shift.parted is not None
-    assert (shift.parted.at_ms, shift.parted.commands) == (160.0, ("brake",))
+    assert (shift.parted.at_ms, shift.parted.differ) == (160.0, ("brake",))
     assert shift.course_parted_ms == pytest.approx(200.0)
     assert shift.driven["brake"] == [pytest.approx((20.0, 215.0))]
 
@@ -108,7 +109,7 @@ def test_the_same_commands_never_part() -> None:
 def test_clutch_and_engine_part_a_course_too(command: str, other: Course) -> None:
     shift = judged(course(200.0), other)
     assert shift.parted is not None
-    assert shift.parted.commands == (command,)
+    assert shift.parted.differ == (command,)
     assert shift.parted.at_ms == shift.course_parted_ms == 60.0
 
 

@@ -15,7 +15,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from live_command import live
 
-from meshpoint.bus.logs.limits import read_log
+from meshpoint.bus.logs.reader import read_log
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ShiftOutcome
 from meshpoint.testbench.commands.interrupt import interruptible

@@ -11,7 +11,7 @@ import can
 import pytest
 
 from meshpoint.bus.local.register import register_interface
-from meshpoint.bus.logs.limits import read_log
+from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.header import new_header
 from meshpoint.controller.settings import ControllerSettings

@@ -18,11 +18,11 @@ import pytest
 
 from meshpoint.bus.logs.files import read_logs
 from meshpoint.bus.logs.recorder import LogWriter
-from meshpoint.controller.identification.brake_figures import BRAKE_FIGURES
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.identify.brake_figures import BRAKE_FIGURES
 from meshpoint.testbench.logs.log_clock import LogClock, LogClockFit
 
 SHIFTS = 6

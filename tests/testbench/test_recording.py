@@ -18,7 +18,7 @@ from patience import HANG_S, until
 from meshpoint.bus.frames import frame_of
 from meshpoint.bus.local.plugin import MeshpointBus
 from meshpoint.bus.logs.files import log_files
-from meshpoint.bus.logs.limits import LogError, read_log
+from meshpoint.bus.logs.reader import LogError, read_log
 from meshpoint.dbc.frame import Frame
 from meshpoint.testbench.cli import main
 

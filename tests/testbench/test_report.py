@@ -21,12 +21,12 @@ from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.loop.simulate import Setup, simulate
 from meshpoint.testbench.report.collect import ReportCollector
-from meshpoint.testbench.report.overview import wilson
 from meshpoint.testbench.report.page import page
 from meshpoint.testbench.report.phase import onto_branch, unwrapped_deg
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import report_data, report_provenance, write_report
 from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.results.wilson import wilson
 
 SHEET = load_sheet("thesis")
 PITCH_DEG = 7.5

@@ -17,8 +17,6 @@ from rich.table import Table
 import meshpoint.testbench
 from meshpoint.controller.calibration.file import read_file
 from meshpoint.controller.calibration.learned import Calibration
-from meshpoint.controller.identification.held_out import HeldOut
-from meshpoint.controller.identification.identified import Figure
 from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import load_sheet
@@ -43,10 +41,13 @@ from meshpoint.testbench.commands.describe import faults_table, parameters_table
 from meshpoint.testbench.commands.identify import checks_table, figures_table
 from meshpoint.testbench.commands.sensor_replay import seen_table
 from meshpoint.testbench.commands.swarm import reached_table
+from meshpoint.testbench.identify.held_out import HeldOut
+from meshpoint.testbench.identify.identified import Figure
 from meshpoint.testbench.logs.captures import CaptureRow
-from meshpoint.testbench.logs.decisions import Decision, Judged, Parting
-from meshpoint.testbench.logs.gear_track import SeenShift
-from meshpoint.testbench.logs.judged_rows import JudgedRow, judged_table
+from meshpoint.testbench.logs.seen_shift import SeenShift
+from meshpoint.testbench.open_loop.course import Decision
+from meshpoint.testbench.open_loop.judged import Judged, Parting
+from meshpoint.testbench.open_loop.judged_rows import JudgedRow, judged_table
 from meshpoint.testbench.report.comparison import compare, comparison_table
 from meshpoint.testbench.results.output import rows_table
 from meshpoint.testbench.results.phases import PHASES
@@ -151,7 +152,7 @@ def judged(strategy: str) -> JudgedRow:
     last = Decision(1_000.0, "committed", 900.0, 12_345.6, 12_390.6, -12.34, 10.23, 34.5)
     shift = Judged(
         10, 12, 0, strategy, "known", "fired", "none", last, last,
-        Parting(12_345.6, ("brake",), last, last), 1_000.0, 12_390.6, "",
+        Parting(12_345.6, ("brake",), (last, last)), 1_000.0, 12_390.6, "",
     )  # fmt: skip
     return JudgedRow(replace(ROW, strategy=strategy), shift)
 
@@ -169,7 +170,7 @@ TABLES: dict[str, Callable[[], Table]] = {
     ),
     "campaign.verdict_words.against_table": lambda: against_table(AGAINST, GEARBOX),
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
-    "logs.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
+    "open_loop.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
     "commands.swarm.reached_table": lambda: reached_table(Swarm().to_json(1.0), GEARBOX),
     "commands.compare.compared_table": lambda: compare_command.compared_table(
         "Shifts that differ", ("field", "A", "B"), [("shifts.0.slip_rpm", "20.1", "25.3")]
@@ -193,7 +194,8 @@ TABLES: dict[str, Callable[[], Table]] = {
     "commands.captures.counts_table": lambda: captures_command.counts_table([CAPTURE]),
     "commands.captures.errors_table": lambda: captures_command.errors_table([CAPTURE]),
     "commands.sensor_replay.seen_table": lambda: seen_table(
-        "shifts that the log shows, by the ratio of speeds", [SeenShift(10, 12, 86_400.0, 86_400.5)]
+        "shifts that the log shows, by the ratio of speeds",
+        [SeenShift(10, 12, 86_400_000_000, 86_400_500_000)],
     ),
     "commands.study.list_table": lambda: study_command.list_table(
         [load(name) for name in STUDY_NAMES]

@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 
 from live_command import POLL_S, LiveCommand, live
 
-from meshpoint.bus.logs.limits import read_log
+from meshpoint.bus.logs.reader import read_log
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.node import Node

@@ -15,7 +15,7 @@ from pathlib import Path
 import can
 
 from meshpoint.bus.local.closing import Closing
-from meshpoint.bus.logs.limits import (
+from meshpoint.bus.logs.reader import (
     PACKED,
     READ_FORMATS,
     EmptyLogError,

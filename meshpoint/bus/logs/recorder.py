@@ -17,7 +17,7 @@ from meshpoint.bus.driver import OnEvent, OpenBus, run_node
 from meshpoint.bus.frames import message_of
 from meshpoint.bus.local.closing import Closing
 from meshpoint.bus.logs.bus_stamps import BusStamps
-from meshpoint.bus.logs.limits import FORMATS, LogError
+from meshpoint.bus.logs.reader import FORMATS, LogError
 from meshpoint.dbc.frame import Frame
 
 FLUSH_EVERY_S = 1.0
@@ -39,7 +39,7 @@ _Writer = can.CanutilsLogWriter | can.ASCWriter | can.BLFWriter
 
 
 class LogWriter(Closing):
-    """Writes one log; its format is told by its ending (`meshpoint.bus.logs.limits.FORMATS`). A
+    """Writes one log; its format is told by its ending (`meshpoint.bus.logs.reader.FORMATS`). A
     file that is there is replaced.
 
     channel: the name of the bus in the log.

@@ -16,7 +16,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import betainc, betaln
 
-from meshpoint.testbench.campaign.intervals import Floats, Rate
+from meshpoint.controller.records import Vector
+from meshpoint.testbench.campaign.intervals import Rate
 
 MISSES: Final = np.concatenate([np.geomspace(1e-5, 0.02, 160, endpoint=False),
                                 np.linspace(0.02, 1.0 - 1e-5, 240)])  # fmt: skip
@@ -28,8 +29,8 @@ NOMINAL: Final = 0.95
 class _Prior(NamedTuple):
     """Of each cell of q and r its logarithm (r, q), and where the cells of q begin and end."""
 
-    logs: Floats
-    ends: Floats
+    logs: Vector
+    ends: Vector
 
 
 @cache
@@ -40,7 +41,7 @@ def _prior() -> _Prior:
     return _Prior(of_r[:, np.newaxis] + of_q, ends)
 
 
-def clustered_rate(hits: Floats, shifts: Floats) -> Rate:
+def clustered_rate(hits: Vector, shifts: Vector) -> Rate:
     """The share of `hits`, of each run, in its `shifts`; at least one run has one."""
     misses = shifts - hits
     kinds, counts = np.unique(np.stack([misses, shifts]), axis=1, return_counts=True)
@@ -58,10 +59,10 @@ def clustered_rate(hits: Floats, shifts: Floats) -> Rate:
 
 
 @lru_cache(maxsize=128)
-def _log_chance(missed: float, made: float) -> Floats:
+def _log_chance(missed: float, made: float) -> Vector:
     """Logarithm of the chance that a run misses so many of the shifts made in it, (r, q), but for
     what does not depend on them."""
     size = ((1.0 - CORRELATIONS) / CORRELATIONS)[:, np.newaxis]
     a, b = MISSES * size, (1.0 - MISSES) * size
-    found: Floats = betaln(a + missed, b + made - missed) - betaln(a, b)
+    found: Vector = betaln(a + missed, b + made - missed) - betaln(a, b)
     return found

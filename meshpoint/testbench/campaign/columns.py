@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, get_args, get_type_hin
 import numpy as np
 from numpy.typing import NDArray
 
+from meshpoint.controller.records import Integers
 from meshpoint.testbench.campaign.record import GAP, JudgedShift
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 Column = NDArray[Any]
-Integers = NDArray[np.int64]
 PENDING: Final = 1024
 """So many records wait as objects until they become columns."""
 AT_ONCE: Final = 16_384
@@ -229,40 +229,14 @@ class Shifts:
         return pa.Table.from_arrays([self._arrow(field) for field in schema], schema=schema)
 
     def _arrow(self, field: pa.Field) -> pa.Array:
-        column = self.column(field.name)
-        if FIELDS[field.name].kind is not str:
-            there = ~np.isnan(column) if FIELDS[field.name].is_optional else None
-            return _array(field.type, column, there)
         import pyarrow as pa
 
+        column, own = self.column(field.name), FIELDS[field.name]
+        if own.kind is not str:
+            return pa.array(column, field.type, mask=np.isnan(column) if own.is_optional else None)
         all_words = self.words
         words = sorted(word for code in np.unique(column) if (word := all_words[code]) is not None)
         place = {word: k for k, word in enumerate(words)}
         places = np.array([place.get(word, -1) for word in all_words] or [-1], dtype=np.int32)
-        codes = places[column]
-        return pa.DictionaryArray.from_arrays(
-            _array(pa.int32(), np.maximum(codes, 0), codes >= 0), _strings(words)
-        )
-
-
-def _array(kind: pa.DataType, column: Column, there: NDArray[np.bool_] | None) -> pa.Array:
-    """Of numbers or of yes and no, some of which may not be there. Not by `pyarrow.array`, which
-    loads pandas where that is installed, thirty megabytes of it."""
-    import pyarrow as pa
-
-    if column.dtype == np.bool_:
-        data = np.packbits(column, bitorder="little")
-    else:
-        data = np.ascontiguousarray(column, dtype=kind.to_pandas_dtype())
-    bits = None if there is None else pa.py_buffer(np.packbits(there, bitorder="little"))
-    return pa.Array.from_buffers(kind, column.size, [bits, pa.py_buffer(data)])
-
-
-def _strings(words: list[str]) -> pa.Array:
-    import pyarrow as pa
-
-    encoded = [word.encode() for word in words]
-    ends = np.cumsum([0, *map(len, encoded)], dtype=np.int32)
-    return pa.StringArray.from_buffers(
-        len(words), pa.py_buffer(ends), pa.py_buffer(b"".join(encoded))
-    )
+        codes = pa.array(places[column], mask=places[column] < 0)
+        return pa.DictionaryArray.from_arrays(codes, pa.array(words, pa.string()))

@@ -13,10 +13,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from meshpoint.controller.records import Vector
 from meshpoint.gearbox import MainGear
 from meshpoint.rig_sim.truck.plant import Snapshot, TruckPlant
 
-Floats = NDArray[np.float64]
 Switches = tuple[tuple[float, float], ...]
 """When the brake's pressure begins to react, in the plant's time, and u from then on."""
 FORECAST_SAMPLE_US: Final = 4_000
@@ -113,7 +113,7 @@ class Path:
         phase = self.phase[index] + (slip + fall * after_s / 2.0) * after_s
         return phase, slip + fall * after_s
 
-    def many(self, time_us: Floats) -> tuple[Floats, Floats]:
+    def many(self, time_us: Vector) -> tuple[Vector, Vector]:
         """The same at ascending times."""
         index = np.maximum(0, (time_us - self.start_us) // FORECAST_SAMPLE_US).astype(np.int64)
         self.extend(int(index[-1]) + 2)
@@ -130,8 +130,8 @@ class Path:
 
 
 def _between(
-    phase: Floats, slip: Floats, index: NDArray[np.int64], after_us: Floats
-) -> tuple[Floats, Floats]:
+    phase: Vector, slip: Vector, index: NDArray[np.int64], after_us: Vector
+) -> tuple[Vector, Vector]:
     """Phase and slip between samples, of which `index` are those before; slip is linear there."""
     after_s = (after_us - FORECAST_SAMPLE_US * index) * 1e-6
     before = slip[index]
@@ -154,8 +154,8 @@ class Branch:
     def _run(self, count: int) -> None:
         self._path.extend(count)
         slip, phase = np.array(self._path.slip), np.array(self._path.phase)
-        self.slip: Floats = slip - slip[0]
-        self.phase: Floats = phase - phase[0] - slip[0] * SAMPLE_S * np.arange(count)
+        self.slip: Vector = slip - slip[0]
+        self.phase: Vector = phase - phase[0] - slip[0] * SAMPLE_S * np.arange(count)
         self.slip_list: list[float] = self.slip.tolist()
         self.phase_list: list[float] = self.phase.tolist()
 
@@ -181,7 +181,7 @@ class Forecast:
         self._paths: dict[Switches, Path] = {}
         self._branches: dict[tuple[Switches, int], Branch] = {}
 
-    def holds(self, gear: MainGear, brake: Floats, time_us: float, phase: float) -> bool:
+    def holds(self, gear: MainGear, brake: Vector, time_us: float, phase: float) -> bool:
         """Whether the gear is where this forecast has it, and the brake as it had it."""
         switches = self._switches(brake)
         if gear is not self._gear:
@@ -195,11 +195,11 @@ class Forecast:
         error = (expected - phase) / self._pitch
         return abs(error - round(error)) * self._pitch < SAME_RAD
 
-    def at(self, brake: Floats, time_us: float) -> tuple[float, float]:
+    def at(self, brake: Vector, time_us: float) -> tuple[float, float]:
         """Phase (unwrapped) and slip with the brake switched so."""
         return self._path(self._switches(brake)).at(time_us - self._offset_us)
 
-    def after_release(self, brake: Floats, time_us: float) -> tuple[float, float]:
+    def after_release(self, brake: Vector, time_us: float) -> tuple[float, float]:
         """The same for switches of which the last is a release that may be moved.
 
         What `course` has for this one time, to the bit: a root is looked for one time after the
@@ -226,7 +226,7 @@ class Forecast:
         turned += (slip + fall * after_s / 2.0) * after_s
         return phase0 + slip0 * after_us * 1e-6 + turned, slip0 + (slip + fall * after_s)
 
-    def course(self, brake: Floats, at_us: Floats, is_released: bool) -> tuple[Floats, Floats]:
+    def course(self, brake: Vector, at_us: Vector, is_released: bool) -> tuple[Vector, Vector]:
         """Phase and slip at ascending times; `is_released`: the last switch is a release that may
         be moved, else all switches are as commanded."""
         switches = self._switches(brake)
@@ -248,7 +248,7 @@ class Forecast:
         slip[~before] = slip0 + less
         return phase, slip
 
-    def _switches(self, brake: Floats) -> Switches:
+    def _switches(self, brake: Vector) -> Switches:
         """What was still to come when this forecast was made."""
         start_us = self._start.time_us + self._offset_us
         return tuple(
@@ -271,7 +271,7 @@ class Forecast:
 
     def _curve(
         self, trunk: Switches, path: Path, release_us: float, count: int
-    ) -> tuple[Floats, Floats]:
+    ) -> tuple[Vector, Vector]:
         first, second, share = self._neighbours(trunk, path, release_us, count)
         slip, phase = first.slip[:count], first.phase[:count]
         return (

@@ -18,15 +18,14 @@ from typing import Any, Final, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from meshpoint.testbench.report.overview import wilson
+from meshpoint.controller.records import Integers, Vector
+from meshpoint.testbench.results.wilson import wilson
 
 FEW_RUNS: Final = 5
 """So many runs with a miss, and with a hit, before resampling shows how rates vary."""
 RESAMPLES: Final = 1000
 SEED: Final = 0xB007
 AT_ONCE: Final = 250_000
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
 Weights = NDArray[np.uint8]
 """How often each run is in a resample: a line a resample, a column a run."""
 Interval = tuple[float, float]
@@ -91,22 +90,22 @@ def rate_ratio_interval(of: Rate, to: Rate) -> list[float | None]:
 class Resampled(Protocol):
     """A figure of which resamples are wanted."""
 
-    def of(self, weights: Weights) -> Floats:
+    def of(self, weights: Weights) -> Vector:
         """Its value in each of some resamples."""
 
 
 class Mean:
     """The mean of some values; `clusters` numbers the run of each from 0."""
 
-    def __init__(self, values: Floats, clusters: Integers, runs: int) -> None:
+    def __init__(self, values: Vector, clusters: Integers, runs: int) -> None:
         self._sums = np.bincount(clusters, values, minlength=runs)
         self._counts = np.bincount(clusters, minlength=runs).astype(np.float64)
 
-    def of(self, weights: Weights) -> Floats:
+    def of(self, weights: Weights) -> Vector:
         """In each resample; NaN in one that has no value."""
         often = weights.astype(np.float64)
         with np.errstate(invalid="ignore", divide="ignore"):
-            found: Floats = (often @ self._sums) / (often @ self._counts)
+            found: Vector = (often @ self._sums) / (often @ self._counts)
         return found
 
 
@@ -114,12 +113,12 @@ class Quantile:
     """The least value that `share` of some values do not exceed; `clusters` numbers the run of
     each from 0."""
 
-    def __init__(self, values: Floats, clusters: Integers, share: float, runs: int) -> None:
+    def __init__(self, values: Vector, clusters: Integers, share: float, runs: int) -> None:
         order = np.argsort(values, kind="stable")[::-1]
         self._share, self._falling, self._owners = share, values[order], clusters[order]
         self._counts = np.bincount(clusters, minlength=runs).astype(np.float64)
 
-    def of(self, weights: Weights) -> Floats:
+    def of(self, weights: Weights) -> Vector:
         """In each resample."""
         # A high quantile lies among the greatest: twice as many as there should be above it nearly
         # always hold it.
@@ -129,7 +128,7 @@ class Quantile:
         beyond = above == first
         if first < most and beyond.any():
             above[beyond] = self._above(weights[beyond], most)
-        found: Floats = self._falling[np.minimum(above, most - 1)]
+        found: Vector = self._falling[np.minimum(above, most - 1)]
         return found
 
     def _above(self, weights: Weights, first: int) -> Integers:
@@ -143,7 +142,7 @@ class Quantile:
         return np.concatenate(found)
 
 
-def resample(runs: int, figures: Sequence[Resampled]) -> list[Floats]:
+def resample(runs: int, figures: Sequence[Resampled]) -> list[Vector]:
     """Each figure in each resample of whole runs: the same resamples for all of them.
 
     The resamples are drawn once, a few at a time, and none is kept."""
@@ -165,13 +164,13 @@ def _parts(width: int, many: int) -> Iterator[slice]:
         yield slice(start, min(start + rows, many))
 
 
-def quantile(values: Floats, share: float) -> float:
+def quantile(values: Vector, share: float) -> float:
     """The least value that `share` of the values do not exceed."""
     ordered = np.sort(values)
     return float(ordered[max(0, int(np.ceil(share * ordered.size - 1e-9)) - 1)])
 
 
-def interval(resampled: Floats) -> list[float | None]:
+def interval(resampled: Vector) -> list[float | None]:
     """Its 2.5 and 97.5 per cent; None where a resample has no such figure."""
     if not resampled.size or np.isnan(resampled).any():
         return [None, None]

@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from meshpoint.testbench.campaign.columns import Integers, ShiftColumns, Shifts
+from meshpoint.controller.records import Integers
+from meshpoint.testbench.campaign.columns import ShiftColumns, Shifts
 from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.run import RunResult
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
+from meshpoint.controller.records import Vector
 from meshpoint.testbench.campaign.clustered_rate import NOMINAL, clustered_rate
 from meshpoint.testbench.campaign.columns import Shifts
 from meshpoint.testbench.campaign.intervals import Rate, rate_ratio_interval
@@ -34,7 +34,6 @@ GAP: Final = "first_contact_gap"
 FIGURES: Final = (GAP, "duration_ms", "impact_j")
 KINDS: Final = ("difference", "ratio")
 GOAL_FORM: Final = '"FIGURE KIND +-X", as "first_contact_gap difference +-1%"'
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,7 @@ def estimate(
     return paired_estimate(goal.kind, *table)
 
 
-def against_known(kind: str, hits: Floats, n: Floats, known: Floats, known_n: Floats) -> Estimate:
+def against_known(kind: str, hits: Vector, n: Vector, known: Vector, known_n: Vector) -> Estimate:
     """Of `hits` in `n` shifts against an integrated rate, sums `known` over `known_n` shifts, one
     number a run."""
     runs, rate = hits.size, clustered_rate(hits, n)
@@ -151,7 +150,7 @@ def against_known(kind: str, hits: Floats, n: Floats, known: Floats, known_n: Fl
     )
 
 
-def paired_estimate(kind: str, a: Floats, a_n: Floats, b: Floats, b_n: Floats) -> Estimate:
+def paired_estimate(kind: str, a: Vector, a_n: Vector, b: Vector, b_n: Vector) -> Estimate:
     """Of sums `a` over `a_n` shifts and `b` over `b_n`, one number a run.
 
     Where no two runs differ, each strategy is given half a shift more that went the other way:
@@ -171,15 +170,15 @@ def paired_estimate(kind: str, a: Floats, a_n: Floats, b: Floats, b_n: Floats) -
     return Estimate(float(value), value - margin, value + margin, runs)
 
 
-def _parts(sums: Floats, n: Floats) -> Floats:
+def _parts(sums: Vector, n: Vector) -> Vector:
     """What each run adds to the mean's error. Its residual is taken from the whole's mean: runs of
     unequal length count by their shifts."""
     whole: float = n.sum()
-    found: Floats = (sums - sums.sum() / whole * n) * sums.size / whole
+    found: Vector = (sums - sums.sum() / whole * n) * sums.size / whole
     return found
 
 
-def _variance(parts: Floats) -> float:
+def _variance(parts: Vector) -> float:
     """Of the mean, from what each run adds to its error."""
     return float(parts @ parts) / (parts.size - 1) / parts.size
 
@@ -188,12 +187,12 @@ def _t_margin(runs: int) -> float:
     return float(stdtrit(runs - 1, 0.5 + NOMINAL / 2.0))
 
 
-def _values(figure: str, shifts: Shifts, *, is_integrated: bool) -> Floats:
+def _values(figure: str, shifts: Shifts, *, is_integrated: bool) -> Vector:
     """What each shift counts; NaN where it has no such figure."""
     if figure != GAP:
-        values: Floats = shifts.column(figure)
+        values: Vector = shifts.column(figure)
         return values
-    hits: Floats = shifts.is_gap.astype(np.float64)
+    hits: Vector = shifts.is_gap.astype(np.float64)
     if is_integrated:
         return np.where(shifts.is_("contact", None), hits, shifts.column("gap_share"))
     return hits

@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from meshpoint.gearbox.reading import UnreadableError, open_regular
-from meshpoint.testbench.campaign.columns import FIELDS, Column, ShiftColumns, Shifts
+from meshpoint.testbench.campaign.columns import FIELDS, ShiftColumns, Shifts
 from meshpoint.testbench.errors import CommandError
 
 if TYPE_CHECKING:
@@ -94,46 +93,19 @@ def read_shifts(path: Path, into: ShiftColumns) -> None:
 
 
 def _columns_of(path: Path, table: pa.Table) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Columns as `ShiftColumns.extend_by` has them; a word that is not there is the list's last."""
     rows: dict[str, Any] = {}
     text: dict[str, Any] = {}
     for name, field in FIELDS.items():
         values = table.column(name).combine_chunks()
         words = values.dictionary.to_pylist() if field.kind is str else []
-        if not field.is_optional and None in words:
+        if not field.is_optional and (values.null_count or None in words):
             raise CommandError(f"{path}: not a part of a campaign: a shift without {name}")
         if field.kind is str:
             text[name] = [*words, None]
-            there, codes = _there(values.indices), _data(values.indices, np.dtype(np.int32))
-            rows[name] = np.where(there, codes, len(words))
-        elif field.kind is bool:
-            rows[name] = _bits(values, 1)
-        else:
-            data = _data(values, np.dtype(values.type.to_pandas_dtype()))
-            rows[name] = np.where(_there(values), data, np.nan) if field.is_optional else data
+            values = values.indices.fill_null(len(words))
+        rows[name] = values.to_numpy(zero_copy_only=False)
     return rows, text
-
-
-def _data(array: pa.Array, kind: np.dtype[Any]) -> Column:
-    """The numbers of an array, whatever stands where there is none. Not by pyarrow's own way to
-    numpy, which loads pandas where that is installed, thirty megabytes of it."""
-    buffer = array.buffers()[1]
-    if buffer is None:
-        return np.zeros(len(array), kind)
-    return np.frombuffer(buffer, kind)[array.offset : array.offset + len(array)]
-
-
-def _there(array: pa.Array) -> NDArray[np.bool_]:
-    """Where an array has a value."""
-    return np.ones(len(array), bool) if array.null_count == 0 else _bits(array, 0)
-
-
-def _bits(array: pa.Array, number: int) -> NDArray[np.bool_]:
-    """A buffer of bits."""
-    buffer = array.buffers()[number]
-    if buffer is None:
-        return np.zeros(len(array), bool)
-    found = np.unpackbits(np.frombuffer(buffer, np.uint8), bitorder="little")
-    return found[array.offset : array.offset + len(array)].astype(bool)
 
 
 def read_columns(path: Path, names: tuple[str, ...]) -> list[list[Any]]:

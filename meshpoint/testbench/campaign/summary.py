@@ -8,11 +8,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from meshpoint.controller.records import Integers, Vector
 from meshpoint.testbench.campaign.columns import Shifts
 from meshpoint.testbench.campaign.intervals import (
     FEW_RUNS,
-    Floats,
-    Integers,
     Mean,
     Quantile,
     Rate,
@@ -30,7 +29,7 @@ from meshpoint.testbench.results.phases import PHASES
 from meshpoint.testbench.results.rows import SOURCES
 
 P99: Final = 0.99
-Figure = Callable[["Shots"], tuple[Floats, Integers]]
+Figure = Callable[["Shots"], tuple[Vector, Integers]]
 
 
 class Shots:
@@ -39,10 +38,10 @@ class Shots:
     def __init__(self, shifts: Shifts, cluster: Integers) -> None:
         self.shifts, self.cluster = shifts, cluster
         self.is_gap = shifts.is_gap
-        self.impact_j: Floats = shifts.column("impact_j")
-        self._durations: Floats = shifts.column("duration_ms")
+        self.impact_j: Vector = shifts.column("impact_j")
+        self._durations: Vector = shifts.column("duration_ms")
 
-    def gaps(self) -> tuple[Floats, Integers]:
+    def gaps(self) -> tuple[Vector, Integers]:
         """1 where the first contact was in a gap, and the runs."""
         return self.is_gap.astype(np.float64), self.cluster
 
@@ -51,16 +50,16 @@ class Shots:
         rate = float(self.is_gap.mean()) if self.is_gap.size else math.nan
         return Rate(rate, *rate_interval(self.is_gap, self.cluster))
 
-    def impacts(self) -> tuple[Floats, Integers]:
+    def impacts(self) -> tuple[Vector, Integers]:
         """Loss in flank impacts, J, and the runs."""
         return self.impact_j, self.cluster
 
-    def durations(self) -> tuple[Floats, Integers]:
+    def durations(self) -> tuple[Vector, Integers]:
         """From request to outcome, ms, of all shifts that came to an outcome, and the runs."""
         has = ~np.isnan(self._durations)
         return self._durations[has], self.cluster[has]
 
-    def after_ramp_ms(self) -> Floats:
+    def after_ramp_ms(self) -> Vector:
         """From the end of the torque ramp to outcome, ms; NaN of shifts that came to none. What the
         ramp takes is the driveline's, and the same for every strategy."""
         ramp_ms = self.shifts.column("ramp_ms")
@@ -80,7 +79,7 @@ class Resamples:
                 wanted[name, DURATION_P99] = Quantile(durations, owners, P99, runs)
         self._found = dict(zip(wanted, resample(runs, list(wanted.values())), strict=True))
 
-    def of(self, strategy: str, figure: str) -> Floats:
+    def of(self, strategy: str, figure: str) -> Vector:
         """One of `FIGURES`, or `DURATION_P99`."""
         return self._found[strategy, figure]
 
@@ -163,7 +162,7 @@ def ratios(names: tuple[str, str], shots: dict[str, Shots], resamples: Resamples
     """The figures of the first strategy over the second's, on the same draws."""
     of, to = (shots[name] for name in names)
 
-    def resampled(figure: str) -> Floats:
+    def resampled(figure: str) -> Vector:
         with np.errstate(invalid="ignore", divide="ignore"):
             return resamples.of(names[0], figure) / resamples.of(names[1], figure)
 
@@ -248,6 +247,6 @@ def _mean(values: np.ndarray[Any, Any]) -> float | None:
     return finite(values.mean()) if values.size else None
 
 
-def _ratio(a: float | None, b: float | None, resampled: Floats) -> dict[str, Any]:
+def _ratio(a: float | None, b: float | None, resampled: Vector) -> dict[str, Any]:
     value = None if a is None or not b else finite(a / b)
     return {"ratio": value, "ci95": interval(resampled)}

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from meshpoint.testbench.campaign.record import JudgedShift
-from meshpoint.testbench.results.output import broken
+from meshpoint.testbench.results.output import broken, number
 from meshpoint.testbench.results.phases import TITLES as PHASE_TITLES
 
 
@@ -50,7 +50,7 @@ def _phases(values: dict[str, Any], gearbox: str) -> Table:
     for name in strategies:
         table.add_column(broken(name), justify="right")
     for phase, title in PHASE_TITLES.items():
-        cells = [_number(figures["phases_ms"][phase], 1) for figures in strategies.values()]
+        cells = [number(figures["phases_ms"][phase], 1) for figures in strategies.values()]
         if any(cell != "-" for cell in cells):
             table.add_row(title, *cells)
     return table
@@ -98,10 +98,10 @@ def records_table(title: str, records: list[JudgedShift]) -> Table:
             record.contact or "-",
             "yes" if record.reference_known else "no",
             broken(record.result, 8),
-            _number(record.duration_ms, 0),
-            _number(record.slip_rpm, 1),
-            _number(record.phase_error_deg, 2),
-            _number(record.impact_j, 2),
+            number(record.duration_ms, 0),
+            number(record.slip_rpm, 1),
+            number(record.phase_error_deg, 2),
+            number(record.impact_j, 2),
             str(record.attempts),
         )
     return table
@@ -118,11 +118,7 @@ def _ratio(figure: dict[str, Any] | None) -> str:
     if figure is None or figure["ratio"] is None:
         return "-"
     low, high = figure["ci95"]
-    return f"{figure['ratio']:.2f}\n({_number(low, 2)}..{_number(high, 2)})"
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
+    return f"{figure['ratio']:.2f}\n({number(low, 2)}..{number(high, 2)})"
 
 
 def _percent(share: float | None) -> str:
@@ -132,21 +128,21 @@ def _percent(share: float | None) -> str:
 CELLS: Final[dict[str, Callable[[dict[str, Any]], str]]] = {
     "shifts": lambda f: str(f["shifts"]),
     "first in gap": lambda f: _rate(f["first_contact_gap"]),
-    "mean ms": lambda f: _number(f["duration_ms"]["mean"], 0),
-    "p50 ms": lambda f: _number(f["duration_ms"]["p50"], 0),
-    "p99 ms": lambda f: _number(f["duration_ms"]["p99"], 0),
-    "after ramp, mean": lambda f: _number(f["after_ramp_ms"]["mean"], 0),
-    "after ramp, p99": lambda f: _number(f["after_ramp_ms"]["p99"], 0),
-    "bound ms": lambda f: _number(f["bound_ms"], 0),
-    "over bound": lambda f: _number(f["over_bound"], 2),
-    "mean impact J": lambda f: _number(f["impact_j"]["mean"], 2),
-    "p99 impact J": lambda f: _number(f["impact_j"]["p99"], 2),
-    "mean slip rpm": lambda f: _number(f["slip_rpm_mean"], 1),
+    "mean ms": lambda f: number(f["duration_ms"]["mean"], 0),
+    "p50 ms": lambda f: number(f["duration_ms"]["p50"], 0),
+    "p99 ms": lambda f: number(f["duration_ms"]["p99"], 0),
+    "after ramp, mean": lambda f: number(f["after_ramp_ms"]["mean"], 0),
+    "after ramp, p99": lambda f: number(f["after_ramp_ms"]["p99"], 0),
+    "bound ms": lambda f: number(f["bound_ms"], 0),
+    "over bound": lambda f: number(f["over_bound"], 2),
+    "mean impact J": lambda f: number(f["impact_j"]["mean"], 2),
+    "p99 impact J": lambda f: number(f["impact_j"]["p99"], 2),
+    "mean slip rpm": lambda f: number(f["slip_rpm_mean"], 1),
     "retries": lambda f: str(f["retries"]),
     "blocked": lambda f: str(f["blocked"]),
     "thrown back": lambda f: str(f["thrown_back"]),
     "given up": lambda f: str(f["given_up"]),
-    "phase sd deg": lambda f: _number(f["phase_error_sd_deg"], 2),
+    "phase sd deg": lambda f: number(f["phase_error_sd_deg"], 2),
     "reference known": lambda f: _percent(f["reference_known"]),
 }
 """A line of the table each."""

@@ -25,7 +25,6 @@ from enum import Enum
 from typing import Any, Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import xlogy
 
 WORSE_FROM: Final = 2.4
@@ -50,7 +49,6 @@ LEAST_MISSES: Final = 0.005
 MOST_MISSES: Final = 0.5
 APART: Final = np.array([1.0, 0.9, 0.8, 0.7, 0.6, 0.5, 0.4, 0.3, 0.2, 0.1, 0.05, 0.02, 0.0])
 """Shares of the baseline's misses that the change may hit: 1 where the two are independent."""
-Floats = NDArray[np.float64]
 
 
 class Verdict(Enum):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 from meshpoint.bus.authentication.keys import CommandKeys, load_keys
 from meshpoint.bus.logs.files import MIN_PART_BYTES
-from meshpoint.bus.logs.limits import MAX_LOG_BYTES
+from meshpoint.bus.logs.reader import MAX_LOG_BYTES
 from meshpoint.bus.options import is_local_bus
 from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.settings import (

@@ -20,7 +20,6 @@ from meshpoint.bus.options import add_bus_arguments, open_bus_from
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.signals import stop_on_signals
 from meshpoint.controller.calibration.file import save
-from meshpoint.controller.identification.overlay import Entry
 from meshpoint.controller.node import ADDRESSES
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.keys import groups_of, to_toml
@@ -34,6 +33,7 @@ from meshpoint.testbench.commission.rehearsal import draw_miswiring, findings_of
 from meshpoint.testbench.commission.whole import WholeCommission
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.identify.overlay import Entry
 from meshpoint.testbench.provenance import gearbox_words, provenance
 from meshpoint.testbench.results.output import complain, console, write_json
 from meshpoint.testbench.version import product_version

@@ -13,11 +13,12 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.commands.log_progress import logged_frames
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.logs.core_parting import JudgedTwice, ShiftParting, TwoControllers
 from meshpoint.testbench.logs.logged_frames import LoggedFrames
 from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.logs.replay_strategy import Chosen, other_header, recorded_header
 from meshpoint.testbench.logs.session import Session, Verification
+from meshpoint.testbench.open_loop.chosen import Chosen, other_header, recorded_header
+from meshpoint.testbench.open_loop.judged import Parting
+from meshpoint.testbench.open_loop.two_controllers import JudgedTwice, TwoControllers
 from meshpoint.testbench.results.difference import Allowed, Difference, differences
 
 COLUMNS: Final = (
@@ -99,16 +100,16 @@ def decided_rows(decided: Decided) -> list[tuple[str, ...]]:
         parting = shift.parting
         fires = (one.status if one.fired_ms is None else f"{one.fired_ms:.1f}" for one in (a, b))
         fields = ", ".join(one.path.removeprefix(f"shifts.{k}.") for one in found)
-        at = ("-", "-") if parting is None else (_ms(parting), ", ".join(parting.messages))
+        at = ("-", "-") if parting is None else (_ms(parting), ", ".join(parting.differ))
         rows.append((str(k + 1), f"{a.from_} to {a.to}", *at, *fires, fields or "-"))
     return rows
 
 
-def knew_heading(number: int, parting: ShiftParting) -> str:
+def knew_heading(number: int, parting: Parting[Any]) -> str:
     """Over what each knew in the step in which they part; number: of the shift, from 1."""
     return (
         f"Shift {number} parts {_ms(parting)} ms after the request, in "
-        f"{', '.join(parting.messages)}. What each knew there"
+        f"{', '.join(parting.differ)}. What each knew there"
     )
 
 
@@ -123,7 +124,7 @@ def decided_json(decided: Decided) -> dict[str, Any]:
                 if shift.parting is None
                 else {
                     "at_ms": shift.parting.at_ms,
-                    "messages": list(shift.parting.messages),
+                    "messages": list(shift.parting.differ),
                     "a": shift.parting.knew[0],
                     "b": shift.parting.knew[1],
                 },
@@ -136,5 +137,5 @@ def decided_json(decided: Decided) -> dict[str, Any]:
     }
 
 
-def _ms(parting: ShiftParting) -> str:
+def _ms(parting: Parting[Any]) -> str:
     return f"{parting.at_ms:.1f}"

@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from meshpoint.bus.fine_timers import run as run_loop
 from meshpoint.bus.local.register import register_interface
-from meshpoint.bus.logs.limits import LogError, read_log
+from meshpoint.bus.logs.reader import LogError, read_log
 from meshpoint.bus.options import add_bus_arguments, open_bus_from
 from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.header import new_header

@@ -13,13 +13,8 @@ from rich.console import Console
 from rich.table import Table
 
 from meshpoint.bus.logs.files import log_files, read_logs
-from meshpoint.bus.logs.limits import LogError
+from meshpoint.bus.logs.reader import LogError
 from meshpoint.controller.header import header_name
-from meshpoint.controller.identification.held_out import HeldOut
-from meshpoint.controller.identification.identified import Figure, Identified
-from meshpoint.controller.identification.identify import identify
-from meshpoint.controller.identification.log_reader import LogReader
-from meshpoint.controller.identification.overlay import overlay
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.settings import DEFAULT_PRESET
@@ -29,9 +24,14 @@ from meshpoint.testbench.commands.log_progress import complain_of_interrupt, log
 from meshpoint.testbench.commands.replay_page import log_name
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.identify.held_out import HeldOut
+from meshpoint.testbench.identify.identified import Figure, Identified
+from meshpoint.testbench.identify.identify import identify
+from meshpoint.testbench.identify.log_reader import LogReader
+from meshpoint.testbench.identify.overlay import overlay
 from meshpoint.testbench.logs.log_header import named_header
 from meshpoint.testbench.logs.logged_frames import LoggedFrames
-from meshpoint.testbench.logs.sensor_replay import LogTime
+from meshpoint.testbench.open_loop.sensor_replay import LogTime
 from meshpoint.testbench.results.output import check_writable, complain, console, write_json
 from meshpoint.units import DEG, RPM
 

@@ -194,7 +194,7 @@ def run_shadow(namespace: argparse.Namespace) -> int:
     """A controller that only looks on, until a signal."""
     from meshpoint.bus.driver import run_node
     from meshpoint.controller.warm_up import warm_up
-    from meshpoint.testbench.shadow.core import ShadowCore
+    from meshpoint.testbench.open_loop.shadow import ShadowCore
 
     for name in ("arm", "keys", "calibration", "diagnosis"):
         if getattr(namespace, name):

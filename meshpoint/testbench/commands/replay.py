@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 from meshpoint.bus.light_can import load_can
 from meshpoint.bus.logs.files import log_files
-from meshpoint.bus.logs.limits import LogError
+from meshpoint.bus.logs.reader import LogError
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ESTIMATOR_NAMES, load_settings
 from meshpoint.dbc.frame import Frame
@@ -28,12 +28,12 @@ from meshpoint.testbench.commands.replay_rows import ReplayRows
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.consumed import NotVerifiableError
-from meshpoint.testbench.logs.judged_rows import commanded, judged_table, judged_words
 from meshpoint.testbench.logs.logged_frames import LoggedFrames
-from meshpoint.testbench.logs.open_loop import OpenLoop
 from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.logs.replay_strategy import Chosen, other_header, recorded_header
 from meshpoint.testbench.logs.session import Session, Verification
+from meshpoint.testbench.open_loop.chosen import Chosen, other_header, recorded_header
+from meshpoint.testbench.open_loop.judged_rows import commanded, judged_table, judged_words
+from meshpoint.testbench.open_loop.open_loop import OpenLoop
 from meshpoint.testbench.report.write import check_report
 from meshpoint.testbench.results.output import (
     complain,

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from meshpoint.testbench.commands.replay_rows import ReplayRows
-from meshpoint.testbench.logs.judged_rows import judged_words
 from meshpoint.testbench.logs.session import Session
+from meshpoint.testbench.open_loop.judged_rows import judged_words
 from meshpoint.testbench.report.run import Report, ReportRun
 from meshpoint.testbench.report.write import report_provenance, write_report
 

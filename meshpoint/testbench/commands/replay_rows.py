@@ -7,8 +7,8 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import Message, ReferenceEngagement, ShiftOutcome, ShiftResult
 from meshpoint.dbc.node import Node
-from meshpoint.testbench.logs.judged_rows import JudgedRow
-from meshpoint.testbench.logs.open_loop import OpenLoop
+from meshpoint.testbench.open_loop.judged_rows import JudgedRow
+from meshpoint.testbench.open_loop.open_loop import OpenLoop
 from meshpoint.testbench.report.collect import MADE, ReportCollector
 from meshpoint.testbench.report.write import aim_rad
 from meshpoint.testbench.results.rows import RowCollector, ShiftRow

@@ -24,12 +24,12 @@ from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.consumed import NotVerifiableError
 from meshpoint.testbench.logs.logged_frames import LoggedFrames
-from meshpoint.testbench.logs.open_loop import OpenLoop
 from meshpoint.testbench.logs.replay import LogReplay
-from meshpoint.testbench.logs.replay_strategy import Chosen, other_header, recorded_header
 from meshpoint.testbench.logs.sleeve_contacts import ShiftWatch
+from meshpoint.testbench.open_loop.answer import Answer, of_another, of_judged
+from meshpoint.testbench.open_loop.chosen import Chosen, other_header, recorded_header
+from meshpoint.testbench.open_loop.open_loop import OpenLoop
 from meshpoint.testbench.results.output import console, write_json
-from meshpoint.testbench.shadow.answer import Answer, of_another, of_judged
 
 NOT_OURS = (
     "the log holds no run of our controller that can be repeated, so the state in which a shift "

@@ -19,9 +19,9 @@ from meshpoint.testbench.commands.replay_page import log_name
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.bus_map import BusMap, load_map
-from meshpoint.testbench.logs.gear_track import SeenShift
 from meshpoint.testbench.logs.logged_frames import LoggedFrames
-from meshpoint.testbench.logs.sensor_replay import SensorReplay
+from meshpoint.testbench.logs.seen_shift import SeenShift
+from meshpoint.testbench.open_loop.sensor_replay import SensorReplay
 from meshpoint.testbench.report.sensors import SensorPage, SensorTraces
 from meshpoint.testbench.report.write import check_report
 from meshpoint.testbench.results.output import console

@@ -40,7 +40,7 @@ from meshpoint.testbench.report.write import (
 from meshpoint.testbench.results.gates import (
     MEANINGS,
     Gate,
-    Judged,
+    GateResult,
     judge,
     markdown,
     parse_gate,
@@ -256,7 +256,7 @@ def _setup(
 
 
 def _write_results(
-    namespace: argparse.Namespace, setup: Setup, result: Result, judged: list[Judged]
+    namespace: argparse.Namespace, setup: Setup, result: Result, judged: list[GateResult]
 ) -> None:
     """--json, --junit and --markdown."""
     name = setup.settings.strategy_name

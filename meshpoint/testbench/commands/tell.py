@@ -13,7 +13,7 @@ from typing import Any
 from rich.text import Text
 
 from meshpoint.bus.logs.files import log_files
-from meshpoint.bus.logs.limits import LogError
+from meshpoint.bus.logs.reader import LogError
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.log_progress import read_in_sensor_time
 from meshpoint.testbench.exits import Exit

@@ -20,12 +20,6 @@ from meshpoint.controller.calibration.learned import (
     WheelRecord,
     WheelRecords,
 )
-from meshpoint.controller.identification.identified import Identified
-from meshpoint.controller.identification.identify import identify
-from meshpoint.controller.identification.log_reader import LogContent, LogReader
-from meshpoint.controller.identification.overlay import Entry, entries
-from meshpoint.controller.identification.sleeve_fit import PRESSURE_EXPONENT, sleeve_fit
-from meshpoint.controller.identification.tooth_fit import ToothFit
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import MAIN_GEARS, Range, Split
@@ -47,6 +41,12 @@ from meshpoint.testbench.commission.wheels import (
     tooth_count,
 )
 from meshpoint.testbench.commission.whole import WholeCommission
+from meshpoint.testbench.identify.identified import Identified
+from meshpoint.testbench.identify.identify import identify
+from meshpoint.testbench.identify.log_reader import LogContent, LogReader
+from meshpoint.testbench.identify.overlay import Entry, entries
+from meshpoint.testbench.identify.sleeve_fit import PRESSURE_EXPONENT, sleeve_fit
+from meshpoint.testbench.identify.tooth_fit import ToothFit
 from meshpoint.units import MS
 
 START_US: Final = 10_000_000

@@ -15,14 +15,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshpoint.controller.records import Integers, Vector
 from meshpoint.gearbox.reading import UnreadableError, read_text
 from meshpoint.testbench.errors import CommandError
 from meshpoint.units import SECOND_US
-
-Integers = NDArray[np.int64]
-Floats = NDArray[np.float64]
 
 HYSTERESIS_SHARE: Final = 0.15
 """Half the hysteresis, as a share of the voltage's usual swing."""
@@ -41,10 +38,10 @@ class Columns:
     """A file as it is: times and what each channel was then."""
 
     name: str
-    time_s: Floats
+    time_s: Vector
     titles: tuple[str, ...]
     """Of each channel; its number where the file has no header."""
-    values: Floats
+    values: Vector
     """(channels, n): levels or volts."""
 
     def is_level(self, channel: int) -> bool:
@@ -150,13 +147,13 @@ def _numbers(line: str) -> list[float] | None:
         return None
 
 
-def _edges(time_s: Floats, level: Floats) -> tuple[Integers, Integers]:
+def _edges(time_s: Vector, level: Vector) -> tuple[Integers, Integers]:
     at = np.round(time_s * SECOND_US).astype(np.int64)
     change = np.diff(level)
     return at[1:][change > 0], at[1:][change < 0]
 
 
-def schmitt(volt: Floats, threshold_v: float | None = None) -> Floats:
+def schmitt(volt: Vector, threshold_v: float | None = None) -> Vector:
     """A comparator with hysteresis about the median, or a threshold: 1 while the voltage was last
     above."""
     low, middle, high = np.quantile(volt, (0.1, 0.5, 0.9))
@@ -171,7 +168,7 @@ def schmitt(volt: Floats, threshold_v: float | None = None) -> Floats:
     return np.asarray(level[last])
 
 
-def local_ratio(rise_us: Integers) -> Floats:
+def local_ratio(rise_us: Integers) -> Vector:
     """Each interval over the median of those around it."""
     if rise_us.size < 2:
         return np.empty(0)

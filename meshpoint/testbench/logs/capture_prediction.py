@@ -10,7 +10,8 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.testbench.logs.capture_files import Floats, FoundWheel, Integers
+from meshpoint.controller.records import Integers, Vector
+from meshpoint.testbench.logs.capture_files import FoundWheel
 from meshpoint.testbench.logs.cycle_pattern import CyclePattern
 
 EDGES_AHEAD: Final = 10
@@ -112,6 +113,6 @@ def _length_of_run(follows: Integers) -> Integers:
     return np.asarray(at - np.maximum.accumulate(np.where(follows, 0, at)))
 
 
-def _places(present: Integers, teeth: int, turns: int) -> Floats:
+def _places(present: Integers, teeth: int, turns: int) -> Vector:
     """Where in a cycle of so many turns the edges of the drawing lie, as shares."""
     return np.concatenate([present + turn * teeth for turn in range(turns)]) / (turns * teeth)

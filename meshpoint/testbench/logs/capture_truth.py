@@ -12,7 +12,8 @@ from typing import Final
 
 import numpy as np
 
-from meshpoint.testbench.logs.capture_files import Floats, FoundWheel, Integers
+from meshpoint.controller.records import Integers, Vector
+from meshpoint.testbench.logs.capture_files import FoundWheel
 
 UNSURE: Final = -1
 """No tooth can be told: the count breaks near here, or nothing shows where a turn begins."""
@@ -55,7 +56,7 @@ def _by_gaps(lead_us: Integers, wheel: FoundWheel) -> Integers:
     return np.asarray(teeth)
 
 
-def _course(seen: Floats, expected: Floats) -> tuple[Integers, Integers]:
+def _course(seen: Vector, expected: Vector) -> tuple[Integers, Integers]:
     """The likeliest place of every edge, and at which edges the count breaks.
 
     seen (n - 2,): change of the logarithm of the interval at edge 1 ... n - 2; expected (m,): the

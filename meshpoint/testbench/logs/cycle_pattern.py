@@ -12,9 +12,8 @@ from __future__ import annotations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from meshpoint.controller.records import Vector
 
 CYCLE_DRIFT_SHARE: Final = 0.03
 """Random walk of the cycle's duration, as a share of it, over a cycle."""
@@ -29,7 +28,7 @@ class CyclePattern:
 
     places (m,): where in a cycle the edges of the drawing lie, shares rising from 0."""
 
-    def __init__(self, places: Floats) -> None:
+    def __init__(self, places: Vector) -> None:
         self.shares = places.copy()
         self.cycles = 0
         """Cycles the pattern was learned from."""

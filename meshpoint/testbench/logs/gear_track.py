@@ -4,11 +4,11 @@ gear was left, and when the next one was there.
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any, Final
+from typing import Final
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS
+from meshpoint.testbench.logs.seen_shift import SeenShift
 
 LEAST_RPM: Final = 50.0
 """Slower, a ratio says nothing."""
@@ -18,29 +18,6 @@ HELD_US: Final = 200_000
 """A gear that holds for so long is one; crossing a gear's ratio while shifting is none."""
 STALE_US: Final = 250_000
 """A speed older than this makes no ratio."""
-
-
-@dataclass(frozen=True)
-class SeenShift:
-    """A change of gear that the log shows. Times since the log's first frame."""
-
-    from_gear: int
-    to_gear: int
-    left_s: float
-    there_s: float
-
-    @property
-    def open_ms(self) -> float:
-        """How long there was no gear."""
-        return (self.there_s - self.left_s) * 1e3
-
-    def to_json(self) -> dict[str, Any]:
-        """The row as plain values."""
-        return (
-            {"from": self.from_gear, "to": self.to_gear}
-            | {key: round(value, 4) for key, value in asdict(self).items() if key.endswith("_s")}
-            | {"open_ms": round(self.open_ms, 1)}
-        )
 
 
 class GearTrack:
@@ -68,8 +45,7 @@ class GearTrack:
         if gear is None or gear == self._gear or now_us - self._since_us < HELD_US:
             return
         if self._gear is not None:
-            times = (self._left_us * 1e-6, self._since_us * 1e-6)
-            self.shifts.append(SeenShift(self._gear, gear, *times))
+            self.shifts.append(SeenShift(self._gear, gear, self._left_us, self._since_us))
         self._gear = gear
 
 

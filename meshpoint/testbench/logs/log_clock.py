@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from meshpoint.bus.logs.files import read_logs
-from meshpoint.bus.logs.limits import LogError
+from meshpoint.bus.logs.reader import LogError
 from meshpoint.dbc.e2e import check_crc
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS

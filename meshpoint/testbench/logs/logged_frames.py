@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from meshpoint.bus.logs.files import read_logs
-from meshpoint.bus.logs.limits import LogError
+from meshpoint.bus.logs.reader import LogError
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox.reading import UnreadableError, open_regular
 from meshpoint.testbench.logs.account import Account

@@ -13,7 +13,7 @@ import can
 from meshpoint.bus.clock import NodeClock
 from meshpoint.bus.driver import OpenBus
 from meshpoint.bus.logs.files import RotatingLog, open_log
-from meshpoint.bus.logs.limits import LogError
+from meshpoint.bus.logs.reader import LogError
 from meshpoint.bus.logs.recorder import LogWriter, record_bus
 from meshpoint.controller.header import RunHeader
 from meshpoint.testbench.errors import CommandError, RunError

@@ -13,6 +13,7 @@ from meshpoint.controller.sensing.gearbox_view import GearboxView
 from meshpoint.dbc.messages import Message, SleevesAux, SleevesMain, ValveStatus
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import SLEEVE_OF_MAIN, MainGear, Sleeve
+from meshpoint.testbench.logs.seen_shift import SeenShift
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.units import MM
 
@@ -112,21 +113,6 @@ class SleeveContacts:
             if seen is not None:
                 found.append(seen)
         return found
-
-
-class SeenShift(NamedTuple):
-    """A change of gear as the sensors show it, whoever commanded it."""
-
-    from_gear: int
-    to_gear: int
-    left_us: int
-    there_us: int
-    """Sensor clock, 32 bits."""
-    driven_us: int | None
-    """When the valve towards the new gear was first seen driven; to within a frame, 10 ms."""
-    contact: str | None
-    """`gap` or `tooth` at first contact; None where no main sleeve was moved."""
-    attempts: int
 
 
 class ShiftWatch:

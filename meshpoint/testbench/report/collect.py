@@ -27,7 +27,7 @@ from meshpoint.dbc.messages import (
 )
 from meshpoint.dbc.node import Node
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.testbench.logs.decisions import Judged
+from meshpoint.testbench.open_loop.judged import Judged
 from meshpoint.testbench.results.road_speed import span_us
 from meshpoint.testbench.results.rows import RowCollector, ShiftRow
 from meshpoint.testbench.results.traces import TRACED, Traces

@@ -16,9 +16,9 @@ from typing import Any, Final
 from rich.table import Table
 
 from meshpoint.gearbox import GearboxSheet
-from meshpoint.testbench.report.overview import wilson
 from meshpoint.testbench.results.output import shown
 from meshpoint.testbench.results.rows import ShiftRow, summarise
+from meshpoint.testbench.results.wilson import wilson
 
 LEARNING: Final = "learning"
 AIMED_KIND: Final = "aimed"

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from meshpoint.bus.logs.limits import LogError, read_log
+from meshpoint.bus.logs.reader import LogError, read_log
 from meshpoint.dbc.frame import Frame
 from meshpoint.rig_sim.settings import RigSettings
 from meshpoint.testbench.logs.session import Session

@@ -9,8 +9,8 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshpoint.controller.records import Vector
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import DRIVE_GEARS, SLEEVE_OF_MAIN
 from meshpoint.testbench.report.collect import ReportShift
@@ -20,7 +20,6 @@ from meshpoint.testbench.report.phase import true_phase
 BEFORE_MS: Final = 120.0
 """The motion begins this long before the first contact."""
 DEG_PER_RPM_MS: Final = 0.006
-Curve = NDArray[np.float64]
 
 
 def motion(shift: ReportShift, sheet: GearboxSheet) -> dict[str, Any] | None:
@@ -61,7 +60,7 @@ def geometry(sheet: GearboxSheet) -> dict[str, float]:
     }
 
 
-def _course(shift: ReportShift, gear: str, ratio: float) -> tuple[Curve, Curve] | None:
+def _course(shift: ReportShift, gear: str, ratio: float) -> tuple[Vector, Vector] | None:
     """The phase at the encoder's rate: samples of the truth, 10 ms apart, joined by the slip."""
     sample_ms, sample_deg = true_phase(shift, gear, ratio)
     layshaft, main = shift.points("layshaft_rpm"), shift.points("main_rpm")

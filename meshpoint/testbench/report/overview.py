@@ -23,7 +23,6 @@ STYLES: Final = {
 }
 OTHER_STYLE: Final = {"color": GREY, "symbol": "square"}
 OVERVIEW_HEIGHT_PX: Final = 340
-Z_95: Final = 1.959964
 
 
 class RunLike(Protocol):
@@ -32,17 +31,6 @@ class RunLike(Protocol):
     @property
     def shifts(self) -> list[ReportShift]:
         """Its shifts."""
-
-
-def wilson(hits: float, trials: float) -> tuple[float, float]:
-    """95 % interval of a rate (Wilson 1927): meaningful at 0, at 1 and for few trials."""
-    if trials <= 0:
-        return 0.0, 1.0
-    rate, z2 = hits / trials, Z_95 * Z_95
-    middle = (rate + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = Z_95 / (1 + z2 / trials)
-    half *= math.sqrt(rate * (1 - rate) / trials + z2 / (4 * trials * trials))
-    return max(0.0, middle - half), min(1.0, middle + half)
 
 
 def contacts_figure(runs: list[RunLike], sheet: GearboxSheet) -> Figure:

@@ -25,7 +25,14 @@ from meshpoint.testbench.report.html import (
 )
 from meshpoint.testbench.report.overview import shift_key
 from meshpoint.testbench.report.replayed import decisions_table, replayed_account
-from meshpoint.testbench.report.run import Report, ReportRun, account, figure, shift_title
+from meshpoint.testbench.report.run import (
+    Report,
+    ReportRun,
+    account,
+    figure,
+    number_cell,
+    shift_title,
+)
 from meshpoint.testbench.results.rows import ShiftRow
 
 
@@ -79,12 +86,6 @@ reference, which the controller never reads.</p>"""
 def _notes(runs: list[ReportRun]) -> str:
     items = "".join(f"<li>{escape(note)}</li>\n" for run in runs for note in run.notes)
     return f"<h2>Estimates and log</h2>\n<ul>\n{items}</ul>" if items else ""
-
-
-def _number(value: float | None, digits: int, signed: bool = False) -> Cell:
-    if value is None:
-        return "–", NUMBER_CLASS
-    return figure(value, digits, signed), NUMBER_CLASS
 
 
 SUMMARY_HEAD: Final[list[Cell]] = [("shifts", ""), ("strategy", "")] + [
@@ -160,12 +161,12 @@ def _shift_cells(row: ShiftRow) -> list[Cell]:
         (row.strategy, ""),
         (row.reference, ""),
         (row.contact or "–", row.contact or ""),
-        _number(row.phase_error_pct_of_pitch, 1, signed=True),
+        number_cell(row.phase_error_pct_of_pitch, 1, signed=True),
         (predicted, NUMBER_CLASS),
-        _number(row.slip_rpm, 1, signed=True),
-        _number(row.delay_ms, 1),
-        _number(row.duration_ms, 0),
-        _number(row.speed_lost_kmh, 1),
+        number_cell(row.slip_rpm, 1, signed=True),
+        number_cell(row.delay_ms, 1),
+        number_cell(row.duration_ms, 0),
+        number_cell(row.speed_lost_kmh, 1),
         (str(row.attempts), NUMBER_CLASS),
         (result, ""),
     ]

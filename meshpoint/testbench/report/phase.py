@@ -8,15 +8,16 @@ from __future__ import annotations
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from meshpoint.controller.records import Vector
 from meshpoint.testbench.report.collect import Points, ReportShift
 
 DEG_PER_RPM_MS: Final = 0.006
-Curve = NDArray[np.float64]
 
 
-def unwrapped_deg(times_ms: Curve, phase_deg: Curve, slip_rpm: Curve, pitch_deg: float) -> Curve:
+def unwrapped_deg(
+    times_ms: Vector, phase_deg: Vector, slip_rpm: Vector, pitch_deg: float
+) -> Vector:
     """The phase without its jumps. All of one length; times rise."""
     if len(times_ms) < 2:
         return phase_deg
@@ -27,9 +28,9 @@ def unwrapped_deg(times_ms: Curve, phase_deg: Curve, slip_rpm: Curve, pitch_deg:
     return np.concatenate((phase_deg[:1], phase_deg[0] + np.cumsum(steps)))
 
 
-def onto_branch(phase_deg: Curve, near_deg: Curve, pitch_deg: float) -> Curve:
+def onto_branch(phase_deg: Vector, near_deg: Vector, pitch_deg: float) -> Vector:
     """The phase shifted by whole pitches to where it lies nearest to another curve."""
-    shifted: Curve = phase_deg + pitch_deg * np.round((near_deg - phase_deg) / pitch_deg)
+    shifted: Vector = phase_deg + pitch_deg * np.round((near_deg - phase_deg) / pitch_deg)
     return shifted
 
 
@@ -65,7 +66,7 @@ def estimated_phase(shift: ReportShift, ratio: float, truth: Points) -> Points:
     return times_ms, _anchored(shift, times, curve, pitch)
 
 
-def _anchored(shift: ReportShift, times: Curve, curve: Curve, pitch: float) -> list[Any]:
+def _anchored(shift: ReportShift, times: Vector, curve: Vector, pitch: float) -> list[Any]:
     """Shifted by whole pitches so that the contact lies where the rig reported it; without one, so
     that the end lies within half a pitch of the middle."""
     anchor_ms, phase_deg = shift.contact_ms, shift.contact_phase_deg

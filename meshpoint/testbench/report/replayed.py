@@ -9,8 +9,9 @@ from __future__ import annotations
 from html import escape
 from typing import Final
 
-from meshpoint.testbench.logs.counterfactual import Counterfactual
-from meshpoint.testbench.logs.decisions import Decision, Judged
+from meshpoint.testbench.open_loop.course import Decision
+from meshpoint.testbench.open_loop.judged import Judged
+from meshpoint.testbench.open_loop.landing import Counterfactual
 from meshpoint.testbench.report.collect import ReportShift
 from meshpoint.testbench.report.html import NUMBER_CLASS, STACKED, Cell, table, table_row
 from meshpoint.testbench.report.layout import (
@@ -23,7 +24,7 @@ from meshpoint.testbench.report.layout import (
     Figure,
     axis,
 )
-from meshpoint.testbench.report.run import Report, figure
+from meshpoint.testbench.report.run import Report, figure, number_cell
 
 OTHER_BAND: Final = "rgba(213,94,0,.20)"
 FAR: Final = 100.0 * PITCHES_EACH_WAY
@@ -139,15 +140,15 @@ def _cells(shift: ReportShift) -> list[Cell]:
     told = judged.last if judged.fired_ms is not None else None
     return [
         gears,
-        _number(judged.recorded.fired_ms if judged.recorded else None),
+        number_cell(judged.recorded.fired_ms if judged.recorded else None, 1),
         contact,
         (judged.strategy, ""),
         (judged.status if judged.fault == "none" else f"{judged.status}: {judged.fault}", ""),
-        _number(judged.last.release_ms if judged.last else None),
-        _number(told.fired_ms if told else None),
+        number_cell(judged.last.release_ms if judged.last else None, 1),
+        number_cell(told.fired_ms if told else None, 1),
         (_phase(told, row.pitch_deg), NUMBER_CLASS),
-        _number(told.predicted_slip_rpm if told else None, signed=True),
-        _number(judged.parted.at_ms if judged.parted else None),
+        number_cell(told.predicted_slip_rpm if told else None, 1, signed=True),
+        number_cell(judged.parted.at_ms if judged.parted else None, 1),
         *_landing_cells(judged, row.pitch_deg),
     ]
 
@@ -225,7 +226,3 @@ def _phase(told: Decision | None, pitch_deg: float) -> str:
     to_pct = 100.0 / pitch_deg
     sd = to_pct * (told.predicted_phase_sd_deg or 0.0)
     return f"{figure(to_pct * told.predicted_phase_deg, 1, True)} ± {sd:.1f}"
-
-
-def _number(value: float | None, signed: bool = False) -> Cell:
-    return ("–" if value is None else figure(value, 1, signed)), NUMBER_CLASS

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.report.collect import ReportShift
+from meshpoint.testbench.report.html import NUMBER_CLASS, Cell
 from meshpoint.units import DEG, RPM
 
 
@@ -78,3 +79,8 @@ def figure(value: float, digits: int, signed: bool = False) -> str:
     """A number as text; what rounds to zero has no sign of its own but plus."""
     rounded = round(value, digits) + 0.0
     return f"{rounded:+.{digits}f}" if signed else f"{rounded:.{digits}f}"
+
+
+def number_cell(value: float | None, digits: int, signed: bool = False) -> Cell:
+    """The same as a table's cell; a dash where there is none."""
+    return "–" if value is None else figure(value, digits, signed), NUMBER_CLASS

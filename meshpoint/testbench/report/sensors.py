@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.logs.envelope import Envelope
-from meshpoint.testbench.logs.sensor_replay import SensorReplay
+from meshpoint.testbench.open_loop.sensor_replay import SensorReplay
 from meshpoint.testbench.report.html import (
     NUMBER_CLASS,
     Cell,
@@ -29,7 +29,7 @@ from meshpoint.testbench.report.layout import (
     Figure,
     axis_lines,
 )
-from meshpoint.testbench.report.run import figure
+from meshpoint.testbench.report.run import number_cell
 from meshpoint.testbench.report.write import report_provenance, write_page
 
 SCRIPTS: Final = ("report/report.js",)
@@ -161,7 +161,7 @@ def _list(lines: list[str]) -> str:
 
 
 def _numbers(*values: float | None) -> list[Cell]:
-    return [("–" if v is None else figure(v, 2), NUMBER_CLASS) for v in values]
+    return [number_cell(value, 2) for value in values]
 
 
 def _decided_cells(row: dict[str, Any]) -> list[Cell]:

@@ -43,7 +43,7 @@ class Gate(NamedTuple):
         return f"{self.figure} {self.operator} {self.limit:g}"
 
 
-class Judged(NamedTuple):
+class GateResult(NamedTuple):
     """A gate, and what came of it."""
 
     gate: Gate
@@ -102,14 +102,14 @@ def figures(summary: Summary, rows: Sequence[ShiftRow]) -> Mapping[str, float | 
     }
 
 
-def judge(gates: Sequence[Gate], summary: Summary, rows: Sequence[ShiftRow]) -> list[Judged]:
+def judge(gates: Sequence[Gate], summary: Summary, rows: Sequence[ShiftRow]) -> list[GateResult]:
     """Each gate against the run."""
     values = figures(summary, rows)
-    return [Judged(gate, values[gate.figure]) for gate in gates]
+    return [GateResult(gate, values[gate.figure]) for gate in gates]
 
 
 def markdown(
-    title: str, summary: Summary, rows: Sequence[ShiftRow], judged: Sequence[Judged]
+    title: str, summary: Summary, rows: Sequence[ShiftRow], judged: Sequence[GateResult]
 ) -> str:
     """A run's summary for a pull request or a job's page."""
     lines = [f"# {title}", ""]

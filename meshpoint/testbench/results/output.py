@@ -163,7 +163,8 @@ def broken(name: str, longest: int = 14) -> str:
     return "\n".join(lines)
 
 
-def _number(value: float | None, digits: int, signed: bool = False) -> str:
+def number(value: float | None, digits: int, signed: bool = False) -> str:
+    """As tables have it; a dash where there is none."""
     if value is None:
         return "-"
     return f"{value:+.{digits}f}" if signed else f"{value:.{digits}f}"
@@ -182,9 +183,9 @@ def cells(row: ShiftRow) -> list[str | Text]:
         shown(row.strategy),
         row.reference,
         f"{row.duration_ms:.0f}",
-        _number(row.slip_rpm, 1, signed=True),
-        _number(row.phase_error_deg, 2, signed=True),
-        _number(row.phase_error_pct_of_pitch, 1, signed=True),
+        number(row.slip_rpm, 1, signed=True),
+        number(row.phase_error_deg, 2, signed=True),
+        number(row.phase_error_pct_of_pitch, 1, signed=True),
         words[row.contact],
         str(row.attempts),
         row.result,

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv
 
+from meshpoint.controller.records import Vector
 from meshpoint.testbench.campaign.sequential import (
     Estimate,
     against_known,
@@ -27,7 +28,6 @@ from meshpoint.testbench.campaign.sequential import (
 from meshpoint.testbench.campaign.verdict import Comparison, PairedRun, Verdict
 from meshpoint.testbench.campaign.verdict import looks as paired_looks
 
-Floats = NDArray[np.float64]
 Misses = NDArray[np.bool_]
 QUANTILES: Final = np.concatenate(
     [np.linspace(0.0, 0.9, 1000, endpoint=False), 1.0 - np.geomspace(0.1, 1e-7, 3000)]
@@ -48,13 +48,13 @@ class Kind(StrEnum):
 
 
 @cache
-def _gearboxes(rate: float, icc: float) -> Floats:
+def _gearboxes(rate: float, icc: float) -> Vector:
     spread = (1.0 - icc) / icc
-    quantiles: Floats = betaincinv(rate * spread, (1.0 - rate) * spread, QUANTILES)
+    quantiles: Vector = betaincinv(rate * spread, (1.0 - rate) * spread, QUANTILES)
     return quantiles
 
 
-def gearbox_misses(rate: float, icc: float, luck: Floats) -> Floats:
+def gearbox_misses(rate: float, icc: float, luck: Vector) -> Vector:
     """Rates of misses of gearboxes with this quantile of the distribution."""
     return np.interp(luck, QUANTILES, _gearboxes(rate, icc))
 
@@ -196,12 +196,12 @@ class CoverageRun:
                 break
         return found
 
-    def _hits(self, rng: np.random.Generator, rate: float) -> Floats:
+    def _hits(self, rng: np.random.Generator, rate: float) -> Vector:
         spread = (1.0 - self.icc) / self.icc
         of_run = rng.beta(rate * spread, (1.0 - rate) * spread, self.runs)
         drawn: Any = rng.binomial(self.shifts, of_run)
         return np.asarray(drawn, dtype=np.float64)
 
-    def _shares(self, rng: np.random.Generator, rate: float) -> Floats:
+    def _shares(self, rng: np.random.Generator, rate: float) -> Vector:
         """Gearboxes differ by a tenth of their mean in how much of a pitch is gap."""
         return self.shifts * rate * rng.uniform(0.9, 1.1, self.runs)

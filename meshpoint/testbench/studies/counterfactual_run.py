@@ -19,10 +19,10 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw, upshifts
 from meshpoint.testbench.campaign.loop import ClosedLoop
-from meshpoint.testbench.logs.decisions import Judged
-from meshpoint.testbench.logs.open_loop import OpenLoop
 from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.logs.session import Verification
+from meshpoint.testbench.open_loop.judged import Judged
+from meshpoint.testbench.open_loop.open_loop import OpenLoop
 from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.testbench.version import product_version
 from meshpoint.units import DEG

@@ -9,11 +9,6 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.controller.identification.identified import Identified
-from meshpoint.controller.identification.identify import identify
-from meshpoint.controller.identification.log_reader import LogContent, LogReader
-from meshpoint.controller.identification.sleeve_fit import sleeve_fit
-from meshpoint.controller.identification.tooth_fit import ToothFit, wheel_figures
 from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.gearbox import GearboxSheet, MainGear, Split
@@ -27,6 +22,11 @@ from meshpoint.rig_sim.truck.delays import TruckDelays
 from meshpoint.rig_sim.truck.edges import WheelAsMade
 from meshpoint.testbench.campaign.draw import LAYSHAFT_RPM, draw, upshifts
 from meshpoint.testbench.campaign.loop import ClosedLoop
+from meshpoint.testbench.identify.identified import Identified
+from meshpoint.testbench.identify.identify import identify
+from meshpoint.testbench.identify.log_reader import LogContent, LogReader
+from meshpoint.testbench.identify.sleeve_fit import sleeve_fit
+from meshpoint.testbench.identify.tooth_fit import ToothFit, wheel_figures
 from meshpoint.testbench.loop.bench import plan_shifts
 from meshpoint.units import BAR, DEG, MS, RPM
 

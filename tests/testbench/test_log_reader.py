@@ -1,0 +1,297 @@
+"""A log's frames taken apart: runs in neutral, strokes, closings and switches of
+valves of a gearbox of which it is known what happened when."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from wheel import Wheel, capture
+
+from meshpoint.dbc.link import Transmitter
+from meshpoint.dbc.messages import (
+    EEC1,
+    EdgesLayshaftFall,
+    EdgesLayshaftRise,
+    EdgesMainFall,
+    EdgesMainRise,
+    GearboxSensors,
+    SleevesAux,
+    SleevesMain,
+    ValveAction,
+    ValveCommand,
+)
+from meshpoint.dbc.node import Node
+from meshpoint.gearbox import MainGear, Range, Split, load_sheet
+from meshpoint.testbench.identify.log_reader import (
+    STROKE_US,
+    FreeRun,
+    LogContent,
+    LogReader,
+    Stroke,
+)
+from meshpoint.testbench.identify.valve_switches import BRAKE, Switch, ValveSwitches
+
+SHEET = load_sheet("truck12")
+STROKE_M = SHEET.sleeve.stroke_m
+BEGIN_US, STEP_US = 10_000_000, 10_000
+LAYSHAFT_RAD_S, MAIN_RAD_S = 140.0, 90.0
+Course = Callable[[int], float]
+"""Of a time in ms since the log's beginning."""
+
+
+def turning(teeth: int, rad_s: float, seconds: float) -> Wheel:
+    """A wheel at constant speed, half of each pitch a tooth."""
+    pitch_us = 2e6 * math.pi / teeth / rad_s
+    number = np.arange(int(seconds * 1e6 / pitch_us))
+    rise = BEGIN_US + np.round(number * pitch_us)
+    fall = BEGIN_US + np.round((number + 0.5) * pitch_us)
+    return Wheel(0, rise.astype(int).tolist(), fall.astype(int).tolist())
+
+
+@dataclass
+class Box:
+    """What a log was made of. Sleeves in m; clutch 0 open to 1 closed; pressures in Pa."""
+
+    first_second: Course = lambda _: 0.0
+    third: Course = lambda _: 0.0
+    split: Course = lambda _: STROKE_M
+    range_: Course = lambda _: -STROKE_M
+    clutch: Course = lambda _: 0.0
+    brake_pa: Course = lambda _: 1e5
+    supply_pa: Course = lambda _: 9e5
+    engine_rad_s: Course = lambda _: 100.0
+    commands: dict[int, ValveCommand] = field(default_factory=dict)
+    """By the ms at which each is sent."""
+    without_edges: tuple[int, int] = (0, 0)
+    """From and to which ms no edges come."""
+
+    def read(self, seconds: float) -> LogContent:
+        """The log of so long."""
+        io, engine = Transmitter(Node.GEARBOX_IO), Transmitter(Node.ENGINE)
+        controller = Transmitter(Node.TRANSMISSION_CONTROL)
+        reader, teeth = LogReader(SHEET), SHEET.wheels
+        layshaft = turning(teeth.layshaft.teeth, LAYSHAFT_RAD_S, seconds)
+        main = turning(teeth.main.teeth, MAIN_RAD_S, seconds)
+        for ms in range(10, int(seconds * 1000), 10):
+            at_us = BEGIN_US + 1000 * ms
+            if ms in self.commands:
+                reader.take(at_us + 50, controller.encode(self.commands[ms]))
+            messages: list[object] = []
+            if not self.without_edges[0] <= ms < self.without_edges[1]:
+                messages += [
+                    EdgesLayshaftRise(**capture(layshaft.rise_us, 0, at_us)),  # type: ignore[arg-type]
+                    EdgesLayshaftFall(**capture(layshaft.fall_us, 0, at_us)),  # type: ignore[arg-type]
+                    EdgesMainRise(**capture(main.rise_us, 0, at_us)),  # type: ignore[arg-type]
+                    EdgesMainFall(**capture(main.fall_us, 0, at_us)),  # type: ignore[arg-type]
+                ]
+            stamp = at_us % (1 << 32)
+            samples = [tuple(course(ms - k) for k in range(10)) for course in
+                       (self.first_second, self.third, self.split, self.range_)]  # fmt: skip
+            messages += [
+                SleevesMain(stamp, 0, samples[0], samples[1]),
+                SleevesAux(stamp, 0, samples[2], samples[3]),
+                GearboxSensors(stamp, self.brake_pa(ms), self.supply_pa(ms), 350.0,
+                               self.clutch(ms)),
+            ]  # fmt: skip
+            for message in messages:
+                reader.take(at_us + 100, io.encode(message))  # type: ignore[arg-type]
+            reader.take(at_us + 200, engine.encode(EEC1(engine_speed_rad_s=self.engine_rad_s(ms))))
+        return reader.finish()
+
+
+def within(from_ms: int, to_ms: int, inside: float, outside: float) -> Course:
+    return lambda ms: inside if from_ms <= ms < to_ms else outside
+
+
+def out_of_gear(from_ms: int, to_ms: int) -> Course:
+    """In first gear but for this time."""
+    return within(from_ms, to_ms, 0.0, -STROKE_M)
+
+
+def the_run(content: LogContent) -> FreeRun:
+    (run,) = content.runs
+    return run
+
+
+def test_a_run_in_neutral_holds_all_edges_of_its_time_and_where_they_are_on_their_wheels() -> None:
+    box = Box(out_of_gear(500, 900), engine_rad_s=lambda ms: 100.0 + ms // 10)
+    run = the_run(box.read(1.4))
+    assert (run.split, run.range_) == (Split.HIGH, Range.LOW)
+    assert run.start_us == BEGIN_US + 500_000
+    assert run.end_us == BEGIN_US + 890_000
+    for wheel, rad_s, teeth in ((run.layshaft, LAYSHAFT_RAD_S, SHEET.wheels.layshaft.teeth),
+                                (run.main, MAIN_RAD_S, SHEET.wheels.main.teeth)):  # fmt: skip
+        half_us = math.pi * 1e6 / teeth / rad_s
+        first = math.floor((run.start_us - BEGIN_US) / half_us) + 1
+        last = math.floor((run.end_us - BEGIN_US) / half_us)
+        numbers = np.arange(first, last + 1)
+        assert wheel.time_us == pytest.approx(BEGIN_US + half_us * numbers, abs=0.6)
+        assert np.diff(wheel.theta_rad) == pytest.approx(math.pi / teeth)
+        assert (np.diff(wheel.place) % (2 * teeth) == 1).all()
+        assert wheel.place[0] % 2 == numbers[0] % 2, "odd ones fall"
+    times = run.engine[0]
+    assert times[0] == pytest.approx(run.start_us - 30_000, abs=11_000)
+    assert times[0] >= run.start_us - 30_000
+    assert np.diff(run.engine[1]) == pytest.approx(1.0, abs=0.014)
+
+
+def test_a_run_goes_with_the_brake_s_switches_and_pressures_and_the_mean_of_the_air() -> None:
+    """Switches from two seconds before on, pressures from three reads before on, up to its end."""
+
+    def brake(action: ValveAction, ms: int) -> ValveCommand:
+        return ValveCommand(brake_action=action, brake_time_us=BEGIN_US + 1000 * ms + 500)
+
+    commands = {90: brake(ValveAction.ON_AT, 100), 190: brake(ValveAction.OFF_AT, 200),
+                390: brake(ValveAction.ON_AT, 400), 2_590: brake(ValveAction.OFF_AT, 2_600),
+                2_890: brake(ValveAction.ON_AT, 2_900)}  # fmt: skip
+    box = Box(out_of_gear(2_400, 2_800), brake_pa=lambda ms: 1e5 + 100.0 * ms,
+              supply_pa=lambda ms: 9e5 - 100.0 * ms, commands=commands)  # fmt: skip
+    run = the_run(box.read(3.2))
+    expected = [(400, True), (2_600, False)]
+    assert run.brake == tuple(Switch(BEGIN_US + 1000 * ms + 500, on, True) for ms, on in expected)
+    ms = (run.pressure[0] - BEGIN_US) / 1000.0
+    assert ms.tolist() == list(range(2_370, 2_791, 10))
+    assert run.pressure[1] == pytest.approx(1e5 + 100.0 * ms, abs=30.0)
+    assert run.supply_pa == pytest.approx(9e5 - 100.0 * 2_590, abs=2_500.0)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"clutch": lambda _: 0.9},
+        {"split": lambda _: 0.0},
+        {"third": lambda _: 0.62 * SHEET.sleeve.to_contact_m},
+        {"without_edges": (600, 760)},
+    ],
+    ids=["closed clutch", "no split", "a sleeve near its teeth", "edges lost"],
+)
+def test_it_is_no_run_in_neutral_with(change: dict[str, Course]) -> None:
+    assert not list(Box(out_of_gear(500, 900), **change).read(1.4).runs)  # type: ignore[arg-type]
+
+
+def test_a_splitter_that_changes_spoils_a_run_and_begins_another() -> None:
+    """The layshaft was not free to its end; while the splitter stands between its steps there is no
+    run."""
+    split: Course = lambda ms: STROKE_M if ms < 700 else (0.0 if ms < 760 else -STROKE_M)  # noqa: E731
+    run = the_run(Box(out_of_gear(400, 1_200), split=split).read(1.6))
+    assert run.start_us - BEGIN_US == 770_000
+    assert run.split is Split.LOW
+
+
+def pushed(begun_ms: int, rest_m: float = 0.0, direction: int = 1) -> Course:
+    """A sleeve at rest that takes 40 ms to its stroke's end, and comes back after 600 ms."""
+
+    def at(ms: int) -> float:
+        since = ms - begun_ms
+        if since < 0 or since > 600:
+            return rest_m
+        return rest_m + direction * min(STROKE_M, STROKE_M * (since / 40.0) ** 2)
+
+    return at
+
+
+def second_on(ms: int, action: ValveAction = ValveAction.ON_AT) -> dict[int, ValveCommand]:
+    """Second gear's valve, sent 10 ms before; off again 300 ms later."""
+    off = ValveCommand(main_second_action=ValveAction.OFF_AT,
+                       main_second_time_us=BEGIN_US + 1000 * (ms + 300))  # fmt: skip
+    on = ValveCommand(main_second_action=action, main_second_time_us=BEGIN_US + 1000 * ms + 300)
+    return {ms - 10: on, ms + 290: off}
+
+
+def test_a_stroke_is_told_from_its_valve_s_activation_on_by_its_way_from_rest() -> None:
+    """Each sample once, a millisecond apart; the sensor's offset is what it showed in neutral."""
+    box = Box(pushed(520, 4e-4), commands=second_on(500), supply_pa=lambda ms: 9e5 + 10.0 * ms)
+    content = box.read(1.0)
+    (stroke,) = content.strokes
+    assert stroke.gear is MainGear.SECOND
+    assert stroke.fired_us == BEGIN_US + 500_300
+    assert stroke.rested_s is None
+    assert stroke.supply_pa == pytest.approx(9e5 + 10.0 * 510, abs=210.0)
+    ms = (stroke.time_us - BEGIN_US) / 1000.0
+    assert (np.diff(ms) == 1.0).all()
+    assert ms[0] <= 501
+    assert ms[-1] * 1000 >= 500_300 + STROKE_US
+    assert ms[-1] * 1000 < 500_300 + STROKE_US + STEP_US
+    way = [pushed(520)(int(each)) for each in ms]
+    assert stroke.way_m == pytest.approx(way, abs=2e-5)
+    assert content.messages["ValveCommand"] == 2
+    assert content.inexact == 0
+
+
+def test_strokes_of_one_sleeve_are_told_with_how_long_it_has_rested() -> None:
+    """The other way, too: that is first gear."""
+    first = ValveCommand(main_first_action=ValveAction.ON_AT,
+                         main_first_time_us=BEGIN_US + 1_300_300)  # fmt: skip
+    box = Box(lambda ms: pushed(520)(ms) + pushed(1_320, 0.0, -1)(ms),
+              commands={**second_on(500), 1_290: first})  # fmt: skip
+    strokes: list[Stroke] = list(box.read(1.7).strokes)
+    assert [stroke.gear for stroke in strokes] == [MainGear.SECOND, MainGear.FIRST]
+    assert strokes[1].rested_s == pytest.approx(0.8)
+    assert strokes[1].way_m.max() == pytest.approx(STROKE_M, abs=2e-5)
+
+
+def test_a_stroke_whose_valve_was_switched_at_once_is_counted_alone() -> None:
+    content = Box(pushed(520), commands=second_on(500, ValveAction.ON_NOW)).read(1.0)
+    assert not list(content.strokes)
+    assert content.inexact == 1
+
+
+def closing_clutch(begun_ms: int, ms_taken: int) -> Course:
+    return lambda ms: min(max((ms - begun_ms) / ms_taken, 0.0), 1.0)
+
+
+def test_a_clutch_that_closes_is_told_with_the_engine_beside_it() -> None:
+    box = Box(clutch=closing_clutch(500, 200), engine_rad_s=lambda ms: 150.0 - ms // 50)
+    (closing,) = box.read(1.0).closings
+    ms = (closing.time_us - BEGIN_US) / 1000.0
+    assert ms.tolist() == list(range(500, 691, 10))
+    assert closing.closed == pytest.approx((ms - 500.0) / 200.0, abs=0.003)
+    engine_ms = (closing.engine_us - BEGIN_US) / 1000.0
+    assert engine_ms[0] == pytest.approx(400.0, abs=10.5)
+    assert engine_ms[-1] == pytest.approx(690.0, abs=20.5)
+    assert closing.engine_rad_s == pytest.approx(150.0 - engine_ms // 50, abs=1.01)
+
+
+NOW_US = 5_000_000
+
+
+def brake_at(time_us: int, action: ValveAction = ValveAction.ON_AT) -> ValveCommand:
+    return ValveCommand(brake_action=action, brake_time_us=time_us)
+
+
+@pytest.mark.parametrize(
+    ("ahead_us", "is_taken"),
+    [(100_000, True), (100_001, False), (0, True), (-1, True), (-2_000, True), (-2_001, False)],
+)
+def test_an_activation_is_taken_from_2_ms_late_to_100_ms_ahead(
+    ahead_us: int, is_taken: bool
+) -> None:
+    """At its own time, exactly, even where it came too late for that."""
+    valves = ValveSwitches()
+    valves.take(brake_at(NOW_US + ahead_us), NOW_US)
+    expected = [Switch(NOW_US + ahead_us, True, True)] if is_taken else []
+    assert valves.of(BRAKE, NOW_US + 1_000_000) == expected
+    assert valves.late == (ahead_us < -2_000)
+
+
+def test_a_valve_has_one_activation_that_waits_and_off_at_once_ends_it() -> None:
+    """The next one takes its place even where it is refused; one that is repeated is one."""
+    valves = ValveSwitches()
+    off_now = ValveCommand(brake_action=ValveAction.OFF_NOW)
+    for at_us, command in (
+        (0, brake_at(NOW_US + 20_000)),
+        (5_000, brake_at(NOW_US + 30_000)),
+        (31_000, brake_at(NOW_US + 30_000)),
+        (40_000, brake_at(NOW_US + 90_000, ValveAction.OFF_AT)),
+        (50_000, off_now),
+        (60_000, brake_at(NOW_US + 80_000)),
+        (70_000, brake_at(NOW_US + 900_000)),
+    ):
+        valves.take(command, NOW_US + at_us)
+    assert valves.of(BRAKE, NOW_US + 2_000_000) == [
+        Switch(NOW_US + 30_000, True, True), Switch(NOW_US + 50_000, False, False),
+    ]  # fmt: skip
