@@ -39,7 +39,7 @@ def _entries() -> Iterator[str]:
         if name == "__version__":
             yield "## `__version__`\n\nThe version of the product, as text.\n"
         elif inspect.ismodule(value):
-            yield f"## `{name}`\n\n{inspect.getdoc(value)} `meshpoint dbc` lists them.\n"
+            yield f"## `{name}`\n\n{inspect.getdoc(value)} `meshpoint show messages` lists them.\n"
         elif inspect.isclass(value):
             yield from _class(name, value)
         else:

@@ -41,7 +41,7 @@ def configured_bus(path: Path) -> None:
 
 
 def told_of(path: Path) -> None:
-    """What `replay`, `report` and `identify` do first: about how many frames there are."""
+    """What `replay` and `identify` do first: about how many frames there are."""
     assert expected_frames([path]) is None
     list(read_log(path))
 

@@ -289,6 +289,22 @@ def test_over_the_local_bus_with_the_rig_as_the_other_side(
         assert "turn the input shaft by hand" in said
 
 
+@pytest.mark.parametrize("profile", ["fd", "classic"])
+def test_a_node_is_alive_whose_status_is_heard_and_no_other(
+    channel: str, tmp_path: Path, capsys, profile: str
+) -> None:
+    bus = ["-c", channel, "--profile", profile]
+    with live(tmp_path, "rig", *bus, "--gearbox", "truck12") as rig:
+        rig.until_said("on meshpoint channel")
+        until(lambda: main(["check", "--alive", "rig", *bus]) == 0, "a rig at work")
+        assert "yes: " in capsys.readouterr().out
+        words = ["check", "--alive", "controller", *bus, "--seconds", "0.3", "--json", "-"]
+        assert main(words) == 1
+        record = json.loads(capsys.readouterr().out)
+    assert record["ready"] is False
+    assert record["reason"].startswith("controller: 0 status frames within 0.3 s")
+
+
 def test_a_dead_bus_is_one_line_that_says_what_was_listened_to(channel: str, capsys) -> None:
     words = ["check", "-c", channel, "--seconds", "0.3", "--turn", "--json", "-"]
     assert main(words) == 1

@@ -211,7 +211,7 @@ TABLES: dict[str, Callable[[], Table]] = {
         load_sheet("truck12"), sheet_figures(load_sheet("truck12"))
     ),
 }
-"""By module and function; those of `calibration show` need a file and stand below."""
+"""By module and function; those of `show calibration` need a file and stand below."""
 WITH_A_FILE = ("commands.calibration._wheel_table", "commands.calibration._gear_table")
 
 

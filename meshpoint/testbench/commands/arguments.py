@@ -188,7 +188,7 @@ def add_calibration(parser: Arguments) -> None:
         type=Path,
         metavar="FILE",
         help="what the controller has learned of this gearbox, TOML: read where it exists, written "
-        "after every shift (`meshpoint calibration show FILE`). A file that does not hold together "
+        "after every shift (`meshpoint show calibration FILE`). A file that does not hold together "
         "is put aside as FILE.refused and the controller starts cold",
     )
 

@@ -1,4 +1,4 @@
-"""`meshpoint calibration show`: what a controller has learned of a gearbox, as people read it."""
+"""`meshpoint show calibration`: what a controller has learned of a gearbox, as people read it."""
 
 from __future__ import annotations
 
@@ -22,13 +22,11 @@ from meshpoint.testbench.results.tooth_parts import take_apart
 from meshpoint.units import DEG
 
 
-def add_parser(commands: Any) -> None:
-    """The command's arguments."""
-    parser: argparse.ArgumentParser = commands.add_parser("calibration")
-    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    show = actions.add_parser(
-        "show",
-        help="print a calibration file",
+def add_parser(things: Any) -> None:
+    """Its arguments."""
+    show: argparse.ArgumentParser = things.add_parser(
+        "calibration",
+        help="what a controller has learned of a gearbox",
         description="Prints a calibration file, or says why a controller would refuse it.",
     )
     show.add_argument("file", type=Path, metavar="FILE", help="as --calibration wrote it")

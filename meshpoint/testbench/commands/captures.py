@@ -1,4 +1,4 @@
-"""`meshpoint captures`: edges of real sensors through the node's edge gate."""
+"""`meshpoint captures`: edges of real sensors through the node's edge gate, or as a log."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.commands import arguments, capture_log
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.capture_prediction import EDGES_AHEAD
@@ -36,26 +36,35 @@ def add_parser(commands: Any) -> None:
         "shown the count right; teeth checked: edges whose tooth the whole file tells as well, "
         "wrong: those numbered otherwise; constant, turn ago, in use: RMS error of the time by "
         "constant speed, by the turn before scaled to the speed, and by whatever was best so far. "
-        "A file that gives no row is named with the reason.",
+        "A file that gives no row is named with the reason. With -o the edges of one capture "
+        "become a log of edge frames for `meshpoint replay`.",
     )
     parser.add_argument(
         "paths", type=Path, nargs="+", metavar="DIR|FILE", help="captures, or folders of .csv files"
     )
+    capture_log.add_arguments(parser)
     arguments.add_json(parser)
     parser.set_defaults(run=run)
 
 
 def run(namespace: argparse.Namespace) -> int:
     """Prints the table. Bad input if no file gives a row."""
-    with console("-").status("reading captures"):
-        rows, refused = capture_rows(_files(namespace.paths))
+    files, asked = _files(namespace.paths), capture_log.asked_of(namespace)
+    refused: list[Refused] = []
+    if namespace.output is not None:
+        if len(files) != 1:
+            raise CommandError(f"-o writes one capture as a log, {len(files)} are given")
+        rows = [capture_log.write_log(namespace, files[0], asked)]
+    else:
+        with console("-").status("reading captures"):
+            rows, refused = capture_rows(files, asked)
     if namespace.json is not None:
         values = {
             "captures": [row.to_json() for row in rows],
             "refused": [{"file": r.file, "reason": r.reason} for r in refused],
         }
         write_json(namespace.json, values)
-    if namespace.json != "-" and rows:
+    if namespace.json != "-" and rows and namespace.output is None:
         _show(console(namespace.json), rows)
     _complain(refused)
     return Exit.DONE if rows else Exit.BAD_INPUT

@@ -34,6 +34,7 @@ from meshpoint.testbench.check.interface import (
 from meshpoint.testbench.check.listener import Listener
 from meshpoint.testbench.check.shafts import CLASSIC_SHAFTS, FEW_EDGES, Shaft, judge_turned
 from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.commands.alive import SIGN_OF_LIFE, judge_alive
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import complain, console, write_json
@@ -58,14 +59,23 @@ def add_parser(commands: Any) -> None:
         "plausible. Ends in yes (exit code 0) or no (1), with the reason; what cannot be known on "
         "this bus is said and is no reason for a no. docs/bench.md has the whole first day.",
     )
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument(
+        "--alive",
+        choices=tuple(SIGN_OF_LIFE),
+        metavar="NODE",
+        help="only whether this node, controller or rig, is at work: yes as soon as its status "
+        "frames are heard; for health checks of containers and services",
+    )
     parser.add_argument(
         "--seconds",
         type=float,
         default=5.0,
         metavar="S",
-        help="how long to listen (default: 5); tooth counts need a shaft that turns meanwhile",
+        help="how long to listen (default: 5), with --alive at most; tooth counts need a shaft "
+        "that turns meanwhile",
     )
-    parser.add_argument(
+    what.add_argument(
         "--turn",
         nargs="*",
         choices=tuple(Shaft),
@@ -100,6 +110,9 @@ def run(namespace: argparse.Namespace) -> int:
         if isinstance(link, LinkState):
             findings += judge_link(link, profile=arguments.wire_of(namespace))
         return _end(namespace, config, findings)
+    if namespace.alive is not None:
+        with bus:
+            return _end(namespace, config, [judge_alive(bus, namespace)])
     profile = arguments.wire_of(namespace)
     is_classic = profile is WireProfile.CLASSIC
     uncounted = set(namespace.turn or ()) - {str(shaft) for shaft in _counted(namespace)}

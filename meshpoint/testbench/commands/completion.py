@@ -1,15 +1,14 @@
-"""`meshpoint completion`: what a shell needs to complete our command lines, from our own parser."""
+"""`meshpoint help completion`: what a shell needs to complete our command lines."""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from typing import Any, Final, NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Final, NamedTuple
 
 from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.studies.registry import ALL, STUDY_NAMES
 
 SHELLS: Final = ("bash", "zsh", "fish")
@@ -25,28 +24,12 @@ NAMED: Final[dict[str, tuple[str, ...]]] = {
 """Arguments whose value is one of these names, or a file, by what they are kept as."""
 
 
-def add_parser(commands: Any) -> None:
-    """The command's arguments."""
-    parser: argparse.ArgumentParser = commands.add_parser(
-        "completion",
-        description="Prints a script that completes commands, options and their values. Where it "
-        "goes: bash, ~/.local/share/bash-completion/completions/meshpoint; zsh, a file that "
-        "~/.zshrc sources; fish, ~/.config/fish/completions/meshpoint.fish.",
-    )
-    parser.add_argument("shell", choices=SHELLS)
-    parser.set_defaults(run=run)
-
-
-def run(namespace: argparse.Namespace) -> int:
-    """Prints it."""
-    from meshpoint.testbench.commands.table import MODULES, build_parser
-
-    commands = _commands(build_parser(), MODULES)
-    if namespace.shell == "fish":
-        print(_fish(commands), end="")
-    else:
-        print((ZSH if namespace.shell == "zsh" else "") + _bash(commands), end="")
-    return Exit.DONE
+def script(shell: str, parser: argparse.ArgumentParser, summaries: Mapping[str, str]) -> str:
+    """The script for one of SHELLS that completes the parser's commands, each with its summary."""
+    commands = _commands(parser, summaries)
+    if shell == "fish":
+        return _fish(commands)
+    return (ZSH if shell == "zsh" else "") + _bash(commands)
 
 
 class Option(NamedTuple):
@@ -68,21 +51,20 @@ class Command(NamedTuple):
     words: tuple[str, ...]
 
 
-def _commands(parser: argparse.ArgumentParser, names: Any) -> list[Command]:
-    """Every command of the parser; options of inner commands (`gearbox show`) are its own."""
+def _commands(parser: argparse.ArgumentParser, summaries: Mapping[str, str]) -> list[Command]:
+    """Every command of the parser; options of inner commands (`show gearbox`) are its own."""
     from meshpoint.testbench.commands.reference import subparsers
-    from meshpoint.testbench.commands.table import SUMMARIES
 
     found, parsers = [], subparsers(parser)
-    for name in names:
+    for name, summary in summaries.items():
         inner = subparsers(parsers[name])
         options = tuple(
             option for one in (parsers[name], *inner.values()) for option in _options(one)
         )
         words = (*inner, *_positional(parsers[name]))
         if name == "help":
-            words = ("bus", *(other for other in names if other != name))
-        found.append(Command(name, SUMMARIES[name], options, words))
+            words = ("bus", "completion", *(one for one in summaries if one != name))
+        found.append(Command(name, summary, options, words))
     return found
 
 
@@ -108,7 +90,7 @@ def _positional(parser: argparse.ArgumentParser) -> list[str]:
 
 
 def _bash(commands: list[Command]) -> str:
-    values, words = [], []
+    values, words = [f'    help:completion) words="{" ".join(SHELLS)}" ;;'], []
     for command in commands:
         for option in command.options:
             pattern = "|".join(f"{command.name}:{name}" for name in option.names)
@@ -145,7 +127,11 @@ complete -o filenames -F _meshpoint meshpoint
 
 
 def _fish(commands: list[Command]) -> str:
-    lines = ["complete -c meshpoint -n __fish_use_subcommand -l version -l help"]
+    lines = [
+        "complete -c meshpoint -n __fish_use_subcommand -l version -l help",
+        "complete -c meshpoint -n '__fish_seen_subcommand_from completion' "
+        f"-a '{' '.join(SHELLS)}'",
+    ]
     for command in commands:
         summary = command.summary.replace("\\", "\\\\").replace("'", "\\'")
         lines.append(

@@ -1,4 +1,4 @@
-"""`meshpoint dbc`: the wire contract for other tools, and what is in it."""
+"""`meshpoint show messages`: the wire contract for other tools, and what is in it."""
 
 from __future__ import annotations
 
@@ -20,10 +20,11 @@ from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import console, tell, write_json
 
 
-def add_parser(commands: Any) -> None:
-    """The command's arguments."""
-    parser: argparse.ArgumentParser = commands.add_parser(
-        "dbc",
+def add_parser(things: Any) -> None:
+    """Its arguments."""
+    parser: argparse.ArgumentParser = things.add_parser(
+        "messages",
+        help="the messages on the bus, the signals of one, or where the DBC is",
         description="Lists the messages of the DBC that all nodes speak, or the signals of one.",
     )
     parser.add_argument("message", nargs="?", metavar="MESSAGE", help="the signals of this one")

@@ -1,4 +1,4 @@
-"""`meshpoint gearbox show`: a data sheet as people read it."""
+"""`meshpoint show gearbox`: a data sheet as people read it."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from meshpoint.testbench.results.output import console, write_json
 from meshpoint.units import RPM
 
 
-def add_parser(commands: Any) -> None:
-    """The command's arguments."""
-    parser: argparse.ArgumentParser = commands.add_parser("gearbox")
-    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    show = actions.add_parser("show", help="print a data sheet")
+def add_parser(things: Any) -> None:
+    """Its arguments."""
+    show: argparse.ArgumentParser = things.add_parser(
+        "gearbox", help="a data sheet: ratios, tooth counts, derived figures"
+    )
     show.add_argument(
         "gearbox",
         metavar="NAME|FILE",

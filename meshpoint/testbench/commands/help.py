@@ -1,16 +1,18 @@
-"""`meshpoint help`: help on a command, and the page on buses."""
+"""`meshpoint help`: help on a command, the page on buses, and what a shell completes."""
 
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import Any
 
 from meshpoint.bus.options import add_bus_arguments
+from meshpoint.testbench.commands.completion import SHELLS, script
 from meshpoint.testbench.commands.parsing import Parser, examples
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 
-BUS = "bus"
+BUS, COMPLETION = "bus", "completion"
 BUS_TEXT = """\
 Which bus a command opens, in this order:
 
@@ -35,9 +37,25 @@ BUS_EXAMPLES = (
 
 def add_parser(commands: Any) -> None:
     """The command's arguments."""
-    parser: argparse.ArgumentParser = commands.add_parser("help")
+    parser: argparse.ArgumentParser = commands.add_parser(
+        "help",
+        description="Help on a command; on which bus a command opens (bus); or the script with "
+        "which a shell completes commands, options and their values (completion). Where that "
+        "goes: bash, ~/.local/share/bash-completion/completions/meshpoint; zsh, a file that "
+        "~/.zshrc sources; fish, ~/.config/fish/completions/meshpoint.fish.",
+    )
     parser.add_argument(
-        "topic", nargs="?", metavar="COMMAND|bus", help="a command, or bus; default: all commands"
+        "topic",
+        nargs="?",
+        metavar="COMMAND|bus|completion",
+        help="what about; default: all commands",
+    )
+    parser.add_argument(
+        "shell",
+        nargs="?",
+        metavar="SHELL",
+        choices=SHELLS,
+        help=f"with completion: {', '.join(SHELLS)}",
     )
     parser.set_defaults(run=run)
 
@@ -54,18 +72,25 @@ def bus_parser() -> argparse.ArgumentParser:
 
 def run(namespace: argparse.Namespace) -> int:
     """Prints it."""
-    from meshpoint.testbench.commands.table import MODULES, build_parser
+    from meshpoint.testbench.commands.table import COMMANDS, MOVED, build_parser, moved_words
 
+    if (namespace.topic == COMPLETION) != (namespace.shell is not None):
+        raise CommandError(f"allowed is `help completion SHELL`, SHELL one of {', '.join(SHELLS)}")
     if namespace.topic is None:
         build_parser().print_help()
     elif namespace.topic == BUS:
         bus_parser().print_help()
-    elif namespace.topic in MODULES:
+    elif namespace.topic == COMPLETION:
+        summaries = {name: command.summary for name, command in COMMANDS.items()}
+        sys.stdout.write(script(namespace.shell, build_parser(), summaries))
+    elif namespace.topic in COMMANDS:
         try:
             build_parser(namespace.topic).parse_args([namespace.topic, "-h"])
         except SystemExit:
             return Exit.DONE
+    elif namespace.topic in MOVED:
+        raise CommandError(moved_words(namespace.topic))
     else:
-        known = ", ".join((BUS, *MODULES))
+        known = ", ".join((BUS, COMPLETION, *COMMANDS))
         raise CommandError(f"{namespace.topic!r}, allowed are {known}")
     return Exit.DONE

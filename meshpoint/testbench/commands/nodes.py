@@ -130,8 +130,8 @@ def _add_common(parser: argparse.ArgumentParser) -> None:
         "--pace",
         type=Path,
         metavar="FILE",
-        help="bus time shared with the other nodes, as `meshpoint pace FILE` keeps it: waits "
-        "for whoever the machine keeps from running (default: wall time)",
+        help="bus time shared with the other nodes, as `meshpoint up --pace-only FILE` keeps it: "
+        "waits for whoever the machine keeps from running (default: wall time)",
     )
     arguments.add_log(parser)
     parser.add_argument("-q", "--quiet", action="store_true", help="no lines about what happens")

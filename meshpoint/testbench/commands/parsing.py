@@ -31,10 +31,7 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "replay": (
         "meshpoint replay out/demo/target_phase.log --verify",
         "meshpoint replay out/demo/target_phase.log --strategy speed_window",
-    ),
-    "report": (
-        "meshpoint report out/demo/speed_window.log",
-        "meshpoint report bench/ --strategy target_phase --json report.json",
+        "meshpoint replay out/demo/speed_window.log --gap-rate",
     ),
     "identify": (
         "meshpoint identify out/demo/target_phase.log --gearbox truck12",
@@ -49,7 +46,11 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint watch -i socketcan -c can0",
         "meshpoint watch out/demo/target_phase.log --speed 0.2",
     ),
-    "up": ("meshpoint up", "meshpoint up --seed 7 --strategy speed_window --log run.log"),
+    "up": (
+        "meshpoint up",
+        "meshpoint up --seed 7 --strategy speed_window --log run.log",
+        "meshpoint up --pace-only bus.time",
+    ),
     "controller": (
         "meshpoint controller --header-dir .",
         "meshpoint controller -i socketcan -c can0 --settings bench.toml --arm",
@@ -57,10 +58,10 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     ),
     "rig": ("meshpoint rig --seed 7 --gear 8", "meshpoint rig --describe"),
     "request": ("meshpoint request 10",),
-    "health": ("meshpoint health controller -i socketcan -c vcan0",),
     "check": (
         "meshpoint check -i socketcan -c can0 --gearbox box.toml",
         "meshpoint check --turn main propeller --json check.json",
+        "meshpoint check --alive controller -i socketcan -c vcan0",
     ),
     "commission": (
         "meshpoint commission -i socketcan -c can0 --out measured.toml",
@@ -68,32 +69,34 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint commission --drawn 20 --gearbox truck12",
     ),
     "play": ("meshpoint play", "meshpoint play --gearbox thesis --out slow.html"),
-    "pace": (
-        "meshpoint pace bus.time",
-        "meshpoint rig --pace bus.time",
-        "meshpoint controller --pace bus.time",
-    ),
-    "gearbox": ("meshpoint gearbox show truck12",),
-    "gearbox show": ("meshpoint gearbox show truck12", "meshpoint gearbox show --toml > own.toml"),
-    "calibration": ("meshpoint calibration show box.toml",),
-    "calibration show": ("meshpoint calibration show box.toml --gearbox truck12",),
-    "captures": ("meshpoint captures my-captures --json -",),
-    "convert": (
-        "meshpoint convert wheel.csv -o wheel.log",
-        "meshpoint convert adc.csv --teeth 60 --missing 58,59 --threshold 2 -o a.log",
+    "captures": (
+        "meshpoint captures my-captures --json -",
+        "meshpoint captures wheel.csv -o wheel.log",
+        "meshpoint captures adc.csv --teeth 60 --missing 58,59 --threshold 2 -o a.log",
     ),
     "study": ("meshpoint study list", "meshpoint study 6.8 --out out/study"),
-    "settings": ("meshpoint settings show", "meshpoint settings show --toml > own.toml"),
-    "settings show": (
-        "meshpoint settings show limits",
-        "meshpoint settings show --toml > own.toml",
+    "show": (
+        "meshpoint show gearbox truck12",
+        "meshpoint show settings",
+        "meshpoint show calibration box.toml",
+        "meshpoint show messages ValveCommand",
     ),
-    "dbc": ("meshpoint dbc", "meshpoint dbc ValveCommand", "meshpoint dbc --path"),
-    "completion": (
-        "meshpoint completion bash > ~/.meshpoint-completion.bash",
-        "meshpoint completion fish > ~/.config/fish/completions/meshpoint.fish",
+    "show gearbox": ("meshpoint show gearbox truck12", "meshpoint show gearbox --toml > own.toml"),
+    "show settings": (
+        "meshpoint show settings limits",
+        "meshpoint show settings --toml > own.toml",
     ),
-    "help": ("meshpoint help simulate", "meshpoint help bus"),
+    "show calibration": ("meshpoint show calibration box.toml --gearbox truck12",),
+    "show messages": (
+        "meshpoint show messages",
+        "meshpoint show messages ValveCommand",
+        "meshpoint show messages --path",
+    ),
+    "help": (
+        "meshpoint help simulate",
+        "meshpoint help bus",
+        "meshpoint help completion bash > ~/.meshpoint-completion.bash",
+    ),
 }
 """The end of each command's help."""
 

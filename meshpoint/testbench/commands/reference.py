@@ -58,8 +58,8 @@ def settings_page() -> str:
         "# Settings of the controller", "", GENERATED, "",
         "`--settings FILE` of `controller`, `simulate`, `campaign`, `demo` and `up` reads a TOML "
         "file. A key that is left out keeps its default; an unknown key, a wrong type or a value "
-        "out of range is an error that names file, key and what is allowed. `meshpoint settings "
-        "show --toml` prints a whole file to start from.",
+        "out of range is an error that names file, key and what is allowed. `meshpoint show "
+        "settings --toml` prints a whole file to start from.",
     ]  # fmt: skip
     for group in groups_of(SettingsFile):
         lines += ["", f"## `[{group.name}]`" if group.name else "## At the top", ""]
@@ -78,7 +78,7 @@ def gearbox_page() -> str:
     lines = [
         "# The data sheet", "", GENERATED, "",
         "`--gearbox FILE` reads a TOML file with these keys; all but `missing` must be there. "
-        "`meshpoint gearbox show thesis --toml` prints a whole file to start from. The last "
+        "`meshpoint show gearbox thesis --toml` prints a whole file to start from. The last "
         "columns are the sheets that come with the product.",
     ]  # fmt: skip
     sheets = [groups_of(GearboxSheet, load_sheet(name)) for name in SHEET_NAMES]
@@ -98,15 +98,15 @@ def gearbox_page() -> str:
 
 def commands_page() -> str:
     """docs/reference/commands.md."""
-    from meshpoint.testbench.commands.table import EPILOG, MODULES, build_parser
+    from meshpoint.testbench.commands.table import COMMANDS, EXIT_CODES, build_parser
 
     lines = [
         "# Commands", "", GENERATED, "",
         "Commands that open a bus also take python-can's own arguments: `meshpoint help bus`.", "",
-        "```", *EPILOG[EPILOG.index("exit codes:") :].splitlines(), "```",
+        "```", *EXIT_CODES.splitlines(), "```",
     ]  # fmt: skip
     parser = build_parser()
-    for name in MODULES:
+    for name in COMMANDS:
         lines += _command(f"meshpoint {name}", subparsers(parser)[name])
     return "\n".join(lines) + "\n"
 

@@ -16,11 +16,12 @@ from typing import Any, NamedTuple
 from meshpoint.bus.light_can import load_can
 from meshpoint.bus.logs.files import log_files
 from meshpoint.bus.logs.limits import LogError
+from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.header import RunHeader
 from meshpoint.controller.settings import ESTIMATOR_NAMES, load_settings
 from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
-from meshpoint.testbench.commands import arguments, sensor_replay
+from meshpoint.testbench.commands import arguments, gap_rate, sensor_replay
 from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.commands.log_progress import complain_of_interrupt, logged_frames
 from meshpoint.testbench.commands.replay_page import log_name, write_replay_page
@@ -57,7 +58,8 @@ def add_parser(commands: Any) -> None:
         "replay",
         description="Feeds the frames of a log to the controller at the recorded steps and shows "
         "what it commands, shift by shift. The run header (header-*.json) is looked for beside "
-        "the log.",
+        "the log. With --gap-rate it says how often the log's controller met the gap, and how "
+        "often another one would have.",
     )
     parser.add_argument(
         "log",
@@ -72,10 +74,19 @@ def add_parser(commands: Any) -> None:
         metavar="J",
         help="each LOG is a bus of its own, J of them at a time; the results do not depend on J",
     )
-    parser.add_argument(
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument(
         "--verify",
         action="store_true",
         help="compare every frame with the log: identical, differs at step n, or not verifiable",
+    )
+    what.add_argument(
+        "--gap-rate",
+        action="store_true",
+        help="how often the log's controller, ours or not, met the gap, as the sleeves' positions "
+        "show it, and how often another (--strategy, default: target_phase; --settings ...) would "
+        "have: with a 95 %% interval, or not decidable and why. The log may be of `meshpoint "
+        "controller --shadow --log FILE` (docs/replay.md)",
     )
     parser.add_argument(
         "--strategy",
@@ -106,8 +117,10 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--gearbox",
         metavar="NAME|FILE",
-        help="what is decided by a controller that believes in this data sheet",
+        help="what is decided by a controller that believes in this data sheet; of a log without a "
+        "run header: its own data sheet",
     )
+    arguments.add_wire(parser.add_argument_group("with --gap-rate"))
     parser.add_argument("--header-dir", type=Path, metavar="DIR", help="where the run headers are")
     parser.add_argument(
         "--bus", metavar="NAME", help="of a log of several buses: can0, or its number"
@@ -121,12 +134,26 @@ def add_parser(commands: Any) -> None:
 def run(namespace: argparse.Namespace) -> int:
     """Replays, and verifies where asked; the first Ctrl-C ends it with what there is."""
     with interruptible() as stop:
+        if namespace.gap_rate:
+            return _gap_rate(namespace, stop)
+        if arguments.wire_of(namespace) is WireProfile.CLASSIC:
+            raise CommandError(
+                "--profile classic: for --gap-rate alone; else a log's profile is seen in it"
+            )
         if namespace.jobs is not None:
             return _each(namespace, stop)
         code, values = _replay(namespace, stop)
     if namespace.json is not None:
         write_json(namespace.json, values)
     return code
+
+
+def _gap_rate(namespace: argparse.Namespace, stop: Callable[[], bool]) -> int:
+    for name in ("sensors", "dbc", "map", "report", "jobs"):
+        if getattr(namespace, name):
+            raise CommandError(f"--{name}: not with --gap-rate, which says one sentence of one bus")
+    namespace.strategy = namespace.strategy or gap_rate.STRATEGY
+    return gap_rate.run(namespace, _asked(namespace), stop)
 
 
 class _One(NamedTuple):
@@ -186,7 +213,9 @@ def _alone(namespace: argparse.Namespace, stop: Callable[[], bool]) -> _One:
 
 def _replay(namespace: argparse.Namespace, stop: Callable[[], bool]) -> tuple[int, dict[str, Any]]:
     """One bus: exit code, and what `--json` has of it."""
-    chosen, verify = _chosen(namespace), namespace.verify
+    verify = namespace.verify
+    asked = _asked(namespace)
+    chosen = asked if asked.changes else None
     files = log_files(namespace.log)
     if not verify and sensor_replay.asked(namespace):
         return sensor_replay.run(namespace, files, "", stop)
@@ -261,9 +290,9 @@ def _by_sensors(
     return sensor_replay.run(namespace, files, str(replay.sessions[0]), stop)
 
 
-def _chosen(namespace: argparse.Namespace) -> Chosen | None:
-    """What the other controller has otherwise; None where none is asked about. CommandError where a
-    run shall be verified with something else than recorded it."""
+def _asked(namespace: argparse.Namespace) -> Chosen:
+    """What the other controller has otherwise. CommandError where a run shall be verified with
+    something else than recorded it."""
     name, gearbox = namespace.strategy, namespace.gearbox
     chosen = Chosen(
         name,
@@ -277,7 +306,7 @@ def _chosen(namespace: argparse.Namespace) -> Chosen | None:
         raise CommandError("--verify compares with the log: no other settings can be asked about")
     if chosen.settings is not None:
         load_settings(chosen.settings)
-    return chosen if chosen.changes else None
+    return chosen
 
 
 def _fed(log: LoggedFrames, rows: ReplayRows) -> Iterator[Frame]:

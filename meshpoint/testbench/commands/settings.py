@@ -1,4 +1,4 @@
-"""`meshpoint settings show`: every key of a controller's settings file."""
+"""`meshpoint show settings`: every key of a controller's settings file."""
 
 from __future__ import annotations
 
@@ -21,13 +21,11 @@ INDENT = "      "
 WIDEST = 100
 
 
-def add_parser(commands: Any) -> None:
-    """The command's arguments."""
-    parser: argparse.ArgumentParser = commands.add_parser("settings")
-    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    show = actions.add_parser(
-        "show",
-        help="print all keys",
+def add_parser(things: Any) -> None:
+    """Its arguments."""
+    show: argparse.ArgumentParser = things.add_parser(
+        "settings",
+        help="every setting of the controller: unit, range, default, meaning",
         description="Every key that --settings FILE may hold (docs/reference/settings.md).",
     )
     show.add_argument("group", nargs="?", metavar="GROUP", help="one table alone, as limits")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import importlib
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from meshpoint.testbench.commands.parsing import Parser
 from meshpoint.testbench.version import product_version
@@ -12,84 +12,86 @@ from meshpoint.testbench.version import product_version
 DESCRIPTION: Final = """\
 A transmission controller that fires a dog-clutch sleeve so that tooth meets gap, and a virtual
 gearbox rig to prove it against, as two nodes on a CAN bus."""
-EPILOG: Final = """\
+EXIT_CODES: Final = """\
+exit codes:
+  0    done
+  1    ran, but failed: a shift that did not end, a replay that differs, a log,
+       a record or words of a node for which there was no room
+  2    bad input: what was found and what is allowed is on standard error
+  3    not verifiable (replay), with the reason
+  4    not decided (campaign --against): more runs are needed
+  130  interrupted"""
+
+
+class Command(NamedTuple):
+    """A command."""
+
+    task: str
+    """The heading that it stands below in the help."""
+    module: str
+    """The module of `meshpoint.testbench.commands` that holds it."""
+    summary: str
+    """What it does, in a line of the help."""
+
+
+TRY, LIVE, BENCH = "try it", "nodes on a CAN bus", "a gearbox on the bench"
+LOGS, MANY, LOOK = "recorded logs", "many runs", "look up"
+COMMANDS: Final = {
+    "demo": Command(TRY, "demo", "both nodes live, both strategies: table, picture, verified log"),
+    "simulate": Command(TRY, "simulate", "shifts in virtual time: one process, no waiting"),
+    "play": Command(TRY, "play", "a page on which you fire the sleeve yourself"),
+    "up": Command(LIVE, "up", "rig and controller in one terminal, until Ctrl-C"),
+    "controller": Command(LIVE, "nodes", "the transmission controller as a node on a CAN bus"),
+    "rig": Command(LIVE, "nodes", "the virtual gearbox as a node on a CAN bus"),
+    "request": Command(LIVE, "request", "ask for a gear over the bus"),
+    "watch": Command(LIVE, "watch", "a bus, or a log, as a picture in the terminal"),
+    "check": Command(BENCH, "check", "is the bus ready for the controller, is a node at work"),
+    "commission": Command(BENCH, "commission", "which output moves what, one at a time"),
+    "replay": Command(LOGS, "replay", "a log through the same controller, or through another"),
+    "tell": Command(LOGS, "tell", "a log in plain words, one line an event"),
+    "identify": Command(LOGS, "identify", "a log's gearbox as a data sheet: brake, delays, teeth"),
+    "compare": Command(LOGS, "compare", "two logs, two --json records, or two settings files"),
+    "captures": Command(LOGS, "captures", "edges captured from real sensors: the teeth, or a log"),
+    "campaign": Command(MANY, "campaign", "seeded runs: strategies compared on the same draws"),
+    "study": Command(MANY, "study", "the thesis's figures and tables reproduced"),
+    "show": Command(LOOK, "show", "a data sheet, settings, calibration, or the bus's messages"),
+    "help": Command(LOOK, "help", "a command, which bus is opened, what a shell completes"),
+}  # fmt: skip
+"""Every command, in the order of the help."""
+MOVED: Final = {
+    "calibration": "show calibration",
+    "completion": "help completion",
+    "convert": "captures FILE -o LOG",
+    "dbc": "show messages",
+    "gearbox": "show gearbox",
+    "health": "check --alive NODE",
+    "pace": "up --pace-only FILE",
+    "report": "replay LOG --gap-rate",
+    "settings": "show settings",
+}
+"""What was a command of its own, and what does it now."""
+
+
+def moved_words(name: str) -> str:
+    """Where a command has gone."""
+    return f"`meshpoint {name}` is now `meshpoint {MOVED[name]}`"
+
+
+def _epilog() -> str:
+    """The commands by task, where to start, and the exit codes."""
+    lines: list[str] = []
+    for name, (task, _, summary) in COMMANDS.items():
+        if f"{task}:" not in lines:
+            lines += ["", f"{task}:"] if lines else [f"{task}:"]
+        lines.append(f"  {name:10}  {summary}")
+    start = """\
 start here:
   meshpoint demo                  both nodes, both strategies, a picture
   meshpoint simulate --shifts 20  the same in virtual time
   meshpoint up                    both nodes until Ctrl-C; in another terminal:
   meshpoint request 10            asks for gear 10
-  meshpoint help bus              which bus a command opens
-
-exit codes:
-  0    done
-  1    ran, but failed: a shift that did not end, a replay that differs, a log, a
-       record or words of a node for which there was no room
-  2    bad input: what was found and what is allowed is on standard error
-  3    not verifiable (replay), with the reason
-  4    not decided (campaign --against): more runs are needed
-  130  interrupted"""
-MODULES: Final = {
-    "demo": "demo",
-    "simulate": "simulate",
-    "campaign": "campaign",
-    "replay": "replay",
-    "report": "report",
-    "identify": "identify",
-    "tell": "tell",
-    "compare": "compare",
-    "up": "up",
-    "controller": "nodes",
-    "rig": "nodes",
-    "request": "request",
-    "watch": "watch",
-    "health": "health",
-    "check": "check",
-    "commission": "commission",
-    "play": "play",
-    "pace": "pace",
-    "gearbox": "gearbox",
-    "calibration": "calibration",
-    "captures": "captures",
-    "convert": "convert",
-    "study": "study",
-    "settings": "settings",
-    "dbc": "dbc",
-    "completion": "completion",
-    "help": "help",
-}
-"""The module of `meshpoint.testbench.commands` that holds each command, in the order of the
-help."""
-
-SUMMARIES: Final = {
-    "demo": "both nodes live, both strategies: a table, a picture, a report, a verified log",
-    "simulate": "shifts in virtual time: one process, encoded frames, no waiting",
-    "campaign": "many seeded runs: strategies compared on the same draws, with intervals",
-    "replay": "a recorded log through the same controller",
-    "report": "would another strategy have met the gap more often in a recorded log",
-    "identify": "brake, drag, delays, teeth of the gearbox in a log, as a data sheet",
-    "tell": "a log in plain words, one line an event",
-    "compare": "two logs, two --json records, or two settings files, also on a log",
-    "up": "rig and controller in one terminal, until Ctrl-C",
-    "controller": "the transmission controller as a node on a CAN bus",
-    "rig": "the virtual gearbox as a node on a CAN bus",
-    "request": "ask for a gear over the bus",
-    "watch": "what happens on a bus, or in a log, as a picture in the terminal",
-    "health": "whether a node is at work: its status frame is heard on the bus",
-    "check": "is a bus ready for the controller: interface, messages, stamps, sensors; yes or no",
-    "commission": "which output moves what, one at a time, on a box that stands",
-    "play": "a page on which you fire the sleeve yourself, then let the controller do it",
-    "pace": "bus time that waits for nodes which the machine keeps from running",
-    "gearbox": "show a data sheet: ratios, tooth counts, derived figures",
-    "calibration": "show what a controller has learned of a gearbox",
-    "captures": "edges captured from real sensors, through the node's edge gate",
-    "convert": "a capture of a sensor as a log of edge frames",
-    "study": "the thesis's figures and tables reproduced, ours beside them",
-    "settings": "show every setting of the controller: unit, range, default, meaning",
-    "dbc": "the DBC: where it is, its messages, the signals of one",
-    "completion": "what a shell needs to complete our command lines",
-    "help": "help on a command, or on which bus (`help bus`)",
-}
-"""What each command does, in a line of the help."""
+  meshpoint help bus              which bus a command opens"""
+    return "\n\n".join(("\n".join(lines), start, EXIT_CODES))
 
 
 class _Version(argparse.Action):
@@ -99,21 +101,19 @@ class _Version(argparse.Action):
         parser.exit(0, f"meshpoint {product_version()}\n")
 
 
-class _Commands(argparse._SubParsersAction):  # type: ignore[type-arg]
-    """The list of commands: each with its summary."""
-
-    def add_parser(self, name: str, **options: Any) -> Any:
-        return super().add_parser(name, **({"help": SUMMARIES.get(name, "")} | options))
-
-
 def _empty_parser() -> tuple[argparse.ArgumentParser, Any]:
-    parser = Parser(prog="meshpoint", description=DESCRIPTION, epilog=EPILOG)
+    parser = Parser(
+        prog="meshpoint",
+        usage="%(prog)s [-h] [--version] [--debug] COMMAND ...",
+        description=DESCRIPTION,
+        epilog=_epilog(),
+    )
     parser.add_argument(
         "--version", action=_Version, nargs=0, help="show program's version number and exit"
     )
     parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
     commands = parser.add_subparsers(
-        action=_Commands, dest="command", metavar="COMMAND", required=True
+        dest="command", metavar="COMMAND", required=True, prog="meshpoint", help=argparse.SUPPRESS
     )
     return parser, commands
 
@@ -122,7 +122,7 @@ def front_parser() -> argparse.ArgumentParser:
     """The parser for a line that names no command: help, version, errors. It knows the commands by
     name alone and loads none of them."""
     parser, commands = _empty_parser()
-    for name in MODULES:
+    for name in COMMANDS:
         commands.add_parser(name)
     return parser
 
@@ -131,7 +131,7 @@ def build_parser(command: str | None = None) -> argparse.ArgumentParser:
     """The parser with all commands, or with that of one command alone: loading all of them would
     take a node longer than all else that it does before its first step."""
     parser, commands = _empty_parser()
-    wanted = [MODULES[command]] if command in MODULES else dict.fromkeys(MODULES.values())
-    for name in wanted:
-        importlib.import_module(f"meshpoint.testbench.commands.{name}").add_parser(commands)
+    names = COMMANDS if command not in COMMANDS else [command]
+    for module in dict.fromkeys(COMMANDS[name].module for name in names):
+        importlib.import_module(f"meshpoint.testbench.commands.{module}").add_parser(commands)
     return parser

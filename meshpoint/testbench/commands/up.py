@@ -23,6 +23,7 @@ from meshpoint.dbc.node import Node
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.children import Child, end_all, spawn
 from meshpoint.testbench.commands.nodes import add_header_dir, add_rig_start
+from meshpoint.testbench.commands.pace import keep_pace_alone
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import complain
@@ -43,6 +44,14 @@ AT_REST: Final = (ControllerState.IN_GEAR, ControllerState.NEUTRAL)
 def add_parser(commands: Any) -> None:
     """The command's arguments."""
     parser: argparse.ArgumentParser = commands.add_parser("up", description=DESCRIPTION)
+    parser.add_argument(
+        "--pace-only",
+        type=Path,
+        metavar="FILE",
+        help="start no node: keep a bus time in FILE, made anew and removed at the end, for nodes "
+        "that are started elsewhere with `--pace FILE` and the same --speed. It goes with the wall "
+        "clock, but waits wherever a node has not done its step yet",
+    )
     both = parser.add_argument_group("both nodes")
     arguments.add_gearbox(both, has_preset=True)
     arguments.add_keys(both)
@@ -76,6 +85,9 @@ def _forwarded(group: argparse._ArgumentGroup, but: str = "") -> list[argparse.A
 
 def run(namespace: argparse.Namespace) -> int:
     """Runs both until a signal."""
+    if namespace.pace_only is not None:
+        keep_pace_alone(namespace.pace_only, namespace.speed)
+        return Exit.DONE
     namespace.gearbox = arguments.gearbox_of(namespace)  # the controller knows no preset
     # Bad settings and keys are found before anything is started.
     arguments.armed_of(namespace)

@@ -1,23 +1,20 @@
-"""`meshpoint report LOG`: would another controller have met the gap more often?"""
+"""`meshpoint replay LOG --gap-rate`: would another controller have met the gap more often?"""
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Final
 
 from meshpoint.bus.logs.files import log_files
 from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.header import RunHeader
-from meshpoint.controller.settings import load_settings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.node import Node
-from meshpoint.gearbox import GearboxSheet, load_sheet
-from meshpoint.rig_sim.settings import DEFAULT_PRESET
+from meshpoint.gearbox import GearboxSheet
 from meshpoint.testbench.commands import arguments
-from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.commands.log_progress import complain_of_interrupt, logged_frames
 from meshpoint.testbench.commands.replay_rows import ReplayRows
 from meshpoint.testbench.errors import CommandError
@@ -31,56 +28,21 @@ from meshpoint.testbench.logs.sleeve_contacts import ShiftWatch
 from meshpoint.testbench.results.output import console, write_json
 from meshpoint.testbench.shadow.answer import Answer, of_another, of_judged
 
-NOT_OURS = (
+STRATEGY: Final = "target_phase"
+"""The other controller's, where none is named."""
+NOT_OURS: Final = (
     "the log holds no run of our controller that can be repeated, so the state in which a shift "
     "was begun is unknown"
 )
 
 
-def add_parser(commands: Any) -> None:
-    """The command's arguments."""
-    parser: argparse.ArgumentParser = commands.add_parser(
-        "report",
-        description="How often the controller of a recorded bus met the gap, as the sleeves' "
-        "positions show it, and how often another strategy would have, worked out for each shift "
-        "with an interval; or that it cannot be decided, and why. The bus may have been recorded "
-        "by `meshpoint controller --shadow --log FILE`. docs/replay.md says what is worked out.",
-    )
-    parser.add_argument("log", type=Path, nargs="+", metavar="LOG", help=arguments.LOGS_HELP)
-    parser.add_argument(
-        "--strategy",
-        type=arguments.strategy_name,
-        default="target_phase",
-        metavar="NAME|FILE.py:CLASS",
-        help="the other strategy (default: target_phase)",
-    )
-    parser.add_argument(
-        "--settings", type=Path, metavar="FILE", help="the other controller's settings, TOML"
-    )
-    parser.add_argument(
-        "--gearbox",
-        default=DEFAULT_PRESET.sheet_name,
-        metavar="NAME|FILE",
-        help="data sheet, where no run header says it (default: %(default)s)",
-    )
-    parser.add_argument("--header-dir", type=Path, metavar="DIR", help="where the run headers are")
-    arguments.add_wire(parser)
-    parser.add_argument("--bus", metavar="NAME", help="of a log of several buses: can0")
-    arguments.add_json(parser)
-    parser.set_defaults(run=run)
-
-
-def run(namespace: argparse.Namespace) -> int:
-    """Reads the log once, and says both."""
-    files = log_files(namespace.log)
-    if namespace.settings is not None:
-        load_settings(namespace.settings)
-    unpack = arguments.unpacking_of(namespace, load_sheet(namespace.gearbox))
-    with (
-        interruptible() as stop,
-        logged_frames(files, namespace.bus, stop, unpack=unpack) as log,
-    ):
-        answer = _answer(namespace, files, log)
+def run(namespace: argparse.Namespace, chosen: Chosen, stop: Callable[[], bool]) -> int:
+    """How often the controller of a recorded bus met the gap, as the sleeves' positions show it,
+    and how often the chosen one would have: reads the log once, and says both."""
+    files, sheet = log_files(namespace.log), arguments.sheet_of(namespace)
+    unpack = arguments.unpacking_of(namespace, sheet)
+    with logged_frames(files, namespace.bus, stop, unpack=unpack) as log:
+        answer = _answer(namespace, chosen, files, log)
     out = console(namespace.json)
     out.print(answer.sentence, soft_wrap=True)
     for line in log.words():
@@ -101,12 +63,12 @@ def run(namespace: argparse.Namespace) -> int:
     return Exit.DONE if log.defect is None else Exit.BAD_INPUT
 
 
-def _answer(namespace: argparse.Namespace, files: list[Path], log: LoggedFrames) -> Answer:
-    name = namespace.strategy
-    chosen = Chosen(name, arguments.strategy_file(name), namespace.settings)
+def _answer(
+    namespace: argparse.Namespace, chosen: Chosen, files: list[Path], log: LoggedFrames
+) -> Answer:
+    name, sheet = str(chosen), arguments.sheet_of(namespace)
     open_loop = OpenLoop(lambda header: other_header(header, chosen), keeps_traces=False)
     rows = ReplayRows(False, open_loop, name)
-    sheet = load_sheet(namespace.gearbox)
     sleeves, unpack = _Sleeves(sheet), arguments.unpack_all_of(namespace, sheet)
     refused: list[str] = []
 
@@ -136,7 +98,7 @@ def _answer(namespace: argparse.Namespace, files: list[Path], log: LoggedFrames)
     if any(session.steps for session in sessions):
         return of_judged(rows.judged, sleeves.watch.shifts, name)
     why = refused[0] if refused else f"{NOT_OURS} ({sessions[0].reason})"
-    return of_another(sleeves.watch.shifts, name, why)
+    return of_another(sleeves.watch.shifts, str(chosen._replace(sheet=None)), why)
 
 
 class _Sleeves:
