@@ -10,8 +10,6 @@ ONE_PLACE = "meshpoint/testbench/results/output.py"
 OWN_WORDS = {
     "meshpoint/testbench/commands/reference.py": "names of pages of ours",
     "meshpoint/testbench/commands/replay.py": "what a console of ours printed, kept for its place",
-    "meshpoint/testbench/commands/request.py": "numbers, and words of the DBC",
-    "meshpoint/testbench/commands/tell.py": "one sentence of ours",
 }
 RICH = {"rich.markup", "rich.pretty"}
 

@@ -41,7 +41,8 @@ from meshpoint.rig_sim.truck.scenario import load_scenario
 from meshpoint.testbench.campaign import stored
 from meshpoint.testbench.campaign.columns import ShiftColumns
 from meshpoint.testbench.cli import main as meshpoint
-from meshpoint.testbench.commands.reference import settings_toml, sheet_toml
+from meshpoint.testbench.commands.gearbox import sheet_toml
+from meshpoint.testbench.commands.settings import settings_toml
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.logs.capture_files import read_columns
 

@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.parsing import EXAMPLES
-from meshpoint.testbench.commands.reference import subparsers
+from meshpoint.testbench.commands.parsing import EXAMPLES, subparsers
 from meshpoint.testbench.commands.table import COMMANDS, MOVED, build_parser, front_parser
 from meshpoint.testbench.results.output import check_writable
 

@@ -13,7 +13,7 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.plain_text import plain
 from meshpoint.testbench.campaign.table import records_table
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.reference import sheet_toml
+from meshpoint.testbench.commands.gearbox import sheet_toml
 from meshpoint.testbench.results.output import complain, console
 
 RED = "\x1b[31mred"

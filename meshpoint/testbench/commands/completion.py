@@ -9,6 +9,7 @@ from typing import Final, NamedTuple
 from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.settings import Profile
+from meshpoint.testbench.commands.parsing import subparsers
 from meshpoint.testbench.studies.registry import ALL, STUDY_NAMES
 
 SHELLS: Final = ("bash", "zsh", "fish")
@@ -53,8 +54,6 @@ class Command(NamedTuple):
 
 def _commands(parser: argparse.ArgumentParser, summaries: Mapping[str, str]) -> list[Command]:
     """Every command of the parser; options of inner commands (`show gearbox`) are its own."""
-    from meshpoint.testbench.commands.reference import subparsers
-
     found, parsers = [], subparsers(parser)
     for name, summary in summaries.items():
         inner = subparsers(parsers[name])

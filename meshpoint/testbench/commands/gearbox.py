@@ -12,10 +12,10 @@ from rich.table import Table
 
 from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.derived import SheetFigures, sheet_figures
+from meshpoint.gearbox.keys import groups_of, to_toml
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.settings import DEFAULT_PRESET
 from meshpoint.testbench.commands import arguments
-from meshpoint.testbench.commands.reference import sheet_toml
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import console, write_json
 from meshpoint.units import RPM
@@ -62,6 +62,12 @@ def run(namespace: argparse.Namespace) -> int:
         out.print(_gear_table(sheet, figures))
         out.print(_derived(sheet, figures))
     return Exit.DONE
+
+
+def sheet_toml(sheet: GearboxSheet) -> str:
+    """A data sheet as a file with every key explained; read again it is the same sheet."""
+    title = f"Data sheet {sheet.name}, sha256 {sheet.sha256}; `--gearbox FILE` takes it."
+    return to_toml(groups_of(GearboxSheet, sheet), title)
 
 
 def _gear_table(sheet: GearboxSheet, figures: SheetFigures) -> Table:

@@ -25,8 +25,7 @@ from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.settings import DEFAULT_PRESET
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.interrupt import interruptible
-from meshpoint.testbench.commands.log_progress import complain_of_interrupt, logged_frames
-from meshpoint.testbench.commands.replay_page import log_name
+from meshpoint.testbench.commands.log_progress import complain_of_interrupt, log_name, logged_frames
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.log_header import named_header

@@ -71,3 +71,9 @@ def read_in_sensor_time(
 def complain_of_interrupt(frames: int) -> None:
     """What is told ends early, because Ctrl-C asked for it."""
     complain(f"interrupted: what is told ends after {frames} frames of the log")
+
+
+def log_name(files: list[Path]) -> str:
+    """The first file's name, and how many there are beside it."""
+    more = f" and {len(files) - 1} more" if len(files) > 1 else ""
+    return f"{files[0].name}{more}"

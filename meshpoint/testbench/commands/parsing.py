@@ -149,3 +149,11 @@ def examples(*lines: str) -> str:
     """The end of a command's help: command lines to copy."""
     title = "example:" if len(lines) == 1 else "examples:"
     return "\n  ".join((title, *lines))
+
+
+def subparsers(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """The commands of a parser by name."""
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            return dict(action.choices)
+    return {}

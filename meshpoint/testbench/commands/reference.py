@@ -28,28 +28,14 @@ from meshpoint.bus.simulated.response_time import load, worst_response_ns
 from meshpoint.controller.settings import SettingsFile
 from meshpoint.dbc.schema import SCHEMA
 from meshpoint.gearbox import GearboxSheet, load_sheet
-from meshpoint.gearbox.keys import KeyGroup, groups_of, rounded, to_toml
+from meshpoint.gearbox.keys import groups_of, rounded
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.testbench.commands import vectors
+from meshpoint.testbench.commands.parsing import subparsers
 from meshpoint.testbench.exits import Exit
 
 SPECS: Final = {spec.name: spec for spec in SCHEMA.messages}
 GENERATED: Final = "Generated from the code by `make reference`; a test holds it equal."
-SETTINGS_TITLE: Final = (
-    "Settings of `meshpoint controller --settings FILE`: every key with its default. A key that is "
-    "left out keeps it."
-)
-
-
-def settings_toml(groups: list[KeyGroup] | None = None) -> str:
-    """A settings file with all defaults."""
-    return to_toml(groups or groups_of(SettingsFile), SETTINGS_TITLE)
-
-
-def sheet_toml(sheet: GearboxSheet) -> str:
-    """A data sheet as a file with every key explained; read again it is the same sheet."""
-    title = f"Data sheet {sheet.name}, sha256 {sheet.sha256}; `--gearbox FILE` takes it."
-    return to_toml(groups_of(GearboxSheet, sheet), title)
 
 
 def settings_page() -> str:
@@ -170,14 +156,6 @@ def vectors_page() -> str:
 
 def _milliseconds(time_ns: int | None) -> str:
     return "none" if time_ns is None else f"{time_ns / 1e6:.2f}"
-
-
-def subparsers(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
-    """The commands of a parser by name."""
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            return dict(action.choices)
-    return {}
 
 
 def _command(name: str, parser: argparse.ArgumentParser) -> list[str]:

@@ -23,8 +23,8 @@ from meshpoint.dbc.frame import Frame
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.commands import arguments, gap_rate, sensor_replay
 from meshpoint.testbench.commands.interrupt import interruptible
-from meshpoint.testbench.commands.log_progress import complain_of_interrupt, logged_frames
-from meshpoint.testbench.commands.replay_page import log_name, write_replay_page
+from meshpoint.testbench.commands.log_progress import complain_of_interrupt, log_name, logged_frames
+from meshpoint.testbench.commands.replay_page import write_replay_page
 from meshpoint.testbench.commands.replay_rows import ReplayRows
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit

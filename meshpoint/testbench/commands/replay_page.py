@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from meshpoint.testbench.commands.log_progress import log_name
 from meshpoint.testbench.commands.replay_rows import ReplayRows
 from meshpoint.testbench.logs.judged_rows import judged_words
 from meshpoint.testbench.logs.session import Session
@@ -65,9 +66,3 @@ def write_replay_page(
         ),
     )
     write_report(namespace.report, report)
-
-
-def log_name(files: list[Path]) -> str:
-    """The first file's name, and how many there are beside it."""
-    more = f" and {len(files) - 1} more" if len(files) > 1 else ""
-    return f"{files[0].name}{more}"

@@ -29,7 +29,7 @@ from meshpoint.gearbox.gears import DRIVE_GEARS
 from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.faults import STALE_FAULTS, explain
-from meshpoint.testbench.results.output import complain
+from meshpoint.testbench.results.output import complain, tell
 
 AGAIN_S = 0.2
 """The request is repeated until the controller is seen to act on it."""
@@ -67,7 +67,7 @@ def run(namespace: argparse.Namespace) -> int:
     with open_bus_from(namespace) as bus:
         if namespace.timeout <= 0:
             bus.send(message)
-            print(f"asked for gear {namespace.gear}")
+            tell(f"asked for gear {namespace.gear}")
             return Exit.DONE
         unpack = arguments.unpack_of(namespace)
         return _wait(bus, message, namespace.gear, namespace.timeout, unpack)
@@ -147,7 +147,7 @@ class _Asking:
         there = status.current_gear == self._gear and status.state is ControllerState.IN_GEAR
         if not (self._acting and there):
             return None
-        print(f"in gear {self._gear}")
+        tell(f"in gear {self._gear}")
         return Exit.DONE
 
     def _hear_outcome(self, outcome: ShiftOutcome) -> int | None:
@@ -156,7 +156,7 @@ class _Asking:
         if outcome.result is ShiftResult.ENGAGED:
             took_ms = ((outcome.end_time_us - outcome.request_time_us) & 0xFFFF_FFFF) / 1000
             strategy = outcome.strategy.name.lower()
-            print(f"{line} after {took_ms:.0f} ms ({strategy}, {outcome.attempts} fired)")
+            tell(f"{line} after {took_ms:.0f} ms ({strategy}, {outcome.attempts} fired)")
             return Exit.DONE
         if outcome.fault not in STALE_FAULTS:
             _complain(f"{line}, {explain(outcome.fault)}")

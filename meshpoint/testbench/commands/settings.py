@@ -6,16 +6,19 @@ import argparse
 import dataclasses
 import sys
 import textwrap
-from typing import Any
+from typing import Any, Final
 
 from meshpoint.controller.settings import SettingsFile
-from meshpoint.gearbox.keys import KeyGroup, groups_of, rounded
+from meshpoint.gearbox.keys import KeyGroup, groups_of, rounded, to_toml
 from meshpoint.testbench.commands import arguments
-from meshpoint.testbench.commands.reference import settings_toml
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.results.output import console, write_json
 
+SETTINGS_TITLE: Final = (
+    "Settings of `meshpoint controller --settings FILE`: every key with its default. A key that is "
+    "left out keeps it."
+)
 TOP = "top"
 INDENT = "      "
 WIDEST = 100
@@ -53,6 +56,11 @@ def run(namespace: argparse.Namespace) -> int:
             lines = key_lines(group, min(out.width, WIDEST))
             out.print("\n".join([*lines, ""]), soft_wrap=True)
     return Exit.DONE
+
+
+def settings_toml(groups: list[KeyGroup] | None = None) -> str:
+    """A settings file with all defaults."""
+    return to_toml(groups or groups_of(SettingsFile), SETTINGS_TITLE)
 
 
 def _chosen(groups: list[KeyGroup], name: str | None) -> list[KeyGroup]:

@@ -85,7 +85,7 @@ def run(namespace: argparse.Namespace) -> int:
         complain(f"meshpoint tell: {error}; what is told is all that stands before it")
         return Exit.BAD_INPUT
     if not told:
-        print("meshpoint tell: nothing to tell: no message of the DBC says an event")
+        out.print("meshpoint tell: nothing to tell: no message of the DBC says an event")
     return Exit.DONE
 
 
