@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import meshpoint
 from meshpoint import api
-from meshpoint.testbench.commands.reference import GENERATED
+from meshpoint.testbench.help.reference import GENERATED
 
 HEAD: Final = f"""\
 # The Python API, name by name

@@ -11,14 +11,14 @@ import sys
 from collections.abc import Sequence
 
 from meshpoint.bus.standard_error import OutputError, lasting_error, named_output
-from meshpoint.testbench.commands.table import (
+from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.table import (
     COMMANDS,
     MOVED,
     build_parser,
     front_parser,
     moved_words,
 )
-from meshpoint.testbench.exits import Exit
 
 ABOUT_ALL = frozenset({"-h", "--help", "--version"})
 """Said before a command, these end the line."""

@@ -22,10 +22,10 @@ from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement, SleevesMain
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.table import build_parser
 from meshpoint.testbench.logs.sleeve_contacts import SleeveContacts
 from meshpoint.testbench.shadow.answer import Answer
 from meshpoint.testbench.shadow.core import ShadowCore
+from meshpoint.testbench.table import build_parser
 from meshpoint.testbench.version import product_version
 
 SHIFTS = 3

@@ -7,7 +7,7 @@ import can
 import pytest
 
 from meshpoint.bus.options import bus_config, classic_refusal
-from meshpoint.testbench.commands.table import COMMANDS, build_parser
+from meshpoint.testbench.table import COMMANDS, build_parser
 
 DOCS = Path(__file__).parents[2] / "docs"
 TEXT = (DOCS / "bench.md").read_text(encoding="utf-8")

@@ -24,7 +24,7 @@ from meshpoint.rig_sim.truck.scenario import load_scenario
 from meshpoint.testbench.campaign.baseline import read_outcomes
 from meshpoint.testbench.campaign.columns import ShiftColumns
 from meshpoint.testbench.campaign.stored import read_shifts
-from meshpoint.testbench.commands.compare import load_record
+from meshpoint.testbench.compare.command import load_record
 from meshpoint.testbench.logs.capture_files import read_columns
 from meshpoint.testbench.logs.logged_frames import expected_frames
 from meshpoint.testbench.studies.settings import load_study_settings

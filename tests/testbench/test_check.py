@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from live_command import live
 from patience import until
 
-import meshpoint.testbench.commands.check as command
+import meshpoint.testbench.check.command as command
 from meshpoint.bus.frames import message_of
 from meshpoint.bus.profile import WireProfile
 from meshpoint.dbc.frame import Frame

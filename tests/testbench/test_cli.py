@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.parsing import EXAMPLES, subparsers
-from meshpoint.testbench.commands.table import COMMANDS, MOVED, build_parser, front_parser
+from meshpoint.testbench.command_line.parsing import EXAMPLES, subparsers
 from meshpoint.testbench.results.output import check_writable
+from meshpoint.testbench.table import COMMANDS, MOVED, build_parser, front_parser
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:

@@ -13,7 +13,7 @@ from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.table import COMMANDS
+from meshpoint.testbench.table import COMMANDS
 
 
 @pytest.fixture(scope="module")

@@ -13,8 +13,8 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.plain_text import plain
 from meshpoint.testbench.campaign.table import records_table
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.gearbox import sheet_toml
 from meshpoint.testbench.results.output import complain, console
+from meshpoint.testbench.show.gearbox import sheet_toml
 
 RED = "\x1b[31mred"
 TURNED = "a\u202eb\u2066c\u200fd"

@@ -10,8 +10,8 @@ import pytest
 
 import meshpoint
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands import arguments
-from meshpoint.testbench.commands.table import build_parser
+from meshpoint.testbench.command_line import arguments
+from meshpoint.testbench.table import build_parser
 
 OF = "sheet truck12, profile typical"
 

@@ -19,10 +19,10 @@ from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.keys import groups_of, unit_of
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.gearbox import sheet_toml
-from meshpoint.testbench.commands.reference import PAGES
-from meshpoint.testbench.commands.reference import main as reference
-from meshpoint.testbench.commands.settings import settings_toml
+from meshpoint.testbench.help.reference import PAGES
+from meshpoint.testbench.help.reference import main as reference
+from meshpoint.testbench.show.gearbox import sheet_toml
+from meshpoint.testbench.show.settings import settings_toml
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "reference"
 

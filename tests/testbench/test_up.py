@@ -24,7 +24,7 @@ from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.up import _commands, add_parser
+from meshpoint.testbench.live.up import _commands, add_parser
 
 READY = "in gear 8, ready"
 PROC = Path("/proc")

@@ -1,0 +1,1 @@
+"""Parameters of a gearbox from what a log holds, each with its interval; knows nothing of a rig."""
