@@ -168,7 +168,7 @@ def test_a_pace_file_that_is_cut_off_ends_its_processes_with_an_error(content, t
     assert node.returncode == 1
     assert "PaceError" in said
     assert str(path) in said
-    assert keeper.stderr.readline().startswith(f"meshpoint pace: {path}: ")
+    assert keeper.stderr.readline().startswith(f"pace: {path}: ")
     keeper.communicate(timeout=60)
     assert keeper.returncode == 1
 
