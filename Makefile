@@ -121,7 +121,7 @@ types: $(VENV)/test.stamp
 
 # docs/reference/, from the code
 reference: $(VENV)/test.stamp
-	$(BIN)/python -m meshpoint.testbench.commands.reference docs/reference
+	$(BIN)/python -m meshpoint.testbench.help.reference docs/reference
 	$(BIN)/python -m meshpoint.api.reference docs/reference/api.md
 
 # locks/, after a change to constraints.txt or to the dependencies

@@ -73,7 +73,7 @@ inside() {
     cd "$folder"
     candump -D -L vcan0 >run.log &
     local candump=$!
-    meshpoint pace bus.time --speed "$speed" &
+    meshpoint up --pace-only bus.time --speed "$speed" &
     local pace=$!
     until [[ -e bus.time ]]; do sleep 0.1; kill -0 "$pace"; done
     say 'rig and controller are starting'

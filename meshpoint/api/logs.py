@@ -93,7 +93,7 @@ class Log:
         """
         name = kind if isinstance(kind, str) else kind.__name__
         if name not in CODECS:
-            raise KeyError(f"{name}: no message of the DBC; `meshpoint dbc` lists them")
+            raise KeyError(f"{name}: no message of the DBC; `meshpoint show messages` lists them")
         codec, times_s, found = CODECS[name], [], []
         for time_s, frame in self:
             message = read_alone(codec, frame)

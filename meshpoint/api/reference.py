@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import meshpoint
 from meshpoint import api
-from meshpoint.testbench.commands.reference import GENERATED
+from meshpoint.testbench.help.reference import GENERATED
 
 HEAD: Final = f"""\
 # The Python API, name by name
@@ -39,7 +39,7 @@ def _entries() -> Iterator[str]:
         if name == "__version__":
             yield "## `__version__`\n\nThe version of the product, as text.\n"
         elif inspect.ismodule(value):
-            yield f"## `{name}`\n\n{inspect.getdoc(value)} `meshpoint dbc` lists them.\n"
+            yield f"## `{name}`\n\n{inspect.getdoc(value)} `meshpoint show messages` lists them.\n"
         elif inspect.isclass(value):
             yield from _class(name, value)
         else:

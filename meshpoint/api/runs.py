@@ -32,7 +32,6 @@ from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.result import Collected, to_json
 from meshpoint.testbench.campaign.runner import run_all, workplace
 from meshpoint.testbench.campaign.spec import CampaignSpec
-from meshpoint.testbench.commands.replay_rows import ReplayRows
 from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.logs.session import Session, Verification
 from meshpoint.testbench.loop.schedules import Pairs, check_preset
@@ -41,6 +40,7 @@ from meshpoint.testbench.loop.simulate import simulate as run_simulation
 from meshpoint.testbench.open_loop.chosen import Chosen, other_header, recorded_header
 from meshpoint.testbench.open_loop.judged_rows import JudgedRow
 from meshpoint.testbench.open_loop.open_loop import OpenLoop
+from meshpoint.testbench.replay.rows import ReplayRows
 from meshpoint.testbench.results.rows import ShiftRow, Summary, summarise
 
 if TYPE_CHECKING:

@@ -252,7 +252,7 @@ def main(arguments: list[str] | None = None) -> int:
     def keep() -> None:
         faults[0] = keep_pace(chosen.file, chosen.speed, ending)
         if faults[0]:
-            sys.stderr.write(f"meshpoint pace: {faults[0]}\n")
+            sys.stderr.write(f"pace: {faults[0]}\n")
 
     keeper = threading.Thread(target=keep)
     keeper.start()

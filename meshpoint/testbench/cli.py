@@ -11,8 +11,14 @@ import sys
 from collections.abc import Sequence
 
 from meshpoint.bus.standard_error import OutputError, lasting_error, named_output
-from meshpoint.testbench.commands.table import MODULES, build_parser, front_parser
 from meshpoint.testbench.exits import Exit
+from meshpoint.testbench.table import (
+    COMMANDS,
+    MOVED,
+    build_parser,
+    front_parser,
+    moved_words,
+)
 
 ABOUT_ALL = frozenset({"-h", "--help", "--version"})
 """Said before a command, these end the line."""
@@ -29,8 +35,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _main(arguments: Sequence[str] | None) -> int:
     given = sys.argv[1:] if arguments is None else list(arguments)
     command = next((word for word in given if not word.startswith("-")), None)
-    if command not in MODULES or ABOUT_ALL & set(given[: given.index(command)]):
-        front_parser().parse_args(given)  # ends here, whatever it says
+    about_all = bool(ABOUT_ALL & set(given[: given.index(command)])) if command else True
+    if about_all or command not in COMMANDS:
+        front = front_parser()
+        if command in MOVED and not about_all:
+            front.error(moved_words(command))
+        front.parse_args(given)  # ends here, whatever it says
     from meshpoint.bus.light_can import load_can
 
     load_can()

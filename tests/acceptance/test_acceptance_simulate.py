@@ -105,7 +105,7 @@ def test_provenance_names_seed_contract_sheet_and_version(issue_report: dict[str
     provenance = issue_report["provenance"]
     assert provenance["seed"] == 1
     assert provenance["dbc_sha256"] == hashlib.sha256(DBC_FILE.read_bytes()).hexdigest()
-    shown = run("gearbox", "show", "thesis", "--json", "-").json
+    shown = run("show", "gearbox", "thesis", "--json", "-").json
     assert provenance["gearbox_sha256"] == shown["sha256"]
     assert isinstance(provenance["version"], str) and provenance["version"]
 
@@ -232,7 +232,7 @@ def test_a_sheet_of_ones_own_takes_the_place_of_the_preset(tmp_path: Path) -> No
     sums = {}
     for name, changed in (("comment", text + "\n# a comment\n"), ("thesis", text)):
         (tmp_path / f"{name}.toml").write_text(changed)
-        sums[name] = run("gearbox", "show", tmp_path / f"{name}.toml", "--json", "-").json["sha256"]
+        sums[name] = run("show", "gearbox", tmp_path / f"{name}.toml", "--json", "-").json["sha256"]
     assert sums["comment"] == sums["thesis"] != report["provenance"]["gearbox_sha256"]
 
 

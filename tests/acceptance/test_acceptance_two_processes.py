@@ -34,7 +34,7 @@ class Bench:
         # Bus time that waits for a node which the machine stops, so that these tests judge the
         # nodes and not the machine.
         self.pace = cwd / "pace"
-        self.started.append(start("pace", self.pace, cwd=cwd))
+        self.started.append(start("up", "--pace-only", self.pace, cwd=cwd))
         while not self.pace.exists() or not self.pace.stat().st_size:
             time.sleep(0.01)
         if apart_s > 0.0:

@@ -90,8 +90,8 @@ def test_a_file_that_is_no_pace_file_is_refused_by_name(tmp_path):
 
 
 def test_a_node_that_waits_for_the_pace_file_never_opens_half_of_one(tmp_path):
-    """It was there, of 0 bytes, before it was written: a node started beside `meshpoint pace`
-    ended with an error now and then."""
+    """It was there, of 0 bytes, before it was written: a node started beside the pacemaker ended
+    with an error now and then."""
     path = tmp_path / "pace"
     faults, ending = [], threading.Event()
 
@@ -168,7 +168,7 @@ def test_a_pace_file_that_is_cut_off_ends_its_processes_with_an_error(content, t
     assert node.returncode == 1
     assert "PaceError" in said
     assert str(path) in said
-    assert keeper.stderr.readline().startswith(f"meshpoint pace: {path}: ")
+    assert keeper.stderr.readline().startswith(f"pace: {path}: ")
     keeper.communicate(timeout=60)
     assert keeper.returncode == 1
 

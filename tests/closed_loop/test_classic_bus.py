@@ -189,9 +189,9 @@ def test_the_command_line_has_the_profile(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Its DBC's path and messages; what has no room in it is refused with the reason."""
-    assert main(["dbc", "--path", "--profile", "classic"]) == 0
+    assert main(["show", "messages", "--path", "--profile", "classic"]) == 0
     assert capsys.readouterr().out.strip() == str(CLASSIC_DBC)
-    assert main(["dbc", "ValveOrders", "--profile", "classic"]) == 0
+    assert main(["show", "messages", "ValveOrders", "--profile", "classic"]) == 0
     assert "FirstTime" in capsys.readouterr().out
     settings = tmp_path / "fused.toml"
     settings.write_text("[crossing_filter]\nfuse_input = true\n")

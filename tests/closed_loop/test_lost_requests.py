@@ -59,8 +59,8 @@ def test_a_request_with_another_gear_than_was_consumed_is_told(one_shift: Loop) 
     assert account.to_json()["steps_of_changed_frames"] > 0
 
 
-@pytest.mark.parametrize("command", ["report", "identify"])
-def test_report_and_identify_tell_it(
+@pytest.mark.parametrize("command", ["replay --gap-rate", "identify"])
+def test_the_gap_rate_and_identify_tell_it(
     one_shift: Loop, tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str
 ) -> None:
     one_shift.header.save(tmp_path)
@@ -71,7 +71,7 @@ def test_report_and_identify_tell_it(
             if i != first:
                 log.write(time_us * 1e-6, frame)
     values = tmp_path / "told.json"
-    main([command, str(path), "--json", str(values)])
+    main([*command.split(), str(path), "--json", str(values)])
     told: dict[str, Any] = json.loads(values.read_text())
     assert told["account"]["consumed_but_missing"] == 1
     assert "1 frames lost that the controller has consumed" in capsys.readouterr().out

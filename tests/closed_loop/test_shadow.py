@@ -22,10 +22,10 @@ from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import EngagementEvent, ReferenceEngagement, SleevesMain
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.table import build_parser
 from meshpoint.testbench.logs.sleeve_contacts import SleeveContacts
 from meshpoint.testbench.open_loop.answer import Answer
 from meshpoint.testbench.open_loop.shadow import ShadowCore
+from meshpoint.testbench.table import build_parser
 from meshpoint.testbench.version import product_version
 
 SHIFTS = 3
@@ -153,7 +153,7 @@ def test_a_shadow_takes_nothing_that_would_act_or_keep(words, capsys) -> None:
 
 @pytest.mark.long
 def test_a_report_says_what_another_strategy_would_have_met(log: Path, capsys) -> None:
-    assert main(["report", str(log), "--json", "-"]) == 0
+    assert main(["replay", "--gap-rate", str(log), "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["recorded"]["shifts"] == SHIFTS
     assert found["decided"] >= 1
@@ -172,7 +172,7 @@ def test_of_a_controller_that_is_not_ours_only_its_own_contacts_are_told(
         for time_us, frame in production.frames:
             if frame.can_id & 0xFF != OWN_ADDRESS:
                 writer.write(1000.0 + time_us * 1e-6, frame)
-    assert main(["report", str(path), "--json", "-"]) == 0
+    assert main(["replay", "--gap-rate", str(path), "--json", "-"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["rate"] is None
     assert found["recorded"]["shifts"] >= SHIFTS

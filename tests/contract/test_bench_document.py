@@ -7,12 +7,12 @@ import can
 import pytest
 
 from meshpoint.bus.options import bus_config, classic_refusal
-from meshpoint.testbench.commands.table import MODULES, build_parser
+from meshpoint.testbench.table import COMMANDS, build_parser
 
 DOCS = Path(__file__).parents[2] / "docs"
 TEXT = (DOCS / "bench.md").read_text(encoding="utf-8")
 FIRST_DAY = TEXT[TEXT.index("## First power-up") : TEXT.index("## What the guard")]
-COMMANDS = [
+TYPED = [
     " ".join(found.split())
     for found in re.findall(
         r"`(meshpoint [^`]+)`|^    (meshpoint [^#\n]+)", FIRST_DAY, re.MULTILINE
@@ -20,19 +20,19 @@ COMMANDS = [
     for found in found
     if found
 ]
-WITHOUT_BUS = ("gearbox", "replay")
+WITHOUT_BUS = ("show", "replay")
 
 
 def test_the_first_day_has_commands() -> None:
-    used = {command.split()[1] for command in COMMANDS}
+    used = {command.split()[1] for command in TYPED}
     assert {"check", "commission", "controller", "request", "watch", "replay", "rig"} <= used
 
 
-@pytest.mark.parametrize("command", COMMANDS)
+@pytest.mark.parametrize("command", TYPED)
 def test_a_step_of_the_first_day_is_a_whole_command(command: str) -> None:
     typed = command.partition(" >")[0].replace("$BUS", "-i socketcan -c can0")
     _, name, *words = typed.split()
-    assert name in MODULES
+    assert name in COMMANDS
     build_parser(name).parse_args([name, *words])
     at_the_desk = name == "rig"
     assert at_the_desk or name in WITHOUT_BUS or "$BUS" in command

@@ -8,12 +8,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 ONE_PLACE = "meshpoint/testbench/results/output.py"
 OWN_WORDS = {
-    "meshpoint/testbench/commands/completion.py": "a script of ours",
-    "meshpoint/testbench/commands/health.py": "numbers, and one of two names",
-    "meshpoint/testbench/commands/reference.py": "names of pages of ours",
-    "meshpoint/testbench/commands/replay.py": "what a console of ours printed, kept for its place",
-    "meshpoint/testbench/commands/request.py": "numbers, and words of the DBC",
-    "meshpoint/testbench/commands/tell.py": "one sentence of ours",
+    "meshpoint/testbench/help/reference.py": "names of pages of ours",
+    "meshpoint/testbench/replay/command.py": "what a console of ours printed, kept for its place",
 }
 RICH = {"rich.markup", "rich.pretty"}
 

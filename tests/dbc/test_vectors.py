@@ -9,7 +9,7 @@ from e2e import p05
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.source import DBC_PATH
-from meshpoint.testbench.commands.vectors import encoded
+from meshpoint.testbench.help.vectors import encoded
 
 VECTORS = encoded()
 DATABASE = cantools.database.load_file(DBC_PATH)

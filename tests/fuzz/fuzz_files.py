@@ -41,9 +41,10 @@ from meshpoint.rig_sim.truck.scenario import load_scenario
 from meshpoint.testbench.campaign import stored
 from meshpoint.testbench.campaign.columns import ShiftColumns
 from meshpoint.testbench.cli import main as meshpoint
-from meshpoint.testbench.commands.reference import settings_toml, sheet_toml
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.logs.capture_files import read_columns
+from meshpoint.testbench.show.gearbox import sheet_toml
+from meshpoint.testbench.show.settings import settings_toml
 
 SLOW_S = 20.0
 """Of processor time; the largest of these files is read in a hundredth of that."""

@@ -24,7 +24,7 @@ from meshpoint.rig_sim.truck.scenario import load_scenario
 from meshpoint.testbench.campaign.baseline import read_outcomes
 from meshpoint.testbench.campaign.columns import ShiftColumns
 from meshpoint.testbench.campaign.stored import read_shifts
-from meshpoint.testbench.commands.compare import load_record
+from meshpoint.testbench.compare.command import load_record
 from meshpoint.testbench.logs.capture_files import read_columns
 from meshpoint.testbench.logs.logged_frames import expected_frames
 from meshpoint.testbench.studies.settings import load_study_settings
@@ -41,7 +41,7 @@ def configured_bus(path: Path) -> None:
 
 
 def told_of(path: Path) -> None:
-    """What `replay`, `report` and `identify` do first: about how many frames there are."""
+    """What `replay` and `identify` do first: about how many frames there are."""
     assert expected_frames([path]) is None
     list(read_log(path))
 

@@ -1,4 +1,4 @@
-"""--calibration and `meshpoint calibration show`, as they are used."""
+"""--calibration and `meshpoint show calibration`, as they are used."""
 
 from __future__ import annotations
 
@@ -72,11 +72,11 @@ def test_a_refused_file_is_named_kept_and_the_run_goes_on_cold(
 def test_show_tells_people_and_programs_what_was_learned(
     learned: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["calibration", "show", str(learned)]) == 0
+    assert main(["show", "calibration", str(learned)]) == 0
     shown = capsys.readouterr().out
     for words in ("over 2 shifts", "data sheet thesis", "layshaft", "second", "eccentricity"):
         assert words in shown
-    assert main(["calibration", "show", str(learned), "--json", "-"]) == 0
+    assert main(["show", "calibration", str(learned), "--json", "-"]) == 0
     values = json.loads(capsys.readouterr().out)
     assert values["provenance"]["shifts"] == 2
     assert len(values["wheels"]["main"]["error_rad"]) == 90
@@ -94,7 +94,7 @@ def test_show_says_why_a_controller_would_refuse_it(
         ([str(learned), "--gearbox", "truck12"], ("box.toml", "sheet_sha256", "truck12")),
         ([str(tmp_path / "none.toml")], ("none.toml", "cannot be read")),
     ):
-        assert main(["calibration", "show", *arguments]) == 2
+        assert main(["show", "calibration", *arguments]) == 2
         err = capsys.readouterr().err
         for word in words:
             assert word in err

@@ -1,4 +1,4 @@
-"""`meshpoint captures` and `meshpoint convert` on files made here: wheel, teeth, refusals."""
+"""`meshpoint captures` on files made here: wheel, teeth, refusals."""
 
 from __future__ import annotations
 
@@ -162,7 +162,7 @@ def test_a_converted_capture_is_numbered_by_the_node(
     write_changes(tmp_path / "a.csv", (34, 35))
     log = tmp_path / "a.log"
     told = ["--column", "1", "--teeth", "36", "--missing", "34,35", "--polarity", polarity]
-    command = ["convert", str(tmp_path / "a.csv"), *told, "--shaft", "layshaft", "-o", str(log)]
+    command = ["captures", str(tmp_path / "a.csv"), *told, "--shaft", "layshaft", "-o", str(log)]
     assert main(command) == 0
     out = capsys.readouterr().out
     assert "teeth = 36, missing = [34, 35]" in out
@@ -186,10 +186,28 @@ def test_what_is_not_said_is_tried_and_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_voltage(tmp_path / "v.csv")
-    assert main(["convert", str(tmp_path / "v.csv"), "-o", str(tmp_path / "v.log")]) == 0
+    assert main(["captures", str(tmp_path / "v.csv"), "-o", str(tmp_path / "v.log")]) == 0
     out = capsys.readouterr().out
     assert "tried: V, falling: 60-2" in out
     assert "edges: falling, wheel 60-2" in out
+
+
+def test_what_is_known_of_captures_is_used_for_all_of_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("a.csv", "b.csv"):
+        write_changes(tmp_path / name, (34, 35))
+    words = ["captures", str(tmp_path), "--polarity", "rising", "--json", "-"]
+    assert main(words) == 0
+    rows = json.loads(capsys.readouterr().out)["captures"]
+    assert [row["polarity"] for row in rows] == ["rising", "rising"]
+    (alone,) = rows[:1]
+    words = [*words, "-o", str(tmp_path / "a.log")]
+    words[1] = str(tmp_path / "a.csv")
+    assert main(words) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)["captures"] == [alone]
+    assert "frames in" in err
 
 
 @pytest.mark.parametrize(
@@ -207,7 +225,7 @@ def test_what_cannot_be_converted_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], options: list[str], named: str
 ) -> None:
     write_changes(tmp_path / "a.csv", (34, 35))
-    command = ["convert", str(tmp_path / "a.csv"), "-o", str(tmp_path / "a.log"), *options]
+    command = ["captures", str(tmp_path / "a.csv"), "-o", str(tmp_path / "a.log"), *options]
     try:
         code = main(command)
     except SystemExit as end:

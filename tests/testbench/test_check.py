@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 from live_command import live
 from patience import until
 
-import meshpoint.testbench.commands.check as command
+import meshpoint.testbench.check.command as command
 from meshpoint.bus.frames import message_of
 from meshpoint.bus.profile import WireProfile
 from meshpoint.dbc.frame import Frame
@@ -287,6 +287,22 @@ def test_over_the_local_bus_with_the_rig_as_the_other_side(
         assert "meshpoint tells no bit rates" in by_subject["bit timing"]["text"]
         assert by_subject["input turned by hand"]["verdict"] == "good"
         assert "turn the input shaft by hand" in said
+
+
+@pytest.mark.parametrize("profile", ["fd", "classic"])
+def test_a_node_is_alive_whose_status_is_heard_and_no_other(
+    channel: str, tmp_path: Path, capsys, profile: str
+) -> None:
+    bus = ["-c", channel, "--profile", profile]
+    with live(tmp_path, "rig", *bus, "--gearbox", "truck12") as rig:
+        rig.until_said("on meshpoint channel")
+        until(lambda: main(["check", "--alive", "rig", *bus]) == 0, "a rig at work")
+        assert "yes: " in capsys.readouterr().out
+        words = ["check", "--alive", "controller", *bus, "--seconds", "0.3", "--json", "-"]
+        assert main(words) == 1
+        record = json.loads(capsys.readouterr().out)
+    assert record["ready"] is False
+    assert record["reason"].startswith("controller: 0 status frames within 0.3 s")
 
 
 def test_a_dead_bus_is_one_line_that_says_what_was_listened_to(channel: str, capsys) -> None:

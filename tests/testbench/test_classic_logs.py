@@ -69,7 +69,7 @@ def test_it_is_watched(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_its_contacts_are_reported_and_what_cannot_be_decided_is_said(
     log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    words = ["report", str(log), "--gearbox", "truck12"]
+    words = ["replay", "--gap-rate", str(log), "--gearbox", "truck12"]
     assert main([*words, "--profile", "classic"]) == 0
     told = " ".join(capsys.readouterr().out.split())
     assert "met the gap in" in told

@@ -12,10 +12,9 @@ from pathlib import Path
 import pytest
 
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.parsing import EXAMPLES
-from meshpoint.testbench.commands.reference import subparsers
-from meshpoint.testbench.commands.table import MODULES, SUMMARIES, build_parser, front_parser
+from meshpoint.testbench.command_line.parsing import EXAMPLES, subparsers
 from meshpoint.testbench.results.output import check_writable
+from meshpoint.testbench.table import COMMANDS, MOVED, build_parser, front_parser
 
 
 def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
@@ -51,16 +50,25 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         ("replay nowhere.log", ("nowhere.log",)),
         ("fly", ("fly", "simulate")),
         ("simulate --shiftss 3", ("meshpoint simulate:", "unknown argument --shiftss 3")),
-        ("gearbox show --colour", ("meshpoint gearbox:", "unknown argument --colour")),
+        ("show gearbox --colour", ("meshpoint show:", "unknown argument --colour")),
         ("rig -i carrier-pigeon", ("carrier-pigeon", "socketcan")),
         ("simulate --shifts 1 --json nowhere/run.json", ("nowhere/run.json", "no folder nowhere")),
         ("campaign --runs 1 --json nowhere/run.json", ("no folder nowhere",)),
         ("demo -i virtual --json nowhere/run.json", ("no folder nowhere",)),
         ("study 6.8 --json nowhere/run.json", ("no folder nowhere",)),
         ("simulate --shifts 1 --report nowhere/run.html", ("no folder nowhere",)),
-        ("settings show nothing", ("nothing", "limits")),
-        ("dbc Nothing", ("Nothing", "ValveCommand")),
+        ("show settings nothing", ("nothing", "limits")),
+        ("show messages Nothing", ("Nothing", "ValveCommand")),
         ("help nothing", ("nothing", "bus", "simulate")),
+        ("help completion csh", ("csh", "bash", "zsh", "fish")),
+        ("help simulate bash", ("bash", "help completion")),
+        ("health controller", ("`meshpoint check --alive NODE`",)),
+        ("help health", ("`meshpoint check --alive NODE`",)),
+        ("check --alive engine", ("engine", "controller", "rig")),
+        ("replay a.log --gap-rate --verify", ("--verify", "--gap-rate")),
+        ("replay a.log --gap-rate --report a.html", ("--report", "--gap-rate")),
+        ("replay a.log --profile classic", ("--profile classic", "--gap-rate")),
+        ("captures a.csv b.csv -o a.log", ("-o", "one capture", "2")),
     ],
 )
 def test_a_mistake_is_told_in_one_line(
@@ -88,7 +96,7 @@ def test_a_mistyped_value_is_followed_by_a_hint(capsys: pytest.CaptureFixture[st
 def commands(
     parser: argparse.ArgumentParser, above: str = ""
 ) -> dict[str, argparse.ArgumentParser]:
-    """Every command, `gearbox show` as one of its own."""
+    """Every command, `show gearbox` as one of its own."""
     found = {}
     for name, inner in subparsers(parser).items():
         found[above + name] = inner
@@ -96,12 +104,12 @@ def commands(
     return found
 
 
-COMMANDS = commands(build_parser())
+PARSERS = commands(build_parser())
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", PARSERS)
 def test_each_help_ends_with_examples_that_can_be_given(name: str) -> None:
-    help_ = COMMANDS[name].format_help()
+    help_ = PARSERS[name].format_help()
     title, *lines = help_[help_.rindex("\nexample") + 1 :].strip().splitlines()
     assert title in ("example:", "examples:")
     assert lines
@@ -114,17 +122,17 @@ def test_each_help_ends_with_examples_that_can_be_given(name: str) -> None:
     assert name.split()[0] in shown
 
 
-@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("name", PARSERS)
 def test_help_fits_80_columns_and_has_pythoncans_arguments_in_one_line(
     name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("COLUMNS", "80")
-    help_ = COMMANDS[name].format_help()
+    help_ = PARSERS[name].format_help()
     assert max(map(len, help_.splitlines())) <= 80
     assert help_.count("--data-bitrate") <= 1
     assert "--bus-kwargs" not in help_
     opens_a_bus = name in (
-            "demo", "up", "rig", "controller", "request", "watch", "health", "check", "commission",
+            "demo", "up", "rig", "controller", "request", "watch", "check", "commission",
             "help",
         )  # fmt: skip
     assert help_.count("meshpoint help bus") == opens_a_bus
@@ -239,5 +247,34 @@ def test_a_command_loads_no_library_that_one_file_format_or_one_figure_needs(com
 
 
 def test_help_before_a_command_is_loaded_is_the_same() -> None:
-    assert list(SUMMARIES) == list(MODULES)
     assert front_parser().format_help() == build_parser().format_help()
+
+
+def test_the_first_help_has_every_command_once_by_task(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    with pytest.raises(SystemExit):
+        main(["-h"])
+    shown = capsys.readouterr().out.splitlines()
+    assert max(map(len, shown)) <= 80
+    lines = [f"  {name:10}  {command.summary}" for name, command in COMMANDS.items()]
+    assert [line for line in shown if line in lines] == lines
+    for name, command in COMMANDS.items():
+        above = shown[: shown.index(f"  {name:10}  {command.summary}")]
+        titles = [line for line in above if line.endswith(":") and not line.startswith(" ")]
+        assert titles[-1] == f"{command.task}:"
+    assert not [name for name in MOVED if any(line.startswith(f"  {name} ") for line in shown)]
+
+
+@pytest.mark.parametrize("name", MOVED)
+def test_a_command_of_old_says_where_it_has_gone(
+    capsys: pytest.CaptureFixture[str], name: str
+) -> None:
+    """Whatever is given behind it; and what it names is there."""
+    line = refusal(capsys, name, "x", "--help")
+    assert line.startswith(f"meshpoint: error: `meshpoint {name}` is now `meshpoint ")
+    now = line.split("`")[3].split()[1:]
+    assert now[0] in COMMANDS
+    parser = PARSERS.get(" ".join(now[:2]), PARSERS[now[0]])
+    assert all(word in parser.format_help() for word in now if word.startswith("-"))

@@ -1,4 +1,4 @@
-"""`meshpoint completion`: what bash offers at each place of a command line."""
+"""`meshpoint help completion`: what bash offers at each place of a command line."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.table import MODULES
+from meshpoint.testbench.table import COMMANDS
 
 
 @pytest.fixture(scope="module")
@@ -21,24 +21,24 @@ def scripts() -> dict[str, str]:
     found = {}
     for shell in ("bash", "zsh", "fish"):
         with contextlib.redirect_stdout(io.StringIO()) as printed:
-            assert main(["completion", shell]) == 0
+            assert main(["help", "completion", shell]) == 0
         found[shell] = printed.getvalue()
     return found
 
 
 CASES = [
     (("sim",), ["simulate"]),
-    (("",), sorted(MODULES)),
+    (("",), sorted(COMMANDS)),
     (("--v",), ["--version"]),
     (("simulate", "--as"), ["--as-built"]),
     (("simulate", "--preset", ""), ["thesis", "truck"]),
     (("simulate", "--shifts", "3", "--bus-q"), ["--bus-queue"]),
-    (("gearbox", ""), ["file.toml", "show"]),
+    (("show", ""), ["calibration", "file.toml", "gearbox", "messages", "settings"]),
     (("simulate", "--settings", ""), ["file.toml"]),
-    (("completion", "f"), ["file.toml", "fish"]),
+    (("help", "completion", "f"), ["fish"]),
     (("help", "b"), ["bus"]),
     (("rig", "--gearbox", ""), ["file.toml", *sorted(SHEET_NAMES)]),
-    (("report", "--gearbox", "t"), sorted(SHEET_NAMES)),
+    (("replay", "--gearbox", "t"), sorted(SHEET_NAMES)),
     (("demo", "--as-built", ""), sorted(("file.toml", *Profile))),
     (("controller", "--strategy", "target"), ["target_phase"]),
     (("campaign", "--strategy", ""), sorted(("file.toml", *STRATEGY_NAMES))),
@@ -69,7 +69,7 @@ def test_zsh_takes_the_script_of_bash(scripts: dict[str, str]) -> None:
 
 def test_fish_has_every_command_and_option(scripts: dict[str, str]) -> None:
     lines = scripts["fish"].splitlines()
-    for name in MODULES:
+    for name in COMMANDS:
         assert any(f"-a {name} -d '" in line for line in lines), name
     simulate = [line for line in lines if "from simulate'" in line]
     assert any(line.endswith("-l preset -xa 'thesis truck'") for line in simulate)

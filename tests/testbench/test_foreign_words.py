@@ -13,8 +13,8 @@ from meshpoint.gearbox import load_sheet
 from meshpoint.gearbox.plain_text import plain
 from meshpoint.testbench.campaign.table import records_table
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.reference import sheet_toml
 from meshpoint.testbench.results.output import complain, console
+from meshpoint.testbench.show.gearbox import sheet_toml
 
 RED = "\x1b[31mred"
 TURNED = "a\u202eb\u2066c\u200fd"
@@ -51,7 +51,7 @@ def test_what_steers_a_terminal_is_shown_as_an_escape(text: str, shown: str) -> 
 def test_a_sheet_s_name_is_shown_as_it_is_written(
     name: str, more: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["gearbox", "show", str(sheet_named(tmp_path, name)), *more]) == 0
+    assert main(["show", "gearbox", str(sheet_named(tmp_path, name)), *more]) == 0
     out = capsys.readouterr().out
     assert "\x1b" not in out
     assert "\u202e" not in out
@@ -68,7 +68,7 @@ def test_an_error_that_quotes_a_file_steers_nothing(
 ) -> None:
     path = tmp_path / "bad.toml"
     path.write_text('"\\u001b[31mred\\u202e" = 1\n', encoding="utf-8")
-    assert main(["gearbox", "show", str(path)]) == 2
+    assert main(["show", "gearbox", str(path)]) == 2
     err = capsys.readouterr().err
     assert "\\x1b[31mred\\u202e" in err
     assert "\x1b" not in err

@@ -18,7 +18,7 @@ TRUCK12 = Path(__file__).parents[2] / "meshpoint" / "gearbox" / "sheets" / "truc
 def test_show_prints_ratios_teeth_and_derived_figures(
     name: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["gearbox", "show", name]) == 0
+    assert main(["show", "gearbox", name]) == 0
     lines = capsys.readouterr().out.splitlines()
     sheet = load_sheet(name)
     rows = {words[0]: words for line in lines[2:16] if (words := line.split())}
@@ -31,7 +31,7 @@ def test_show_prints_ratios_teeth_and_derived_figures(
 
 
 def test_show_as_json_is_for_programs(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["gearbox", "show", "truck12", "--json", "-"]) == 0
+    assert main(["show", "gearbox", "truck12", "--json", "-"]) == 0
     shown = json.loads(capsys.readouterr().out)
     assert shown["ratios"]["12"] == 1.0
     assert shown["sheet"]["main"]["third"] == {"driving": 37, "driven": 35}

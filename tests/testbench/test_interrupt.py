@@ -18,7 +18,7 @@ from live_command import live
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.messages import ShiftOutcome
-from meshpoint.testbench.commands.interrupt import interruptible
+from meshpoint.testbench.command_line.interrupt import interruptible
 
 OUTCOME = f"{CODECS[ShiftOutcome.__name__].spec.can_id:08X}##"
 pytestmark = pytest.mark.timeout(900)

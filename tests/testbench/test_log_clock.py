@@ -163,7 +163,7 @@ def test_a_watched_log_has_its_messages_in_their_cycle(
     assert "its stamps are taken in sensor time" in said.err
 
 
-@pytest.mark.parametrize("command", ["identify", "report", "replay", "replay --sensors"])
+@pytest.mark.parametrize("command", ["identify", "replay --gap-rate", "replay", "replay --sensors"])
 def test_each_reader_says_what_it_did_with_the_clock(
     others: dict[str, Path], command: str, told: Told
 ) -> None:

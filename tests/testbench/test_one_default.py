@@ -10,8 +10,8 @@ import pytest
 
 import meshpoint
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands import arguments
-from meshpoint.testbench.commands.table import build_parser
+from meshpoint.testbench.command_line import arguments
+from meshpoint.testbench.table import build_parser
 
 OF = "sheet truck12, profile typical"
 
@@ -36,7 +36,7 @@ def test_a_command_without_a_rig_has_the_sheet_of_the_default_preset(command: st
 
 
 def test_a_sheet_is_shown_where_none_is_named(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["gearbox", "show"]) == 0
+    assert main(["show", "gearbox"]) == 0
     assert capsys.readouterr().out.startswith("gearbox truck12")
     assert meshpoint.load_gearbox().name == "truck12"
 

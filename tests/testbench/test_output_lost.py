@@ -30,7 +30,7 @@ def run(*arguments: str, **streams: int) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize("more", [(), ("--toml",), ("--json", "-")])
 def test_results_that_find_no_room_are_a_failure_in_one_line(more: tuple[str, ...]) -> None:
     with FULL.open("w") as full:
-        done = run("gearbox", "show", *more, stdout=full.fileno())
+        done = run("show", "gearbox", *more, stdout=full.fileno())
     assert done.returncode == 1
     assert "standard output cannot be written: No space left on device" in done.stderr
     assert "Traceback" not in done.stderr
@@ -41,7 +41,7 @@ def test_results_that_find_no_room_are_a_failure_in_one_line(more: tuple[str, ..
 def test_a_reader_of_results_that_has_seen_enough_is_no_failure(more: tuple[str, ...]) -> None:
     read, write = os.pipe()
     os.close(read)
-    done = run("gearbox", "show", *more, stdout=write)
+    done = run("show", "gearbox", *more, stdout=write)
     os.close(write)
     assert (done.returncode, done.stderr) == (0, "")
 
@@ -49,14 +49,14 @@ def test_a_reader_of_results_that_has_seen_enough_is_no_failure(more: tuple[str,
 def test_an_error_whose_words_nobody_reads_keeps_its_exit_code() -> None:
     read, write = os.pipe()
     os.close(read)
-    done = run("gearbox", "show", "no_such.toml", stderr=write)
+    done = run("show", "gearbox", "no_such.toml", stderr=write)
     os.close(write)
     assert (done.returncode, done.stdout) == (2, "")
 
 
 def test_a_command_without_standard_error_does_its_work() -> None:
     closed = subprocess.run(
-        ["/bin/sh", "-c", f"exec {sys.executable} -m meshpoint gearbox show no_such.toml 2>&-"],
+        ["/bin/sh", "-c", f"exec {sys.executable} -m meshpoint show gearbox no_such.toml 2>&-"],
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *sys.path])},
         stdout=subprocess.PIPE,
         check=False,

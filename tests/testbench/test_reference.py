@@ -19,8 +19,10 @@ from meshpoint.gearbox import GearboxSheet, load_sheet
 from meshpoint.gearbox.keys import groups_of, unit_of
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.reference import PAGES, settings_toml, sheet_toml
-from meshpoint.testbench.commands.reference import main as reference
+from meshpoint.testbench.help.reference import PAGES
+from meshpoint.testbench.help.reference import main as reference
+from meshpoint.testbench.show.gearbox import sheet_toml
+from meshpoint.testbench.show.settings import settings_toml
 
 DOCS = Path(__file__).resolve().parents[2] / "docs" / "reference"
 
@@ -84,7 +86,7 @@ def test_a_file_with_all_defaults_is_no_change(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "own.toml"
-    path.write_text(printed(capsys, "settings", "show", "--toml"))
+    path.write_text(printed(capsys, "show", "settings", "--toml"))
     assert path.read_text() == settings_toml()
     read = load_settings_file(path)
     assert read.settings == ControllerSettings()
@@ -98,7 +100,7 @@ def test_a_sheet_written_out_is_the_same_sheet(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
 ) -> None:
     path = tmp_path / "own.toml"
-    path.write_text(printed(capsys, "gearbox", "show", name, "--toml"))
+    path.write_text(printed(capsys, "show", "gearbox", name, "--toml"))
     assert load_sheet(path).sha256 == load_sheet(name).sha256
 
 
@@ -112,26 +114,27 @@ def test_missing_teeth_are_written_out_too(tmp_path: Path) -> None:
 
 
 def test_settings_are_shown_by_group_and_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    shown = printed(capsys, "settings", "show", "limits")
+    shown = printed(capsys, "show", "settings", "limits")
     assert "attempts = 3" in shown
     assert "a whole number from 1 to 10" in shown
     assert "How often a sleeve is fired in one shift." in shown
     assert "tick_ms" not in shown
-    keys = json.loads(printed(capsys, "settings", "show", "--json", "-"))["keys"]
+    keys = json.loads(printed(capsys, "show", "settings", "--json", "-"))["keys"]
     assert {"group", "name", "unit", "allowed", "default", "meaning"} == set(keys[0])
     assert len(keys) > 60
 
 
 def test_the_dbc_can_be_found_and_looked_into(capsys: pytest.CaptureFixture[str]) -> None:
-    path = printed(capsys, "dbc", "--path").strip()
+    path = printed(capsys, "show", "messages", "--path").strip()
     database = cantools.database.load_file(path)
     names = {message.name for message in database.messages}
-    listed = printed(capsys, "dbc")
+    listed = printed(capsys, "show", "messages")
     assert all(name in listed for name in names)
-    one = printed(capsys, "dbc", "controllerstatus")
+    one = printed(capsys, "show", "messages", "controllerstatus")
     assert "StepLateness" in one
-    values = json.loads(printed(capsys, "dbc", "ControllerStatus", "--json", "-"))
+    values = json.loads(printed(capsys, "show", "messages", "ControllerStatus", "--json", "-"))
     (message,) = values["messages"]
     parsed = database.get_message_by_name("ControllerStatus")
     assert [signal["name"] for signal in message["signals"]] == [s.name for s in parsed.signals]
-    assert len(json.loads(printed(capsys, "dbc", "--json", "-"))["messages"]) == len(names)
+    every = json.loads(printed(capsys, "show", "messages", "--json", "-"))["messages"]
+    assert len(every) == len(names)

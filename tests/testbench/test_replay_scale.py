@@ -14,10 +14,10 @@ from typing import Any
 import pytest
 
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands import log_progress
-from meshpoint.testbench.commands.replay_rows import ReplayRows
+from meshpoint.testbench.command_line import log_progress
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.logs.logged_frames import expected_frames
+from meshpoint.testbench.replay.rows import ReplayRows
 from meshpoint.testbench.results.output import write_json
 
 SHORT, LONG = 1, 2

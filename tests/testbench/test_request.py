@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 import can
 import pytest
 
-import meshpoint.testbench.commands.request as command
+import meshpoint.testbench.live.request as command
 from meshpoint.bus.frames import frame_of
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Receiver, Transmitter
@@ -215,6 +215,6 @@ def test_a_controller_on_a_slow_machine_may_be_silent_for_longer(monkeypatch, ca
         return speak(timeout)
 
     monkeypatch.setattr(bench, "recv", pauses)
-    monkeypatch.setattr("meshpoint.testbench.commands.request.times_slower", lambda: 10.0)
+    monkeypatch.setattr("meshpoint.testbench.live.request.times_slower", lambda: 10.0)
     code, _, said = ask(bench, monkeypatch, capsys, timeout=2.0)
     assert "silent" not in said, code

@@ -26,32 +26,31 @@ from meshpoint.rig_sim.truck.as_built import draw_as_built
 from meshpoint.testbench.campaign import table as campaign_table
 from meshpoint.testbench.campaign.record import JudgedShift
 from meshpoint.testbench.campaign.verdict_words import against_table
+from meshpoint.testbench.captures import command as captures_command
+from meshpoint.testbench.check.command import findings_table
 from meshpoint.testbench.check.finding import Finding as CheckFinding
 from meshpoint.testbench.check.finding import Verdict
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands import calibration as calibration_command
-from meshpoint.testbench.commands import captures as captures_command
-from meshpoint.testbench.commands import compare as compare_command
-from meshpoint.testbench.commands import dbc as dbc_command
-from meshpoint.testbench.commands import gearbox as gearbox_command
 from meshpoint.testbench.commands import study as study_command
-from meshpoint.testbench.commands.check import findings_table
-from meshpoint.testbench.commands.commission import measured_table
-from meshpoint.testbench.commands.describe import faults_table, parameters_table
-from meshpoint.testbench.commands.identify import checks_table, figures_table
-from meshpoint.testbench.commands.sensor_replay import seen_table
 from meshpoint.testbench.commands.swarm import reached_table
+from meshpoint.testbench.commission.command import measured_table
+from meshpoint.testbench.compare import command as compare_command
+from meshpoint.testbench.identify.command import checks_table, figures_table
 from meshpoint.testbench.identify.held_out import HeldOut
 from meshpoint.testbench.identify.identified import Figure
+from meshpoint.testbench.live.describe import faults_table, parameters_table
 from meshpoint.testbench.logs.captures import CaptureRow
 from meshpoint.testbench.logs.seen_shift import SeenShift
-from meshpoint.testbench.open_loop.course import Decision
-from meshpoint.testbench.open_loop.judged import Judged, Parting
+from meshpoint.testbench.open_loop.judged import Decision, Judged, Parting
 from meshpoint.testbench.open_loop.judged_rows import JudgedRow, judged_table
+from meshpoint.testbench.replay.sensors import seen_table
 from meshpoint.testbench.report.comparison import compare, comparison_table
 from meshpoint.testbench.results.output import rows_table
 from meshpoint.testbench.results.phases import PHASES
 from meshpoint.testbench.results.rows import ShiftRow
+from meshpoint.testbench.show import calibration as calibration_command
+from meshpoint.testbench.show import gearbox as gearbox_command
+from meshpoint.testbench.show import messages as messages_command
 from meshpoint.testbench.studies.record import Finding, Statement, ThesisVerdict
 from meshpoint.testbench.studies.registry import STUDY_NAMES, load
 from meshpoint.testbench.studies.runner import StudyRecord
@@ -172,28 +171,28 @@ TABLES: dict[str, Callable[[], Table]] = {
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
     "open_loop.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
     "commands.swarm.reached_table": lambda: reached_table(Swarm().to_json(1.0), GEARBOX),
-    "commands.compare.compared_table": lambda: compare_command.compared_table(
+    "compare.command.compared_table": lambda: compare_command.compared_table(
         "Shifts that differ", ("field", "A", "B"), [("shifts.0.slip_rpm", "20.1", "25.3")]
     ),
-    "commands.check.findings_table": lambda: findings_table(
+    "check.command.findings_table": lambda: findings_table(
         [
             CheckFinding(
                 "shafts", "layshaft to propeller, main gear second", Verdict.UNKNOWN, "of " * 50
             )
         ]
     ),
-    "commands.commission.measured_table": lambda: measured_table(
+    "commission.command.measured_table": lambda: measured_table(
         [{"key": "clutch.kiss_tolerance_percent", "measured": 3.25, "sheet": 5.0, "how": "of " * 9}]
     ),
-    "commands.identify.figures_table": lambda: figures_table(
+    "identify.command.figures_table": lambda: figures_table(
         [Figure("brake.valve_time_constant", "ms", 12.34, 11.98, 12.71, 12.5, 120)]
     ),
-    "commands.identify.checks_table": lambda: checks_table(
+    "identify.command.checks_table": lambda: checks_table(
         [HeldOut("sleeve delay, first gear", "ms", 120, 0.1234, 0.5678)]
     ),
-    "commands.captures.counts_table": lambda: captures_command.counts_table([CAPTURE]),
-    "commands.captures.errors_table": lambda: captures_command.errors_table([CAPTURE]),
-    "commands.sensor_replay.seen_table": lambda: seen_table(
+    "captures.command.counts_table": lambda: captures_command.counts_table([CAPTURE]),
+    "captures.command.errors_table": lambda: captures_command.errors_table([CAPTURE]),
+    "replay.sensors.seen_table": lambda: seen_table(
         "shifts that the log shows, by the ratio of speeds",
         [SeenShift(10, 12, 86_400_000_000, 86_400_500_000)],
     ),
@@ -203,18 +202,18 @@ TABLES: dict[str, Callable[[], Table]] = {
     "commands.study._table": lambda: study_command._table(
         [study_record(name) for name in STUDY_NAMES]
     ),
-    "commands.describe.parameters_table": lambda: parameters_table(
+    "live.describe.parameters_table": lambda: parameters_table(
         draw_as_built(7, {}), {"brake_gain": 1.0}
     ),
-    "commands.describe.faults_table": faults_table,
-    "commands.dbc.messages_table": dbc_command.messages_table,
-    "commands.dbc.signals_table": lambda: dbc_command.signals_table(SCHEMA.messages[11]),
-    "commands.gearbox._gear_table": lambda: gearbox_command._gear_table(
+    "live.describe.faults_table": faults_table,
+    "show.messages.messages_table": messages_command.messages_table,
+    "show.messages.signals_table": lambda: messages_command.signals_table(SCHEMA.messages[11]),
+    "show.gearbox._gear_table": lambda: gearbox_command._gear_table(
         load_sheet("truck12"), sheet_figures(load_sheet("truck12"))
     ),
 }
-"""By module and function; those of `calibration show` need a file and stand below."""
-WITH_A_FILE = ("commands.calibration._wheel_table", "commands.calibration._gear_table")
+"""By module and function; those of `show calibration` need a file and stand below."""
+WITH_A_FILE = ("show.calibration._wheel_table", "show.calibration._gear_table")
 
 
 def check(table: Table) -> None:
@@ -265,7 +264,7 @@ def test_each_data_sheet_fits_80_columns(name: str) -> None:
 
 @pytest.mark.parametrize("message", SCHEMA.messages, ids=lambda message: message.name)
 def test_the_signals_of_each_message_fit_80_columns(message: Any) -> None:
-    check(dbc_command.signals_table(message))
+    check(messages_command.signals_table(message))
 
 
 def makers() -> set[str]:

@@ -19,11 +19,12 @@ sys.path.insert(0, str(Path(__file__).parent))
 from live_command import POLL_S, LiveCommand, live
 
 from meshpoint.bus.logs.reader import read_log
+from meshpoint.bus.pace import PaceFile
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ValveAction, ValveCommand
 from meshpoint.dbc.node import Node
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.up import _commands, add_parser
+from meshpoint.testbench.live.up import _commands, add_parser
 
 READY = "in gear 8, ready"
 PROC = Path("/proc")
@@ -104,6 +105,19 @@ def test_a_request_from_elsewhere_shifts_and_ctrl_c_ends_both(
     actions = [v for name, v in last._asdict().items() if name.endswith("_action")]
     assert set(actions) == {ValveAction.OFF_NOW}
     assert main(["replay", str(log), "--verify"]) == 0
+
+
+def test_it_keeps_a_bus_time_alone_for_nodes_started_elsewhere(tmp_path: Path) -> None:
+    path = tmp_path / "bus.time"
+    with live(tmp_path, "up", "--pace-only", str(path)) as command:
+        command.until(path.exists)
+        pace = PaceFile(path)
+        command.until(lambda: pace.now_us > 0)
+        assert children(command.pid) == {}
+        command.signal(signal.SIGTERM)
+        assert command.end() == 0, command.said
+    assert not path.exists()
+    assert main(["up", "--pace-only", str(tmp_path / "nowhere" / "bus.time")]) == 2
 
 
 def test_both_nodes_get_the_keys_by_which_commands_are_proven(tmp_path: Path) -> None:

@@ -22,14 +22,14 @@ pytestmark = pytest.mark.skipif(
 UNTIL_TERM = """trap 'exit 0' TERM; : >"$FACTS/ready$1"; while :; do sleep 0.05; done"""
 MESHPOINT = f"""case "$1 $2" in
 'controller --help') [ -e "$FACTS/arming" ] && echo '  --arm  drive the valves'; exit 0 ;;
-pace*) : >"$2"; {UNTIL_TERM} ;;
+'up --pace-only') : >"$3"; {UNTIL_TERM} ;;
 rig*) {UNTIL_TERM} ;;
 controller*)
     [ -e "$FACTS/dies" ] && exit 1
     {UNTIL_TERM.replace("exit 0", 'echo ended >>"$FACTS/ended"; exit 0')} ;;
 request*)
     # A controller answers once it and the rig are at work.
-    for one in -D pace rig controller; do
+    for one in -D up rig controller; do
         until [ -e "$FACTS/ready$one" ]; do sleep 0.05; done
     done
     exit "$(cat "$FACTS/request")" ;;

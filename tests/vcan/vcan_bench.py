@@ -25,10 +25,10 @@ from patience import POLL_S, Patience, until
 from meshpoint.bus.light_can import load_can
 from meshpoint.bus.pace import PaceFile
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands.table import build_parser
+from meshpoint.testbench.table import build_parser
 
 load_can()  # as every command does: pandas alone takes an emulated processor half a minute
-for _name in ("pace", "rig", "controller", "request", "replay"):
+for _name in ("up", "rig", "controller", "request", "replay"):
     build_parser(_name)  # loads the command, before anything is forked
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -305,7 +305,7 @@ class Bench:
         self.wire = wire = VCAN if wire is None else wire
         wire.prepare()
         pace = folder / "pace.time"
-        self._pace = Command(folder, "pace", str(pace), "--speed", str(SPEED))
+        self._pace = Command(folder, "up", "--pace-only", str(pace), "--speed", str(SPEED))
         until(lambda: self._pace.poll() is not None or pace.exists(), "a bus time")
         assert self._pace.poll() is None, self._pace.said
         self._time = PaceFile(pace)

@@ -23,7 +23,7 @@ class Finding(NamedTuple):
     """One thing that was looked at."""
 
     group: str
-    """`interface`, `messages`, `stamps`, `sensors` or `shafts`."""
+    """`interface`, `messages`, `nodes`, `stamps`, `sensors` or `shafts`."""
     subject: str
     verdict: Verdict
     text: str

@@ -1,1 +1,1 @@
-"""The commands of `meshpoint`, one file for each: arguments in, exit code out."""
+"""`meshpoint campaign` and `meshpoint study`: arguments in, exit code out."""

@@ -34,9 +34,10 @@ from meshpoint.testbench.campaign.verdict_words import (
     stopped_words,
     write_junit,
 )
-from meshpoint.testbench.commands import arguments, swarm
+from meshpoint.testbench.command_line import arguments
+from meshpoint.testbench.command_line.interrupt import interruptible
+from meshpoint.testbench.commands import swarm
 from meshpoint.testbench.commands.campaign_before import baseline
-from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError, RunError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.loop.compiling import prepare

@@ -18,7 +18,7 @@ from meshpoint.testbench.campaign.git_reference import (
     own_strategy,
 )
 from meshpoint.testbench.campaign.spec import CampaignSpec
-from meshpoint.testbench.commands.arguments import gearbox_of
+from meshpoint.testbench.command_line.arguments import gearbox_of
 from meshpoint.testbench.errors import CommandError
 
 TABLE_ENDING = ".parquet"

@@ -14,7 +14,7 @@ from rich.text import Text
 from meshpoint.gearbox.reading import read_text
 from meshpoint.gearbox.tables import TABLE_LIMIT_BYTES
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.loop.compiling import prepare

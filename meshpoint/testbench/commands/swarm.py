@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from rich.table import Table
 
-from meshpoint.testbench.commands import arguments
+from meshpoint.testbench.command_line import arguments
 from meshpoint.testbench.errors import CommandError
 from meshpoint.testbench.exits import Exit
 from meshpoint.testbench.loop.compiling import prepare

@@ -83,12 +83,12 @@ class Refused:
     reason: str
 
 
-def capture_rows(paths: list[Path]) -> tuple[list[CaptureRow], list[Refused]]:
+def capture_rows(paths: list[Path], asked: Asked) -> tuple[list[CaptureRow], list[Refused]]:
     """A row or a reason for each file, in their order."""
     rows, refused = [], []
     for path in paths:
         try:
-            rows.append(choose(read_columns(path), Asked()).row())
+            rows.append(choose(read_columns(path), asked).row())
         except CommandError as error:
             reason = str(error).removeprefix(f"{path}: ").removeprefix(f"{path.name}: ")
             refused.append(Refused(path.name, reason))

@@ -81,8 +81,8 @@ class ShadowCore:
         return (
             f"shadow: sent nothing; {self.frames} frames heard; the production controller met the "
             f"gap in {seen.count('gap')} of {len(seen)} shifts, as the sleeves show; asked "
-            f"{len(asked)} times, the shadow would have fired {fired} times (`meshpoint report "
-            "LOG` says more)"
+            f"{len(asked)} times, the shadow would have fired {fired} times (`meshpoint replay "
+            "LOG --gap-rate` says more)"
         )
 
     def _tell_decided(self) -> None:

@@ -13,7 +13,7 @@ STALE_FAULTS: Final = frozenset(
 ends so may be asked again: nothing is broken."""
 LATE_ADVICE: Final = (
     "a node was late or is not there: free the machine, or let bus time wait for both nodes "
-    "(`meshpoint pace FILE`, and `--pace FILE` for rig and controller)"
+    "(`meshpoint up --pace-only FILE`, and `--pace FILE` for rig and controller)"
 )
 MEANING: Final[dict[FaultCode, str]] = {
     FaultCode.NONE: "no fault",

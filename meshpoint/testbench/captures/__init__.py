@@ -1,0 +1,1 @@
+"""`meshpoint captures`: edges captured from real sensors."""

@@ -1,0 +1,1 @@
+"""What commands share: their arguments, help and errors, Ctrl-C, progress."""

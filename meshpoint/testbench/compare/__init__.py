@@ -1,0 +1,1 @@
+"""`meshpoint compare`: two logs, records or settings files."""

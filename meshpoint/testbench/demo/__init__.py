@@ -1,0 +1,1 @@
+"""`meshpoint demo`: both nodes live, both strategies, and the report of it."""

@@ -1,0 +1,1 @@
+"""Nodes on a bus: `meshpoint controller`, `rig`, `up`, `request`."""

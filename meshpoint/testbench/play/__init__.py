@@ -1,0 +1,1 @@
+"""`meshpoint play`: a page on which a person fires the sleeve."""

@@ -1,0 +1,1 @@
+"""`meshpoint replay`: a recorded log through the same controller, or through another."""

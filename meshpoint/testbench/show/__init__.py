@@ -1,0 +1,1 @@
+"""`meshpoint show`: a data sheet, settings, a calibration, the messages on the bus."""

@@ -1,0 +1,1 @@
+"""`meshpoint simulate`: shifts in virtual time."""

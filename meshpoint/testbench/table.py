@@ -1,0 +1,138 @@
+"""The table of commands, and the parser made of it."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+from typing import Any, Final, NamedTuple
+
+from meshpoint.testbench.command_line.parsing import Parser
+from meshpoint.testbench.version import product_version
+
+DESCRIPTION: Final = """\
+A transmission controller that fires a dog-clutch sleeve so that tooth meets gap, and a virtual
+gearbox rig to prove it against, as two nodes on a CAN bus."""
+EXIT_CODES: Final = """\
+exit codes:
+  0    done
+  1    ran, but failed: a shift that did not end, a replay that differs, a log,
+       a record or words of a node for which there was no room
+  2    bad input: what was found and what is allowed is on standard error
+  3    not verifiable (replay), with the reason
+  4    not decided (campaign --against): more runs are needed
+  130  interrupted"""
+
+
+class Command(NamedTuple):
+    """A command."""
+
+    task: str
+    """The heading that it stands below in the help."""
+    summary: str
+    """What it does, in a line of the help."""
+    module: str = ""
+    """The module of `meshpoint.testbench` that holds it; empty: `command` in the room of its
+    name."""
+
+
+TRY, LIVE, BENCH = "try it", "nodes on a CAN bus", "a gearbox on the bench"
+LOGS, MANY, LOOK = "recorded logs", "many runs", "look up"
+COMMANDS: Final = {
+    "demo": Command(TRY, "both nodes live, both strategies: table, picture, verified log"),
+    "simulate": Command(TRY, "shifts in virtual time: one process, no waiting"),
+    "play": Command(TRY, "a page on which you fire the sleeve yourself"),
+    "up": Command(LIVE, "rig and controller in one terminal, until Ctrl-C", "live.up"),
+    "controller": Command(LIVE, "the transmission controller as a node on a CAN bus", "live.nodes"),
+    "rig": Command(LIVE, "the virtual gearbox as a node on a CAN bus", "live.nodes"),
+    "request": Command(LIVE, "ask for a gear over the bus", "live.request"),
+    "watch": Command(LIVE, "a bus, or a log, as a picture in the terminal"),
+    "check": Command(BENCH, "is the bus ready for the controller, is a node at work"),
+    "commission": Command(BENCH, "which output moves what, one at a time"),
+    "replay": Command(LOGS, "a log through the same controller, or through another"),
+    "tell": Command(LOGS, "a log in plain words, one line an event", "watch.tell"),
+    "identify": Command(LOGS, "a log's gearbox as a data sheet: brake, delays, teeth"),
+    "compare": Command(LOGS, "two logs, two --json records, or two settings files"),
+    "captures": Command(LOGS, "edges captured from real sensors: the teeth, or a log"),
+    "campaign": Command(MANY, "strategies compared on the same seeded draws", "commands.campaign"),
+    "study": Command(MANY, "the thesis's figures and tables reproduced", "commands.study"),
+    "show": Command(LOOK, "a data sheet, settings, calibration, or the bus's messages"),
+    "help": Command(LOOK, "a command, which bus is opened, what a shell completes"),
+}  # fmt: skip
+"""Every command, in the order of the help."""
+MOVED: Final = {
+    "calibration": "show calibration",
+    "completion": "help completion",
+    "convert": "captures FILE -o LOG",
+    "dbc": "show messages",
+    "gearbox": "show gearbox",
+    "health": "check --alive NODE",
+    "pace": "up --pace-only FILE",
+    "report": "replay LOG --gap-rate",
+    "settings": "show settings",
+}
+"""What was a command of its own, and what does it now."""
+
+
+def moved_words(name: str) -> str:
+    """Where a command has gone."""
+    return f"`meshpoint {name}` is now `meshpoint {MOVED[name]}`"
+
+
+def _epilog() -> str:
+    """The commands by task, where to start, and the exit codes."""
+    lines: list[str] = []
+    for name, (task, summary, _) in COMMANDS.items():
+        if f"{task}:" not in lines:
+            lines += ["", f"{task}:"] if lines else [f"{task}:"]
+        lines.append(f"  {name:10}  {summary}")
+    start = """\
+start here:
+  meshpoint demo                  both nodes, both strategies, a picture
+  meshpoint simulate --shifts 20  the same in virtual time
+  meshpoint up                    both nodes until Ctrl-C; in another terminal:
+  meshpoint request 10            asks for gear 10
+  meshpoint help bus              which bus a command opens"""
+    return "\n\n".join(("\n".join(lines), start, EXIT_CODES))
+
+
+class _Version(argparse.Action):
+    """Prints the version, which is looked up only then."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_given: object) -> None:
+        parser.exit(0, f"meshpoint {product_version()}\n")
+
+
+def _empty_parser() -> tuple[argparse.ArgumentParser, Any]:
+    parser = Parser(
+        prog="meshpoint",
+        usage="%(prog)s [-h] [--version] [--debug] COMMAND ...",
+        description=DESCRIPTION,
+        epilog=_epilog(),
+    )
+    parser.add_argument(
+        "--version", action=_Version, nargs=0, help="show program's version number and exit"
+    )
+    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    commands = parser.add_subparsers(
+        dest="command", metavar="COMMAND", required=True, prog="meshpoint", help=argparse.SUPPRESS
+    )
+    return parser, commands
+
+
+def front_parser() -> argparse.ArgumentParser:
+    """The parser for a line that names no command: help, version, errors. It knows the commands by
+    name alone and loads none of them."""
+    parser, commands = _empty_parser()
+    for name in COMMANDS:
+        commands.add_parser(name)
+    return parser
+
+
+def build_parser(command: str | None = None) -> argparse.ArgumentParser:
+    """The parser with all commands, or with that of one command alone: loading all of them would
+    take a node longer than all else that it does before its first step."""
+    parser, commands = _empty_parser()
+    names = COMMANDS if command not in COMMANDS else [command]
+    for module in dict.fromkeys(COMMANDS[name].module or f"{name}.command" for name in names):
+        importlib.import_module(f"meshpoint.testbench.{module}").add_parser(commands)
+    return parser
