@@ -11,8 +11,7 @@ from meshpoint.controller.estimation.crossing_layout import DONE, LATE, FilterMe
 from meshpoint.controller.records import Vector
 
 EVERYTHING: Final = (
-    "time_us", "x", "p", "offset_rad", "offset_rad2", "offset_by", "restless", "nis",
-    "log_variance", "held", "next",
+    "time_us", "x", "p", "restless", "nis", "log_variance", "held", "next",
 )  # fmt: skip
 
 
@@ -24,16 +23,16 @@ def after(memory: FilterMemory, *fields: str) -> list[list[float]]:
 def refuses_what_was_before_its_state(
     a_memory: Callable[[], FilterMemory],
     run: Callable[[FilterMemory, Vector], int],
-    wheel: str,
     fine_rad: float,
 ) -> None:
     """`a_memory`: a filter at 1 ms; `fine_rad`: an angle to be expected at 5 ms."""
     for first_us, refused in ((999.0, True), (1000.0, False)):
-        early, fine = np.array([[first_us], [7.0]]), np.array([[5000.0], [fine_rad]])
-        edges = np.concatenate((early, fine) if wheel == "own" else (fine, early), axis=1)
+        edges, fine = (
+            np.array([[first_us, 5000.0], [7.0, fine_rad]]),
+            np.array([[5000.0], [fine_rad]]),
+        )
         for held in (0, 1):
             memory, other = a_memory(), a_memory()
-            memory.geared[0] = 0 if wheel == "own" else 1
             memory.held[0] = other.held[0] = held
             before = after(memory)
             answer = run(memory, edges)

@@ -28,17 +28,14 @@ from meshpoint.controller.estimation.crossing_layout import (
     FilterMemory,
     TeethArrays,
 )
-from meshpoint.controller.motion.kernels import STATES
 from meshpoint.controller.motion.models import MotionModel, first_order_law
 from meshpoint.controller.records import Vector
 from meshpoint.units import US
 
 A, G, FADING, LAW_PER_S, SUPPLY_PA = 0.8, 4e-4, 30.0, 12.0, 6e5
-EDGE_S, TOOTH_RAD, GEARED_RAD, PRESSURE_PA, GATE = 4e-6, 3e-3, 2e-3, 4e3, 5.0
-AT_FLANK, LOOSE, LOOSE_US = 1e-5, 4e-4, 3000.0
-OFFSET = STATES
-START = np.array([0.2, 120.0, 2e4, 6.0, 1.1, -4.0, 0.3])
-SCALES = np.array([5e-3, 1.5, 1e4, 5.0, 0.06, 3.0, 4e-3])
+EDGE_S, TOOTH_RAD, PRESSURE_PA, GATE = 4e-6, 3e-3, 4e3, 5.0
+START = np.array([0.2, 120.0, 2e4, 6.0, 1.1, -4.0])
+SCALES = np.array([5e-3, 1.5, 1e4, 5.0, 0.06, 3.0])
 NO_TEETH = TeethArrays(0).flat
 NONE = np.empty(0)
 OFF = np.empty((2, 0))
@@ -53,31 +50,23 @@ class Shaft(NamedTuple):
 
 
 def spread_at_first() -> Vector:
-    """A covariance of all seven states in which each goes with each."""
+    """A covariance of all six states in which each goes with each."""
     rng = np.random.default_rng(5)
-    root = np.eye(7) + 0.25 * rng.standard_normal((7, 7))
+    root = np.eye(6) + 0.25 * rng.standard_normal((6, 6))
     whole = root @ root.T
     sd = np.sqrt(np.diag(whole))
     found: Vector = whole / np.outer(sd, sd) * np.outer(SCALES, SCALES)
     return found
 
 
-def a_memory(
-    shaft: Shaft | None = None, *, knows_offset: bool = False, law: Vector | None = None
-) -> FilterMemory:
+def a_memory(shaft: Shaft | None = None, law: Vector | None = None) -> FilterMemory:
     """A filter at 1 ms in its first state."""
     shaft, memory = shaft or Shaft(), FilterMemory()
     memory.set_sensor(shaft.edge_s, TOOTH_RAD, PRESSURE_PA, GATE)
-    memory.part("geared_tooth_rad")[0] = GEARED_RAD
-    memory.part("mesh")[:] = AT_FLANK, LOOSE, LOOSE_US
     rates = np.array([A, shaft.brake, FADING])
     law = first_order_law(LAW_PER_S, SUPPLY_PA) if law is None else law
     memory.model[:] = MotionModel(rates, law, np.array(shaft.noise)).flat
-    whole = spread_at_first()
-    memory.time_us[0], memory.x[:], memory.p[:] = 1000.0, START[:6], whole[:6, :6]
-    if knows_offset:
-        memory.offset_rad[0], memory.offset_rad2[0] = START[OFFSET], whole[OFFSET, OFFSET]
-        memory.part("offset_by")[:] = whole[OFFSET, :6]
+    memory.time_us[0], memory.x[:], memory.p[:] = 1000.0, START, spread_at_first()
     return memory
 
 
@@ -93,38 +82,34 @@ def run(
 
 
 class Whole:
-    """A Kalman filter of seven states, by whole matrices."""
+    """A Kalman filter of six states, by whole matrices."""
 
-    def __init__(self, shaft: Shaft, *, knows_offset: bool) -> None:
+    def __init__(self, shaft: Shaft) -> None:
         self.shaft, self.time_us, self.z = shaft, 1000.0, START.copy()
         self.p = spread_at_first()
-        if not knows_offset:
-            self.p[OFFSET], self.p[:, OFFSET] = 0.0, 0.0
         self.squares = self.logs = 0.0
         self.innovations: list[tuple[float, float]] = []
-        """Of the own edges, with their variances."""
+        """Of the edges, with their variances."""
 
-    def move(self, to_us: float, on: bool, loose: bool) -> None:
+    def move(self, to_us: float, on: bool) -> None:
         """The equations, linear about the motion itself: F is integrated along it."""
         seconds, brake = (to_us - self.time_us) * US, self.shaft.brake
         flow = LAW_PER_S * SUPPLY_PA if on else 0.0
 
         def rate(_: float, flat: Vector) -> Vector:
-            z, f = flat[:7], flat[7:].reshape(7, 7)
-            a = np.zeros((7, 7))
+            z, f = flat[:6], flat[6:].reshape(6, 6)
+            a = np.zeros((6, 6))
             a[0, 1], a[1, 1] = 1.0, -A
             a[1, 2], a[1, 3], a[1, 4], a[1, 5] = -brake * z[4], 1.0, -brake * z[2], 1.0
             a[2, 2], a[3, 3] = -LAW_PER_S, -FADING
             moved = np.array([z[1], -A * z[1] - brake * z[4] * z[2] + z[3] + z[5],
-                              flow - LAW_PER_S * z[2], -FADING * z[3], 0.0, 0.0, 0.0])  # fmt: skip
+                              flow - LAW_PER_S * z[2], -FADING * z[3], 0.0, 0.0])  # fmt: skip
             return np.concatenate((moved, (a @ f).ravel()))
 
-        begin = np.concatenate((self.z, np.eye(7).ravel()))
+        begin = np.concatenate((self.z, np.eye(6).ravel()))
         end = solve_ivp(rate, (0.0, seconds), begin, method="DOP853", rtol=1e-11, atol=1e-12)
-        self.z, f = end.y[:7, -1], end.y[7:, -1].reshape(7, 7)
+        self.z, f = end.y[:6, -1], end.y[6:, -1].reshape(6, 6)
         self.p = f @ self.p @ f.T
-        if self.p[OFFSET, OFFSET] > 0.0:
-            self.p[OFFSET, OFFSET] += seconds * (LOOSE if loose else AT_FLANK)
         self.time_us = to_us
 
     def measure(self, seen: Vector, off: float, r: float) -> float:
@@ -137,41 +122,26 @@ class Whole:
     def edge(self, angle: float) -> None:
         off = angle - self.z[0]
         r = (self.z[1] * self.shaft.edge_s) ** 2 + TOOTH_RAD**2
-        s = self.measure(np.eye(7)[0], off, r)
+        s = self.measure(np.eye(6)[0], off, r)
         self.squares, self.logs = self.squares + off**2 / s, self.logs + math.log(s)
         self.innovations.append((float(off), s))
 
-    def geared(self, angle: float) -> None:
-        off = angle - self.z[0] - self.z[OFFSET]
-        r = (self.z[1] * self.shaft.edge_s) ** 2 + GEARED_RAD**2
-        self.squares += off**2 / self.measure(np.eye(7)[0] + np.eye(7)[OFFSET], off, r)
-
     def pressure(self, seen_pa: float) -> None:
-        self.measure(np.eye(7)[2], seen_pa - self.z[2], PRESSURE_PA**2)
+        self.measure(np.eye(6)[2], seen_pa - self.z[2], PRESSURE_PA**2)
 
 
-def assert_is(memory: FilterMemory, whole: Whole, *, knows_offset: bool) -> None:
+def assert_is(memory: FilterMemory, whole: Whole) -> None:
     """The record holds this state and this covariance."""
     assert memory.time_us[0] == whole.time_us
-    sd = np.sqrt(np.diag(whole.p)[:6])
-    assert memory.x / sd == pytest.approx(whole.z[:6] / sd, rel=1e-7, abs=1e-6)
+    sd = np.sqrt(np.diag(whole.p))
+    assert memory.x / sd == pytest.approx(whole.z / sd, rel=1e-7, abs=1e-6)
     both = np.outer(sd, sd)
-    assert memory.p / both == pytest.approx(whole.p[:6, :6] / both, abs=1e-7)
-    if knows_offset:
-        own = math.sqrt(whole.p[OFFSET, OFFSET])
-        assert memory.offset_rad[0] == pytest.approx(whole.z[OFFSET], abs=1e-7)
-        assert memory.offset_rad2[0] == pytest.approx(own**2, rel=1e-6)
-        by = memory.part("offset_by") / (sd * own)
-        assert by == pytest.approx(whole.p[OFFSET, :6] / (sd * own), abs=1e-6)
-    else:
-        assert memory.offset_rad2[0] == 0.0
-        assert not memory.part("offset_by").any()
+    assert memory.p / both == pytest.approx(whole.p / both, abs=1e-7)
     assert memory.nis[0] == pytest.approx(whole.squares, rel=1e-6)
 
 
 SWITCHES = np.array([[3000.0, 8500.0], [1.0, 0.0]])
 OWN_US = np.array([2000.0, 2900.0, 4000.0, 5000.0, 6000.0, 7100.0, 8000.0, 9000.0, 9900.0])
-GEARED_US = np.array([1500.0, 2900.0, 4300.0, 7100.0, 10_000.0])
 PRESSURE_US = np.array([1200.0, 4000.0, 5500.0, 9000.0, 10_500.0])
 
 
@@ -182,42 +152,29 @@ def angles_at(times_us: Vector, off_rad: float) -> Vector:
     return found
 
 
-@pytest.mark.parametrize("knows_offset", [False, True])
-def test_edges_of_both_wheels_and_pressures_are_taken_in_order_of_time_as_kalman_has_it(
-    knows_offset: bool,
-) -> None:
+def test_edges_and_pressures_are_taken_in_order_of_time_as_kalman_has_it() -> None:
     """Through both switches of the brake; where two things are of one time, pressure comes behind
-    the edge that is there already and finds nothing to move. The offset walks faster for 3 ms
-    behind each switch."""
-    memory, shaft = a_memory(knows_offset=knows_offset), Shaft()
-    whole = Whole(shaft, knows_offset=knows_offset)
+    the edge that is there already and finds nothing to move."""
+    memory, whole = a_memory(), Whole(Shaft())
     own, pressures = angles_at(OWN_US, 4e-3), 2e4 + 3e3 * np.cos(PRESSURE_US)
-    geared_us = GEARED_US if knows_offset else NONE
-    geared = angles_at(geared_us, 3e-3) + START[OFFSET]
-    edges = np.concatenate((np.array((OWN_US, own)), np.array((geared_us, geared))), axis=1)
-    memory.geared[0] = geared_us.size
-    assert run(memory, edges, (PRESSURE_US, pressures), SWITCHES) == DONE
+    assert run(memory, np.array((OWN_US, own)), (PRESSURE_US, pressures), SWITCHES) == DONE
     seen = [(t, 0, y) for t, y in zip(OWN_US, own, strict=True)]
-    seen += [(t, 1, y) for t, y in zip(geared_us, geared, strict=True) if t not in OWN_US]
-    seen += [(t, 2, y) for t, y in zip(PRESSURE_US, pressures, strict=True) if t not in OWN_US]
-    seen += [(t, 3, 0.0) for t in (6000.0, *SWITCHES[0])]
+    seen += [(t, 1, y) for t, y in zip(PRESSURE_US, pressures, strict=True) if t not in OWN_US]
+    seen += [(t, 2, 0.0) for t in SWITCHES[0]]
     on = False
     for time_us, kind, value in sorted(seen):
-        since = [time_us - t for t in SWITCHES[0] if t < time_us]
-        whole.move(time_us, on, bool(since) and since[-1] <= LOOSE_US)
-        if kind == 3:
-            on = {3000.0: True, 8500.0: False}.get(time_us, on)
+        whole.move(time_us, on)
+        if kind == 2:
+            on = not on
         else:
-            (whole.edge, whole.geared, whole.pressure)[kind](value)
-    assert_is(memory, whole, knows_offset=knows_offset)
-    taken = OWN_US.size + sum(t not in OWN_US for t in geared_us)
-    assert memory.nis[1] == taken
+            (whole.edge, whole.pressure)[kind](value)
+    assert_is(memory, whole)
+    assert memory.nis[1] == OWN_US.size
     assert memory.log_variance[0] == pytest.approx(whole.logs, rel=1e-7)
     assert np.array_equal(memory.p, memory.p.T)
 
 
-@pytest.mark.parametrize("scale", [1.0, 1.4])
-def test_teeth_s_equations_hold_how_each_tooth_s_error_moves_each_innovation(scale: float) -> None:
+def test_teeth_s_equations_hold_how_each_tooth_s_error_moves_each_innovation() -> None:
     """The sums of m m' / s and of -m times innovation / s, m being what an error adds to each
     innovation: here the difference of two runs, one with that tooth's edges moved. Nothing bends
     where the brake does not act and edges are as sure at any speed."""
@@ -225,18 +182,17 @@ def test_teeth_s_equations_hold_how_each_tooth_s_error_moves_each_innovation(sca
     pressure_us = np.array([1200.0, 2500.0, 4000.0, 4500.0, 5500.0, 7500.0, 8200.0, 9500.0])
     own, pressures = angles_at(OWN_US, 4e-3), 2e4 + 3e3 * np.cos(pressure_us)
     memory, teeth = a_memory(shaft), TeethArrays(3)
-    memory.part("scale")[0] = scale
     edges = np.array((OWN_US, own, place))
     assert run(memory, edges, (pressure_us, pressures), SWITCHES, teeth.flat) == DONE
 
     def innovations(moved: Vector) -> Vector:
-        whole = Whole(shaft, knows_offset=False)
+        whole = Whole(shaft)
         seen = [(t, 0, y) for t, y in zip(OWN_US, moved, strict=True)]
         seen += [(t, 1, y) for t, y in zip(pressure_us, pressures, strict=True) if t not in OWN_US]
         seen += [(t, 2, 0.0) for t in SWITCHES[0]]
         on = False
         for time_us, kind, value in sorted(seen):
-            whole.move(time_us, on, False)
+            whole.move(time_us, on)
             if kind == 2:
                 on = not on
             else:
@@ -245,7 +201,7 @@ def test_teeth_s_equations_hold_how_each_tooth_s_error_moves_each_innovation(sca
 
     (off, variance), by = innovations(own), np.empty((3, OWN_US.size))
     for tooth in range(3):
-        moved = own + np.where(place == tooth, 1e-3 * scale, 0.0)
+        moved = own + np.where(place == tooth, 1e-3, 0.0)
         by[tooth] = (innovations(moved)[0] - off) / 1e-3
     upper = np.triu((by / variance) @ by.T)
     assert np.triu(teeth.normal) / upper.max() == pytest.approx(upper / upper.max(), abs=1e-7)
@@ -262,19 +218,17 @@ def test_a_tooth_that_the_gate_refuses_teaches_nothing() -> None:
     assert not teeth.right.any()
 
 
-@pytest.mark.parametrize("wheel", ["own", "geared"])
-def test_a_batch_of_before_the_state_is_refused_while_there_is_a_snapshot(wheel: str) -> None:
+def test_a_batch_of_before_the_state_is_refused_while_there_is_a_snapshot() -> None:
     """Nothing is taken then; without one its late edges are left out. At the state's own time an
     edge is not late, and has been seen."""
-    refuses_what_was_before_its_state(lambda: a_memory(knows_offset=True), run, wheel, 0.68)
+    refuses_what_was_before_its_state(a_memory, run, 0.68)
     assert (DONE, LATE) == (0, 1)
 
 
-def test_a_batch_without_edges_of_one_wheel_or_of_any_is_never_late() -> None:
-    for edges, geared in ((OFF, 0), (np.array([[2000.0], [0.62]]), 1),
-                          (np.array([[2000.0], [0.32]]), 0)):  # fmt: skip
-        memory = a_memory(knows_offset=True)
-        memory.held[0], memory.geared[0] = 1, geared
+def test_a_batch_without_edges_is_never_late() -> None:
+    for edges in (OFF, np.array([[2000.0], [0.32]])):
+        memory = a_memory()
+        memory.held[0] = 1
         assert run(memory, edges) == DONE
         assert memory.time_us[0] == (2000.0 if edges.size else 1000.0)
 
@@ -287,8 +241,8 @@ def test_late_pressures_are_left_out() -> None:
 
 
 def test_the_states_before_the_newest_four_batches_can_be_gone_back_to() -> None:
-    memory, kept = a_memory(knows_offset=True), []
-    fields = EVERYTHING[:7]
+    memory, kept = a_memory(), []
+    fields = EVERYTHING[:4]
     for k in range(6):
         memory.part("restless")[0] = 1.0 + k
         kept.append(after(memory, *fields))
@@ -318,19 +272,19 @@ def test_an_edge_beyond_the_gate_is_refused_and_the_eighth_in_a_row_widens_what_
     """By the innovation's square, a fifth of the speed and 100 rad/s2 of steady acceleration: then
     it is taken as any other; but it tells nothing of how well the filter fits."""
     for refused in (0, 6, 7):
-        memory, whole = a_memory(), Whole(Shaft(), knows_offset=False)
+        memory, whole = a_memory(), Whole(Shaft())
         memory.part("gated_in_a_row")[0] = refused
-        whole.move(2000.0, False, False)
+        whole.move(2000.0, False)
         r = (whole.z[1] * EDGE_S) ** 2 + TOOTH_RAD**2
         off = side * share * GATE * math.sqrt(whole.p[0, 0] + r)
         run(memory, np.array([[2000.0], [whole.z[0] + off]]))
         if not taken and refused == 7:
-            whole.p += np.diag((off**2, (0.2 * whole.z[1]) ** 2, 0.0, 0.0, 0.0, 100.0**2, 0.0))
+            whole.p += np.diag((off**2, (0.2 * whole.z[1]) ** 2, 0.0, 0.0, 0.0, 100.0**2))
         if taken or refused == 7:
             whole.edge(whole.z[0] + off)
         if not taken:
             whole.squares = whole.logs = 0.0
-        assert_is(memory, whole, knows_offset=False)
+        assert_is(memory, whole)
         assert memory.part("gated_in_a_row")[0] == (0 if taken or refused == 7 else refused + 1)
         assert memory.nis[1] == (1.0 if taken else 0.0)
         assert memory.log_variance[0] == pytest.approx(whole.logs, rel=1e-7)
@@ -347,9 +301,9 @@ def test_noise_grows_and_fades_with_how_far_off_edges_are(
 ) -> None:
     """By the square's distance from the 1 that is expected, counted no further than to the gate;
     never below the model's, nor above ten thousand times it."""
-    memory, whole = a_memory(), Whole(Shaft(), knows_offset=False)
+    memory, whole = a_memory(), Whole(Shaft())
     memory.part("restless")[0], memory.part("heed")[0] = before, heed
-    whole.move(2000.0, False, False)
+    whole.move(2000.0, False)
     sd = math.sqrt(whole.p[0, 0] + (whole.z[1] * EDGE_S) ** 2 + TOOTH_RAD**2)
     run(memory, np.array([[2000.0], [whole.z[0] + sds * sd]]))
     assert memory.part("restless")[0] == pytest.approx(restless, rel=1e-5)

@@ -8,16 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from wheel import Wheel
 
 from meshpoint.controller.estimation.brake_model import Carried
 from meshpoint.controller.estimation.crossing_tracker import STRUCK_RAD_S, CrossingTracker
 from meshpoint.controller.estimation.cruise import CruiseTracker
-from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.lash_start import StartWatch
 from meshpoint.controller.estimation.likelihood import Learned, _step, learn
 from meshpoint.controller.estimation.main_tracker import MainTracker
-from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kernels import (
     DISTURBANCE,
@@ -32,7 +29,6 @@ from meshpoint.controller.motion.swing_kernels import STEADY
 from meshpoint.controller.observer import CLUTCH_BITES_SHARE, Observer
 from meshpoint.controller.phase.locked_gear import PULL_RAD_S2
 from meshpoint.controller.sensing.pressure_samples import NO_SAMPLES
-from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate
 from meshpoint.controller.sensing.wheel_edges import EdgeBatch
 from meshpoint.controller.settings import (
     ControllerSettings,
@@ -41,7 +37,6 @@ from meshpoint.controller.settings import (
     Estimator,
 )
 from meshpoint.gearbox import MainGear, Split, load_sheet
-from meshpoint.gearbox.sheet import Wheel as SheetWheel
 from meshpoint.units import US
 
 
@@ -90,29 +85,6 @@ def test_two_edges_in_gear_are_enough_for_the_vehicle_s_speed() -> None:
         start = watch.take_out(np.array((later, 61.0 * later * US)), (0.5, 3.0))
         assert start is not None
         assert (start.vehicle_rad_s == pytest.approx(60.0, abs=0.5)) is is_told
-
-
-def test_a_geared_wheel_keeps_its_teeth_until_edges_are_lost() -> None:
-    """Half a second without a read is more than an array holds: then the numbers are lost, and what
-    was learned becomes the memory that they may be found by."""
-    half_pitch, omega = math.pi / 45, 100.0
-    times_us = 1_000_000 + np.round(np.arange(1, 3000) * half_pitch / omega / US).astype(int)
-    wheel = Wheel(1, times_us[0::2].tolist(), times_us[1::2].tolist())
-    tuning, clock = CrossingFilterTuning(), SensorClockEstimate()
-    geared = GearedWheel("propeller shaft", SheetWheel(45, 0.5), tuning, kind=MAIN_FILTER)
-
-    def read(now_us: int) -> None:
-        geared.read([wheel.rise(now_us)], [wheel.fall(now_us)], clock, now_us)
-
-    for now_us in range(1_010_000, 1_200_000, 10_000):
-        read(now_us)
-    geared.teeth.learned = True
-    for now_us in range(1_200_000, 1_300_000, 10_000):
-        read(now_us)
-        assert geared.teeth.learned
-    read(1_800_000)
-    assert not geared.teeth.learned
-    assert geared.teeth.memory is not None
 
 
 def test_a_swinging_shaft_s_speed_is_how_its_angle_goes() -> None:

@@ -11,7 +11,6 @@ from scipy.stats import norm
 from meshpoint.controller.estimation.crossing_filter import (
     NO_PRESSURES,
     CrossingFilter,
-    GearedEdges,
     Pressures,
 )
 from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
@@ -30,7 +29,6 @@ P = diagonal(5e-3, 1.5, 2e4, 5.0, 0.06, 3.0)
 
 def begun(time_us: float = 0.0) -> CrossingFilter:
     crossing = CrossingFilter(TUNING)
-    crossing.set_mesh(1e-5, 4e-4, 3e3)
     crossing.begin(time_us, X, P)
     return crossing
 
@@ -38,12 +36,6 @@ def begun(time_us: float = 0.0) -> CrossingFilter:
 def own(*times_us: float) -> Vector:
     times = np.array(times_us)
     return np.array((times, 120.0 * 1e-6 * times + 2e-3 * np.sin(times)))
-
-
-def geared(*times_us: float) -> GearedEdges:
-    edges = own(*times_us)
-    edges[1] += 0.3
-    return GearedEdges(edges, 4e-3)
 
 
 def pressures(*times_us: float) -> Pressures:
@@ -57,45 +49,39 @@ def same(one: CrossingFilter, other: CrossingFilter) -> None:
     assert one.x / sd == pytest.approx(other.x / sd, rel=1e-9, abs=1e-9)
     both = np.outer(sd, sd)
     assert one.p / both == pytest.approx(other.p / both, rel=1e-9, abs=1e-9)
-    assert (one.offset is None) is (other.offset is None)
-    assert one.offset is None or one.offset == pytest.approx(other.offset or (), rel=1e-9)
 
 
 IN_ORDER = [
-    (own(1e3, 3e3, 5e3, 7e3, 9e3), geared(2e3, 6e3), pressures(4e3, 8e3)),
-    (own(11e3, 13e3, 15e3, 17e3, 19e3), geared(12e3, 16e3), pressures(14e3, 18e3)),
-    (own(21e3, 23e3, 25e3, 27e3, 29e3), geared(22e3, 26e3), pressures(24e3, 28e3)),
-    (own(31e3, 33e3, 35e3, 37e3, 39e3), geared(32e3, 36e3), pressures(34e3, 38e3)),
+    (own(1e3, 3e3, 5e3, 7e3, 9e3), pressures(4e3, 8e3)),
+    (own(11e3, 13e3, 15e3, 17e3, 19e3), pressures(14e3, 18e3)),
+    (own(21e3, 23e3, 25e3, 27e3, 29e3), pressures(24e3, 28e3)),
+    (own(31e3, 33e3, 35e3, 37e3, 39e3), pressures(34e3, 38e3)),
 ]
 LATE = [
-    # One edge of either wheel a batch late; then two a batch, and one of three batches before.
-    [(own(1e3, 3e3, 5e3, 9e3), geared(2e3), pressures(4e3, 8e3)),
-     (own(7e3, 11e3, 13e3, 15e3, 17e3, 19e3), geared(6e3, 12e3, 16e3), pressures(14e3, 18e3)),
+    # One edge a batch late; then two, and one of three batches before.
+    [(own(1e3, 3e3, 5e3, 9e3), pressures(4e3, 8e3)),
+     (own(7e3, 11e3, 13e3, 15e3, 17e3, 19e3), pressures(14e3, 18e3)),
      IN_ORDER[2], IN_ORDER[3]],
-    [(own(1e3, 3e3, 5e3, 7e3, 9e3), geared(2e3, 6e3), pressures(4e3, 8e3)),
-     (own(11e3, 13e3, 19e3), geared(16e3), pressures(14e3, 18e3)),
-     (own(15e3, 17e3, 21e3, 25e3, 27e3, 29e3), geared(12e3, 22e3, 26e3), pressures(24e3, 28e3)),
-     (own(23e3, 31e3, 33e3, 35e3, 37e3, 39e3), geared(32e3, 36e3), pressures(34e3, 38e3))],
-    [(own(1e3, 3e3, 5e3, 9e3), geared(2e3, 6e3), pressures(4e3, 8e3)),
+    [(own(1e3, 3e3, 5e3, 7e3, 9e3), pressures(4e3, 8e3)),
+     (own(11e3, 13e3, 19e3), pressures(14e3, 18e3)),
+     (own(15e3, 17e3, 21e3, 25e3, 27e3, 29e3), pressures(24e3, 28e3)),
+     (own(23e3, 31e3, 33e3, 35e3, 37e3, 39e3), pressures(34e3, 38e3))],
+    [(own(1e3, 3e3, 5e3, 9e3), pressures(4e3, 8e3)),
      IN_ORDER[1], IN_ORDER[2],
-     (own(7e3, 31e3, 33e3, 35e3, 37e3, 39e3), geared(32e3, 36e3), pressures(34e3, 38e3))],
-    [IN_ORDER[0], (own(11e3, 13e3, 15e3, 17e3, 19e3), None, pressures(14e3, 18e3)),
-     (own(21e3, 23e3, 25e3, 27e3, 29e3), geared(12e3, 16e3, 22e3, 26e3), pressures(24e3, 28e3)),
-     IN_ORDER[3]],
+     (own(7e3, 31e3, 33e3, 35e3, 37e3, 39e3), pressures(34e3, 38e3))],
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("batches", LATE)
-def test_edges_of_both_wheels_that_come_late_end_in_the_state_of_those_that_do_not(
-    batches: list[tuple[Vector, GearedEdges | None, Pressures]],
+def test_edges_that_come_late_end_in_the_state_of_those_that_do_not(
+    batches: list[tuple[Vector, Pressures]],
 ) -> None:
     found, wanted = begun(), begun()
-    for edges, wheel, measured in batches:
-        found.take(edges, 3e-3, measured, SWITCHES, MODEL, wheel)
-    for edges, wheel, measured in IN_ORDER:
-        wanted.take(edges, 3e-3, measured, SWITCHES, MODEL, wheel)
+    for edges, measured in batches:
+        found.take(edges, 3e-3, measured, SWITCHES, MODEL)
+    for edges, measured in IN_ORDER:
+        wanted.take(edges, 3e-3, measured, SWITCHES, MODEL)
     same(found, wanted)
-    assert found.offset is not None
 
 
 def test_what_is_older_than_four_batches_is_left_out() -> None:
@@ -110,44 +96,25 @@ def test_what_is_older_than_four_batches_is_left_out() -> None:
     same(found, wanted)
 
 
-@pytest.mark.parametrize("how", ["forget", "offset", "begin"])
+@pytest.mark.parametrize("how", ["forget", "begin"])
 def test_nothing_is_gone_back_to_behind_a_new_beginning(how: str) -> None:
-    """Late edges are left out then; the offset is lost with all but the past."""
+    """Late edges are left out then."""
     found = begun()
-    found.take(*(IN_ORDER[0][0], 3e-3, IN_ORDER[0][2], SWITCHES, MODEL), IN_ORDER[0][1])
-    assert found.offset is not None
+    found.take(IN_ORDER[0][0], 3e-3, IN_ORDER[0][1], SWITCHES, MODEL)
     if how == "forget":
         found.forget_past()
-    elif how == "offset":
-        found.lose_offset()
     else:
         found.begin(9e3, X, P)
-    assert (found.offset is None) is (how != "forget")
     x, p = found.x.copy(), found.p.copy()
     wanted = begun(9e3)
     wanted.begin(9e3, x, p)
-    found.lose_offset()
     found.take(own(4.5e3, 11e3), 3e-3, NO_PRESSURES, SWITCHES, MODEL)
     wanted.take(own(11e3), 3e-3, NO_PRESSURES, SWITCHES, MODEL)
     same(found, wanted)
 
 
-def test_a_batch_without_edges_of_a_geared_wheel_has_none_left_over_from_before() -> None:
-    found, wanted = begun(), begun()
-    for crossing in (found, wanted):
-        crossing.take(own(1e3, 3e3), 3e-3, NO_PRESSURES, SWITCHES, MODEL, geared(2e3, 4e3))
-    assert found._memory.geared[0] == 0
-    found.take(own(5e3, 6e3), 3e-3, NO_PRESSURES, SWITCHES, MODEL)
-    wanted.take(own(5e3), 3e-3, NO_PRESSURES, SWITCHES, MODEL)
-    wanted.take(own(6e3), 3e-3, NO_PRESSURES, SWITCHES, MODEL)
-    same(found, wanted)
-    variance = found._memory.offset_rad2.item()
-    assert found.offset == (found._memory.offset_rad.item(), math.sqrt(variance))
-
-
 def test_an_edge_is_as_sure_as_its_time_and_its_tooth_are_then() -> None:
-    """At 120 rad/s: (120 sigma_t)^2 + tooth^2, as set before that batch; a geared wheel's by its
-    own tooth."""
+    """At 120 rad/s: (120 sigma_t)^2 + tooth^2, as set before that batch."""
     found = begun()
     held = diagonal(0.05, 0.0, 0.0, 0.0, 0.0, 0.0)
     still = MotionModel(np.array([0.0, 0.0, 1.0]), LAW, np.zeros(4))
@@ -158,12 +125,6 @@ def test_an_edge_is_as_sure_as_its_time_and_its_tooth_are_then() -> None:
         found.take(own(1e3), tooth, NO_PRESSURES, SWITCHES, still)
         r = (120.0 * edge_s) ** 2 + tooth**2
         assert found.p[0, 0] == pytest.approx(1.0 / (1.0 / 0.05**2 + 1.0 / r))
-    before = found.p[0, 0]
-    found.take(own(), 2e-3, NO_PRESSURES, SWITCHES, still, geared(2e3))
-    r = (120.0 * 3e-5) ** 2 + 4e-3**2
-    offset = found.offset
-    assert offset is not None
-    assert offset[1] ** 2 == pytest.approx(before + r)
 
 
 def test_a_model_holds_until_another_is_given() -> None:
@@ -205,7 +166,7 @@ def test_an_edge_that_was_refused_counts_as_one_at_the_gate_and_a_tenth_of_them_
 
 def test_a_new_beginning_has_seen_nothing() -> None:
     found = begun()
-    found.take(IN_ORDER[0][0], 3e-3, IN_ORDER[0][2], SWITCHES, MODEL, IN_ORDER[0][1])
+    found.take(IN_ORDER[0][0], 3e-3, IN_ORDER[0][1], SWITCHES, MODEL)
     assert found.nis.all()
     found.begin(50e3, X, P)
     assert (found.time_us, found.nis.tolist(), found.misfit(0)) == (50e3, [0.0, 0.0], 0.0)

@@ -121,7 +121,6 @@ def test_a_layshaft_that_becomes_free_begins_a_window(learned: bool) -> None:
     expected = np.diag(state.p).copy()
     expected[:2] = (2.0 * TUNING.tooth_error_rad) ** 2, 1.0
     assert learner._memory.p == pytest.approx(np.diag(expected))
-    assert tracker._start_p == pytest.approx(np.diag(expected))
     turn(tracker, 60, 72)
     assert tracker._free_edges == 12
 

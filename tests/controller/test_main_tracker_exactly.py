@@ -113,7 +113,7 @@ def test_a_gear_that_comes_out_leaves_angle_and_speed_in_doubt_and_all_begins_th
     began_us, began_x, began_p = tracker._began
     assert began_us == state.time_us == now_us
     assert began_x.tolist() == state.x.tolist()
-    assert began_p.tolist() == tracker._start_p.tolist() == state.p.tolist()
+    assert began_p.tolist() == state.p.tolist()
     assert tracker.teeth.learner.running
     assert tracker.teeth.learner._memory.time_us[0] == now_us
     assert tracker.teeth.learner._memory.p.tolist() == state.p.tolist()
@@ -124,7 +124,6 @@ def test_a_gear_that_comes_out_leaves_angle_and_speed_in_doubt_and_all_begins_th
     assert tracker._in_gear._count == 0
     assert (tracker._range, tracker._free) == (Range.LOW, True)
     assert tracker._motion is tracker._swings[Range.LOW].motion
-    assert not tracker._fuses
 
 
 @pytest.mark.parametrize("lack", ["free", "running", "range", "already"])
@@ -167,10 +166,10 @@ def test_a_gear_that_comes_in_again_leaves_angle_and_speed_and_its_blow() -> Non
     state, events = tracker._filter, ["before"]
     order: list[Any] = []
     before = state.p[:2, :2].copy()
-    for name in ("_end_lash", "_learn_swing", "_learn_teeth", "_fuse"):
+    for name in ("_end_lash", "_learn_swing", "_learn_teeth"):
         setattr(tracker, name, noting(order))
     tracker.set_free(False, None, events)
-    assert order == [(), (), ("main shaft", events), (False,)]
+    assert order == [(), (), ("main shaft", events)]
     blow = np.diag((HALF_PITCH**2, 5.0**2))
     assert state.p[:2, :2] == pytest.approx(before + blow)
     rest = state.p.copy()
@@ -182,7 +181,7 @@ def test_a_gear_that_comes_in_again_leaves_angle_and_speed_and_its_blow() -> Non
     assert state._memory.held[0] == 0
     assert not tracker._free
     tracker.set_free(False, None, events)
-    assert len(order) == 4, "it ends once"
+    assert len(order) == 3, "it ends once"
 
 
 class Cloud:
@@ -411,7 +410,7 @@ def test_at_a_window_s_end_its_swing_is_learned_and_its_teeth_by_that_swing(
     begun: list[Any] = []
     teeth.learner.begin = noting(begun)
     teeth.learner.take_all = noting(begun)
-    start_p = tracker._start_p.copy()
+    start_p = tracker._began[2].copy()
     tracker._learn_swing()
     ((window, given, teeth_known),) = windows
     angles = HALF_PITCH * np.arange(60, 72)

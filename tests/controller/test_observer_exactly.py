@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -22,13 +21,9 @@ ATMOSPHERE_PA = SHEET.air.atmosphere_pa
 T0 = 5_000_000
 
 
-def an_observer(estimator: Estimator = Estimator.CROSSING, fused: bool = False) -> Any:
-    settings = ControllerSettings()
-    if fused:
-        tuning = replace(settings.crossing_filter, fuse_input=True, fuse_propeller=True)
-        settings = replace(settings, crossing_filter=tuning)
+def an_observer(estimator: Estimator = Estimator.CROSSING) -> Any:
     brake = BrakeInput(round(1e6 * SHEET.brake.valve_delay_s))
-    return Observer(SHEET, settings, brake, estimator)
+    return Observer(SHEET, ControllerSettings(), brake, estimator)
 
 
 class Noted:
@@ -125,7 +120,6 @@ def broken(observer: Any) -> Any:
     """Doubles of all that is told when something breaks; nothing has yet."""
     observer.clock = SimpleNamespace(late=0, jumps=0)
     observer._layshaft_wheel, observer._main_wheel = Noted(broken=0), Noted(broken=0)
-    observer._input_wheel, observer._propeller_wheel = Noted(), Noted()
     observer.recovery, observer.references = Noted(), Noted()
     observer.layshaft, observer._main = Noted(), Noted()
     return observer
@@ -163,7 +157,7 @@ def test_a_wheel_whose_numbers_are_lost_starts_anew_and_the_other_loses_its_spee
     assert observer.references.named("lose_all") == [()]
     for tracker, is_lost in ((observer.layshaft, layshaft), (observer._main, main)):
         assert tracker.calls == [("restart",) if is_lost else ("lose_speed",)]
-    for wheel in (observer._layshaft_wheel, observer._main_wheel, observer._input_wheel):
+    for wheel in (observer._layshaft_wheel, observer._main_wheel):
         assert not wheel.calls
     assert not observer._lose_what_broke(events)
     assert len(events) == 1
@@ -182,53 +176,16 @@ def test_a_clock_that_jumped_breaks_every_wheel() -> None:
         "tooth numbers lost: phase references unknown again",
     ]
     assert [wheel.broken for wheel in wheels] == [1, 1]
-    for geared in (observer._input_wheel, observer._propeller_wheel):
-        assert geared.calls == [("restart",)]
     assert observer.recovery.named("lost") == [(True, True)]
     assert not observer._lose_what_broke(events)
 
 
-def test_a_baseline_loses_its_references_without_a_memory_and_without_fused_wheels() -> None:
+def test_a_baseline_loses_its_references_without_a_memory() -> None:
     observer, events = broken(an_observer()), list[str]()
-    observer._input_wheel = observer._propeller_wheel = observer.recovery = None
+    observer.recovery = None
     observer.clock.jumps = 1
     assert observer._lose_what_broke(events)
     assert observer.references.named("lose_all") == [()]
-
-
-@pytest.mark.parametrize("since_us", [29_999, 30_000])
-@pytest.mark.parametrize("main_dragged", [False, True])
-def test_fused_wheels_are_read_at_the_ratio_of_their_step(
-    since_us: int, main_dragged: bool
-) -> None:
-    """Input shaft: the splitter's; propeller shaft: one over the range's. None while dragged."""
-    observer = an_observer(fused=True)
-    observer._input_wheel, observer._propeller_wheel = Noted(), Noted()
-    observer.view = SimpleNamespace(split=Split.LOW, range_=Range.HIGH)
-    observer._split_us, observer._main_dragged = T0 - since_us, main_dragged
-    inputs = StepInputs()
-    observer._read_geared(inputs, T0)
-    dragged = since_us < 30_000
-    split = None if dragged else SHEET.split_mesh(Split.LOW).ratio
-    scale = None if main_dragged else 1.0 / SHEET.range_mesh(Range.HIGH).ratio
-    assert observer._input_wheel.named("set_ratio") == [(split, dragged)]
-    assert observer._propeller_wheel.named("set_ratio") == [(scale, main_dragged)]
-    for wheel in (observer._input_wheel, observer._propeller_wheel):
-        assert wheel.named("read") == [([], [], observer.clock, T0)]
-    observer.view.split = observer.view.range_ = None
-    observer._split_us = 0
-    observer._read_geared(inputs, T0)
-    assert observer._input_wheel.named("set_ratio")[-1] == (None, False)
-    assert observer._propeller_wheel.named("set_ratio")[-1] == (None, main_dragged)
-
-
-def test_wheels_are_fused_where_the_settings_say_so() -> None:
-    plain, fused = an_observer(), an_observer(fused=True)
-    assert plain._input_wheel is plain._propeller_wheel is None
-    assert None not in (fused._input_wheel, fused._propeller_wheel)
-    base = an_observer(Estimator.WINDOW, fused=True)
-    assert base._input_wheel is base.recovery is base._crossing is None
-    plain._read_geared(StepInputs(), T0)
 
 
 class Main(MainTracker):

@@ -44,8 +44,6 @@ def test_a_step_s_messages_reach_wheels_view_and_trackers() -> None:
         observer._see_synchronisers = lambda _now: None
         observer._main_dragged = not jumped
         observer._read = lambda wheel, *_: wheel
-        geared: list[int] = []
-        observer._read_geared = lambda *_, geared=geared: geared.append(1)
         inputs = StepInputs()
         inputs.take(ValveStatus(refused_count=3))
         observer.take(inputs, T0, [])
@@ -57,7 +55,6 @@ def test_a_step_s_messages_reach_wheels_view_and_trackers() -> None:
             NO_EDGES if jumped else observer._layshaft_wheel
         )
         assert (observer.layshaft.named("edges")[0][1] == "pressures") is not jumped
-        assert len(geared) == (0 if jumped else 2)
         assert len(observer._loaded.named("lose")) == (2 if jumped else 0)
         renumbered = observer._layshaft_wheel.sensor.renumbered
         assert observer.recovery.named("look") == [([], renumbered)] * 2

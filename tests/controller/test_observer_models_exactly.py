@@ -23,7 +23,7 @@ from meshpoint.dbc.messages import (
     SleevesAux,
     SleevesMain,
 )
-from meshpoint.gearbox import MainGear, Range, Split
+from meshpoint.gearbox import MainGear, Split
 
 
 def test_before_it_has_seen_anything_an_observer_knows_the_sheet() -> None:
@@ -83,18 +83,6 @@ def test_the_newest_of_three_engine_messages_counts() -> None:
     assert observer._torque_nm == pytest.approx(0.3 * SHEET.engine.reference_nm)
 
 
-def test_in_the_low_range_the_propeller_turns_slower_by_its_ratio() -> None:
-    observer = an_observer(fused=True)
-    observer._input_wheel, wheel = None, Noted()
-    observer._propeller_wheel = wheel
-    observer.view = SimpleNamespace(range_=Range.LOW)
-    observer._main_dragged = False
-    observer._read_geared(StepInputs(), T0)
-    ratio = SHEET.range_mesh(Range.LOW).ratio
-    assert ratio != pytest.approx(1.0)
-    assert wheel.named("set_ratio") == [(pytest.approx(1.0 / ratio), False)]
-
-
 def test_each_wheel_reads_its_own_rising_and_falling_edges() -> None:
     observer, inputs, read = an_observer(), StepInputs(), list[Any]()
     rise, fall = EdgesMainRise(read_time_us=1), EdgesMainFall(read_time_us=2)
@@ -110,7 +98,7 @@ def test_positions_of_a_step_come_into_the_view_at_their_own_times() -> None:
     observer.view = taken
     observer._sensors = lambda *_: "pressures"
     observer._lose_what_broke = lambda _events: False
-    for name in ("_see_whether_free", "_see_load", "_see_synchronisers", "_read_geared"):
+    for name in ("_see_whether_free", "_see_load", "_see_synchronisers"):
         setattr(observer, name, lambda *args, name=name: taken.calls.append((name, *args)))
     observer._read = lambda *_: NO_EDGES
     observer.layshaft, observer._main, observer.recovery = Noted(), Noted(), None
@@ -125,7 +113,6 @@ def test_positions_of_a_step_come_into_the_view_at_their_own_times() -> None:
         ("sleeves_aux", aux, 4_991_000),
         ("work_out",),
         ("_see_whether_free", events),
-        ("_read_geared", inputs, T0),
         ("_see_load", inputs),
     ]
 

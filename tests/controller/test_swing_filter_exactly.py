@@ -23,37 +23,31 @@ from meshpoint.controller.motion.swing import ModeRates, SwingMotion
 from meshpoint.controller.records import Vector
 from meshpoint.units import US
 
-EDGE_S, TOOTH_RAD, GEARED_RAD, GATE, AT_FLANK = 4e-6, 3e-3, 2e-3, 5.0, 2e-4
+EDGE_S, TOOTH_RAD, GATE = 4e-6, 3e-3, 5.0
 WHITE, WALK = 40.0, 300.0
 MODES = (ModeRates(110.0, 9.0, 500.0), ModeRates(25.0, 3.0, 20.0))
-OFFSET = 7
-START = np.array([0.2, 60.0, -4.0, 4e-3, 0.7, -9e-3, 0.3, 0.25])
-SCALES = np.array([5e-3, 1.5, 4.0, 3e-3, 0.8, 8e-3, 0.4, 4e-3])
+START = np.array([0.2, 60.0, -4.0, 4e-3, 0.7, -9e-3, 0.3])
+SCALES = np.array([5e-3, 1.5, 4.0, 3e-3, 0.8, 8e-3, 0.4])
 NONE = np.empty(0)
 NO_TEETH = TeethArrays(0).flat
 
 
 def spread_at_first() -> Vector:
-    """A covariance of all eight states in which each goes with each."""
-    root = np.eye(8) + 0.25 * np.random.default_rng(5).standard_normal((8, 8))
+    """A covariance of all seven states in which each goes with each."""
+    root = np.eye(7) + 0.25 * np.random.default_rng(5).standard_normal((7, 7))
     whole = root @ root.T
     sd = np.sqrt(np.diag(whole))
     found: Vector = whole / np.outer(sd, sd) * np.outer(SCALES, SCALES)
     return found
 
 
-def a_memory(*, knows_offset: bool, edge_s: float = EDGE_S) -> FilterMemory:
+def a_memory(edge_s: float = EDGE_S) -> FilterMemory:
     """A filter at 1 ms in its first state; its noise restless by 3."""
-    memory, whole = MAIN_FILTER.memory(), spread_at_first()
+    memory = MAIN_FILTER.memory()
     memory.set_sensor(edge_s, TOOTH_RAD, 1.0, GATE)
-    memory.part("geared_tooth_rad")[0] = GEARED_RAD
-    memory.part("mesh")[:] = AT_FLANK, 9.0, 1e9
     memory.model[:] = SwingMotion(WHITE, WALK, MODES).flat
     memory.part("restless")[0] = 3.0
-    memory.time_us[0], memory.x[:], memory.p[:] = 1000.0, START[:7], whole[:7, :7]
-    if knows_offset:
-        memory.offset_rad[0], memory.offset_rad2[0] = START[OFFSET], whole[OFFSET, OFFSET]
-        memory.part("offset_by")[:] = whole[OFFSET, :7]
+    memory.time_us[0], memory.x[:], memory.p[:] = 1000.0, START, spread_at_first()
     return memory
 
 
@@ -63,40 +57,36 @@ def run(memory: FilterMemory, edges: Vector, teeth: Vector = NO_TEETH) -> int:
 
 
 class Whole:
-    """A Kalman filter of eight states, by whole matrices."""
+    """A Kalman filter of seven states, by whole matrices."""
 
-    def __init__(self, *, knows_offset: bool, edge_s: float = EDGE_S) -> None:
+    def __init__(self, edge_s: float = EDGE_S) -> None:
         self.time_us, self.z, self.edge_s = 1000.0, START.copy(), edge_s
         self.p = spread_at_first()
-        self.known = knows_offset
-        if not knows_offset:
-            self.p[OFFSET], self.p[:, OFFSET] = 0.0, 0.0
         self.squares = self.logs = 0.0
         self.innovations: list[tuple[float, float]] = []
-        a, q = np.zeros((8, 8)), np.zeros((8, 8))
+        a, q = np.zeros((7, 7)), np.zeros((7, 7))
         a[0, 1] = a[1, 2] = 1.0
         q[1, 1], q[2, 2] = 3.0 * WHITE, WALK
-        q[OFFSET, OFFSET] = AT_FLANK if knows_offset else 0.0
         for i, mode in ((3, MODES[0]), (5, MODES[1])):
             a[i, i + 1], a[i + 1, i] = 1.0, -(mode.natural_rad_s**2)
             a[i + 1, i + 1] = -2.0 * mode.decay_per_s
             a[1] += a[i + 1]
             # What drives a mode drives the shaft that it is part of.
-            kick = np.eye(8)[1] + np.eye(8)[i + 1]
+            kick = np.eye(7)[1] + np.eye(7)[i + 1]
             q += mode.noise_rad2_s3 * np.outer(kick, kick)
         self.a, self.q = a, q
 
     def move(self, to_us: float) -> None:
         seconds = (to_us - self.time_us) * US
-        block = np.block([[-self.a, self.q], [np.zeros((8, 8)), self.a.T]]) * seconds
+        block = np.block([[-self.a, self.q], [np.zeros((7, 7)), self.a.T]]) * seconds
         parts = expm(block)
-        f = parts[8:, 8:].T
+        f = parts[7:, 7:].T
         self.z = f @ self.z
-        self.p = f @ self.p @ f.T + f @ parts[:8, 8:]
+        self.p = f @ self.p @ f.T + f @ parts[:7, 7:]
         self.time_us = to_us
 
-    def measure(self, seen: Vector, off: float, tooth_rad: float) -> float:
-        s = float(seen @ self.p @ seen) + (self.z[1] * self.edge_s) ** 2 + tooth_rad**2
+    def measure(self, seen: Vector, off: float) -> float:
+        s = float(seen @ self.p @ seen) + (self.z[1] * self.edge_s) ** 2 + TOOTH_RAD**2
         gain = self.p @ seen / s
         self.z, self.p = self.z + gain * off, self.p - np.outer(gain, gain) * s
         self.squares += off**2 / s
@@ -104,32 +94,22 @@ class Whole:
 
     def edge(self, angle: float) -> None:
         off = float(angle - self.z[0])
-        s = self.measure(np.eye(8)[0], off, TOOTH_RAD)
+        s = self.measure(np.eye(7)[0], off)
         self.logs += math.log(s)
         self.innovations.append((off, s))
-
-    def geared(self, angle: float) -> None:
-        self.measure(np.eye(8)[0] + np.eye(8)[OFFSET], angle - self.z[0] - self.z[7], GEARED_RAD)
 
 
 def assert_is(memory: FilterMemory, whole: Whole) -> None:
     """The record holds this state and this covariance."""
     assert memory.time_us[0] == whole.time_us
     sd = np.sqrt(np.diag(whole.p))
-    sd[OFFSET] = sd[OFFSET] or 1.0
     both = np.outer(sd, sd)
-    assert memory.x / sd[:7] == pytest.approx(whole.z[:7] / sd[:7], rel=1e-8, abs=1e-8)
-    assert memory.p / both[:7, :7] == pytest.approx(whole.p[:7, :7] / both[:7, :7], abs=1e-9)
+    assert memory.x / sd == pytest.approx(whole.z / sd, rel=1e-8, abs=1e-8)
+    assert memory.p / both == pytest.approx(whole.p / both, abs=1e-9)
     assert np.array_equal(memory.p, memory.p.T)
-    by = memory.part("offset_by") / both[OFFSET, :7]
-    assert by == pytest.approx(whole.p[OFFSET, :7] / both[OFFSET, :7], abs=1e-9)
-    assert memory.offset_rad2[0] == pytest.approx(whole.p[OFFSET, OFFSET], rel=1e-8)
-    if whole.known:
-        assert memory.offset_rad[0] == pytest.approx(whole.z[OFFSET])
 
 
 OWN_US = np.array([2000.0, 2900.0, 4000.0, 5000.0, 6000.0, 7100.0, 8000.0, 19_000.0, 20_000.0])
-GEARED_US = np.array([1500.0, 2900.0, 4300.0, 7100.0, 21_000.0])
 
 
 def angles_at(times_us: Vector) -> Vector:
@@ -139,39 +119,27 @@ def angles_at(times_us: Vector) -> Vector:
     return found
 
 
-@pytest.mark.parametrize("knows_offset", [False, True])
-def test_edges_of_both_wheels_are_taken_in_order_of_time_as_kalman_has_it(
-    knows_offset: bool,
-) -> None:
-    """Where two are of one time, the shaft's own is taken and the other finds nothing new."""
-    memory, whole = a_memory(knows_offset=knows_offset), Whole(knows_offset=knows_offset)
-    geared_us = GEARED_US if knows_offset else NONE
-    own, geared = angles_at(OWN_US), angles_at(geared_us) + START[OFFSET]
-    edges = np.concatenate((np.array((OWN_US, own)), np.array((geared_us, geared))), axis=1)
-    memory.geared[0] = geared_us.size
+def test_edges_are_taken_in_order_of_time_as_kalman_has_it() -> None:
+    memory, whole, edges = a_memory(), Whole(), np.array((OWN_US, angles_at(OWN_US)))
     assert run(memory, edges) == DONE
-    seen = [(t, 0, y) for t, y in zip(OWN_US, own, strict=True)]
-    seen += [(t, 1, y) for t, y in zip(geared_us, geared, strict=True) if t not in OWN_US]
-    for time_us, kind, value in sorted(seen):
+    for time_us, angle in edges.T:
         whole.move(time_us)
-        (whole.edge, whole.geared)[kind](value)
+        whole.edge(angle)
     assert_is(memory, whole)
-    assert memory.nis.tolist() == pytest.approx([whole.squares, len(seen)], rel=1e-8)
+    assert memory.nis.tolist() == pytest.approx([whole.squares, OWN_US.size], rel=1e-8)
     assert memory.log_variance[0] == pytest.approx(whole.logs)
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.7])
-def test_teeth_s_equations_hold_how_each_tooth_s_error_moves_each_innovation(scale: float) -> None:
+def test_teeth_s_equations_hold_how_each_tooth_s_error_moves_each_innovation() -> None:
     """The sums of m m' / s and of -m times innovation / s, m being what an error adds to each
     innovation: the difference of two runs, one with that tooth's edges moved."""
     place = np.array([0, 1, 2, 0, 1, 2, 0, 1, 2])
-    memory, teeth = a_memory(knows_offset=False, edge_s=0.0), TeethArrays(3)
-    memory.part("scale")[0] = scale
+    memory, teeth = a_memory(edge_s=0.0), TeethArrays(3)
     own = angles_at(OWN_US)
     assert run(memory, np.array((OWN_US, own, place)), teeth.flat) == DONE
 
     def innovations(moved: Vector) -> Vector:
-        whole = Whole(knows_offset=False, edge_s=0.0)
+        whole = Whole(edge_s=0.0)
         for time_us, angle in zip(OWN_US, moved, strict=True):
             whole.move(time_us)
             whole.edge(angle)
@@ -179,7 +147,7 @@ def test_teeth_s_equations_hold_how_each_tooth_s_error_moves_each_innovation(sca
 
     (off, variance), by = innovations(own), np.empty((3, OWN_US.size))
     for tooth in range(3):
-        moved = own + np.where(place == tooth, 1e-3 * scale, 0.0)
+        moved = own + np.where(place == tooth, 1e-3, 0.0)
         by[tooth] = (innovations(moved)[0] - off) / 1e-3
     upper = np.triu((by / variance) @ by.T)
     assert np.triu(teeth.normal) / upper.max() == pytest.approx(upper / upper.max(), abs=1e-8)
@@ -188,9 +156,9 @@ def test_teeth_s_equations_hold_how_each_tooth_s_error_moves_each_innovation(sca
 
 
 def test_a_wheel_of_one_edge_has_its_equation_too() -> None:
-    memory, teeth = a_memory(knows_offset=False, edge_s=0.0), TeethArrays(1)
+    memory, teeth = a_memory(edge_s=0.0), TeethArrays(1)
     run(memory, np.array([[2000.0, 3000.0], [0.26, 0.32], [0.0, 0.0]]), teeth.flat)
-    whole = Whole(knows_offset=False, edge_s=0.0)
+    whole = Whole(edge_s=0.0)
     whole.move(2000.0)
     whole.edge(0.26)
     lever = whole.p[0, 0] / TOOTH_RAD**2
@@ -205,7 +173,7 @@ def test_a_wheel_of_one_edge_has_its_equation_too() -> None:
 
 
 def test_a_tooth_that_the_gate_refuses_teaches_nothing() -> None:
-    memory, teeth = a_memory(knows_offset=False), TeethArrays(2)
+    memory, teeth = a_memory(), TeethArrays(2)
     run(memory, np.array([[2000.0], [9.0], [1.0]]), teeth.flat)
     assert memory.part("gated_in_a_row")[0] == 1
     assert not teeth.normal.any()
@@ -214,7 +182,7 @@ def test_a_tooth_that_the_gate_refuses_teaches_nothing() -> None:
 def test_the_third_edge_in_a_row_that_is_refused_makes_all_ten_times_as_uncertain() -> None:
     """And the angle by the innovation's square before that: then it is taken as any other."""
     for refused in (0, 1, 2):
-        memory, whole = a_memory(knows_offset=False), Whole(knows_offset=False)
+        memory, whole = a_memory(), Whole()
         memory.part("gated_in_a_row")[0] = refused
         whole.move(2000.0)
         run(memory, np.array([[2000.0], [whole.z[0] + 0.5]]))
@@ -227,20 +195,19 @@ def test_the_third_edge_in_a_row_that_is_refused_makes_all_ten_times_as_uncertai
         assert memory.nis.tolist() == [0.0, 0.0]
 
 
-@pytest.mark.parametrize("wheel", ["own", "geared"])
-def test_a_batch_of_before_the_state_is_refused_while_there_is_a_snapshot(wheel: str) -> None:
+def test_a_batch_of_before_the_state_is_refused_while_there_is_a_snapshot() -> None:
     """Nothing is taken then; without one its late edges are left out. At the state's own time an
     edge is not late, and has been seen."""
-    refuses_what_was_before_its_state(lambda: a_memory(knows_offset=True), run, wheel, 0.44)
+    refuses_what_was_before_its_state(a_memory, run, 0.44)
 
 
 def test_the_states_before_the_newest_four_batches_can_be_gone_back_to() -> None:
-    memory, kept = a_memory(knows_offset=True), []
+    memory, kept = a_memory(), []
     for k in range(6):
         memory.part("restless")[0] = 1.0 + k
-        kept.append(after(memory)[:7])
+        kept.append(after(memory)[:4])
         run(memory, np.array([[2000.0 + 1000.0 * k], [0.26 + 0.06 * k]]))
         assert memory.held[0] == min(k + 1, 4)
     for k in (5, 4, 3, 2):
         memory.go_back()
-        assert after(memory)[:7] == kept[k]
+        assert after(memory)[:4] == kept[k]

@@ -26,10 +26,10 @@ RAD_S, ANGLE_RAD2 = 100.0, 4e-6
 X = np.array([0.0, RAD_S, 0.0, 0.0, 1.0, 0.0])
 
 
-def batch(times_us: list[float], off: list[float], scale: float = 1.0) -> EdgeBatch:
-    """Edges of a shaft at an even speed, off by so much at the model's shaft."""
+def batch(times_us: list[float], off: list[float]) -> EdgeBatch:
+    """Edges of a shaft at an even speed, off by so much."""
     times = np.array(times_us)
-    angles = (RAD_S * 1e-6 * times + np.array(off)) / scale
+    angles = RAD_S * 1e-6 * times + np.array(off)
     return EdgeBatch(times, angles, np.zeros(times.size, np.int64), np.zeros(times.size, np.int64))
 
 
@@ -46,21 +46,19 @@ def law(edge_s: float, count: int) -> Vector:
     return found
 
 
-@pytest.mark.parametrize("scale", [1.0, 0.6])
-def test_a_window_s_equations_are_those_of_the_normal_law_of_its_edges(scale: float) -> None:
+def test_a_window_s_equations_are_those_of_the_normal_law_of_its_edges() -> None:
     """Normal matrix C^-1, right side -C^-1 y, squares y' C^-1 y, and the logarithm of C's
     determinant; C tells how edges go together. In parts as at once; late ones are left out."""
     off, learner = [2e-3, -1e-3, 5e-4], begun()
-    learner.take(batch([1e3, 2e3], off[:2], scale), np.array([0, 1]), NO_PRESSURES, OFF, STILL,
-                 scale)  # fmt: skip
-    late = batch([1.5e3, 3e3], [9.0, off[2]], scale)
-    learner.take(late, np.array([0, 2]), NO_PRESSURES, OFF, STILL, scale)
+    learner.take(batch([1e3, 2e3], off[:2]), np.array([0, 1]), NO_PRESSURES, OFF, STILL)
+    late = batch([1.5e3, 3e3], [9.0, off[2]])
+    learner.take(late, np.array([0, 2]), NO_PRESSURES, OFF, STILL)
     c = law(TUNING.edge_time_s, 3)
     inverse, y = np.linalg.inv(c), np.array(off)
     found = learner.so_far()
-    assert found.normal == pytest.approx(scale**2 * inverse, rel=1e-6)
+    assert found.normal == pytest.approx(inverse, rel=1e-6)
     assert np.array_equal(found.normal, found.normal.T)
-    assert found.right == pytest.approx(-scale * inverse @ y, rel=1e-6)
+    assert found.right == pytest.approx(-inverse @ y, rel=1e-6)
     assert found.squares == pytest.approx(y @ inverse @ y, rel=1e-6)
     assert (found.edges, learner.edges) == (3.0, 3.0)
     assert learner.log_variance == pytest.approx(np.linalg.slogdet(c)[1])

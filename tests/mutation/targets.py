@@ -58,8 +58,8 @@ _KERNEL_TESTS: Final = tuple(
     f"tests/controller/test_{name}.py"
     for name in (
         "kernels", "motion", "crossing", "swing", "lash", "lash_course", "edges", "edge_gate",
-        "edge_gate_foreign", "edge_speed", "sensor_count", "fused_wheels", "predictor", "strategy",
-        "estimation_exactly", "fusion_exactly", "lash_exactly", "lash_start_exactly",
+        "edge_gate_foreign", "edge_speed", "sensor_count", "predictor", "strategy",
+        "estimation_exactly", "lash_exactly", "lash_start_exactly",
         "aiming_exactly", "motion_kernels_exactly", "linear_kernels_exactly", "swing_exactly",
         "lash_motion_exactly", "lash_course_exactly", "crossing_exactly", "swing_filter_exactly",
         "loaded_exactly", "lash_cloud_exactly", "plan_kernels_exactly", "gate_exactly",

@@ -193,7 +193,7 @@ def test_identified_figures_agree_where_nine_of_ten_intervals_hold_what_was_buil
 
 @pytest.mark.parametrize(
     "name",
-    ["commission", "counterfactual", "delay", "fusion", "hardware"],
+    ["commission", "counterfactual", "delay", "hardware"],
 )
 def test_gearboxes_are_drawn_from_the_profile_that_the_settings_name(name: str) -> None:
     start = given(name)

@@ -11,9 +11,8 @@ from typing import Any, Final
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from meshpoint.bus.profile import WireProfile
 from meshpoint.controller.planning.strategies.table import make_strategy
-from meshpoint.controller.settings import STRATEGY_NAMES, ControllerSettings
+from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.controller.strategy_file import FORM, StrategyFile
 from meshpoint.rig_sim.settings import Preset
 from meshpoint.testbench.campaign.draw import upshifts
@@ -241,7 +240,7 @@ def run(namespace: argparse.Namespace) -> int:
         judged_blind=_judged_blind(namespace),
         seed=namespace.seed,
         profile=built.profile,
-        wire=_wire(namespace, settings),
+        wire=arguments.wire_of(namespace),
         as_built=built.fixed,
         sweep=tuple(point for points in namespace.sweep for point in points),
         strategy_files=_strategy_files(strategies),
@@ -254,12 +253,6 @@ def run(namespace: argparse.Namespace) -> int:
     if namespace.only is not None:
         return _only(namespace, spec, out)
     return _all(namespace, spec, out)
-
-
-def _wire(namespace: argparse.Namespace, settings: ControllerSettings) -> WireProfile:
-    wire = arguments.wire_of(namespace)
-    arguments.check_fused(settings, wire)
-    return wire
 
 
 def _only(namespace: argparse.Namespace, spec: CampaignSpec, out: Console) -> int:

@@ -36,7 +36,6 @@ STUDY_NAMES: Final = (
     "shiftability",
     "hardware",
     "target",
-    "fusion",
     "counterfactual",
     "identify",
     "commission",
