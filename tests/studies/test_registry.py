@@ -6,9 +6,9 @@ import dataclasses
 
 import pytest
 
+from benchmarks.studies.registry import STUDY_NAMES, chosen, load
+from benchmarks.studies.settings import load_study_settings
 from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.studies.registry import STUDY_NAMES, chosen, load
-from meshpoint.testbench.studies.settings import load_study_settings
 
 FIGURES = {f"figure 6.{number}" for number in range(1, 14)}
 TABLES = {"table 6.1", "table 6.2"}

@@ -33,7 +33,7 @@ from meshpoint.testbench.campaign.verdict_words import (
     stopped_words,
     write_junit,
 )
-from meshpoint.testbench.commands import arguments, swarm
+from meshpoint.testbench.commands import arguments
 from meshpoint.testbench.commands.campaign_before import baseline
 from meshpoint.testbench.commands.interrupt import interruptible
 from meshpoint.testbench.errors import CommandError, RunError
@@ -55,10 +55,7 @@ DESCRIPTION: Final = """\
 Seeded Monte Carlo. A run is one draw: a gearbox as built, oil, load, slope, supply pressure and one
 gear change. The controller first makes the learning shifts; then each judged shift is made by every
 strategy on a copy of the same bench, so strategies are compared on the same draws. Every shift goes
-through encoded frames of both nodes in virtual time. Results do not depend on --jobs or --dask.
-
-With --faults it compares nothing: it draws worlds in which anything may fail, and holds every step
-against the gearbox's true state. See docs/safety.md."""
+through encoded frames of both nodes in virtual time. Results do not depend on --jobs or --dask."""
 
 
 def add_parser(commands: Any) -> None:
@@ -110,7 +107,7 @@ def add_parser(commands: Any) -> None:
     )  # fmt: skip
     _add_stopping(parser)
     _add_execution(parser)
-    swarm.add_arguments(parser)
+    parser.add_argument("--faults", action=_Faults, nargs=0, help=argparse.SUPPRESS)
     arguments.add_preset(parser)
     arguments.add_seed(parser)
     arguments.add_as_built(parser)
@@ -119,6 +116,13 @@ def add_parser(commands: Any) -> None:
     arguments.add_wire(parser)
     arguments.add_json(parser)
     parser.set_defaults(run=run)
+
+
+class _Faults(argparse.Action):
+    """Says where the campaign of faults is."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_given: object) -> None:
+        parser.error("--faults is `python -m benchmarks.swarm` in the repository (docs/safety.md)")
 
 
 def _add_stopping(parser: argparse.ArgumentParser) -> None:
@@ -223,8 +227,6 @@ def _add_execution(parser: argparse.ArgumentParser) -> None:
 
 def run(namespace: argparse.Namespace) -> int:
     """Runs it."""
-    if namespace.faults or namespace.scenario is not None:
-        return swarm.run(namespace)
     built = arguments.as_built_of(namespace)
     settings = arguments.settings_of(namespace)
     strategies = namespace.strategies or _compared(namespace, settings.strategy_name)

@@ -51,7 +51,6 @@ MODULES: Final = {
     "calibration": "calibration",
     "captures": "captures",
     "convert": "convert",
-    "study": "study",
     "settings": "settings",
     "dbc": "dbc",
     "completion": "completion",
@@ -59,6 +58,8 @@ MODULES: Final = {
 }
 """The module of `meshpoint.testbench.commands` that holds each command, in the order of the
 help."""
+MOVED: Final = {"study": "`python -m benchmarks.studies` in the repository (docs/thesis.md)"}
+"""Where that is which once was a command."""
 
 SUMMARIES: Final = {
     "demo": "both nodes live, both strategies: a table, a picture, a report, a verified log",
@@ -83,7 +84,6 @@ SUMMARIES: Final = {
     "calibration": "show what a controller has learned of a gearbox",
     "captures": "edges captured from real sensors, through the node's edge gate",
     "convert": "a capture of a sensor as a log of edge frames",
-    "study": "the thesis's figures and tables reproduced, ours beside them",
     "settings": "show every setting of the controller: unit, range, default, meaning",
     "dbc": "the DBC: where it is, its messages, the signals of one",
     "completion": "what a shell needs to complete our command lines",
