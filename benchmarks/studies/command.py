@@ -13,7 +13,7 @@ from rich.table import Table
 from rich.text import Text
 
 from benchmarks.studies.record import Study, ThesisVerdict
-from benchmarks.studies.registry import STUDY_NAMES, chosen, load
+from benchmarks.studies.registry import STUDIES, chosen
 from benchmarks.studies.runner import StudyRecord, run_studies
 from benchmarks.studies.settings import StudySettings, load_study_settings, shipped_text
 from meshpoint.gearbox.reading import read_text
@@ -114,16 +114,15 @@ def run(namespace: argparse.Namespace) -> int:
 def _list(namespace: argparse.Namespace) -> int:
     if namespace.names != [LIST]:
         raise CommandError("list stands alone, without names of studies")
-    studies = [load(name) for name in STUDY_NAMES]
     if namespace.json is not None:
-        values = {study.name: {"title": study.title, "of": list(study.of)} for study in studies}
+        values = {study.name: {"title": study.title, "of": list(study.of)} for study in STUDIES}
         write_json(namespace.json, values)
     if namespace.json != "-":
-        console(namespace.json).print(list_table(studies))
+        console(namespace.json).print(list_table(STUDIES))
     return Exit.DONE
 
 
-def list_table(studies: list[Study[Any]]) -> Table:
+def list_table(studies: Sequence[Study[Any]]) -> Table:
     """All studies and what they reproduce."""
     table = Table(box=None, pad_edge=False)
     for column in ("study", "of the thesis", ""):

@@ -1,7 +1,8 @@
-"""Predictions over the sleeve's delay against the simulated value (thesis 6.3).
+"""Figures 6.5 to 6.7: predictions over the sleeve's delay against the simulated value (thesis 6.3).
 
 Every sample is predicted t_delay ahead, and the prediction delayed by as much is compared with the
-simulated value, as in figures 6.5 to 6.7.
+simulated value: by constant speed, by Euler's method, and by zero-order hold with and without the
+future commands.
 """
 
 from __future__ import annotations
@@ -12,7 +13,18 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.studies.record import Chart, Given, Line, Panel, Style, rms
+from benchmarks.studies.record import (
+    Chart,
+    Finding,
+    Given,
+    Line,
+    Panel,
+    Statement,
+    Study,
+    Style,
+    ThesisVerdict,
+    rms,
+)
 from benchmarks.studies.simulated import SimulatedShift, simulate_shift
 from meshpoint.controller.motion.linear import (
     layshaft_model,
@@ -171,3 +183,93 @@ class Predictions:
                 ),
             ),
         )
+
+
+def _linear(given: Given[Settings]) -> Finding:
+    predictions = Predictions(given)
+    linear = predictions.linear()
+    values = predictions.figures(linear)
+    half_gap_pct = 50.0 * given.sheet.dog.backlash_share
+    angle_pct = values["engaging_angle_rms_percent_of_pitch"]
+    statement = Statement(
+        "sensitive to changes in acceleration and slow to come near the simulated speed after the "
+        "brake: ineffective when a gear is to be engaged",
+        f"in the {given.own.engaging_ms} ms in which a gear would be engaged the error is "
+        f"{values['engaging_speed_rms_rpm']:.1f} rpm and {angle_pct:.1f} % of pitch RMS; up to "
+        f"{predictions.around(values)}",
+        ThesisVerdict.AGREES if angle_pct > half_gap_pct else ThesisVerdict.DIFFERS,
+        f"ineffective is taken as an angle error of more than half a gap ({half_gap_pct:g} % of "
+        "pitch): residual pressure and drag go on slowing the layshaft",
+    )
+    chart = predictions.chart("linear", "Prediction by constant speed, 45 ms ahead", linear)
+    return Finding((statement,), values, (chart,))
+
+
+LINEAR = Study("linear", "Prediction: constant speed", ("figure 6.5",), Settings, _linear)
+
+
+def _euler(given: Given[Settings]) -> Finding:
+    predictions = Predictions(given)
+    euler, linear = predictions.euler(), predictions.linear()
+    values, linear_values = predictions.figures(euler), predictions.figures(linear)
+    around, elsewhere = values["most_around_switches_rpm"], values["most_elsewhere_rpm"]
+    delayed = Statement(
+        "the prediction is late by 45 ms when the brake's input changes",
+        f"error up to {predictions.around(values)}, within 45 ms; up to {elsewhere:.1f} rpm "
+        "elsewhere",
+        ThesisVerdict.AGREES if around > elsewhere else ThesisVerdict.DIFFERS,
+        "a switch after the prediction was made is not in it",
+    )
+    key = "engaging_speed_rms_rpm"
+    closer = Statement(
+        "after the release the prediction comes nearer the simulated speed than the linear one",
+        f"{values[key]:.2f} rpm RMS against {linear_values[key]:.2f} rpm, "
+        f"{values['engaging_angle_rms_percent_of_pitch']:.2f} % of pitch against "
+        f"{linear_values['engaging_angle_rms_percent_of_pitch']:.2f} %",
+        ThesisVerdict.AGREES if values[key] < linear_values[key] else ThesisVerdict.DIFFERS,
+        "it knows pressure and friction; what is left is its step, see study step",
+    )
+    chart = predictions.chart("euler", "Prediction by Euler's method, 45 ms ahead", euler, linear)
+    return Finding((delayed, closer), values | {"linear": linear_values}, (chart,))
+
+
+EULER = Study("euler", "Prediction: Euler's method", ("figure 6.6",), Settings, _euler)
+
+
+EXACT_RPM = 1e-6
+
+
+def _hold(given: Given[Settings]) -> Finding:
+    predictions = Predictions(given)
+    hold, future = predictions.hold(), predictions.hold_future()
+    values = predictions.figures(hold)
+    elsewhere = values["most_elsewhere_rpm"]
+    exact = Statement(
+        "exactly the simulated value in each sampling point, except when the input changes",
+        f"at most {elsewhere:.1e} rpm off where no switch lies within the horizon",
+        ThesisVerdict.AGREES if elsewhere < EXACT_RPM else ThesisVerdict.DIFFERS,
+        f"exact is taken as {EXACT_RPM:g} rpm. The simulated value is the rig's closed form, "
+        "written independently of the predictor's",
+    )
+    around = values["most_around_switches_rpm"]
+    delayed = Statement(
+        "as with Euler there is a delay when the brake is engaged and disengaged",
+        f"error up to {predictions.around(values)}, within 45 ms",
+        ThesisVerdict.AGREES if around > elsewhere else ThesisVerdict.DIFFERS,
+        "the thesis's predictor holds the input; a switch in the horizon is not in it",
+    )
+    known = float(np.abs(future.speed_error_rpm).max())
+    known_pct = float(np.abs(future.angle_error_pct).max())
+    beyond = Statement(
+        "(not in the thesis) the node knows its own commands of the next 45 ms",
+        f"with them at most {known:.1e} rpm and {known_pct:.1e} % of pitch off everywhere, the "
+        "switches included",
+        ThesisVerdict.NOT_COMPARABLE,
+        "valve commands carry an activation time, so each switch is a step of its own",
+    )
+    values |= {"known_future_most_rpm": known, "known_future_most_percent_of_pitch": known_pct}
+    chart = predictions.chart("hold", "Prediction by zero-order hold, 45 ms ahead", hold, future)
+    return Finding((exact, delayed, beyond), values, (chart,))
+
+
+HOLD = Study("hold", "Prediction: zero-order hold", ("figure 6.7",), Settings, _hold)
