@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: long devices swarm faults planted mutants digests demo docs test installed acceptance vcan vcan-alone controllers test-containers lint types reference contracts locks stubs bench clean
+.PHONY: long devices study swarm faults planted mutants digests demo docs test installed acceptance vcan vcan-alone controllers test-containers lint types reference contracts locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -76,21 +76,25 @@ vcan-alone: $(VENV)/test.stamp
 	tools/vcan/test-with-vcan
 	tools/vcan/test-python-can $(CURDIR)/$(BIN)/python
 
+# Every figure and table of the thesis, ours beside it, on one page: out/study/studies.html
+study: $(VENV)/test.stamp
+	$(BIN)/python -m benchmarks.studies all
+
 # Worlds in which anything may fail, for so many seconds; says how many hours were simulated.
 SWARM_WALL_S ?= 60
 SWARM_SEED ?= 1
 swarm: $(VENV)/test.stamp
-	$(BIN)/meshpoint campaign --faults --hours 100 --wall $(SWARM_WALL_S) --seed $(SWARM_SEED)
+	$(BIN)/python -m benchmarks.swarm --hours 100 --wall $(SWARM_WALL_S) --seed $(SWARM_SEED)
 
 # A hundred hours of them, in parts: interrupted, it goes on where it was.
 swarm-nightly: $(VENV)/test.stamp
 	mkdir -p out
-	$(BIN)/meshpoint campaign --faults --hours 100 --seed $(SWARM_SEED) --out out/swarm --resume \
+	$(BIN)/python -m benchmarks.swarm --hours 100 --seed $(SWARM_SEED) --out out/swarm --resume \
 	    --json out/swarm.json
 
 # The table of docs/faults.md, from scenarios that are run for it.
 faults: $(VENV)/test.stamp
-	$(BIN)/python -m meshpoint.testbench.swarm.named docs/faults.md
+	$(BIN)/python -m benchmarks.swarm.named docs/faults.md
 
 # Each bug of tests/planted in a copy of the product: is it caught?
 planted: $(VENV)/test.stamp

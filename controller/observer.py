@@ -7,11 +7,9 @@ from meshpoint.controller.estimation.baseline_tracker import BaselineTracker
 from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.estimation.crossing_tracker import CrossingTracker
 from meshpoint.controller.estimation.cruise import CruiseTracker
-from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels, LayshaftTracker
 from meshpoint.controller.estimation.loaded_driveline import Load, LoadedDriveline
 from meshpoint.controller.estimation.main_tracker import Behind, MainTracker
-from meshpoint.controller.estimation.swing_filter import MAIN_FILTER
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kinematics import are_finite
 from meshpoint.controller.motion.linear import layshaft_model
@@ -39,14 +37,10 @@ from meshpoint.controller.sensing.wheel_edges import (
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.j1939 import torque_share
 from meshpoint.dbc.messages import (
-    EdgesInputFall,
-    EdgesInputRise,
     EdgesLayshaftFall,
     EdgesLayshaftRise,
     EdgesMainFall,
     EdgesMainRise,
-    EdgesPropellerFall,
-    EdgesPropellerRise,
     Estimator,
     GearboxSensors,
     ValveStatus,
@@ -82,8 +76,6 @@ class Observer:
         self._split = Split.HIGH
         self._layshaft_wheel = WheelEdges.of(wheels.layshaft)
         self._main_wheel = WheelEdges.of(wheels.main, BRAKED_RAD_S2)
-        self._input_wheel: GearedWheel | None = None
-        self._propeller_wheel: GearedWheel | None = None
         self.brake = BrakeModel(sheet, tuning.gain_sd, tuning.drag_sd_nm)
         self.pressed_nm = 0.0
         """What is left in the shafts as a gear comes out (`DrivelineLook.pressed_nm`)."""
@@ -101,21 +93,14 @@ class Observer:
         self.recovery: ReferenceRecovery | None = None
         """What outlives lost tooth numbers; the baselines know no teeth by which to find them."""
         if self._learns:
-            if tuning.fuse_input:
-                self._input_wheel = GearedWheel("input shaft", wheels.input_, tuning)
-            if tuning.fuse_propeller:
-                self._propeller_wheel = GearedWheel(
-                    "propeller shaft", wheels.propeller, tuning, BRAKED_RAD_S2, MAIN_FILTER
-                )
             layshaft = self.layshaft = self._crossing = CrossingTracker(
                 tuning, brake, self.brake, wheels.layshaft.teeth, wheels.layshaft.missing,
-                self._input_wheel, sheet.shafts.friction_nms,
+                sheet.shafts.friction_nms,
             )  # fmt: skip
             main = self._main = MainTracker(
                 tuning,
                 wheels.main.teeth,
                 wheels.main.missing,
-                self._propeller_wheel,
                 (sheet.range_.low.ratio, sheet.range_.high.ratio),
                 Behind(sheet.axle, sheet.dog.backlash_rad / 2.0),
             )
@@ -214,8 +199,6 @@ class Observer:
         if not self.layshaft.free and self._is_free:
             layshaft, main = self._take_in_gear(layshaft, main)
         self._see_whether_free(events)
-        if not jumped:
-            self._read_geared(inputs, now_us)
         self._main.edges(main)
         if self._main_dragged:
             # The filter cannot follow a synchroniser, which changes the speed by 400 rpm in 20 ms.
@@ -243,22 +226,6 @@ class Observer:
             return
         load = Load(torque_nm, closed > self.kiss_share, tracker.own_drag_nm)
         self._loaded.take(gear, tracker.placed, shaft.placed, load, shafts)
-
-    def _read_geared(self, inputs: StepInputs, now_us: int) -> None:
-        """Input and propeller shaft, where they are fused."""
-        view, sheet, edges = self.view, self._sheet, inputs.edges
-        wheel = self._input_wheel
-        if wheel is not None:
-            dragged = now_us - self._split_us < DRAGGED_US
-            split = None if dragged else view.split
-            wheel.set_ratio(None if split is None else sheet.split_mesh(split).ratio, dragged)
-            wheel.read(edges[EdgesInputRise], edges[EdgesInputFall], self.clock, now_us)
-        wheel = self._propeller_wheel
-        if wheel is not None:
-            range_ = None if self._main_dragged else view.range_
-            scale = None if range_ is None else 1.0 / sheet.range_mesh(range_).ratio
-            wheel.set_ratio(scale, self._main_dragged)
-            wheel.read(edges[EdgesPropellerRise], edges[EdgesPropellerFall], self.clock, now_us)
 
     def _see_synchronisers(self, now_us: int) -> None:
         """Notes changes of splitter and range: their synchronisers accelerate the shafts
@@ -325,9 +292,6 @@ class Observer:
         if jumped:
             self._layshaft_wheel.restart()
             self._main_wheel.restart()
-            for geared in (self._input_wheel, self._propeller_wheel):
-                if geared is not None:
-                    geared.restart()
             events.append("sensor clock jumped: teeth and phases start anew")
         _, layshaft, main = self._lost
         self._lost = (self.clock.jumps, self._layshaft_wheel.broken, self._main_wheel.broken)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 from meshpoint.controller.strategy_file import StrategyFile
 from meshpoint.dbc.messages import Estimator, Strategy
@@ -238,6 +239,12 @@ class CruiseFilterTuning:
 class CrossingFilterTuning:
     """Noises that the crossing-time filter assumes; where they come from: docs/estimation.md."""
 
+    REMOVED: ClassVar[Mapping[str, str]] = dict.fromkeys(
+        ("fuse_input", "fuse_propeller", "mesh_walk_deg", "mesh_side_deg", "mesh_side_ms"),
+        "angles come from the layshaft's and the main shaft's own wheels alone; the line may be "
+        "deleted",
+    )
+
     edge_time_s: float = quantity("edge_time_us", 0.1, 200.0, 1e-6, default=10e-6)
     """Standard deviation of an edge's time."""
     tooth_error_rad: float = quantity("tooth_error_deg", 1e-4, 5.0, DEG, default=0.2 * DEG)
@@ -294,16 +301,6 @@ class CrossingFilterTuning:
     swing_noise_rad2_s3: float = quantity("swing_noise_rad2_s3", 0.0, 1e6, default=0.1)
     """Typical density of the noise that accelerates the main shaft, before any shift has shown
     it."""
-    fuse_input: bool = flag("fuse_input", default=False)
-    """The input shaft's edges count for the layshaft while it is free."""
-    fuse_propeller: bool = flag("fuse_propeller", default=False)
-    """The propeller shaft's edges count for the main shaft while the layshaft is free."""
-    mesh_walk_rad: float = quantity("mesh_walk_deg", 0.0, 5.0, DEG, default=0.01 * DEG)
-    """By how much the angle between two fused wheels wanders in a second at one flank."""
-    mesh_side_rad: float = quantity("mesh_side_deg", 0.0, 5.0, DEG, default=0.05 * DEG)
-    """By how much that angle changes where the mesh goes to its other flank."""
-    mesh_side_s: float = quantity("mesh_side_ms", 1.0, 5000.0, 1e-3, default=0.03)
-    """How long after a switch of the brake the mesh may go to its other flank."""
     pressure_sd_pa: float = SENSOR_SD_PA
     """Standard deviation of the measured brake pressure: the data sheet's."""
     lash_rad: float = Driveline().backlash_rad

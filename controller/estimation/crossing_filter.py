@@ -38,19 +38,8 @@ class Pressures(NamedTuple):
 NO_PRESSURES: Final = Pressures(np.empty(0), np.empty(0))
 
 
-class GearedEdges(NamedTuple):
-    """New edges of a wheel that turns with the filter's shaft by an exact ratio, rising in time."""
-
-    edges: Vector
-    """(2, n): times (us), and angles of the filter's shaft (rad), the offset between the wheels not
-    taken out."""
-    sd_rad: float
-    """Standard deviation of these angles."""
-
-
-_Batch = tuple[Vector, int, Pressures]
-"""Times and angles of edges (2, n), how many of them, at the end, are a geared wheel's, pressures.
-"""
+_Batch = tuple[Vector, Pressures]
+"""Times and angles of edges (2, n), and pressures."""
 
 
 class CrossingFilter:
@@ -85,23 +74,7 @@ class CrossingFilter:
         memory.x[:], memory.p[:] = x, p
         memory.log_variance[0] = 0.0
         memory.nis[:] = 0.0
-        self.lose_offset()
-
-    def set_mesh(self, at_flank_rad2_s: float, loose_rad2_s: float, loose_us: float) -> None:
-        """How the angle between this wheel and a geared one moves (`crossing_layout.Filter`)."""
-        self._memory.part("mesh")[:] = at_flank_rad2_s, loose_rad2_s, loose_us
-
-    def lose_offset(self) -> None:
-        """The offset between this wheel and the geared one is unknown from now on; also forgets the
-        snapshots."""
-        self._memory.offset_rad2[0] = 0.0
         self.forget_past()
-
-    @property
-    def offset(self) -> tuple[float, float] | None:
-        """Angle of a geared wheel less that of the shaft, and its sd, rad; None while unknown."""
-        variance = self._memory.offset_rad2.item()
-        return (self._memory.offset_rad.item(), math.sqrt(variance)) if variance > 0.0 else None
 
     def forget_past(self) -> None:
         """Call it when the model changes: batches before that cannot be processed again."""
@@ -148,29 +121,20 @@ class CrossingFilter:
         pressures: Pressures,
         switches: Vector,
         model: RecordMemory,
-        geared: GearedEdges | None = None,
     ) -> None:
         """New edges (2, n): times (us) and the angles they stand for (rad), with standard deviation
-        `sd_rad`; pressures between them; and the edges of a geared wheel."""
+        `sd_rad`; and pressures between them."""
         memory = self._memory
         if model is not self._model:
             self._model = model
             memory.model[:] = model.flat
         if sd_rad != self._sd_rad:
             self._sd_rad = memory.tooth_rad[0] = sd_rad
-        extra = 0
-        if geared is not None:
-            extra = memory.geared[0] = geared.edges.shape[1]
-            edges = _by_rows(edges, geared.edges)
-            memory.part("geared_tooth_rad")[0] = geared.sd_rad
         flat = memory.flat
         while self._run(flat, edges, *pressures, switches, NO_TEETH) == LATE:
-            edges, extra, pressures = _merged(self._taken.pop(), (edges, extra, pressures))
+            edges, pressures = _merged(self._taken.pop(), (edges, pressures))
             memory.go_back()
-            memory.geared[0] = extra
-        self._taken.append((edges, extra, pressures))
-        if extra:
-            memory.geared[0] = 0
+        self._taken.append((edges, pressures))
 
     def latest(self) -> LayshaftState:
         """The state at the newest edge; where a prediction starts."""
@@ -181,35 +145,14 @@ class CrossingFilter:
         return ahead(self.x, self.p, self.time_us, time_us, switches, model)
 
 
-def _by_rows(*edges: Vector) -> Vector:
-    """Edges side by side, row by row in memory: where each is a single one numpy makes columns of
-    them, and for those numba would compile the filter once more."""
-    return np.ascontiguousarray(np.concatenate(edges, axis=1))
-
-
 def _merged(early: _Batch, late: _Batch) -> _Batch:
-    """Two batches as one, each wheel's edges in order of time."""
-    (early_edges, early_extra, early_pressures), (late_edges, late_extra, late_pressures) = (
-        early,
-        late,
-    )
-    first, then = early_edges.shape[1] - early_extra, late_edges.shape[1] - late_extra
-    own, extra = first + then, early_extra + late_extra
-    edges = _by_rows(
-        early_edges[:, :first],
-        late_edges[:, :then],
-        early_edges[:, first:],
-        late_edges[:, then:],
-    )
-    time_us = edges[0]
-    order = np.concatenate(
-        (
-            np.argsort(time_us[:own], kind="stable"),
-            own + np.argsort(time_us[own:], kind="stable"),
-        )
-    )
+    """Two batches as one, its edges in order of time."""
+    (early_edges, early_pressures), (late_edges, late_pressures) = early, late
+    edges = np.concatenate((early_edges, late_edges), axis=1)
+    order = np.argsort(edges[0], kind="stable")
     pressures = Pressures(
         np.concatenate((early_pressures.time_us, late_pressures.time_us)),
         np.concatenate((early_pressures.pressure_pa, late_pressures.pressure_pa)),
     )
-    return np.ascontiguousarray(edges[:, order]), extra, pressures
+    # By rows: of a single edge numpy makes columns, and for those numba would compile once more.
+    return np.ascontiguousarray(edges[:, order]), pressures

@@ -29,12 +29,6 @@ from meshpoint.controller.estimation.crossing_layout import (
     SNAPSHOT_WORDS,
     Filter,
 )
-from meshpoint.controller.estimation.fusion_kernels import (
-    MOST_IN_A_ROW,
-    carry_offset,
-    follow_offset,
-    take_geared,
-)
 from meshpoint.controller.jit import bare, compiled, inlined, record_on
 from meshpoint.controller.motion.kernels import (
     DRAG,
@@ -54,6 +48,8 @@ from meshpoint.controller.motion.kernels import (
 from meshpoint.controller.records import Vector
 from meshpoint.units import US
 
+MOST_IN_A_ROW: Final = 8
+"""After this many refused edges in a row the filter's state is taken to be wrong, not the edges."""
 LEAST_GAIN: Final = 0.2
 SHORT_S: Final = 2e-3
 """In a shorter step a change of the pressure law's segment is ignored: its fit has larger
@@ -78,8 +74,7 @@ def crossing_filter(
 ) -> int:  # fmt: skip
     """The filter over a batch of edges and pressure samples, both rising in time, in place.
 
-    memory: a `Filter`; edges (2, n): times and the angles they stand for, the last `geared` of
-    them those of a geared wheel (`fusion_kernels`), rising by themselves; switches as in `travel`.
+    memory: a `Filter`; edges (2, n): times and the angles they stand for; switches as in `travel`.
     To learn teeth: teeth as `TeethArrays` has it, and edges with a third row, which of the wheel's
     N edges each is; N = 0 otherwise.
 
@@ -88,16 +83,14 @@ def crossing_filter(
     keeps a snapshot of the state before the batch and returns DONE."""
     f = record_on(memory, FILTER)
     edge_us, edge_rad = edges[0], edges[1]
-    count, n, m = edge_us.shape[0], edge_us.shape[0] - f.geared, pressure_us.shape[0]
-    if f.held > 0 and begins_before(f.time_us, edge_us, n):
+    n, m = edge_us.shape[0], pressure_us.shape[0]
+    if f.held > 0 and n > 0 and edge_us[0] < f.time_us:
         return LATE
     keep(f, SNAPSHOT_WORDS)
-    i, j, k, geared = input_at(f.time_us, switches[0]), 0, 0, n
-    while k < n or geared < count or j < m:
-        own = k < n and not (geared < count and edge_us[geared] < edge_us[k])
-        edge = k if own else geared
-        pressure_is_next = j < m and (edge == count or pressure_us[j] < edge_us[edge])
-        when_us = pressure_us[j] if pressure_is_next else edge_us[edge]
+    i, j, k = input_at(f.time_us, switches[0]), 0, 0
+    while k < n or j < m:
+        pressure_is_next = j < m and (k == n or pressure_us[j] < edge_us[k])
+        when_us = pressure_us[j] if pressure_is_next else edge_us[k]
         late = when_us <= f.time_us
         if not late:
             i = move(f, when_us, i, switches, teeth)
@@ -105,29 +98,17 @@ def crossing_filter(
             if not late:
                 take_pressure(f, pressure_pa[j], teeth)
             j += 1
-        elif own:
+        else:
             if not late:
                 innovation = edge_rad[k] - f.state.theta_rad
                 s = take_edge(f, innovation, STATES, DRAG)
                 if teeth.shape[1] > 0 and s > 0.0:
-                    learn(teeth, int(edges[2, k]), f.scale, innovation, s)
+                    learn(teeth, int(edges[2, k]), innovation, s)
                     follow(teeth, f.gain, STATES)
             k += 1
-        else:
-            if not late:
-                take_geared(f, edge_rad[geared], STATES)
-            geared += 1
         f.state.gain = max(f.state.gain, LEAST_GAIN)
     mirror(f.p, STATES)
     return DONE
-
-
-@inlined
-def begins_before(t_us: float, edge_us: Vector, n: int) -> bool:
-    """Whether edges, n of one wheel and the rest of another, begin before a time."""
-    own_does = n > 0 and edge_us[0] < t_us
-    geared_does = edge_us.shape[0] > n and edge_us[n] < t_us
-    return bool(own_does or geared_does)
 
 
 @inlined
@@ -157,8 +138,6 @@ def move(f: Filter, to_us: float, i: int, switches: Vector, teeth: Vector) -> in
         spread_over(f.p, part, step, model, state.gain, f.restless)
         if teeth.shape[1] > 0:
             carry(teeth, step)
-        if f.offset_rad2 > 0.0:
-            carry_offset(f, part, i > 0 and t_us - switch_us[i - 1] < f.loose_us)
         if part < dt:
             t_us += part / US
         else:
@@ -174,12 +153,10 @@ def take_pressure(f: Filter, pressure_pa: float, teeth: Vector) -> None:
     """One sample of the measured pressure into the filter."""
     r = f.pressure_sd_pa * f.pressure_sd_pa
     innovation = pressure_pa - f.state.pressure_pa
-    s = measure(f.x, f.p, PRESSURE, innovation, r, f.gain)
+    measure(f.x, f.p, PRESSURE, innovation, r, f.gain)
     for c in range(teeth.shape[1]):
         teeth[ROW, c] = -teeth[PRESSURE, c]
     follow(teeth, f.gain, STATES)
-    if f.offset_rad2 > 0.0:
-        follow_offset(f, PRESSURE, innovation, s, STATES)
 
 
 @inlined
@@ -206,10 +183,7 @@ def take_edge(f: Filter, innovation: float, states: int, led: int) -> float:
         f.count += 1.0
         f.log_variance += math.log(p[THETA, THETA] + r)
     f.gated_in_a_row = 0
-    s = measure(f.x, p, THETA, innovation, r, f.gain)
-    if f.offset_rad2 > 0.0:
-        follow_offset(f, THETA, innovation, s, states)
-    return s
+    return measure(f.x, p, THETA, innovation, r, f.gain)
 
 
 @inlined
@@ -227,12 +201,12 @@ def widen(f: Filter, innovation: float, states: int, led: int) -> None:
 
 
 @inlined
-def learn(teeth: Vector, place: int, scale: float, innovation: float, s: float) -> None:
+def learn(teeth: Vector, place: int, innovation: float, s: float) -> None:
     """Adds one innovation to the teeth's normal equations; ROW becomes its m."""
     size, row = teeth.shape[1], teeth[ROW]
     for c in range(size):
         row[c] = -teeth[THETA, c]
-    row[place] += scale
+    row[place] += 1.0
     for c in range(size):
         weighted = row[c] / s
         teeth[RIGHT, c] -= weighted * innovation

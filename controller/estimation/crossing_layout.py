@@ -30,12 +30,6 @@ class FilterSnapshot:
     state: MotionState
     p: Annotated[Vector, STATES, STATES]
     """Its covariance."""
-    offset_rad: float
-    """Angle of a geared wheel, by the exact ratio, less that of the shaft."""
-    offset_rad2: float
-    """Its variance; 0 while it is not known."""
-    offset_by: Annotated[Vector, STATES]
-    """Its covariances with the state."""
     restless: float
     """Process noise over that of the model, by the innovations lately."""
 
@@ -49,9 +43,6 @@ class Filter:
     time_us: float
     state: MotionState
     p: Annotated[Vector, STATES, STATES]
-    offset_rad: float
-    offset_rad2: float
-    offset_by: Annotated[Vector, STATES]
     restless: float
 
     # Parameters.
@@ -63,18 +54,7 @@ class Filter:
     """sd of an edge's time, of its angle, of the measured pressure."""
     gate_sd: float
     """An edge is refused if its innovation exceeds this many standard deviations."""
-    geared_tooth_rad: float
-    """sd of a geared wheel's edge, as an angle of the shaft."""
     model: Model
-    at_flank_rad2_s: float
-    loose_rad2_s: float
-    loose_us: float
-    """Random walk of the offset: its density while the mesh stays at one flank, its density while
-    the mesh may change to the other, and for how long after a switch of the brake it may (us)."""
-    scale: float
-    """Angle of the shaft over that of the wheel whose teeth are learned."""
-    geared: int
-    """How many of a batch's edges, at their end, are those of a geared wheel."""
 
     # Results and working memory.
     squares: float
@@ -86,8 +66,6 @@ class Filter:
     logarithm of the likelihood of what was taken."""
     gated_in_a_row: int
     """Edges refused in a row."""
-    astray_in_a_row: int
-    """Refused edges of the geared wheel in a row."""
     held: int
     """How many snapshots of the ring are valid."""
     next: int
@@ -100,7 +78,6 @@ class Filter:
 
     x: Annotated[Vector, Over("state"), STATES]
     motion: Annotated[Vector, Over("model"), layout_of(Model).itemsize // WORD_BYTES]
-    mesh: Annotated[Vector, Over("at_flank_rad2_s"), 3]
     nis: Annotated[Vector, Over("squares"), 2]
     snapshot: Annotated[Vector, Over("time_us"), SNAPSHOT_WORDS]
     snapshots: Annotated[Vector, Over("ring"), BATCHES_KEPT, SNAPSHOT_WORDS]
@@ -128,13 +105,12 @@ class FilterMemory(RecordMemory):
 
     def __init__(self, layout: Layout = FILTER) -> None:
         super().__init__(layout)
-        self.part("scale")[0] = self.part("restless")[0] = 1.0
+        self.part("restless")[0] = 1.0
 
     def _name_parts(self) -> None:
         self.time_us, self.x, self.p = self.part("time_us"), self.part("x"), self.part("p")
-        self.offset_rad, self.offset_rad2 = self.part("offset_rad"), self.part("offset_rad2")
         self.tooth_rad, self.model = self.part("tooth_rad"), self.part("motion")
-        self.geared, self.nis = self.part("geared"), self.part("nis")
+        self.nis = self.part("nis")
         self.log_variance = self.part("log_variance")
         self.held = self.part("held")
 

@@ -15,7 +15,6 @@ import numpy as np
 from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
 from meshpoint.controller.estimation.free_run import EDGE_TIME, MEMORY, TORQUE, FreeMotion, FreeRun
-from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.layshaft import LayshaftModels
 from meshpoint.controller.estimation.likelihood import prior, restored
 from meshpoint.controller.estimation.wheel_tracker import HEED, STRUCK_RAD_S, WheelTracker
@@ -63,11 +62,10 @@ class CrossingTracker(WheelTracker):
         known: BrakeModel,
         teeth: int,
         missing: tuple[int, ...] = (),
-        geared: GearedWheel | None = None,
         friction_nms: float = 0.0,
     ) -> None:
         """friction_nms: the sheet's viscous friction."""
-        super().__init__(tuning, teeth, missing, geared)
+        super().__init__(tuning, teeth, missing)
         self._brake = brake
         self._known = known
         self._following = following_motion(tuning.follow_rad_s2, tuning.follow_s, WALK_RAD_S2)
@@ -195,8 +193,6 @@ class CrossingTracker(WheelTracker):
         p = diagonal(2.0 * tuning.tooth_error_rad, 1.0, pressure_sd, torque_sd, gain_sd, drag_sd)
         self.teeth.learner.begin(state.time_us, x, p)
         self.teeth.learner.set_edge_time(self.noise[EDGE_TIME].value)
-        self._start_p = p
-        self._fuse(True)
         self._run.begin(state.time_us, state.x, state.p)
         self._free, self._free_edges = True, 0
 
@@ -205,7 +201,6 @@ class CrossingTracker(WheelTracker):
         state, known = self._filter, self._known
         state.forget_past()
         self._learn_teeth("layshaft", events)
-        self._fuse(False)
         x = state.x
         if self._free_edges >= LEAST_FREE_EDGES and np.isfinite(x).all():
             known.carry(x, state.p, self._inertia_kgm2)

@@ -16,7 +16,6 @@ import numpy as np
 from meshpoint.controller.calibration.learned import SwingRecord
 from meshpoint.controller.estimation.crossing_filter import NO_PRESSURES
 from meshpoint.controller.estimation.driveline_swing import DrivelineSwing, EdgeRun, MainWindow
-from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.lash import Lash
 from meshpoint.controller.estimation.lash_cloud import LashCloud
 from meshpoint.controller.estimation.lash_rivals import AHEAD_US, LashRivals, Prediction
@@ -59,12 +58,11 @@ class MainTracker(WheelTracker):
         tuning: CrossingFilterTuning,
         teeth: int,
         missing: tuple[int, ...] = (),
-        geared: GearedWheel | None = None,
         range_ratios: tuple[float, float] = (1.0, 1.0),
         behind: Behind | None = None,
     ) -> None:
         """range_ratios: i_range of low and high; behind: what turns behind the gearbox."""
-        super().__init__(tuning, teeth, missing, geared, MAIN_FILTER)
+        super().__init__(tuning, teeth, missing, MAIN_FILTER)
         white = 2.0 * tuning.follow_rad_s2**2 * tuning.follow_s
         self._following = SwingMotion(white, tuning.main_walk_rad_s2**2, [STILL] * MODES)
         steps = (Range.LOW, Range.HIGH)
@@ -207,17 +205,14 @@ class MainTracker(WheelTracker):
         state.begin(time_us, x, p)
         self._rivals[range_].begin()
         self._began = (time_us, x.copy(), p.copy())
-        self._start_p = p
         self._run.begin()
         self.teeth.learner.begin(time_us, x, p)
-        self._fuse(True)
 
     def _end_free(self, events: list[str]) -> None:
         self._free = False
         self._end_lash()
         self._learn_swing()
         self._learn_teeth("main shaft", events)
-        self._fuse(False)
         state = self._filter
         state.forget_past()
         state.heed(HEED)
@@ -250,7 +245,7 @@ class MainTracker(WheelTracker):
         self.edge_time = swing.learn(window, self.edge_time, teeth.learned)
         self._filter.set_edge_time(self.edge_time.value)
         if teeth.learner.running:
-            start_p = self._start_p.copy()
+            start_p = p.copy()
             swing.start(x, start_p)
             teeth.learner.begin(time_us, x, start_p)
             teeth.learner.set_edge_time(self.edge_time.value)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from meshpoint.controller.estimation.crossing_kernels import (
-    begins_before,
     crossing_filter,
     follow,
     keep,
@@ -15,7 +14,6 @@ from meshpoint.controller.estimation.crossing_kernels import (
     take_edge,
 )
 from meshpoint.controller.estimation.crossing_layout import DONE, LATE, ROW, FilterMemory
-from meshpoint.controller.estimation.fusion_kernels import take_geared
 from meshpoint.controller.estimation.swing_layout import (
     SWING_FILTER,
     SWING_SNAPSHOT_WORDS,
@@ -46,29 +44,19 @@ def swing_filter(
     are not read."""
     f = memory.view(SWING_FILTER)[0]
     edge_us, edge_rad = edges[0], edges[1]
-    count, n = edge_us.shape[0], edge_us.shape[0] - f.geared
-    if f.held > 0 and begins_before(f.time_us, edge_us, n):
+    n = edge_us.shape[0]
+    if f.held > 0 and n > 0 and edge_us[0] < f.time_us:
         return LATE
     keep(f, SWING_SNAPSHOT_WORDS)
-    k, geared = 0, n
-    while k < n or geared < count:
-        own = k < n and not (geared < count and edge_us[geared] < edge_us[k])
-        edge = k if own else geared
-        late = edge_us[edge] <= f.time_us
-        if not late:
-            swing_to(f, edge_us[edge], teeth)
-            if own:
-                innovation = edge_rad[k] - f.state.theta_rad
-                s = take_edge(f, innovation, SWING_STATES, -1)
-                if teeth.shape[1] > 0 and s > 0.0:
-                    learn(teeth, int(edges[2, k]), f.scale, innovation, s)
-                    follow(teeth, f.gain, SWING_STATES)
-            else:
-                take_geared(f, edge_rad[geared], SWING_STATES)
-        if own:
-            k += 1
-        else:
-            geared += 1
+    for k in range(n):
+        if edge_us[k] <= f.time_us:
+            continue
+        swing_to(f, edge_us[k], teeth)
+        innovation = edge_rad[k] - f.state.theta_rad
+        s = take_edge(f, innovation, SWING_STATES, -1)
+        if teeth.shape[1] > 0 and s > 0.0:
+            learn(teeth, int(edges[2, k]), innovation, s)
+            follow(teeth, f.gain, SWING_STATES)
     mirror(f.p, SWING_STATES)
     return DONE
 
@@ -82,9 +70,6 @@ def swing_to(f: SwingFilter, to_us: float, teeth: Vector) -> None:
     swing_spread(f.p, dt, step, f.model, f.restless)
     if teeth.shape[1] > 0:
         carry_swing(teeth, step)
-    if f.offset_rad2 > 0.0:
-        carry_swing_offset(f, step)
-        f.offset_rad2 += dt * f.at_flank_rad2_s
     f.time_us = to_us
 
 
@@ -109,21 +94,6 @@ def carry_swing(teeth: Vector, step: SwingStep) -> None:
             q, r = angle[c], speed[c]
             angle[c] = step.blocks[m, 0] * q + step.blocks[m, 1] * r
             speed[c] = step.blocks[m, 2] * q + step.blocks[m, 3] * r
-
-
-@inlined
-def carry_swing_offset(f: SwingFilter, step: SwingStep) -> None:
-    """The offset's covariances with the state after a step."""
-    by, theta, omega = f.offset_by, 0.0, 0.0
-    for k in range(SWING_STATES):
-        theta += step.theta_by[k] * by[k]
-        omega += step.omega_by[k] * by[k]
-    by[0], by[1] = theta, omega
-    for m in range(MODES):
-        i = FIRST_MODE + 2 * m
-        q, r = by[i], by[i + 1]
-        by[i] = step.blocks[m, 0] * q + step.blocks[m, 1] * r
-        by[i + 1] = step.blocks[m, 2] * q + step.blocks[m, 3] * r
 
 
 class FilterKind(NamedTuple):

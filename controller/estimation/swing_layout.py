@@ -21,9 +21,6 @@ class SwingSnapshot:
     time_us: float
     state: SwingState
     p: Annotated[Vector, SWING_STATES, SWING_STATES]
-    offset_rad: float
-    offset_rad2: float
-    offset_by: Annotated[Vector, SWING_STATES]
     restless: float
 
 
@@ -37,9 +34,6 @@ class SwingFilter:
     time_us: float
     state: SwingState
     p: Annotated[Vector, SWING_STATES, SWING_STATES]
-    offset_rad: float
-    offset_rad2: float
-    offset_by: Annotated[Vector, SWING_STATES]
     restless: float
 
     # Parameters.
@@ -48,20 +42,13 @@ class SwingFilter:
     tooth_rad: float
     pressure_sd_pa: float
     gate_sd: float
-    geared_tooth_rad: float
     model: SwingModel
-    at_flank_rad2_s: float
-    loose_rad2_s: float
-    loose_us: float
-    scale: float
-    geared: int
 
     # Results and working memory.
     squares: float
     count: float
     log_variance: float
     gated_in_a_row: int
-    astray_in_a_row: int
     held: int
     next: int
     step: SwingStep
@@ -70,7 +57,6 @@ class SwingFilter:
 
     x: Annotated[Vector, Over("state"), SWING_STATES]
     motion: Annotated[Vector, Over("model"), SWING_MODEL_WORDS]
-    mesh: Annotated[Vector, Over("at_flank_rad2_s"), 3]
     nis: Annotated[Vector, Over("squares"), 2]
     snapshot: Annotated[Vector, Over("time_us"), SWING_SNAPSHOT_WORDS]
     snapshots: Annotated[Vector, Over("ring"), BATCHES_KEPT, SWING_SNAPSHOT_WORDS]

@@ -78,19 +78,16 @@ class TeethLearner:
         pressures: Pressures,
         switches: Vector,
         model: RecordMemory,
-        scale: float = 1.0,
     ) -> None:
         """Adds new edges to the window, with their nominal angles. place: which of the wheel's
-        edges each is; scale: angle of the model's shaft over angle of the wheel."""
+        edges each is."""
         memory = self._memory
-        memory.part("scale")[0] = scale
         if model is not self._model:
             self._model = model
             memory.model[:] = model.flat
         memory.forget_past()
         edges = np.empty((3, place.size))
-        edges[0], edges[2] = batch.time_us, place
-        np.multiply(scale, batch.theta_rad, out=edges[1])
+        edges[0], edges[1], edges[2] = batch.time_us, batch.theta_rad, place
         self._run(memory.flat, edges, *pressures, switches, self._teeth.flat)
 
     def set_edge_time(self, edge_time_s: float) -> None:

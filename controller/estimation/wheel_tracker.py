@@ -10,7 +10,6 @@ import numpy as np
 
 from meshpoint.controller.estimation.crossing_filter import CrossingFilter, Pressures
 from meshpoint.controller.estimation.cruise import ESTIMATE_STALE_US, WindowSpeed
-from meshpoint.controller.estimation.geared_wheel import GearedWheel
 from meshpoint.controller.estimation.swing_filter import LAYSHAFT_FILTER, FilterKind
 from meshpoint.controller.estimation.teeth import WheelTeeth
 from meshpoint.controller.estimation.teeth_in_gear import TeethInGear
@@ -37,7 +36,6 @@ class WheelTracker(ABC):
         tuning: CrossingFilterTuning,
         teeth: int,
         missing: tuple[int, ...],
-        geared: GearedWheel | None,
         kind: FilterKind = LAYSHAFT_FILTER,
     ) -> None:
         self._tuning = tuning
@@ -47,33 +45,15 @@ class WheelTracker(ABC):
         self._half_pitch_rad = math.pi / teeth
         self._seed = WindowSpeed()
         self._running = False
-        self._geared = geared
-        self._own_us = 0.0
         self.placed = np.zeros((2, 0))
         """Times (us) and angles (rad) of the step's edges as their teeth are known, (2, n)."""
-        self._start_p = np.zeros((0, 0))
-        """Covariance of the shaft's state at the start of a window in which teeth are learned."""
-        side = tuning.mesh_side_rad**2 / tuning.mesh_side_s
-        at_flank = tuning.mesh_walk_rad**2
-        self._filter.set_mesh(at_flank, max(at_flank, side), tuning.mesh_side_s * 1e6)
-        self._fuses = False
-
-    def _fuse(self, free: bool) -> None:
-        """The shaft becomes free, or ceases to be: the mesh of a geared wheel then lies at another
-        flank. While a gear is in mesh it may change flanks at any time, and its edges would make
-        the estimate worse (docs/estimation.md), so it is fused only while the shaft is free."""
-        self._fuses = free and self._geared is not None
-        if self._geared is not None:
-            self._filter.lose_offset()
 
     def lose_speed(self) -> None:
         """Starts again with the next edges; teeth keep their numbers."""
-        self._running = self._fuses = False
+        self._running = False
         self._seed.restart()
         self.teeth.learner.running = False
         self._in_gear.lose()
-        if self._geared is not None:
-            self._geared.teeth.learner.running = False
 
     def restart(self) -> None:
         """Tooth numbers were lost: starts again, and which tooth is which is no longer known."""
@@ -97,16 +77,10 @@ class WheelTracker(ABC):
         if not self._running:
             self._start(batch)
             return
-        wheel, geared = self._geared, None
-        if wheel is not None:
-            geared = wheel.edges_for(self._filter) if self._fuses else None
-            self._own_us = batch.time_us[-1] if batch.time_us.size else self._own_us
-        if not batch.time_us.size and not pressures.time_us.size and geared is None:
+        if not batch.time_us.size and not pressures.time_us.size:
             return
-        self._filter.take(edges, teeth.sd_rad, pressures, switches, model, geared)
+        self._filter.take(edges, teeth.sd_rad, pressures, switches, model)
         if teeth.learner.running:
-            if wheel is not None:
-                wheel.learn(self._filter, self._start_p, pressures, switches, model)
             teeth.learner.take(batch, place, pressures, switches, self._teeth_motion(model))
             if teeth.look():
                 self._teeth_found()
@@ -125,8 +99,6 @@ class WheelTracker(ABC):
         """The shaft is no longer free: what was seen in gear before, and since, is learned."""
         said = [*self._in_gear.end(), self.teeth.end_window()]
         events += [f"{name} {line}" for line in said if line is not None]
-        if self._geared is not None:
-            self._geared.end_window(events)
 
     def _teeth_found(self) -> None:
         """The tooth errors have just become known, so the angles of edges change by up to the error
@@ -143,16 +115,12 @@ class WheelTracker(ABC):
         x[THETA], x[OMEGA] = newest[1], omega
         self._filter.begin(newest[0], x, p)
         self._filter.heed(HEED)
-        self._running, self._own_us = True, newest[0]
+        self._running = True
 
     @abstractmethod
     def _first_state(self, omega_sd_rad_s: float) -> tuple[Vector, Vector]:
         """State and covariance of a shaft of which only angle and speed have been seen."""
 
     def _fresh(self, time_us: float) -> bool:
-        # Edges of a geared wheel must not hide that the shaft's own sensor has failed.
-        newest_us = self._filter.time_us
-        own_us = newest_us if self._geared is None else self._own_us
-        oldest_us = time_us - ESTIMATE_STALE_US
-        # Nor may any be of a clock that has jumped and come back.
-        return self._running and own_us >= oldest_us and newest_us <= time_us + ESTIMATE_STALE_US
+        # Nor may the newest edge be of a clock that has jumped and come back.
+        return self._running and abs(time_us - self._filter.time_us) <= ESTIMATE_STALE_US

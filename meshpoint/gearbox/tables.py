@@ -124,7 +124,8 @@ def read_group(cls: type[T], table: Any, where: str) -> T:
 
     `where` names file and table for errors (`truck.toml [brake]`). A field without a rule is a
     group of its own, read from the sub-table of its name. TableError on an unknown or missing key,
-    a wrong type, or a value out of range. A field without metadata is no key of the file.
+    a wrong type, or a value out of range. A field without metadata is no key of the file. A class
+    constant `REMOVED` says of keys that older files may have why they are gone, and what to do.
     """
     if not isinstance(table, dict):
         raise TableError(f"{where}: found {table!r}, allowed is a table")
@@ -132,6 +133,9 @@ def read_group(cls: type[T], table: Any, where: str) -> T:
     fields = {key_of(field): field for field in all_fields if field.metadata}
     unknown = sorted(set(table) - set(fields))
     if unknown:
+        gone = getattr(cls, "REMOVED", {}).get(unknown[0])
+        if gone is not None:
+            raise TableError(f"{where}: key '{unknown[0]}' was removed: {gone}")
         raise TableError(f"{where}: unknown key '{unknown[0]}', allowed are {', '.join(fields)}")
     values: dict[str, Any] = {}
     for key, field in fields.items():

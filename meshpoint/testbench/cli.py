@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from meshpoint.bus.standard_error import OutputError, lasting_error, named_output
 from meshpoint.testbench.exits import Exit
@@ -25,15 +25,30 @@ ABOUT_ALL = frozenset({"-h", "--help", "--version"})
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs one command; returns its exit code. Words that find no room on standard error end
-    nothing; that they are missing makes of exit code 0 a 1."""
+    """Runs one command; returns its exit code."""
+    return run_parsed(lambda: _parsed(sys.argv[1:] if arguments is None else list(arguments)))
+
+
+def run_parsed(parse: Callable[[], argparse.Namespace]) -> int:
+    """Runs what was asked for on a command line; returns its exit code. Words that find no room on
+    standard error end nothing; that they are missing makes of exit code 0 a 1.
+
+    The namespace has `run`, which is called with it, `program` for the errors, and `debug`."""
     with lasting_error() as said:
-        code = _main(arguments)
+        namespace = parse()
+        from meshpoint.kernel_watch import WATCH
+        from meshpoint.testbench.loop.compiling import Progress
+
+        before = WATCH.compiling
+        WATCH.compiling = Progress(rewrites=False).count
+        try:
+            code = _run(namespace)
+        finally:
+            WATCH.compiling = before
     return Exit.FAILED if code == Exit.DONE and said.found_no_room else code
 
 
-def _main(arguments: Sequence[str] | None) -> int:
-    given = sys.argv[1:] if arguments is None else list(arguments)
+def _parsed(given: list[str]) -> argparse.Namespace:
     command = next((word for word in given if not word.startswith("-")), None)
     about_all = bool(ABOUT_ALL & set(given[: given.index(command)])) if command else True
     if about_all or command not in COMMANDS:
@@ -49,15 +64,8 @@ def _main(arguments: Sequence[str] | None) -> int:
     if unknown:
         parser.prog = f"{parser.prog} {namespace.command}"
         parser.error(f"unknown argument {' '.join(unknown)}")
-    from meshpoint.kernel_watch import WATCH
-    from meshpoint.testbench.loop.compiling import Progress
-
-    before = WATCH.compiling
-    WATCH.compiling = Progress(rewrites=False).count
-    try:
-        return _run(namespace)
-    finally:
-        WATCH.compiling = before
+    namespace.program = f"meshpoint {namespace.command}"
+    return namespace
 
 
 def _run(namespace: argparse.Namespace) -> int:
@@ -76,10 +84,10 @@ def _run(namespace: argparse.Namespace) -> int:
     except _user_errors() as error:
         if namespace.debug:
             raise
-        complain(f"meshpoint {namespace.command}: error: {error}")
+        complain(f"{namespace.program}: error: {error}")
         return Exit.BAD_INPUT
     except RunError as error:
-        complain(f"meshpoint {namespace.command}: {error}")
+        complain(f"{namespace.program}: {error}")
         return Exit.FAILED
     except KeyboardInterrupt:
         complain("interrupted")
@@ -87,9 +95,7 @@ def _run(namespace: argparse.Namespace) -> int:
     except OutputError as error:
         if error.reader_has_gone:
             return Exit.DONE
-        complain(
-            f"meshpoint {namespace.command}: standard output cannot be written: {error.strerror}"
-        )
+        complain(f"{namespace.program}: standard output cannot be written: {error.strerror}")
         return Exit.FAILED
     return code
 

@@ -53,29 +53,29 @@ COMMANDS: Final = {
     "identify": Command(LOGS, "a log's gearbox as a data sheet: brake, delays, teeth"),
     "compare": Command(LOGS, "two logs, two --json records, or two settings files"),
     "captures": Command(LOGS, "edges captured from real sensors: the teeth, or a log"),
-    "campaign": Command(MANY, "strategies compared on the same seeded draws", "commands.campaign"),
-    "study": Command(MANY, "the thesis's figures and tables reproduced", "commands.study"),
+    "campaign": Command(MANY, "strategies compared on the same seeded draws",),
     "show": Command(LOOK, "a data sheet, settings, calibration, or the bus's messages"),
     "help": Command(LOOK, "a command, which bus is opened, what a shell completes"),
 }  # fmt: skip
 """Every command, in the order of the help."""
 MOVED: Final = {
-    "calibration": "show calibration",
-    "completion": "help completion",
-    "convert": "captures FILE -o LOG",
-    "dbc": "show messages",
-    "gearbox": "show gearbox",
-    "health": "check --alive NODE",
-    "pace": "up --pace-only FILE",
-    "report": "replay LOG --gap-rate",
-    "settings": "show settings",
+    "calibration": "meshpoint show calibration",
+    "completion": "meshpoint help completion",
+    "convert": "meshpoint captures FILE -o LOG",
+    "dbc": "meshpoint show messages",
+    "gearbox": "meshpoint show gearbox",
+    "health": "meshpoint check --alive NODE",
+    "pace": "meshpoint up --pace-only FILE",
+    "report": "meshpoint replay LOG --gap-rate",
+    "settings": "meshpoint show settings",
+    "study": "python -m benchmarks.studies",
 }
 """What was a command of its own, and what does it now."""
 
 
 def moved_words(name: str) -> str:
     """Where a command has gone."""
-    return f"`meshpoint {name}` is now `meshpoint {MOVED[name]}`"
+    return f"`meshpoint {name}` is now `{MOVED[name]}`"
 
 
 def _epilog() -> str:

@@ -15,8 +15,8 @@ from recorded_run import Recorded
 import meshpoint
 from meshpoint.api import reference
 from meshpoint.api.runs import Replay
+from meshpoint.testbench.campaign import command as commands
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands import campaign as commands
 from meshpoint.testbench.logs.session import Session, Verification
 
 ROOT = Path(__file__).parents[2]

@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 from campaigns import small_spec
 
+from benchmarks.swarm.draw import draw_world
 from meshpoint.rig_sim.settings import Preset, Profile
 from meshpoint.testbench.campaign.draw import draw
 from meshpoint.testbench.campaign.loop import ClosedLoop
 from meshpoint.testbench.campaign.spec import CampaignSpec, Job
-from meshpoint.testbench.swarm.draw import draw_world
 
 RUNS = 6
 

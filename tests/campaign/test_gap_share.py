@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.studies.teeth import Engagements
 from meshpoint.gearbox import load_sheet
 from meshpoint.testbench.campaign.columns import FIELDS, Shifts
 from meshpoint.testbench.campaign.record import JudgedShift, gap_share
 from meshpoint.testbench.campaign.sequential import estimate, parse_goal
-from meshpoint.testbench.studies.teeth import Engagements
 from meshpoint.units import MM, RPM
 
 GOAL = parse_goal("first_contact_gap difference +-1%")

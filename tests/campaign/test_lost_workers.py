@@ -154,7 +154,7 @@ def test_a_campaign_whose_workers_are_lost_says_what_is_kept_and_goes_on_from_th
     with monkeypatch.context() as patch:
         patch.setattr(runner, "run_many", noted)
         wanted = campaign(tmp_path / "whole", *CHEAP, "--jobs", "1")
-    monkeypatch.setattr("meshpoint.testbench.commands.campaign.workplace", workplace)
+    monkeypatch.setattr("meshpoint.testbench.campaign.command.workplace", workplace)
     ends: dict[int, None] = {1: None}
     broken = campaign(tmp_path / "a", *CHEAP, "--dask", "tcp://10.0.0.1:8786")
     assert broken.code == Exit.FAILED

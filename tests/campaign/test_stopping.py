@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.studies.campaign_statistics_run import CoverageRun
 from meshpoint.testbench.campaign.sequential import (
     LEAST_RUNS,
     against_known,
@@ -15,7 +16,6 @@ from meshpoint.testbench.campaign.sequential import (
     parse_goal,
 )
 from meshpoint.testbench.campaign.stopping import Until
-from meshpoint.testbench.studies.campaign_statistics_run import CoverageRun
 
 
 @pytest.mark.parametrize(

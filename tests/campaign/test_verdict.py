@@ -14,10 +14,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from benchmarks.studies.campaign_statistics_run import Kind, VerdictRun
 from meshpoint.testbench.campaign.verdict import Comparison, Counts, PairedRun, Verdict, evidence
 from meshpoint.testbench.cli import main
 from meshpoint.testbench.exits import Exit
-from meshpoint.testbench.studies.campaign_statistics_run import Kind, VerdictRun
 
 SEED = 3
 COMMON = (

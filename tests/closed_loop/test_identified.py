@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from benchmarks.studies.identify_run import IdentifyRun
 from meshpoint.gearbox import load_sheet
 from meshpoint.rig_sim.settings import Profile
-from meshpoint.testbench.studies.identify_run import IdentifyRun
 
 MAY_STAY_OPEN = {"brake touch pressure", "open clutch drag", "clutch kiss point"}
 """What eight shifts may tell no better than the data sheet."""

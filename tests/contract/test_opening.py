@@ -28,8 +28,6 @@ EXCEPTIONS = {
     "meshpoint/testbench/loop/compiled_mark.py": "files of the package",
     "meshpoint/testbench/loop/node_patience.py": "the kernel's own files",
     "meshpoint/testbench/report/html.py": "a file of the package",
-    "meshpoint/testbench/studies/settings.py": "a file of the package",
-    "meshpoint/testbench/swarm/named.py": "a page of this repository",
     "controller/calibration/file.py": "a folder, to bring a rename to disk; a new file",
     "dbc/classic/codecs.py": "a file of the package",
     "dbc/classic/make.py": "a file of the package",

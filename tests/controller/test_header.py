@@ -129,7 +129,6 @@ def with_name(folder: Path, values: dict[str, object]) -> int:
         ("settings window fire_slip_rad_s", float("inf")),
         ("settings window fire_slip_rad_s", 1e300),
         ("settings strategy_name", "hope"),
-        ("settings crossing_filter fuse_input", 1),
         ("settings guard", [1]),
         ("settings limits attempts", None),
         ("sheet wheels main teeth", 10**9),

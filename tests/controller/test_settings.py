@@ -73,6 +73,8 @@ def test_without_a_file_the_defaults_hold_and_given_values_win(tmp_path: Path) -
         ),
         ("[window]\ncontact_low_rpm = 20\ncontact_high_rpm = 20", ("less than",)),
         ("[aim]\ntarget_percent_of_gap = -91", ("target_percent_of_gap", "-91", "-90", "90")),
+        ("[crossing_filter]\nfuse_input = true", ("fuse_input", "removed", "may be deleted")),
+        ("[crossing_filter]\nmesh_side_ms = 30", ("mesh_side_ms", "removed", "may be deleted")),
         ("[limits]\nattempts = 11", ("attempts", "11", "1", "10")),
         ("= what", ()),
         ("a" * 300_000, ("allowed",)),

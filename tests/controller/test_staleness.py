@@ -240,7 +240,7 @@ def test_the_main_shaft_without_edges_for_60_ms_has_no_state(tracker: str) -> No
     assert ESTIMATE_STALE_US == 60_000
     wheel = SHEET.wheels.main
     main: Any = (
-        MainTracker(SETTINGS.crossing_filter, wheel.teeth, wheel.missing, None)
+        MainTracker(SETTINGS.crossing_filter, wheel.teeth, wheel.missing)
         if tracker == "crossing"
         else CruiseTracker(SETTINGS.cruise_filter, wheel.pitch_rad)
     )

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from benchmarks.studies.settings import load_study_settings
 from meshpoint.bus.authentication.keys import load_keys
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.options import add_bus_arguments, bus_config
@@ -27,7 +28,6 @@ from meshpoint.testbench.campaign.stored import read_shifts
 from meshpoint.testbench.compare.command import load_record
 from meshpoint.testbench.logs.capture_files import read_columns
 from meshpoint.testbench.logs.logged_frames import expected_frames
-from meshpoint.testbench.studies.settings import load_study_settings
 
 AT_ONCE_S = 5.0
 """On a busy machine; they hung, or took 15 s."""

@@ -10,19 +10,19 @@ import pytest
 from hypothesis import given as drawn
 from hypothesis import strategies as st
 
+from benchmarks.studies import prediction
+from benchmarks.studies.commission_run import Box as Commissioned
+from benchmarks.studies.counterfactual_run import Compared as Landing
+from benchmarks.studies.excitation import BrakePoint, Figures, figures, matched
+from benchmarks.studies.hardware import Bought, certainty
+from benchmarks.studies.identify_run import Gearbox, Told
+from benchmarks.studies.jobs import ShiftErrors
+from benchmarks.studies.record import Finding, Given, Statement, ThesisVerdict
+from benchmarks.studies.registry import load
+from benchmarks.studies.settings import load_study_settings
+from benchmarks.studies.validation import Compared, time_constant_s
 from meshpoint.controller.motion.linear import LayshaftState, predict_linear
 from meshpoint.gearbox import load_sheet
-from meshpoint.testbench.studies import prediction
-from meshpoint.testbench.studies.commission_run import Box as Commissioned
-from meshpoint.testbench.studies.counterfactual_run import Compared as Landing
-from meshpoint.testbench.studies.excitation import BrakePoint, Figures, figures, matched
-from meshpoint.testbench.studies.hardware import Bought, certainty
-from meshpoint.testbench.studies.identify_run import Gearbox, Told
-from meshpoint.testbench.studies.jobs import ShiftErrors
-from meshpoint.testbench.studies.record import Finding, Given, Statement, ThesisVerdict
-from meshpoint.testbench.studies.registry import load
-from meshpoint.testbench.studies.settings import load_study_settings
-from meshpoint.testbench.studies.validation import Compared, time_constant_s
 
 SHEET = load_sheet("thesis")
 
@@ -193,7 +193,7 @@ def test_identified_figures_agree_where_nine_of_ten_intervals_hold_what_was_buil
 
 @pytest.mark.parametrize(
     "name",
-    ["commission", "counterfactual", "delay", "fusion", "hardware"],
+    ["commission", "counterfactual", "delay", "hardware"],
 )
 def test_gearboxes_are_drawn_from_the_profile_that_the_settings_name(name: str) -> None:
     start = given(name)

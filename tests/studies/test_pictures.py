@@ -8,9 +8,9 @@ import pytest
 from hypothesis import given as drawn
 from hypothesis import strategies as st
 
-from meshpoint.testbench.studies.draw import log_ticks, write_files
-from meshpoint.testbench.studies.page import plotly_figure
-from meshpoint.testbench.studies.record import Chart, Finding, Line, Panel, Table
+from benchmarks.studies.draw import log_ticks, write_files
+from benchmarks.studies.page import plotly_figure
+from benchmarks.studies.record import Chart, Finding, Line, Panel, Table
 
 
 def test_studies_whose_chart_and_table_would_share_a_file_are_refused(tmp_path: Path) -> None:

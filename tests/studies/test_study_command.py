@@ -1,4 +1,5 @@
-"""`meshpoint study`: records, files, page; settings; the same results on any number of workers."""
+"""`python -m benchmarks.studies`: records, files, page; settings; the same results on any number of
+workers."""
 
 from __future__ import annotations
 
@@ -10,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from meshpoint.testbench.cli import main
+from benchmarks.studies.command import main
+from benchmarks.studies.registry import STUDY_NAMES
 
 KEYS = {"thesis", "ours", "agrees", "reason", "files"}
 
@@ -21,7 +23,7 @@ def study(tmp_path: Path, *words: str, settings: str = "", workers: int = 1) -> 
     file.write_text(settings, encoding="utf-8")
     target = tmp_path / "results.json"
     code = main(
-        ["study", *words, "--out", str(tmp_path / "out"), "--settings", str(file),
+        [*words, "--out", str(tmp_path / "out"), "--settings", str(file),
          "--json", str(target), "--workers", str(workers)]
     )  # fmt: skip
     assert code == 0
@@ -81,15 +83,33 @@ def test_bad_settings_are_named_with_what_is_allowed(
     file = tmp_path / "changed.toml"
     file.write_text(settings, encoding="utf-8")
     out = tmp_path / "out"
-    assert main(["study", "torque", "--out", str(out), "--settings", str(file)]) == 2
+    assert main(["torque", "--out", str(out), "--settings", str(file)]) == 2
     assert re.search(said, capsys.readouterr().err)
     assert not (out / "studies.html").exists()
 
 
+def test_a_folder_that_is_not_there_is_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["6.8", "--json", "nowhere/run.json"]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("python -m benchmarks.studies: error: ")
+    assert "no folder nowhere" in said
+
+
 def test_the_list_names_every_study(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["study", "list", "--json", "-"]) == 0
+    assert main(["list", "--json", "-"]) == 0
     listed = json.loads(capsys.readouterr().out)
     assert listed["torque"]["of"] == ["figure 6.2"]
+
+
+@pytest.mark.long
+def test_every_study_runs_and_writes_its_files(tmp_path: Path) -> None:
+    """As small as it goes: not what it finds."""
+    smallest = Path(__file__).with_name("smallest.toml").read_text(encoding="utf-8")
+    records = study(tmp_path, "all", settings=smallest, workers=2)
+    assert set(records) == set(STUDY_NAMES)
+    for record in records.values():
+        assert record["statements"]
+        assert all((tmp_path / "out" / name).stat().st_size > 0 for name in record["files"])
 
 
 @pytest.mark.long

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from meshpoint.testbench.studies.registry import STUDY_NAMES, load
+from benchmarks.studies.registry import STUDY_NAMES, load
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "docs" / "thesis.md").read_text(encoding="utf-8")

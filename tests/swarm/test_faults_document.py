@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from meshpoint.testbench.swarm.episode import declared
-from meshpoint.testbench.swarm.events import BUS_KINDS, NODE_KINDS, RIG_KINDS
-from meshpoint.testbench.swarm.named import BEGIN, END, HEAD, NAMED, Named, run_named, table_row
+from benchmarks.swarm.episode import declared
+from benchmarks.swarm.events import BUS_KINDS, NODE_KINDS, RIG_KINDS
+from benchmarks.swarm.named import BEGIN, END, HEAD, NAMED, Named, run_named, table_row
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "faults.md"
 TICK_MS = 10.0

@@ -12,19 +12,12 @@ from typing import Any, Final, cast
 
 import pytest
 
-from meshpoint.controller.guard.rules import Guard
-from meshpoint.controller.settings import ControllerSettings
-from meshpoint.dbc.messages import EngagementEvent, MainGear, ReferenceEngagement
-from meshpoint.gearbox import load_sheet
-from meshpoint.rig_sim.settings import Profile
-from meshpoint.rig_sim.shared.engagement import Violation
-from meshpoint.testbench.cli import main
-from meshpoint.testbench.errors import CommandError
-from meshpoint.testbench.swarm.aimed import AIMS, Aim, mad_world
-from meshpoint.testbench.swarm.deeds import DEEDS
-from meshpoint.testbench.swarm.draw import TIGHT, draw_world
-from meshpoint.testbench.swarm.episode import Episode, EpisodeResult, declared, settings_with
-from meshpoint.testbench.swarm.events import (
+from benchmarks.swarm.aimed import AIMS, Aim, mad_world
+from benchmarks.swarm.command import main
+from benchmarks.swarm.deeds import DEEDS
+from benchmarks.swarm.draw import TIGHT, draw_world
+from benchmarks.swarm.episode import Episode, EpisodeResult, declared, settings_with
+from benchmarks.swarm.events import (
     FAULT_KINDS,
     REQUEST,
     Event,
@@ -32,10 +25,17 @@ from meshpoint.testbench.swarm.events import (
     load_world,
     save_world,
 )
-from meshpoint.testbench.swarm.invariants import Broken, Invariants
-from meshpoint.testbench.swarm.nodes import WatchedRig
-from meshpoint.testbench.swarm.shrink import shrink
-from meshpoint.testbench.swarm.swarm import SwarmSpec, breaks, run_seed, world_of
+from benchmarks.swarm.invariants import Broken, Invariants
+from benchmarks.swarm.nodes import WatchedRig
+from benchmarks.swarm.shrink import shrink
+from benchmarks.swarm.swarm import SwarmSpec, breaks, run_seed, world_of
+from meshpoint.controller.guard.rules import Guard
+from meshpoint.controller.settings import ControllerSettings
+from meshpoint.dbc.messages import EngagementEvent, MainGear, ReferenceEngagement
+from meshpoint.gearbox import load_sheet
+from meshpoint.rig_sim.settings import Profile
+from meshpoint.rig_sim.shared.engagement import Violation
+from meshpoint.testbench.errors import CommandError
 from meshpoint.units import RPM
 
 SHEET, SETTINGS = load_sheet("truck12"), ControllerSettings()
@@ -120,7 +120,7 @@ def test_what_a_blind_guard_lets_through_is_seen_made_small_and_repeated_from_a_
     path = tmp_path / "found.json"
     save_world(path, small, {"broken": broken._asdict()})
     assert load_world(path) == small
-    arguments = ["campaign", "--faults", "--scenario", str(path), "--json", str(tmp_path / "j")]
+    arguments = ["--scenario", str(path), "--json", str(tmp_path / "j")]
     assert main(arguments) == 1
     assert json.loads((tmp_path / "j").read_text())["broken"][0]["what"] == "both_valves"
     monkeypatch.undo()
@@ -392,7 +392,7 @@ def test_a_bad_scenario_is_refused_by_name(
 def test_a_swarm_is_gone_on_with(tmp_path: Path) -> None:
     """The second run simulates only what is missing, and counts both."""
     report = tmp_path / "report.json"
-    base = ["campaign", "--faults", "--jobs", "1", "--seed", "4", "--json", str(report)]
+    base = ["--jobs", "1", "--seed", "4", "--json", str(report)]
     assert main([*base, "--hours", "0.001", "--out", str(tmp_path / "parts")]) == 0
     first = json.loads(report.read_text())
     assert first["worlds"] == 1

@@ -42,7 +42,6 @@ CASES = [
     (("demo", "--as-built", ""), sorted(("file.toml", *Profile))),
     (("controller", "--strategy", "target"), ["target_phase"]),
     (("campaign", "--strategy", ""), sorted(("file.toml", *STRATEGY_NAMES))),
-    (("study", "val"), ["valve"]),
 ]
 
 

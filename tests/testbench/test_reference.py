@@ -68,7 +68,6 @@ def test_every_setting_is_there_with_its_range_and_default() -> None:
     assert keys["limits.supply_low_bar"].default == "5.5"
     assert keys["strategy"].default == '"target_phase"'
     assert keys["outputs.armed"].default is None
-    assert keys["crossing_filter.fuse_input"].default == "false"
 
 
 @pytest.mark.parametrize(

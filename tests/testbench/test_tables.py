@@ -14,7 +14,14 @@ from rich.console import Console
 from rich.markup import render
 from rich.table import Table
 
+import benchmarks
 import meshpoint.testbench
+from benchmarks.studies import command as study_command
+from benchmarks.studies.record import Finding, Statement, ThesisVerdict
+from benchmarks.studies.registry import STUDY_NAMES, load
+from benchmarks.studies.runner import StudyRecord
+from benchmarks.swarm.command import reached_table
+from benchmarks.swarm.swarm import Swarm
 from meshpoint.controller.calibration.file import read_file
 from meshpoint.controller.calibration.learned import Calibration
 from meshpoint.controller.settings import STRATEGY_NAMES
@@ -31,8 +38,6 @@ from meshpoint.testbench.check.command import findings_table
 from meshpoint.testbench.check.finding import Finding as CheckFinding
 from meshpoint.testbench.check.finding import Verdict
 from meshpoint.testbench.cli import main
-from meshpoint.testbench.commands import study as study_command
-from meshpoint.testbench.commands.swarm import reached_table
 from meshpoint.testbench.commission.command import measured_table
 from meshpoint.testbench.compare import command as compare_command
 from meshpoint.testbench.identify.command import checks_table, figures_table
@@ -51,10 +56,6 @@ from meshpoint.testbench.results.rows import ShiftRow
 from meshpoint.testbench.show import calibration as calibration_command
 from meshpoint.testbench.show import gearbox as gearbox_command
 from meshpoint.testbench.show import messages as messages_command
-from meshpoint.testbench.studies.record import Finding, Statement, ThesisVerdict
-from meshpoint.testbench.studies.registry import STUDY_NAMES, load
-from meshpoint.testbench.studies.runner import StudyRecord
-from meshpoint.testbench.swarm.swarm import Swarm
 
 WIDTH = 80
 LONGEST = "speed_window_anticipating"
@@ -170,7 +171,7 @@ TABLES: dict[str, Callable[[], Table]] = {
     "campaign.verdict_words.against_table": lambda: against_table(AGAINST, GEARBOX),
     "campaign.table.records_table": lambda: campaign_table.records_table("run 1", [RECORD]),
     "open_loop.judged_rows.judged_table": lambda: judged_table("title", [judged(LONGEST)]),
-    "commands.swarm.reached_table": lambda: reached_table(Swarm().to_json(1.0), GEARBOX),
+    "swarm.command.reached_table": lambda: reached_table(Swarm().to_json(1.0), GEARBOX),
     "compare.command.compared_table": lambda: compare_command.compared_table(
         "Shifts that differ", ("field", "A", "B"), [("shifts.0.slip_rpm", "20.1", "25.3")]
     ),
@@ -196,10 +197,10 @@ TABLES: dict[str, Callable[[], Table]] = {
         "shifts that the log shows, by the ratio of speeds",
         [SeenShift(10, 12, 86_400_000_000, 86_400_500_000)],
     ),
-    "commands.study.list_table": lambda: study_command.list_table(
+    "studies.command.list_table": lambda: study_command.list_table(
         [load(name) for name in STUDY_NAMES]
     ),
-    "commands.study._table": lambda: study_command._table(
+    "studies.command._table": lambda: study_command._table(
         [study_record(name) for name in STUDY_NAMES]
     ),
     "live.describe.parameters_table": lambda: parameters_table(
@@ -269,9 +270,9 @@ def test_the_signals_of_each_message_fit_80_columns(message: Any) -> None:
 
 def makers() -> set[str]:
     """Every function of the command line that makes a table for a terminal."""
-    root = Path(meshpoint.testbench.__file__).parent
     found = set()
-    for path in root.rglob("*.py"):
+    roots = (Path(meshpoint.testbench.__file__).parent, Path(benchmarks.__file__).parent)
+    for root, path in ((folder, path) for folder in roots for path in folder.rglob("*.py")):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         if "from rich.table import Table" not in ast.unparse(tree):
             continue

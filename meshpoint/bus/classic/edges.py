@@ -150,7 +150,7 @@ class SpeedWheel:
     """The edges of a wheel of which the speed alone is known: evenly spaced, at any angle.
 
     What reads them takes from them that speed again. An angle they do not have, so no estimator may
-    be given them (`settings`: no fusing of input and propeller shaft). The array is never full, by
+    be given them. The array is never full, by
     which the guard knows that no teeth were counted."""
 
     def __init__(self) -> None:

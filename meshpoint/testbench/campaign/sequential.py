@@ -8,7 +8,7 @@ ratio (MOVER; Donner and Zou 2012).
 
 One that is looked at until it is narrow enough is too short by a little (Chow and Robbins 1965):
 few looks, each at 1.19 times the runs of the one before, and none before `LEAST_RUNS`, keep its
-coverage near what it says (`meshpoint study campaign_statistics` measures it).
+coverage near what it says (`python -m benchmarks.studies campaign_statistics` measures it).
 """
 
 from __future__ import annotations

@@ -12,8 +12,8 @@ median, would be the least for an error of 5 %.
 
 Shifts of one run share a gearbox: the evidence is divided by the design effect, that of `ICC` or
 the one seen in the worse pairs, whichever is more. It is looked at after fixed numbers of runs, and
-the evidence asked for rises with them. `meshpoint study campaign_statistics` measures how often the
-verdict is wrong, and after how many pairs it comes.
+the evidence asked for rises with them. `python -m benchmarks.studies campaign_statistics` measures
+how often the verdict is wrong, and after how many pairs it comes.
 """
 
 from __future__ import annotations

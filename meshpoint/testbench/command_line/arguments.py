@@ -297,16 +297,6 @@ def unpacking_of(
     return lambda: unpack_all_of(namespace, sheet)
 
 
-def check_fused(settings: ControllerSettings, wire: WireProfile) -> None:
-    """CommandError for settings that want the edges of shafts whose speeds alone are there."""
-    tuning = settings.crossing_filter
-    if wire is WireProfile.CLASSIC and (tuning.fuse_input or tuning.fuse_propeller):
-        raise CommandError(
-            "crossing_filter.fuse_input and fuse_propeller: --profile classic carries no edges of "
-            "input and propeller shaft, only their speeds"
-        )
-
-
 def add_seed(parser: Arguments) -> None:
     """--seed."""
     parser.add_argument(

@@ -21,7 +21,6 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
     "campaign": (
         "meshpoint campaign --runs 300 --true-state --json campaign.json",
         "meshpoint campaign --runs 20 --seed 9 --sweep backlash_percent=10,20,30",
-        "meshpoint campaign --faults --hours 2 --seed 1 --jobs 2 --json -",
     ),
     "compare": (
         "meshpoint compare before.json after.json --tolerance duration_ms=5",
@@ -74,7 +73,6 @@ EXAMPLES: Final[dict[str, tuple[str, ...]]] = {
         "meshpoint captures wheel.csv -o wheel.log",
         "meshpoint captures adc.csv --teeth 60 --missing 58,59 --threshold 2 -o a.log",
     ),
-    "study": ("meshpoint study list", "meshpoint study 6.8 --out out/study"),
     "show": (
         "meshpoint show gearbox truck12",
         "meshpoint show settings",

@@ -177,7 +177,6 @@ def _live_run(
 ) -> LiveRun:
     sheet = arguments.sheet_of(namespace)
     wire, settings = arguments.wire_of(namespace), arguments.settings_of(namespace, strategy)
-    arguments.check_fused(settings, wire)
     header = new_header(product_version(), sheet, settings)
     header.save(namespace.out)
     in_process = uses_virtual(namespace)

@@ -10,7 +10,6 @@ from meshpoint.controller.settings import STRATEGY_NAMES
 from meshpoint.gearbox.sheet import SHEET_NAMES
 from meshpoint.rig_sim.settings import Profile
 from meshpoint.testbench.command_line.parsing import subparsers
-from meshpoint.testbench.studies.registry import ALL, STUDY_NAMES
 
 SHELLS: Final = ("bash", "zsh", "fish")
 ZSH: Final = "autoload -U +X bashcompinit && bashcompinit\n"
@@ -18,7 +17,6 @@ ZSH: Final = "autoload -U +X bashcompinit && bashcompinit\n"
 NAMED: Final[dict[str, tuple[str, ...]]] = {
     "as_built": tuple(str(profile) for profile in Profile),
     "gearbox": SHEET_NAMES,
-    "names": (ALL, "list", *STUDY_NAMES),
     "strategies": tuple(STRATEGY_NAMES),
     "strategy": tuple(STRATEGY_NAMES),
 }

@@ -150,7 +150,6 @@ def run_controller_command(namespace: argparse.Namespace) -> int:
     calibration, writer = arguments.calibration_of(namespace, sheet, threaded=True, tell=complain)
     armed, keys = arguments.armed_of(namespace), arguments.keys_of(namespace)
     wire = _wire_of(namespace, sheet)
-    arguments.check_fused(settings, wire)
     header = new_header(product_version(), sheet, settings, calibration, armed)
     if namespace.header_dir is not None:
         save_header(header, namespace.header_dir)
@@ -209,7 +208,6 @@ def run_shadow(namespace: argparse.Namespace) -> int:
     if _wire_of(namespace, sheet) is WireProfile.CLASSIC:
         from meshpoint.bus.classic.cores import ClassicListenerCore
 
-        arguments.check_fused(settings, WireProfile.CLASSIC)
         core = ClassicListenerCore(core, sheet)
     config = bus_config(namespace)
     show(f"controller: {listen_only_words(config)}")

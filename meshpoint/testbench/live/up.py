@@ -92,7 +92,7 @@ def run(namespace: argparse.Namespace) -> int:
     # Bad settings and keys are found before anything is started.
     arguments.armed_of(namespace)
     arguments.keys_of(namespace)
-    arguments.check_fused(arguments.settings_of(namespace), arguments.wire_of(namespace))
+    arguments.settings_of(namespace)
     with open_bus_from(namespace) as bus:
         _check_free(bus)
         return asyncio.run(_run(namespace, bus))

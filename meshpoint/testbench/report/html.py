@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from importlib import resources
+from pathlib import Path
 from typing import Any, Final
 
 POLICY: Final = (
@@ -22,15 +23,15 @@ STACKED: Final = "stacked"
 
 @dataclass(frozen=True)
 class Page:
-    """A page's contents: `data` is what the product's own scripts (names of files) draw, with
-    Plotly where they use it; each of `parts` stands in an element of its own, `data-NAME`, so that
+    """A page's contents: `data` is what scripts (of `own_text`) draw, with Plotly
+    where they use it; each of `parts` stands in an element of its own, `data-NAME`, so that
     a page of many figures reads one when it draws it."""
 
     title: str
     body: list[str]
     data: dict[str, Any]
     plotly_js: str
-    scripts: Sequence[str]
+    scripts: Sequence[str | Path]
     style: str = ""
     parts: Mapping[str, Any] = field(default_factory=dict)
 
@@ -60,9 +61,10 @@ def _embedded(name: str, values: Any) -> str:
     return f"<script type='application/json' id='{escape(name)}'>{json_text(values)}</script>\n"
 
 
-def own_text(name: str) -> str:
-    """A file of the product's own, such as a script."""
-    return (resources.files("meshpoint.testbench") / name).read_text(encoding="utf-8")
+def own_text(file: str | Path) -> str:
+    """A file of the product's own by its name, such as a script; another one by its path."""
+    found = file if isinstance(file, Path) else resources.files("meshpoint.testbench") / file
+    return found.read_text(encoding="utf-8")
 
 
 def json_text(values: dict[str, Any]) -> str:

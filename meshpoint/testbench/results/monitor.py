@@ -11,8 +11,6 @@ from meshpoint.dbc.layout import CODECS
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import (
     ControllerStatus,
-    EdgesInputFall,
-    EdgesInputRise,
     EdgesLayshaftFall,
     EdgesLayshaftRise,
     GearboxSensors,
@@ -37,8 +35,6 @@ READ_AT_REST: Final = (
 """What rows and estimation need: less than half of the bus; the rest stays undecoded. Edges are
 needed between shifts too, so that the tooth count goes on."""
 MONITORED: Final = (*READ_AT_REST, ReferenceEncoder)
-READ_FUSED: Final = (EdgesInputRise, EdgesInputFall)
-"""And where the controller fuses the input shaft."""
 
 
 def identifiers(kinds: tuple[type[Message], ...]) -> frozenset[int]:
@@ -67,7 +63,6 @@ class Monitor:
         self.rows = RowCollector(sheet, aim_rad, settings)
         self.estimation = EstimationScore(sheet, settings, on_sample)
         self.status: ControllerStatus | None = None
-        also += READ_FUSED if settings.crossing_filter.fuse_input else ()
         self._read = identifiers(MONITORED + also)
         self._read_at_rest = identifiers(READ_AT_REST + also)
         self._receiver = Receiver(*Node)

@@ -233,7 +233,6 @@ def _setup(
     """The run asked for."""
     built, settings = arguments.as_built_of(namespace), arguments.settings_of(namespace)
     wire = arguments.wire_of(namespace)
-    arguments.check_fused(settings, wire)
     if wire is WireProfile.CLASSIC and namespace.bus_load is not None:
         raise CommandError("--bus-load: other nodes' frames are drawn for --profile fd alone")
     return Setup(

@@ -1,0 +1,167 @@
+"""Whether the intervals of `meshpoint identify` hold the values of gearboxes as they were built."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from benchmarks.studies.identify_run import Gearbox, IdentifyRun, Told
+from benchmarks.studies.record import (
+    Chart,
+    Finding,
+    Given,
+    Line,
+    Panel,
+    Statement,
+    Study,
+    Style,
+    Table,
+    ThesisVerdict,
+)
+from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.sheet import SHEET_NAMES
+from meshpoint.gearbox.tables import count, quantity, text
+from meshpoint.rig_sim.settings import Profile
+from meshpoint.testbench.campaign.intervals import rate_interval
+
+COLUMNS: Final = ("figure", "unit", "told", "covered", "half interval", "error", "data sheet's")
+CHECKS: Final = ("kept out", "unit", "identified", "data sheet")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How many gearboxes, and the share that shall lie in the intervals."""
+
+    gearbox: str = text("gearbox", *SHEET_NAMES)
+    """The data sheet that they are drawn around, whatever the other studies' is."""
+    gearboxes: int = count("gearboxes", 1, 10_000)
+    shifts: int = count("shifts", 6, 1000)
+    """In the log of each."""
+    profile: str = text("profile", *Profile)
+    """Of the gearboxes that are drawn."""
+    least: float = quantity("least_percent", 0.0, 100.0, 0.01)
+
+
+def _jobs(given: Given[Settings]) -> tuple[IdentifyRun, ...]:
+    own, sheet = given.own, load_sheet(given.own.gearbox)
+    return tuple(
+        IdentifyRun(sheet, given.common.seed + number, own.shifts, Profile(own.profile))
+        for number in range(own.gearboxes)
+    )
+
+
+def _conclude(given: Given[Settings]) -> Finding:
+    own = given.own
+    boxes: list[Gearbox] = [given.results[job] for job in _jobs(given)]
+    by_name: dict[str, list[Told]] = {}
+    for box in boxes:
+        for one in box.told:
+            by_name.setdefault(one.name, []).append(one)
+    rows = tuple(_row(name, seen) for name, seen in by_name.items())
+    told = [
+        (number, one.covered)
+        for number, box in enumerate(boxes)
+        for one in box.told
+        if one.value is not None
+    ]
+    hits = np.array([hit for _, hit in told])
+    share = float(hits.mean()) if told else 0.0
+    clusters = np.array([number for number, _ in told])
+    interval = rate_interval(hits, clusters) if told else (0.0, 1.0)
+    edges = _edges(boxes)
+    statements = (
+        Statement(
+            "(not in the thesis) values as built lie in the 95 % intervals that a log of "
+            f"{own.shifts} shifts gives, in {own.least:.0%} of {len(boxes)} gearboxes at least",
+            f"{share:.1%} of {len(told)} ({interval[0]:.1%} to {interval[1]:.1%}); least of a "
+            f"figure {min((_share(seen) for seen in by_name.values()), default=0.0):.0%}",
+            ThesisVerdict.AGREES if share >= own.least else ThesisVerdict.DIFFERS,
+            "the truth is the rig's own, which the log does not hold",
+        ),
+    )
+    checks = _checks(boxes)
+    values: dict[str, Any] = {
+        "gearboxes": len(boxes),
+        "told": len(told),
+        "coverage": share,
+        "coverage_interval": list(interval),
+        "edges_covered": edges,
+        "by_figure": {row[0]: dict(zip(COLUMNS[1:], row[1:], strict=True)) for row in rows},
+        "held_out": {row[0]: dict(zip(CHECKS[1:], row[1:], strict=True)) for row in checks},
+    }
+    tables = (
+        Table("figures", "Figure by figure, medians over the gearboxes", COLUMNS, rows),
+        Table("held_out", "RMS errors of predictions, medians", CHECKS, checks),
+    )
+    return Finding(statements, values, (_chart(by_name),), tables)
+
+
+def _share(seen: list[Told]) -> float:
+    told = [one.covered for one in seen if one.value is not None]
+    return sum(told) / len(told) if told else 1.0
+
+
+def _row(name: str, seen: list[Told]) -> tuple[Any, ...]:
+    told = [one for one in seen if one.value is not None]
+    half = _median([0.5 * (one.high - one.low) for one in told])
+    error = _median([abs((one.value or 0.0) - one.truth) for one in told])
+    sheet = [abs(one.sheet - one.truth) for one in told if one.sheet is not None]
+    covered = sum(one.covered for one in told)
+    of_sheet = _median(sheet) if sheet else None
+    return name, seen[0].unit, len(told), covered, half, error, of_sheet
+
+
+def _median(values: list[float]) -> float:
+    return float(np.median(values)) if values else 0.0
+
+
+def _edges(boxes: list[Gearbox]) -> dict[str, float]:
+    """Share of single edges that lie in their own intervals, by wheel."""
+    sums: dict[str, list[int]] = {}
+    for box in boxes:
+        for wheel, edges, inside in box.teeth:
+            both = sums.setdefault(wheel, [0, 0])
+            both[0] += edges
+            both[1] += inside
+    return {wheel: inside / edges for wheel, (edges, inside) in sums.items()}
+
+
+def _checks(boxes: list[Gearbox]) -> tuple[tuple[Any, ...], ...]:
+    seen: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for box in boxes:
+        for name, unit, identified, by_sheet in box.held_out:
+            seen.setdefault((name, unit), []).append((identified, by_sheet))
+    return tuple(
+        (name, unit, _median([own for own, _ in pairs]), _median([sheet for _, sheet in pairs]))
+        for (name, unit), pairs in seen.items()
+    )
+
+
+def _chart(by_name: dict[str, list[Told]]) -> Chart:
+    """Errors over half the interval, in order."""
+    shares = sorted(
+        (one.truth - 0.5 * (one.low + one.high)) / (0.5 * (one.high - one.low))
+        for seen in by_name.values()
+        for one in seen
+        if one.value is not None and math.isfinite(one.low) and one.high > one.low
+    ) or [0.0]
+    place = [100.0 * (k + 0.5) / len(shares) for k in range(len(shares))]
+    panel = Panel(
+        "truth less the interval's middle, over half the interval",
+        (Line("figures", place, shares, Style.LINE),),
+        {"end of the interval": 1.0, "other end": -1.0},
+    )
+    return Chart("intervals", "What logs tell of gearboxes", "figures, per cent", (panel,))
+
+
+STUDY = Study(
+    "identify",
+    "What a log tells of its gearbox, against what was built",
+    ("beyond",),
+    Settings,
+    _conclude,
+    _jobs,
+)

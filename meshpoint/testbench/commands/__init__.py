@@ -1,1 +1,0 @@
-"""`meshpoint campaign` and `meshpoint study`: arguments in, exit code out."""
