@@ -15,7 +15,6 @@ import numpy as np
 
 from meshpoint.controller.motion.brake_input import BrakeInput
 from meshpoint.controller.motion.kinematics import slip_rad_s
-from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import (
     LayshaftState,
     MotionModel,
@@ -27,7 +26,7 @@ from meshpoint.controller.motion.models import (
 from meshpoint.controller.motion.swing import OUTLOOK_US, ShaftState, between_ticks, ticks_over
 from meshpoint.controller.phase.reference import PhaseReferences
 from meshpoint.controller.planning.plan_kernels import MEETING, course, courses
-from meshpoint.controller.records import filled
+from meshpoint.controller.records import Vector, filled
 from meshpoint.gearbox import MainGear
 from meshpoint.units import US
 
