@@ -1,4 +1,7 @@
-"""Numbers that fill a space evenly without any randomness: Halton's sequences (1960)."""
+"""Numbers that fill a space evenly without any randomness: Halton's sequences (1960).
+
+`scipy.stats.qmc.Halton` gives the same bits; to load it would cost a node 0.8 s and 68 MB.
+"""
 
 from __future__ import annotations
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from meshpoint.controller.motion.linear_kernels import LINEAR, Vector, propagate
+from meshpoint.controller.motion.linear_kernels import LINEAR, propagate
 from meshpoint.controller.motion.models import LayshaftState
-from meshpoint.controller.records import filled
+from meshpoint.controller.records import Vector, filled
 from meshpoint.gearbox import GearboxSheet, Split
 from meshpoint.units import US
 

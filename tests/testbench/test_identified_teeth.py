@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from logged_gearbox import EDGES as LAYSHAFT_EDGES
 from logged_gearbox import SHEET, STEP_S, TEETH, crossings, runs
-from scipy.stats import t as student_t
 
 from meshpoint.controller.records import Vector
 from meshpoint.testbench.identify.identify import identify
@@ -112,15 +111,6 @@ def test_teeth_are_those_of_least_squares_with_the_motion_among_the_unknowns(
     for k in range(len(wheels)):
         others = wheels[:k] + wheels[k + 1 :]
         assert found.without[k] == pytest.approx(least_squares(others)[:EDGES], abs=1e-8)
-
-
-def test_a_tooth_is_as_sure_as_the_runs_agree_on_it(found: ToothFit) -> None:
-    """The jackknife's deviation; half of the 95 % interval is Student's with a run less."""
-    mean = found.without.mean(axis=0)
-    count = found.without.shape[0]
-    sd = np.sqrt((count - 1) / count * ((found.without - mean) ** 2).sum(axis=0))
-    assert found.sd_rad == pytest.approx(sd)
-    assert found.half_rad == pytest.approx(sd * float(student_t.ppf(0.975, count - 1)))
 
 
 def test_what_teeth_explain_is_told_of_runs_they_were_not_learned_from(found: ToothFit) -> None:

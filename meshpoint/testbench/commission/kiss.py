@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from meshpoint.controller.records import Vector
+from meshpoint.testbench.identify.clutch_fit import kink
 from meshpoint.units import TURN, US
 
 BEFORE_US: Final = 80_000
@@ -59,12 +60,10 @@ def _kiss(at_us: Vector, closed: Vector, edge_us: Vector, speed: Vector) -> floa
     x, w = share[:end], speed[:end]
     best: tuple[float, float] | None = None
     for kiss in np.arange(*ENDS, STEP):
-        after = np.maximum(x - kiss, 0.0)
-        if np.count_nonzero(after) < LEAST_AFTER:
+        if np.count_nonzero(x > kiss) < LEAST_AFTER:
             break
-        basis = np.stack((np.ones(x.size), x, after**2), axis=1)
-        solved, *_ = np.linalg.lstsq(basis, w, rcond=None)
-        rest = float(np.sum((w - basis @ solved) ** 2))
-        if solved[2] > 0.0 and (best is None or rest < best[0]):
+        bent, left = kink(x, w, float(kiss))
+        rest = float(np.sum(left**2))
+        if bent > 0.0 and (best is None or rest < best[0]):
             best = rest, float(kiss)
     return None if best is None else best[1]

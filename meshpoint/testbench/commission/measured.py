@@ -45,7 +45,7 @@ from meshpoint.testbench.identify.identified import Identified
 from meshpoint.testbench.identify.identify import identify
 from meshpoint.testbench.identify.log_reader import LogContent, LogReader
 from meshpoint.testbench.identify.overlay import Entry, entries
-from meshpoint.testbench.identify.sleeve_fit import PRESSURE_EXPONENT, sleeve_fit
+from meshpoint.testbench.identify.sleeve_fit import at_sheet, sleeve_fit
 from meshpoint.testbench.identify.tooth_fit import ToothFit
 from meshpoint.units import MS
 
@@ -284,13 +284,11 @@ def _sleeves(sheet: GearboxSheet, recorded: list[tuple[int, Frame]]) -> SleeveRe
     fitted = sleeve_fit(_content(sheet, recorded).strokes, sheet)
     if fitted is None:
         return SleeveRecords()
-    air, valve_s = sheet.air, sheet.sleeve.valve_delay_s
-    slower = ((fitted.supply_pa - air.atmosphere_pa) / air.supply_gauge_pa) ** PRESSURE_EXPONENT
     scatter_s = max(fitted.spread_s, 1e-4) if fitted.freedom > 1 else sheet.sleeve.delay_sd_s
     return SleeveRecords(
         **{
             gear.name.lower(): SleeveRecord(
-                delay_s=valve_s + (float(delays.mean()) - valve_s) * slower,
+                delay_s=at_sheet(float(delays.mean()), fitted.supply_pa, sheet),
                 samples=float(delays.size),
                 scatter_s=scatter_s,
                 scatter_samples=max(1.0, fitted.effective_freedom / len(fitted.delays_s)),

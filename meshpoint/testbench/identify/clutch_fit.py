@@ -58,11 +58,17 @@ def _bend(closing: Closing, share: float) -> tuple[float, float] | None:
     if near.sum() < 7 or (since[near] > 0.0).sum() < 3:
         return None
     at, speed = since[near], closing.engine_rad_s[near]
-    basis = np.stack((np.ones(at.size), at, np.maximum(at, 0.0) ** 2), axis=1)
-    solved, *_ = np.linalg.lstsq(basis, speed, rcond=None)
-    rest = speed - basis @ solved
-    bend = abs(float(solved[2])) * float(at.max()) ** 2
+    bent, rest = kink(at, speed, 0.0)
+    bend = abs(bent) * float(at.max()) ** 2
     return float(np.sqrt(np.sum(rest**2) / (at.size - 3))), bend
+
+
+def kink(at: Vector, speed: Vector, touch: float) -> tuple[float, Vector]:
+    """By least squares a line, and from the touch on a parabola above it: the parabola's
+    coefficient, and what is left of the speeds."""
+    basis = np.stack((np.ones(at.size), at, np.maximum(at - touch, 0.0) ** 2), axis=1)
+    solved, *_ = np.linalg.lstsq(basis, speed, rcond=None)
+    return float(solved[2]), speed - basis @ solved
 
 
 def touches(closings: Iterable[Closing], sheet: GearboxSheet) -> Vector:

@@ -12,7 +12,8 @@ from meshpoint.gearbox import GearboxSheet
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.gearbox.table_text import number, quoted
 from meshpoint.testbench.identify.identified import Identified
-from meshpoint.testbench.identify.sleeve_fit import PRESSURE_EXPONENT
+from meshpoint.testbench.identify.sleeve_fit import at_sheet
+from meshpoint.units import MS
 
 LEAST_SPREAD_MS: Final = 0.1
 
@@ -71,17 +72,14 @@ def _sleeve(
     found: Identified, sheet: GearboxSheet, told: dict[str, float], made: list[Entry]
 ) -> None:
     """The delay at the sheet's supply pressure, mean of all gears, and its spread."""
-    sleeve, air = sheet.sleeve, sheet.air
     delay = _mean(told, *(f"sleeve delay {gear.name.lower()}" for gear in MAIN_GEARS))
     if delay is None:
         return
-    valve = 1e3 * sleeve.valve_delay_s
-    slower = ((found.supply_pa - air.atmosphere_pa) / air.supply_gauge_pa) ** PRESSURE_EXPONENT
     made.append(
         Entry(
             "sleeve",
             "delay_ms",
-            valve + (delay - valve) * slower,
+            at_sheet(delay * MS, found.supply_pa, sheet) / MS,
             "mean of the gears, at the sheet's supply pressure",
         )
     )

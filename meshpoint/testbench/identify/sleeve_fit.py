@@ -17,6 +17,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.controller.planning.sleeve_delay import FAR_S, PRESSURE_EXPONENT
 from meshpoint.gearbox import GearboxSheet, MainGear
 from meshpoint.gearbox.gears import MAIN_GEARS
 from meshpoint.testbench.identify.log_reader import Stroke
@@ -27,8 +28,6 @@ FROM, TO = 0.06, 0.9
 LEAST_SAMPLES: Final = 8
 MOST_REST: Final = 0.05
 """RMS of the roots about the line; a sleeve that was held up on its way is no sample."""
-PRESSURE_EXPONENT: Final = 0.5
-FAR_S: Final = 0.02
 LEAST_CORRELATION, MOST_CORRELATION = 0.3, 0.8
 """A sleeve's strokes go together, by seals, grease and warmth that change slowly."""
 
@@ -118,6 +117,19 @@ def _squares_expected(count: int, correlation: float) -> float:
     return float(count - 1 - 2.0 * np.sum((1.0 - lags / count) * correlation**lags))
 
 
+def at_supply(delay_s: float, seen_pa: float, told_pa: float, sheet: GearboxSheet) -> float:
+    """A delay that was seen at one absolute supply pressure, as it would be at another: the valve's
+    part stays, the piston's goes with a power of the gauge pressure."""
+    valve_s, atmosphere_pa = sheet.sleeve.valve_delay_s, sheet.air.atmosphere_pa
+    share = (seen_pa - atmosphere_pa) / (told_pa - atmosphere_pa)
+    return float(valve_s + (delay_s - valve_s) * share**PRESSURE_EXPONENT)
+
+
+def at_sheet(delay_s: float, seen_pa: float, sheet: GearboxSheet) -> float:
+    """The same at the data sheet's supply pressure."""
+    return at_supply(delay_s, seen_pa, sheet.air.supply_gauge_pa + sheet.air.atmosphere_pa, sheet)
+
+
 def sleeve_fit(strokes: Iterable[Stroke], sheet: GearboxSheet) -> SleeveFit | None:
     """None without a usable stroke."""
     seen = list(strokes)
@@ -125,13 +137,10 @@ def sleeve_fit(strokes: Iterable[Stroke], sheet: GearboxSheet) -> SleeveFit | No
     if not contacts:
         return None
     supply = float(np.mean([one.supply_pa for one in contacts]))
-    atmosphere, valve = sheet.air.atmosphere_pa, sheet.sleeve.valve_delay_s
     delays: dict[MainGear, np.ndarray] = {}
     for gear in MAIN_GEARS:
         own = [
-            valve
-            + (one.delay_s - valve)
-            * ((one.supply_pa - atmosphere) / (supply - atmosphere)) ** PRESSURE_EXPONENT
+            at_supply(one.delay_s, one.supply_pa, supply, sheet)
             for one in contacts
             if one.gear is gear
         ]

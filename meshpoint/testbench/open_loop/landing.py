@@ -25,8 +25,8 @@ from meshpoint.controller.estimation.layshaft import LayshaftTracker
 from meshpoint.controller.estimation.touch_and_lag import uncorrelated
 from meshpoint.controller.motion.kernels import GAIN
 from meshpoint.controller.motion.kinematics import slip_rad_s, wrap_to_pitch
-from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import LayshaftState, MotionModel
+from meshpoint.controller.records import Vector
 from meshpoint.controller.sensing.shaft_speeds import ShaftSpeeds
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.valve_board import ValveName

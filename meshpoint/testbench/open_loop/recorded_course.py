@@ -13,7 +13,6 @@ from typing import Final, NamedTuple
 
 from meshpoint.controller.estimation.brake_model import BrakeModel
 from meshpoint.controller.motion.brake_input import BrakeInput
-from meshpoint.controller.motion.linear_kernels import Vector
 from meshpoint.controller.motion.models import (
     LayshaftState,
     MotionModel,
@@ -21,6 +20,7 @@ from meshpoint.controller.motion.models import (
     predict_spread,
 )
 from meshpoint.controller.motion.swing import ShaftState
+from meshpoint.controller.records import Vector
 from meshpoint.controller.shift.step_snapshot import StepSnapshot
 from meshpoint.controller.shift.table import ShiftRecord
 from meshpoint.units import US
