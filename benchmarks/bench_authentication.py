@@ -15,8 +15,8 @@ from collections.abc import Callable
 from typing import Any
 
 from meshpoint.bus.authentication.frames import CHALLENGE, PROOF
-from meshpoint.bus.authentication.keys import make_keys
 from meshpoint.bus.authentication.proof import CommandProver, CommandVerifier
+from meshpoint.bus.command_keys import make_keys
 from meshpoint.bus.simulated.frame_bits import INTERMISSION_BITS, BitTiming, WireFrame, longest
 from meshpoint.dbc import Frame, Node
 from meshpoint.dbc.link import Receiver, Transmitter

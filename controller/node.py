@@ -8,12 +8,11 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Final
 
-from meshpoint.bus.authentication.cores import ProvingCore
-from meshpoint.bus.authentication.keys import CommandKeys
 from meshpoint.bus.clock import NodeClock
+from meshpoint.bus.command_keys import CommandKeys
 from meshpoint.bus.core import Core
-from meshpoint.bus.diagnosis.core import DiagnosedCore
 from meshpoint.bus.driver import OpenBus, run_node
+from meshpoint.bus.optional import classic_controller, diagnosed, proven, recorded_steps
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.records import Records
 from meshpoint.bus.settle import settle
@@ -57,16 +56,13 @@ async def run_controller(
     records = None if record is None else Records(record)
     if records is not None and wire is WireProfile.FD:
         kept = OutageRecord(kept, records, header.run_hash, lambda: statistics.frames_discarded)
-    node: Core = kept if keys is None else ProvingCore(kept, keys)
+    node = kept if keys is None else proven(kept, keys)
     if diagnosis:
-        node = DiagnosedCore(node, header.version, told_as=address)
+        node = diagnosed(node, header.version, address)
     if wire is WireProfile.CLASSIC:
-        from meshpoint.bus.classic.cores import ClassicControllerCore
-        from meshpoint.bus.classic.step_record import StepRecord
-
-        node = ClassicControllerCore(node, header.sheet)
+        node = classic_controller(node, header.sheet)
         if records is not None:
-            node = StepRecord(node, records, header.run_hash, diagnosed=diagnosis)
+            node = recorded_steps(node, records, header.run_hash, diagnosed=diagnosis)
     settle()
     await run_node(
         node,

@@ -7,12 +7,11 @@ from collections.abc import Callable
 from secrets import randbits
 from typing import Final
 
-from meshpoint.bus.authentication.cores import VerifyingCore
-from meshpoint.bus.authentication.keys import CommandKeys
-from meshpoint.bus.authentication.proof import CHALLENGE_BITS
 from meshpoint.bus.clock import NodeClock
+from meshpoint.bus.command_keys import CommandKeys
 from meshpoint.bus.core import Core
 from meshpoint.bus.driver import OpenBus, run_node
+from meshpoint.bus.optional import classic_rig, verified
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.settle import settle
 from meshpoint.bus.statistics import NodeStatistics
@@ -39,12 +38,10 @@ async def run_rig(
     proven commands alone. `wire`: the frames on the bus."""
     core: Core = RigCore(sheet, settings)
     if wire is WireProfile.CLASSIC:
-        from meshpoint.bus.classic.cores import ClassicRigCore
-
-        core = ClassicRigCore(core, sheet)
+        core = classic_rig(core, sheet)
     settle()
     return await run_node(
-        core if keys is None else VerifyingCore(core, keys, lambda: randbits(CHALLENGE_BITS)),
+        core if keys is None else verified(core, keys, randbits),
         open_bus,
         clock,
         on_event=on_event,

@@ -53,7 +53,7 @@ COMMANDS: Final = {
     "identify": Command(LOGS, "a log's gearbox as a data sheet: brake, delays, teeth"),
     "compare": Command(LOGS, "two logs, two --json records, or two settings files"),
     "captures": Command(LOGS, "edges captured from real sensors: the teeth, or a log"),
-    "campaign": Command(MANY, "strategies compared on the same seeded draws",),
+    "campaign": Command(MANY, "strategies compared on the same seeded draws"),
     "show": Command(LOOK, "a data sheet, settings, calibration, or the bus's messages"),
     "help": Command(LOOK, "a command, which bus is opened, what a shell completes"),
 }  # fmt: skip

@@ -11,7 +11,6 @@ import cantools.database
 import pytest
 
 from meshpoint.bus.authentication.frames import AUTHENTICATION_DBC, CHALLENGE, PROOF
-from meshpoint.bus.authentication.keys import CommandKeys, KeysError, load_keys, make_keys
 from meshpoint.bus.authentication.proof import (
     CHALLENGE_EVERY_US,
     COMMANDS,
@@ -21,6 +20,7 @@ from meshpoint.bus.authentication.proof import (
     CommandProver,
     CommandVerifier,
 )
+from meshpoint.bus.command_keys import CommandKeys, KeysError, load_keys, make_keys
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.link import Transmitter
 from meshpoint.dbc.messages import TSC1, ClutchCommand, ValveAction, ValveCommand

@@ -16,8 +16,8 @@ from loop_bench import PHASES_US, Operator
 
 from meshpoint.bus.authentication.cores import ProvingCore, VerifyingCore
 from meshpoint.bus.authentication.frames import PROOF
-from meshpoint.bus.authentication.keys import CommandKeys, make_keys
 from meshpoint.bus.authentication.proof import CLUTCH, COMMANDS, HELD, VALVES
+from meshpoint.bus.command_keys import CommandKeys, make_keys
 from meshpoint.bus.core import Step
 from meshpoint.controller.core import ControllerCore
 from meshpoint.controller.header import new_header

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from forged_commands import NAMES, Attacker, Run
 
-from meshpoint.bus.authentication.keys import make_keys
+from meshpoint.bus.command_keys import make_keys
 from meshpoint.dbc.link import Receiver
 from meshpoint.dbc.messages import ShiftOutcome, ShiftResult, ValveStatus
 from meshpoint.dbc.node import Node

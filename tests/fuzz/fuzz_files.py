@@ -25,7 +25,7 @@ import pyarrow.parquet as pq
 from log_mutations import damaged, mixed_log
 
 from meshpoint.bus.authentication.frames import AUTHENTICATION_DBC
-from meshpoint.bus.authentication.keys import load_keys
+from meshpoint.bus.command_keys import load_keys
 from meshpoint.bus.logs.reader import FORMATS, LogError, read_log
 from meshpoint.bus.pace import PaceError, PaceFile
 from meshpoint.controller.calibration.file import read_file

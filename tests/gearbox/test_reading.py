@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from benchmarks.studies.settings import load_study_settings
-from meshpoint.bus.authentication.keys import load_keys
+from meshpoint.bus.command_keys import load_keys
 from meshpoint.bus.logs.reader import read_log
 from meshpoint.bus.options import add_bus_arguments, bus_config
 from meshpoint.controller.calibration.file import read_file

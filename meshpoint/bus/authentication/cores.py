@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from operator import itemgetter
 
-from meshpoint.bus.authentication.keys import CommandKeys
 from meshpoint.bus.authentication.proof import CommandProver, CommandVerifier
+from meshpoint.bus.command_keys import CommandKeys
 from meshpoint.bus.core import AroundCore, Core, Step
 from meshpoint.dbc.frame import Frame
 

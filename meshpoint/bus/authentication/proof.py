@@ -18,7 +18,7 @@ from hmac import compare_digest
 from typing import Any, Final, NamedTuple
 
 from meshpoint.bus.authentication.frames import CHALLENGE, PROOF
-from meshpoint.bus.authentication.keys import CommandKeys, KeysError
+from meshpoint.bus.command_keys import CommandKeys, KeysError
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.layout import CODECS
 

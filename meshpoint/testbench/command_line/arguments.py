@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from meshpoint.bus.authentication.keys import CommandKeys, load_keys
+from meshpoint.bus.command_keys import CommandKeys, load_keys
 from meshpoint.bus.logs.files import MIN_PART_BYTES
 from meshpoint.bus.logs.reader import MAX_LOG_BYTES
 from meshpoint.bus.options import is_local_bus

@@ -8,9 +8,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from meshpoint.bus.authentication.cores import ProvingCore, VerifyingCore
-from meshpoint.bus.authentication.proof import CHALLENGE_BITS
 from meshpoint.bus.core import Core
+from meshpoint.bus.optional import proven, recorded_steps, verified
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.records import Records
 from meshpoint.dbc.frame import Frame
@@ -67,8 +66,8 @@ def virtual_bench(
     on_frame, on_event: as in `VirtualTime`. records: take a classic run's steps, to be verified
     by."""
     if setup.keys is not None:
-        controller = ProvingCore(controller, setup.keys)
-        rig = VerifyingCore(rig, setup.keys, _challenges(setup.seed))
+        controller = proven(controller, setup.keys)
+        rig = verified(rig, setup.keys, _random_bits(setup.seed))
     cores = [controller, rig, operator, *(onlooker.core for onlooker in onlookers)]
     if setup.wire is WireProfile.CLASSIC:
         cores = _on_classic_bus(setup, cores, records)
@@ -94,11 +93,10 @@ def virtual_bench(
 
 def _on_classic_bus(setup: Setup, cores: Sequence[Core], records: Records | None) -> list[Core]:
     from meshpoint.bus.classic.cores import on_classic_bus
-    from meshpoint.bus.classic.step_record import StepRecord
 
     classic = on_classic_bus(setup.sheet, *cores)
     if records is not None:
-        classic[0] = StepRecord(classic[0], records, setup.header.run_hash, diagnosed=False)
+        classic[0] = recorded_steps(classic[0], records, setup.header.run_hash, diagnosed=False)
     return classic
 
 
@@ -108,7 +106,7 @@ def tick_phases(seed: int) -> list[int]:
     return [int(phase) for phase in rng.integers(0, TICK_US, 3)]
 
 
-def _challenges(seed: int) -> Callable[[], int]:
-    """Challenges of a run that can be repeated; live ones are the operating system's."""
+def _random_bits(seed: int) -> Callable[[int], int]:
+    """Draws challenges of a run that can be repeated; live ones are the operating system's."""
     rng = np.random.Generator(np.random.PCG64([seed, 0xC4A1]))
-    return lambda: int.from_bytes(rng.bytes(CHALLENGE_BITS // 8), "little")
+    return lambda bits: int.from_bytes(rng.bytes(bits // 8), "little")

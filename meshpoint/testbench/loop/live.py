@@ -19,8 +19,8 @@ from time import perf_counter
 
 import can
 
-from meshpoint.bus.authentication.keys import CommandKeys
 from meshpoint.bus.clock import Clock, NodeClock
+from meshpoint.bus.command_keys import CommandKeys
 from meshpoint.bus.core import Core, Step
 from meshpoint.bus.driver import run_node
 from meshpoint.bus.logs.bus_stamps import BusStamps

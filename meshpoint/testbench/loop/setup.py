@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from meshpoint.bus.authentication.keys import CommandKeys
+from meshpoint.bus.command_keys import CommandKeys
 from meshpoint.bus.profile import WireProfile
 from meshpoint.bus.simulated.core import QueueOrder
 from meshpoint.controller.calibration.learned import Calibration

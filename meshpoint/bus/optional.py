@@ -1,0 +1,57 @@
+"""What a node may have around its core and need not: the rooms of the bus that are loaded where a
+run asks for one, and by nobody else on a frame's way (the contract in pyproject.toml)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from meshpoint.bus.command_keys import CommandKeys
+from meshpoint.bus.core import Core
+from meshpoint.bus.records import Records
+from meshpoint.gearbox import GearboxSheet
+
+
+def proven(core: Core, keys: CommandKeys) -> Core:
+    """The controller with its commands proven (docs/wire.md). KeysError where the package for it is
+    not installed."""
+    from meshpoint.bus.authentication.cores import ProvingCore
+
+    return ProvingCore(core, keys)
+
+
+def verified(core: Core, keys: CommandKeys, random_bits: Callable[[int], int]) -> Core:
+    """The rig that takes proven commands alone. KeysError as above. random_bits: draws a whole
+    number of so many bits, for challenges."""
+    from meshpoint.bus.authentication.cores import VerifyingCore
+    from meshpoint.bus.authentication.proof import CHALLENGE_BITS
+
+    return VerifyingCore(core, keys, lambda: random_bits(CHALLENGE_BITS))
+
+
+def diagnosed(core: Core, version: str, address: int) -> Core:
+    """The controller that claims its address, tells trouble codes and answers testers
+    (docs/diagnosis.md). address: the controller's on the bus, for what is said of it."""
+    from meshpoint.bus.diagnosis.core import DiagnosedCore
+
+    return DiagnosedCore(core, version, told_as=address)
+
+
+def classic_controller(core: Core, sheet: GearboxSheet) -> Core:
+    """The controller on a bus of frames of 8 bytes (docs/wire.md)."""
+    from meshpoint.bus.classic.cores import ClassicControllerCore
+
+    return ClassicControllerCore(core, sheet)
+
+
+def classic_rig(core: Core, sheet: GearboxSheet) -> Core:
+    """The rig on such a bus."""
+    from meshpoint.bus.classic.cores import ClassicRigCore
+
+    return ClassicRigCore(core, sheet)
+
+
+def recorded_steps(core: Core, records: Records, run_hash: int, *, diagnosed: bool) -> Core:
+    """A classic controller that leaves, for a replay, which frames each step has used."""
+    from meshpoint.bus.classic.step_record import StepRecord
+
+    return StepRecord(core, records, run_hash, diagnosed=diagnosed)
