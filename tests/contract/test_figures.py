@@ -19,7 +19,8 @@ figures = SimpleNamespace(**runpy.run_path(str(ROOT / "tools" / "figures.py")))
 OF_RESULTS = [
     ROOT / name
     for name in (
-        "README.md", "docs/strategy.md", "docs/safety.md", "docs/campaign.md", "docs/estimation.md"
+        "README.md", "docs/strategy.md", "docs/safety.md", "docs/campaign.md", "docs/estimation.md",
+        "docs/shifts.md", "docs/frame_to_valve.md",
     )
 ]  # fmt: skip
 GIVEN = "<!-- given -->"
