@@ -35,6 +35,8 @@ FACTORS = {"%": 100.0}
 VALUES = ("rate", "mean", "ratio")
 INTERVALS = ("ci95", "mean_ci95")
 """What a group of a JSON calls its value and its interval."""
+RUN = {"meshpoint": ["-m", "meshpoint"], "python": []}
+"""What a command may begin with, and what Python is then given."""
 MARGIN_DAYS = 60
 """So long after a measurement may the code change that it is of; then it is made again."""
 
@@ -116,11 +118,14 @@ def run(measurement: Mapping[str, Any]) -> Any:
         file = Path(folder) / "given.toml"
         file.write_text(measurement.get("file", ""), encoding="utf-8")
         words = shlex.split(re.sub(r"\bFILE\b", file.as_posix(), measurement["command"]))
-        if words[0] != "meshpoint" or words[-2:] != ["--json", "-"]:
-            raise ValueError(f"{measurement['command']}: allowed is meshpoint ... --json -")
+        if words[0] not in RUN or words[-2:] != ["--json", "-"]:
+            raise ValueError(
+                f"{FILE.name}: {measurement['command']}: allowed is meshpoint|python ... --json -"
+            )
         done = subprocess.run(  # noqa: S603
-            [sys.executable, "-m", *words], check=True, stdout=subprocess.PIPE, cwd=ROOT
-        )
+            [sys.executable, *RUN[words[0]], *words[1:]],
+            check=True, stdout=subprocess.PIPE, cwd=ROOT,
+        )  # fmt: skip
     return json.loads(done.stdout)
 
 
