@@ -5,7 +5,7 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: long devices study swarm faults planted mutants digests demo docs test installed acceptance vcan vcan-alone controllers test-containers lint types reference contracts locks stubs bench clean
+.PHONY: long devices study swarm faults planted mutants digests demo docs test installed acceptance vcan vcan-alone controllers test-containers lint types reference figures contracts locks stubs bench clean
 
 # Images often forbid Python to keep what it has compiled; then each process compiles numpy and all
 # else anew, for seconds.
@@ -127,6 +127,10 @@ types: $(VENV)/test.stamp
 reference: $(VENV)/test.stamp
 	$(BIN)/python -m meshpoint.testbench.help.reference docs/reference
 	$(BIN)/python -m meshpoint.api.reference docs/reference/api.md
+
+# docs/figures.toml into the documents that show its figures; NAME=typical: measures that one again first.
+figures: $(VENV)/test.stamp
+	$(BIN)/python tools/figures.py $(NAME)
 
 # locks/, after a change to constraints.txt or to the dependencies
 locks:

@@ -82,6 +82,10 @@ def test_every_link_leads_somewhere(document: Path) -> None:
     assert missing == []
 
 
+def test_readme_is_read_at_one_sitting() -> None:
+    assert (ROOT / "README.md").stat().st_size <= 7_500
+
+
 def test_every_tab_of_the_site_has_a_name_of_its_own() -> None:
     """Pages that mkdocs.yml does not name get a tab of their folder's name."""
     site = (ROOT / "mkdocs.yml").read_text(encoding="utf-8")

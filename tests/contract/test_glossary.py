@@ -1,0 +1,51 @@
+"""Documents use the field's words: none that the glossary's table "write / not" has given up."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+GLOSSARY = ROOT / "docs" / "glossary.md"
+CODE: tuple[str, ...] = ()
+"""Folders whose Python is held to it as well."""
+HISTORY = ROOT / "docs" / "decisions"
+OF_THE_CODE = (ROOT / "docs" / "reference", ROOT / "docs" / "faults.md")
+"""Pages that are made of the code's words: with the code."""
+TABLE = GLOSSARY.read_text(encoding="utf-8").split("| write | not |")[1]
+RETIRED = re.findall(r"`([^`]+)`", "".join(row.split("|")[2] for row in TABLE.splitlines()[2:]))
+
+
+def checked() -> list[Path]:
+    """README, the pages of docs/ that are written by hand, and the code of CODE."""
+    pages = [
+        path
+        for path in (ROOT / "docs").rglob("*.md")
+        if path != GLOSSARY
+        and not any(path.is_relative_to(left) for left in (HISTORY, *OF_THE_CODE))
+    ]
+    return [ROOT / "README.md", *pages, *(p for name in CODE for p in (ROOT / name).rglob("*.py"))]
+
+
+def retired_in(text: str) -> list[str]:
+    """The retired words of a text, without "of course", code between backticks, and links."""
+    plain = re.sub(r"`[^`\n]*`|\]\([^)]*\)|\bof course\b", " ", text)
+    plain = re.sub(r"\s+", " ", plain)
+    return [word for word in RETIRED if re.search(rf"\b{re.escape(word)}\b", plain, re.IGNORECASE)]
+
+
+def test_the_table_has_the_words() -> None:
+    assert {"told", "drawn anew", "misfit", "course"} <= set(RETIRED)
+
+
+@pytest.mark.parametrize("path", checked(), ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_no_word_that_was_given_up_is_written(path: Path) -> None:
+    assert retired_in(path.read_text(encoding="utf-8")) == []
+
+
+def test_a_word_is_found_as_a_whole_and_over_a_line_s_end() -> None:
+    assert retired_in("it was drawn\nanew") == ["drawn anew"]
+    assert retired_in("Told by nobody") == ["told"]
+    assert retired_in("untold, of course; `told`, [x](drawn-anew.md)") == []
