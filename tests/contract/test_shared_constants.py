@@ -94,8 +94,12 @@ REASONS: Final = {
 
 def shared() -> dict[str, tuple[str, float]]:
     """Names of the controller that share a number with the rig, and the rig's name for it."""
-    found = alike(ROOT / "controller", ROOT / "rig_sim")
-    return {mine: (theirs, key[1]) for key, pairs in found.items() for mine, theirs in pairs}
+    return {
+        mine: (theirs, key[1])
+        for folder in ("controller", "meshpoint/testbench/identify")
+        for key, pairs in alike(ROOT / folder, ROOT / "rig_sim").items()
+        for mine, theirs in pairs
+    }
 
 
 def test_controller_and_rig_share_no_number_without_a_reason() -> None:
