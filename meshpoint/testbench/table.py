@@ -60,22 +60,22 @@ COMMANDS: Final = {
 }  # fmt: skip
 """Every command, in the order of the help."""
 MOVED: Final = {
-    "calibration": "show calibration",
-    "completion": "help completion",
-    "convert": "captures FILE -o LOG",
-    "dbc": "show messages",
-    "gearbox": "show gearbox",
-    "health": "check --alive NODE",
-    "pace": "up --pace-only FILE",
-    "report": "replay LOG --gap-rate",
-    "settings": "show settings",
+    "calibration": "`meshpoint show calibration`",
+    "completion": "`meshpoint help completion`",
+    "convert": "`meshpoint captures FILE -o LOG`",
+    "dbc": "`meshpoint show messages`",
+    "gearbox": "`meshpoint show gearbox`",
+    "health": "`meshpoint check --alive NODE`",
+    "pace": "`meshpoint up --pace-only FILE`",
+    "report": "`meshpoint replay LOG --gap-rate`",
+    "settings": "`meshpoint show settings`",
 }
 """What was a command of its own, and what does it now."""
 
 
 def moved_words(name: str) -> str:
     """Where a command has gone."""
-    return f"`meshpoint {name}` is now `meshpoint {MOVED[name]}`"
+    return f"`meshpoint {name}` is now {MOVED[name]}"
 
 
 def _epilog() -> str:
