@@ -59,23 +59,23 @@ COMMANDS: Final = {
 }  # fmt: skip
 """Every command, in the order of the help."""
 MOVED: Final = {
-    "calibration": "meshpoint show calibration",
-    "completion": "meshpoint help completion",
-    "convert": "meshpoint captures FILE -o LOG",
-    "dbc": "meshpoint show messages",
-    "gearbox": "meshpoint show gearbox",
-    "health": "meshpoint check --alive NODE",
-    "pace": "meshpoint up --pace-only FILE",
-    "report": "meshpoint replay LOG --gap-rate",
-    "settings": "meshpoint show settings",
-    "study": "python -m benchmarks.studies",
+    "calibration": "`meshpoint show calibration`",
+    "completion": "`meshpoint help completion`",
+    "convert": "`meshpoint captures FILE -o LOG`",
+    "dbc": "`meshpoint show messages`",
+    "gearbox": "`meshpoint show gearbox`",
+    "health": "`meshpoint check --alive NODE`",
+    "pace": "`meshpoint up --pace-only FILE`",
+    "report": "`meshpoint replay LOG --gap-rate`",
+    "settings": "`meshpoint show settings`",
+    "study": "`python -m benchmarks.studies` in the repository",
 }
 """What was a command of its own, and what does it now."""
 
 
 def moved_words(name: str) -> str:
     """Where a command has gone."""
-    return f"`meshpoint {name}` is now `{MOVED[name]}`"
+    return f"`meshpoint {name}` is now {MOVED[name]}"
 
 
 def _epilog() -> str:

@@ -35,11 +35,12 @@ from meshpoint.testbench.logs.logged_frames import LoggedFrames
 from meshpoint.testbench.logs.replay import LogReplay
 from meshpoint.testbench.logs.session import Session, Verification
 from meshpoint.testbench.open_loop.chosen import Chosen, other_header, recorded_header
-from meshpoint.testbench.open_loop.judged_rows import commanded, judged_table, judged_words
+from meshpoint.testbench.open_loop.judged_rows import judged_table, judged_words
 from meshpoint.testbench.open_loop.open_loop import OpenLoop
 from meshpoint.testbench.replay import gap_rate
 from meshpoint.testbench.replay import sensors as sensor_replay
 from meshpoint.testbench.replay.page import write_replay_page
+from meshpoint.testbench.replay.record import replay_values
 from meshpoint.testbench.replay.rows import ReplayRows
 from meshpoint.testbench.report.write import check_report
 from meshpoint.testbench.results.output import (
@@ -141,7 +142,8 @@ def run(namespace: argparse.Namespace) -> int:
     """Replays, and verifies where asked; the first Ctrl-C ends it with what there is."""
     with interruptible() as stop:
         if namespace.gap_rate:
-            return _gap_rate(namespace, stop)
+            namespace.strategy = namespace.strategy or gap_rate.STRATEGY
+            return gap_rate.run(namespace, _asked(namespace), stop)
         if arguments.wire_of(namespace) is WireProfile.CLASSIC:
             raise CommandError(
                 "--profile classic: for --gap-rate alone; else a log's profile is seen in it"
@@ -152,14 +154,6 @@ def run(namespace: argparse.Namespace) -> int:
     if namespace.json is not None:
         write_json(namespace.json, values)
     return code
-
-
-def _gap_rate(namespace: argparse.Namespace, stop: Callable[[], bool]) -> int:
-    for name in ("sensors", "dbc", "map", "report", "jobs"):
-        if getattr(namespace, name):
-            raise CommandError(f"--{name}: not with --gap-rate, which says one sentence of one bus")
-    namespace.strategy = namespace.strategy or gap_rate.STRATEGY
-    return gap_rate.run(namespace, _asked(namespace), stop)
 
 
 class _One(NamedTuple):
@@ -271,7 +265,7 @@ def _replay(namespace: argparse.Namespace, stop: Callable[[], bool]) -> tuple[in
     for session in sessions:
         errors += Counter(session.strategy_errors)
     complain_of_strategy(errors)
-    values = _values(namespace, files, sessions, rows, events, log)
+    values = replay_values(namespace, files, sessions, rows, events, log)
     if log.interrupted:
         complain_of_interrupt(log.frames)
         return Exit.INTERRUPTED, values
@@ -338,39 +332,6 @@ def _exit_code(sessions: list[Session], verify: bool) -> int:
     return Exit.NOT_VERIFIABLE if broken else Exit.DONE
 
 
-def _values(
-    namespace: argparse.Namespace,
-    files: list[Path],
-    sessions: list[Session],
-    rows: ReplayRows,
-    events: list[tuple[int, str]],
-    log: LoggedFrames,
-) -> dict[str, Any]:
-    """What `--json` has."""
-    judged = rows.judged if rows.open_loop else None
-    shifts = (
-        [row.to_json() for row in rows.rows]
-        if judged is None
-        else [row.to_json(rows.asked) for row in judged]
-    )
-    values: dict[str, Any] = {
-        "log": str(namespace.log[0]),
-        "logs": [str(path) for path in files],
-        "mode": "as recorded" if judged is None else "open loop",
-        "gearbox": None if rows.header is None else rows.header.sheet.name,
-        "sessions": [_session_json(session) for session in sessions],
-        "account": log.account.to_json(),
-        "log_clock": log.clock.to_json(),
-        "interrupted": log.interrupted,
-        "shifts": shifts,
-        "events": [{"time_us": time_us, "event": line} for time_us, line in events],
-    }
-    if rows.open_loop is not None:
-        values["commanded"] = [commanded(row) for row in shifts]
-        values["unfinished_shifts"] = rows.open_loop.unfinished
-    return values
-
-
 def _show(
     namespace: argparse.Namespace,
     out: Any,
@@ -405,16 +366,3 @@ def tell_buses(out: Any, buses: Counter[str], bus: str | None) -> None:
         each = ", ".join(f"{name} ({n} frames)" for name, n in sorted(buses.items()))
         used = "all are used as one (--bus picks one)" if bus is None else f"used is {bus}"
         out.print(f"buses in the log: {each}; {used}")
-
-
-def _session_json(session: Session) -> dict[str, Any]:
-    return {
-        "verdict": session.verdict.value,
-        "step": session.step,
-        "reason": session.reason,
-        "steps": session.steps,
-        "frames": session.frames,
-        "holes": [hole._asdict() for hole in session.holes],
-        "run_hash": f"{session.run_hash:016x}",
-        "intruders": {f"{can_id:08X}": n for can_id, n in sorted(session.intruders.items())},
-    }

@@ -39,6 +39,9 @@ NOT_OURS: Final = (
 def run(namespace: argparse.Namespace, chosen: Chosen, stop: Callable[[], bool]) -> int:
     """How often the controller of a recorded bus met the gap, as the sleeves' positions show it,
     and how often the chosen one would have: reads the log once, and says both."""
+    for name in ("sensors", "dbc", "map", "report", "jobs"):
+        if getattr(namespace, name):
+            raise CommandError(f"--{name}: not with --gap-rate, which says one sentence of one bus")
     files, sheet = log_files(namespace.log), arguments.sheet_of(namespace)
     unpack = arguments.unpacking_of(namespace, sheet)
     with logged_frames(files, namespace.bus, stop, unpack=unpack) as log:
