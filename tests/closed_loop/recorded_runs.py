@@ -24,7 +24,7 @@ import sys
 import tomllib
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -37,6 +37,7 @@ from meshpoint.controller.settings import ControllerSettings
 from meshpoint.dbc.frame import Frame
 from meshpoint.dbc.messages import RigFault
 from meshpoint.gearbox import load_sheet
+from meshpoint.gearbox.sheet import Mesh
 from meshpoint.rig_sim.core import RigCore
 from meshpoint.rig_sim.orders import FaultOrder, ScheduledFault
 from meshpoint.rig_sim.settings import Preset, Profile
@@ -56,6 +57,8 @@ DIGEST_BYTES: Final = 4
 ANY_PROCESSOR: Final = {"OPENBLAS_CORETYPE": "Prescott"}
 LONGEST_US: Final = 40_000_000
 THESIS, TRUCK12 = load_sheet("thesis"), load_sheet("truck12")
+WHOLE = replace(THESIS, name="whole", main=replace(THESIS.main, second=Mesh(37, 48)))
+"""Gear 10 has as many teeth as dog teeth: its phase is known again once the wheels' teeth are."""
 PLAIN: Final = ControllerSettings()
 
 
@@ -90,13 +93,23 @@ RUNS: Final[dict[str, Setup]] = {
     "faulted_node": made(profile=Profile.CLEAN, seed=8, faults=(
         fault(800, RigFault.NODE_RESTART, 0, 0.0, 200),
         fault(1_800, RigFault.CLOCK_STEP, 0, 1e6, 300))),
-    "loaded_bus": made(seed=4, bus_load=0.8),
+    "restarted": made(sheet=WHOLE, profile=Profile.CLEAN, seed=12),
+    "thesis_filter": made(sheet=THESIS, settings=ControllerSettings(estimator_name="thesis"),
+                          profile=Profile.CLEAN, seed=10),
+    "window_speed": made(settings=ControllerSettings(
+        estimator_name="window", strategy_name="speed_window_anticipating"), seed=11, shifts=1),
+    "loaded_bus": made(seed=4, bus_load=0.8, shifts=1),
     "immediate_valves": made(settings=ControllerSettings(valve_timing="immediate"),
                              profile=Profile.CLEAN, seed=9),
     "classic_bus": made(profile=Profile.CLEAN, seed=3, wire=WireProfile.CLASSIC),
 }  # fmt: skip
 TRANSCRIBED: Final = ("clean_thesis", "typical_1", "faulted_node")
 """Of these all that the controller heard is kept as well: it is repeated without a rig."""
+
+
+RESTARTED: Final = "restarted"
+"""Made twice: the second time the controller begins with what it had learned the first time. The
+second one is what is recorded."""
 
 
 class AnyVersion(RunHeader):
@@ -183,11 +196,21 @@ class Run:
 DIGESTS: Final = ("controller", "others")
 
 
-def run(setup: Setup) -> tuple[Run, Transcript]:
-    """Makes a run."""
+def made_again(name: str) -> tuple[Run, Transcript]:
+    """The run of this name."""
+    setup = RUNS[name]
+    if name == RESTARTED:
+        core = controller_of(setup)
+        run(setup, core)
+        setup = replace(setup, calibration=core.calibration("recorded"))
+    return run(setup, controller_of(setup))
+
+
+def run(setup: Setup, core: ControllerCore) -> tuple[Run, Transcript]:
+    """A run with this controller, and all that it heard and sent."""
     plan = plan_shifts(setup.sheet, list(setup.pairs), setup.shifts, LAYSHAFT_RAD_S)
     operator = BenchCore(plan, pauses_of(setup.sheet, setup.profile, setup.preset))
-    rig, controller = RigCore(setup.sheet, setup.rig(plan[0])), Transcript(controller_of(setup))
+    rig, controller = RigCore(setup.sheet, setup.rig(plan[0])), Transcript(core)
     parts = [defaultdict[int, Any](hashlib.sha256) for _ in DIGESTS]
     found, monitor, unpacker = Run(), RowMonitor(setup.sheet, setup.settings), bench_unpacker()
 
@@ -247,7 +270,7 @@ def repeat() -> None:
         alone = None
         if name in TRANSCRIBED:
             alone = first_difference(controller_of(setup), transcript_of(name))
-        found[name] = asdict(run(setup)[0]), alone
+        found[name] = asdict(made_again(name)[0]), alone
     print(json.dumps(found))
 
 
@@ -255,7 +278,7 @@ def record(names: list[str]) -> None:
     """Makes the records of these runs anew."""
     kept = recorded() if RECORD.exists() else {}
     for name in names or RUNS:
-        kept[name], controller = run(RUNS[name])
+        kept[name], controller = made_again(name)
         print(f"{name}: {len(kept[name].controller) / 10} s, {kept[name].shifts}", flush=True)
         if name in TRANSCRIBED:
             content = lzma.compress("\n".join(controller.lines).encode(), preset=9)

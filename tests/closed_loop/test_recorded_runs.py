@@ -11,6 +11,7 @@ in plain words which decisions have changed.
 from __future__ import annotations
 
 import platform
+from typing import NamedTuple
 
 import pytest
 from recorded_runs import (
@@ -20,14 +21,17 @@ from recorded_runs import (
     Run,
     controller_of,
     first_difference,
+    frame_of,
     recorded,
     repeated,
     transcript_of,
 )
 
 from meshpoint.dbc.layout import CODECS
+from meshpoint.dbc.messages import ValveAction
 
 RECORDED = recorded()
+BY_IDENTIFIER = {codec.spec.can_id: codec for codec in CODECS.values()}
 MEANT = "If this change is meant: make digests"
 
 
@@ -66,6 +70,25 @@ def test_a_controller_that_hears_the_same_sends_the_same(
 ) -> None:
     found = again[name][1]
     assert found is None, f"{name}, {found}. {MEANT}"
+
+
+@pytest.mark.parametrize("name", TRANSCRIBED)
+def test_in_what_is_recorded_nothing_is_on_when_a_shift_has_ended(name: str) -> None:
+    """Records that are made anew have to keep it too."""
+    ended, valves_off, sent = 0, True, dict[str, NamedTuple]()
+    for line in transcript_of(name):
+        if line[0] == ">":
+            frame = frame_of(line[2:])
+            codec = BY_IDENTIFIER[frame.can_id]
+            sent[codec.message_type.__name__] = codec.decode(frame.data)
+        elif line[0] == "=":
+            outcome, command = sent.pop("ShiftOutcome", None), sent["ValveCommand"]
+            if outcome is not None:
+                actions = [v for k, v in command._asdict().items() if k.endswith("_action")]
+                ended += 1
+                valves_off &= not {ValveAction.ON_NOW, ValveAction.ON_AT} & set(actions)
+    assert ended > 0
+    assert valves_off
 
 
 def test_one_bit_of_one_edge_is_a_difference_and_the_frame_is_named() -> None:
