@@ -96,8 +96,14 @@ def test_a_blind_strategy_may_be_judged_once_a_run_and_until_says_the_same() -> 
     assert said[0] == pytest.approx(said[1], rel=1e-12)
 
 
-@pytest.mark.parametrize("profile", [Profile.CLEAN, Profile.TYPICAL])
-@pytest.mark.parametrize("preset", list(Preset))
+@pytest.mark.parametrize(
+    ("preset", "profile"),
+    [
+        (Preset.TRUCK, Profile.TYPICAL),
+        pytest.param(Preset.TRUCK, Profile.CLEAN, marks=pytest.mark.long),
+        pytest.param(Preset.THESIS, Profile.TYPICAL, marks=pytest.mark.long),
+    ],
+)
 def test_what_nobody_reads_changes_nothing(preset: Preset, profile: Profile) -> None:
     """Without a log the frames that are for logs are empty: shifts and bus are the same."""
     spec, made = small_spec(preset), []

@@ -15,7 +15,7 @@ from meshpoint.testbench.campaign.loop import ClosedLoop
 TORQUE = 1
 
 
-@pytest.mark.parametrize("seed", [1900000004, 1900000006])
+@pytest.mark.parametrize("seed", [1900000004, pytest.param(1900000006, marks=pytest.mark.long)])
 def test_a_sensor_without_the_sheet_s_lag_is_not_taken_for_a_brake_with_other_torque(
     seed: int,
 ) -> None:

@@ -41,15 +41,14 @@ def test_zeros_anywhere_in_a_log_are_not_called_identical(
     path = recorded(ending)
     assert main(["replay", str(path), "--verify"]) == Exit.DONE
     content = path.read_bytes()
-    for share in (0.3, 0.9):
-        at = int(share * len(content))
-        if ending == ".blf":
-            at = content.rindex(b"LOBJ", 0, at)
-        path.write_bytes(content[:at] + bytes(HOLE_BYTES) + content[at + HOLE_BYTES :])
-        assert main(["replay", str(path), "--verify"]) == Exit.NOT_VERIFIABLE
-        said = capsys.readouterr().out.split("run 1 of 1: ")[-1]
-        assert said.startswith("not verifiable at step ")
-        assert path.name in " ".join(said.split())
+    at = int(0.6 * len(content))
+    if ending == ".blf":
+        at = content.rindex(b"LOBJ", 0, at)
+    path.write_bytes(content[:at] + bytes(HOLE_BYTES) + content[at + HOLE_BYTES :])
+    assert main(["replay", str(path), "--verify"]) == Exit.NOT_VERIFIABLE
+    said = capsys.readouterr().out.split("run 1 of 1: ")[-1]
+    assert said.startswith("not verifiable at step ")
+    assert path.name in " ".join(said.split())
 
 
 @pytest.mark.parametrize("ending", [".blf", ".asc"])

@@ -17,7 +17,7 @@ from meshpoint.testbench.loop.bench import plan_shifts
 from meshpoint.testbench.loop.simulate import LAYSHAFT_RAD_S, Setup, simulate
 
 SHEET = load_sheet("truck12")
-SEED, SHIFTS = 2, 5
+SEED, SHIFTS = 2, 4
 PAIR = (8, 10)
 
 
@@ -43,7 +43,9 @@ def step_by_step() -> None:
             bench.shift(to_gear, from_gear)
 
 
-@pytest.mark.parametrize("run", [in_a_campaign, in_a_simulation, step_by_step])
+@pytest.mark.parametrize(
+    "run", [in_a_campaign, in_a_simulation, pytest.param(step_by_step, marks=pytest.mark.long)]
+)
 def test_every_shift_but_the_first_begins_with_what_was_seen_of_the_loaded_driveline(
     run: Callable[[], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:

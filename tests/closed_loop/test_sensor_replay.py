@@ -266,6 +266,7 @@ def test_ctrl_c_leaves_what_was_told_up_to_there_and_says_so(
     assert 1_200 <= values["frames"] < 4_000
 
 
+@pytest.mark.long
 def test_the_page_draws_speeds_and_gears_and_tells_no_contact_as_ours(
     six_shifts: Loop, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,9 +13,8 @@ TRUCK12 = load_sheet("truck12")
 BRAKE = 0
 
 
-@pytest.mark.parametrize("seed", [3, 4, 5])
-@pytest.mark.parametrize("after_ms", [0, 30, 60])
-def test_a_brake_that_does_not_let_go_ends_the_shift_in_neutral(seed: int, after_ms: int) -> None:
+@pytest.mark.parametrize(("after_ms", "seed"), [(0, 3), (30, 4), (60, 5)])
+def test_a_brake_that_does_not_let_go_ends_the_shift_in_neutral(after_ms: int, seed: int) -> None:
     """By when it was to be rid of its pressure a sleeve that would be fired is not, and one that
     has not moved yet is called back: it would lock two shafts with the brake on."""
     loop = Loop(requests=[(1_000_000, 10)], sheet=TRUCK12, preset=Preset.TRUCK, seed=seed)

@@ -63,15 +63,20 @@ def told(loop: Loop) -> list[str]:
     return [line.split(": ", 1)[1] for line in loop.events if "speed wheel" in line]
 
 
-def cases() -> list[Any]:
+def cases(first: Any, other: Any, wheel_of_other: int) -> list[Any]:
+    """Each wheel with each factor, in the first case and in the other: those that are not `long`
+    are one factor, and of the other case one wheel."""
+
+    def is_short(case: Any, wheel: int, factor: float) -> bool:
+        return factor == FIRST_TRIED and (case == first or wheel == wheel_of_other)
+
     return [
-        pytest.param(wheel, factor, marks=() if factor == FIRST_TRIED else pytest.mark.long)
-        for wheel, factor in product(range(4), FACTORS)
+        pytest.param(*each, marks=() if is_short(*each) else pytest.mark.long)
+        for each in product((first, other), range(4), FACTORS)
     ]
 
 
-@pytest.mark.parametrize(("wheel", "factor"), cases())
-@pytest.mark.parametrize("at_us", [0, 500_000], ids=["from the start", "while driving"])
+@pytest.mark.parametrize(("at_us", "wheel", "factor"), cases(500_000, 0, 2))
 def test_in_gear_the_wheel_is_named_and_no_shift_begins(
     at_us: int, wheel: int, factor: float
 ) -> None:
@@ -85,8 +90,10 @@ def test_in_gear_the_wheel_is_named_and_no_shift_begins(
     assert ControllerState.CLUTCH_OPENING not in loop.states
 
 
-@pytest.mark.parametrize(("wheel", "factor"), cases())
-@pytest.mark.parametrize("state", [ControllerState.SYNCHRONISING, ControllerState.COASTING])
+@pytest.mark.parametrize(
+    ("state", "wheel", "factor"),
+    cases(ControllerState.SYNCHRONISING, ControllerState.COASTING, 1),
+)
 def test_in_mid_shift_nothing_meets_beyond_the_slip_window(
     state: ControllerState, wheel: int, factor: float
 ) -> None:
@@ -106,7 +113,9 @@ def test_in_mid_shift_nothing_meets_beyond_the_slip_window(
     assert loop.violations == 0
 
 
-@pytest.mark.parametrize("wheel", range(4))
+@pytest.mark.parametrize(
+    "wheel", [0, 2, *(pytest.param(k, marks=pytest.mark.long) for k in (1, 3))]
+)
 def test_a_wheel_that_reads_right_again_is_believed_and_the_shift_is_made(wheel: int) -> None:
     loop = a_loop(wheel, 0.8, 300_000, LATE_US, for_us=1_000_000)
     assert loop.until(lambda: bool(loop.outcomes), LATE_US + PATIENCE_US)

@@ -106,28 +106,6 @@ def test_a_start_says_over_how_many_shifts_was_learned(
     assert found.calibration.provenance.shifts == shifts
 
 
-def bad_beside(folder: Path, refused_files: int) -> Path:
-    path = folder / "a.toml"
-    path.write_text("nonsense", encoding="utf-8")
-    for number in range(1, refused_files + 1):
-        name = "a.toml.refused" + (f"-{number}" if number > 1 else "")
-        (folder / name).write_text(f"{number}", encoding="utf-8")
-    return path
-
-
-@pytest.mark.parametrize(("before", "name"), [(0, ""), (1, "-2"), (99, "-100")])
-def test_a_refused_file_is_put_beside_the_others_by_the_next_number(
-    tmp_path: Path, before: int, name: str
-) -> None:
-    path = bad_beside(tmp_path, before)
-    found = load(path, SHEET)
-    kept = tmp_path / f"a.toml.refused{name}"
-    assert found.line.endswith(f"; kept as {kept}; cold start")
-    assert (found.calibration, found.writable) == (None, True)
-    assert kept.read_text("utf-8") == "nonsense"
-    assert not path.exists()
-
-
 def test_why_a_file_cannot_be_put_aside_is_said_in_the_system_s_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -135,7 +113,9 @@ def test_why_a_file_cannot_be_put_aside_is_said_in_the_system_s_words(
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "rename", denied)
-    found = load(bad_beside(tmp_path, 0), SHEET)
+    path = tmp_path / "a.toml"
+    path.write_text("nonsense", encoding="utf-8")
+    found = load(path, SHEET)
     assert not found.writable
     assert "cannot be put aside (Permission denied), so nothing will be written" in found.line
 

@@ -66,7 +66,7 @@ addEventListener("load", () => {
 @pytest.mark.device
 @pytest.mark.long
 def test_what_is_drawn_equals_the_truth_within_a_hundredth_of_a_degree(tmp_path: Path) -> None:
-    setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=4, shifts=3)
+    setup = Setup(SHEET, ControllerSettings(), Preset.THESIS, seed=4, shifts=4)
     collector, receiver = ReportCollector(SHEET), Receiver(*Node)
     truth: dict[int, ReferencePhase] = {}
 
