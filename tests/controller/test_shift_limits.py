@@ -14,8 +14,8 @@ from test_shift_states import PITCH, STROKE_M, TICK_US, Box
 
 from meshpoint.controller.settings import ControllerSettings
 from meshpoint.controller.shift.valve_board import ValveName
+from meshpoint.dbc.messages import ClutchAction, FaultCode, ShiftResult
 from meshpoint.dbc.messages import ControllerState as State
-from meshpoint.dbc.messages import FaultCode, ShiftResult
 from meshpoint.gearbox import Sleeve
 from meshpoint.gearbox.gears import DRIVE_GEARS
 
@@ -191,3 +191,39 @@ def test_a_request_that_is_refused_is_answered_with_its_reason_and_moves_nothing
     assert box.state is state
     assert not any(box.board.command(valve).on for valve in ValveName)
     assert box.clutch > 0.9
+
+
+def engine(**values: float) -> ControllerSettings:
+    usual = ControllerSettings()
+    return replace(usual, engine=replace(usual.engine, **values))
+
+
+@pytest.mark.parametrize("pull", [0.2, 0.6])
+def test_the_clutch_waits_for_the_engine_s_torque_to_fall_or_opens_at_once_where_no_ramp_is_set(
+    pull: float,
+) -> None:
+    for ramp_ms, waits in ((250, True), (0, False)):
+        chosen = engine(ramp_ms=ramp_ms, swing_ramp_ms=0)
+        box = Box(*UP[:2], chosen, phase_rad=0.01, pull=pull).ready()
+        box.ask(UP[2])
+        begun_us = box.now_us
+        while box.sequence.clutch is not ClutchAction.OPEN:
+            box.step()
+        waited_us = box.now_us - begun_us
+        assert (waited_us > 3 * TICK_US) is waits
+        assert waited_us <= 1_000 * ramp_ms + 2 * TICK_US
+
+
+@pytest.mark.parametrize("raises", [0, 1, 2])
+def test_the_engine_is_asked_to_raise_the_gear_no_more_often_than_is_set(raises: int) -> None:
+    """A gear that is too slow at each contact is raised again and again, and then given up."""
+    box = Box(9, 110.0, limits(raises=raises), phase_rad=0.01).ready()
+    box.ask(7)
+    while box.running():
+        box.step()
+        if box.state is State.COASTING:
+            box.layshaft *= 0.8  # somebody brakes it
+    record = box.records[0]
+    assert record.raises == raises
+    assert record.result is ShiftResult.ENDED_IN_NEUTRAL
+    assert box.course.count(State.SPEED_RAISING) == raises
