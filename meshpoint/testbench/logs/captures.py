@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from meshpoint.controller.records import Integers
 from meshpoint.controller.sensing.chain_kernels import STAMPS
 from meshpoint.controller.sensing.sensor_clock import SensorClockEstimate, wrap
 from meshpoint.controller.sensing.wheel_edges import WheelEdges
@@ -18,7 +19,6 @@ from meshpoint.testbench.logs.capture_files import (
     GAP,
     Capture,
     FoundWheel,
-    Integers,
     local_ratio,
 )
 from meshpoint.testbench.logs.capture_prediction import predict
