@@ -14,7 +14,7 @@ from meshpoint.testbench.open_loop.landing import Counterfactual
 from meshpoint.testbench.results.output import broken, counted, number
 from meshpoint.testbench.results.rows import ShiftRow
 
-FIRING: Final = ("strategy", "reference", "fired_ms", "predicted_phase_deg")
+SHOWN: Final = ("strategy", "reference", "fired_ms", "predicted_phase_deg")
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ class JudgedRow:
 
 def commanded(row: dict[str, Any]) -> dict[str, Any]:
     """A row of `JudgedRow.to_json` in short: the two firings."""
-    both = {name: row.get(name) for name in ("from", "to", *FIRING)}
-    return both | {"recorded": {name: row["recorded"][name] for name in FIRING}}
+    both = {name: row.get(name) for name in ("from", "to", *SHOWN)}
+    return both | {"recorded": {name: row["recorded"][name] for name in SHOWN}}
 
 
 def judged_table(title: str, rows: Sequence[JudgedRow]) -> Table:
