@@ -1,1 +1,2 @@
-"""Timings beside named peers, in one run, interleaved, medians; ratios are what counts."""
+"""Timings beside named peers, in one run, interleaved, medians; ratios are what counts. And what is
+measured for longer: `studies`, `swarm`."""

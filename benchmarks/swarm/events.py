@@ -109,7 +109,7 @@ def load_world(path: Path) -> World:
         values = json.loads(read_text(path, FILE_LIMIT_BYTES))["scenario"]
         return _world(values)
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
-        raise CommandError(f"{path}: not a scenario of `campaign --faults`: {error}") from error
+        raise CommandError(f"{path}: not a scenario of the swarm: {error}") from error
 
 
 def _world(values: dict[str, Any]) -> World:

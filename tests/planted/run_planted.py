@@ -20,7 +20,9 @@ from typing import NamedTuple
 
 ROOT = Path(__file__).parents[2]
 FOLDER = Path(__file__).parent
-COPIED = ("controller", "dbc", "rig_sim", "meshpoint", "tests", "docs", "pyproject.toml")
+COPIED = (
+    "benchmarks", "controller", "dbc", "rig_sim", "meshpoint", "tests", "docs", "pyproject.toml",
+)  # fmt: skip
 BESIDE = ("controller", "dbc", "rig_sim")
 LONGEST_S = 900.0
 IMPORTS_FROM_THE_COPY = """\

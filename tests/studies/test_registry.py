@@ -53,4 +53,4 @@ def test_a_number_alone_is_that_of_a_figure_where_there_is_one(word: str, names:
 def test_an_unknown_study_is_named_with_those_that_are_allowed() -> None:
     with pytest.raises(CommandError, match=r"(?s)'6\.99'.*valve, torque") as refused:
         chosen(["6.99"])
-    assert max(map(len, f"meshpoint study: error: {refused.value}".splitlines())) <= 80
+    assert max(map(len, f"python -m benchmarks.studies: error: {refused.value}".splitlines())) <= 80
