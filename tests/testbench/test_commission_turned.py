@@ -222,6 +222,7 @@ def test_teeth_that_are_all_alike_are_not_counted() -> None:
     assert tooth_count(times) is None
 
 
+@pytest.mark.long
 def test_a_gearbox_of_a_truck_on_the_stand_comes_to_rest_at_the_end() -> None:
     """Its profile gives it axle shafts, wheels and a clutch that drags; the stand has no axle."""
     settings_ = RigSettings(seed=1, main_speed_rpm=0.0, profile=Profile.TYPICAL, as_built=STAND)

@@ -105,7 +105,7 @@ def clock_of(frames: Frames) -> LogClock:
     return fit.finish()
 
 
-@pytest.mark.parametrize("by", ["steady", "uneven"])
+@pytest.mark.parametrize("by", ["steady", pytest.param("uneven", marks=pytest.mark.long)])
 def test_the_gearbox_is_the_one_of_the_log_by_the_sensors_clock(
     log: Path, others: dict[str, Path], by: str, told: Told
 ) -> None:
@@ -122,7 +122,7 @@ def test_the_gearbox_is_the_one_of_the_log_by_the_sensors_clock(
                for figure in found["figures"])  # fmt: skip
 
 
-@pytest.mark.parametrize("by", ["steady", "uneven"])
+@pytest.mark.parametrize("by", ["steady", pytest.param("uneven", marks=pytest.mark.long)])
 def test_every_request_is_decided_as_by_the_sensors_clock(
     log: Path, others: dict[str, Path], by: str, told: Told
 ) -> None:
