@@ -55,7 +55,7 @@ def refusal(capsys: pytest.CaptureFixture[str], *arguments: str) -> str:
         ("simulate --shifts 1 --json nowhere/run.json", ("nowhere/run.json", "no folder nowhere")),
         ("campaign --runs 1 --json nowhere/run.json", ("no folder nowhere",)),
         ("demo -i virtual --json nowhere/run.json", ("no folder nowhere",)),
-        ("study 6.8", ("study is `python -m benchmarks.studies`",)),
+        ("study 6.8", ("`meshpoint study` is now `python -m benchmarks.studies`",)),
         ("campaign --faults --hours 2", ("--faults is `python -m benchmarks.swarm`",)),
         ("simulate --shifts 1 --report nowhere/run.html", ("no folder nowhere",)),
         ("show settings nothing", ("nothing", "limits")),
